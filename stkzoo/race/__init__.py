@@ -1,4 +1,4 @@
-"""Runs races of drivers.
+"""Races between drivers.
 
 >>> from stkzoo.race import run_race
 >>> result = run_race(["heuristic", "ai"], track="lighthouse", seed=1)
@@ -61,7 +61,7 @@ __all__ = [
     "run_race",
 ]
 
-# The process of an agent needs few of them.
+# Imported on first use, because an agent's process needs only a few of these names.
 _HOMES = {
     "stkzoo.drivers": (
         "Actor",

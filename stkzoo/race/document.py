@@ -1,4 +1,4 @@
-"""What results of races and plans of batches share: a JSON file of a named type and version."""
+"""Documents: JSON files with a type and a version, such as race results and batch plans."""
 
 from __future__ import annotations
 
@@ -19,26 +19,29 @@ from stkzoo.race.json_values import json_value
 
 
 class Document(ABC):
-    """A dataclass that is kept as a JSON file; :mod:`stkzoo._schema` says how it is checked."""
+    """A dataclass that is stored as a JSON file; :mod:`stkzoo._schema` validates it."""
 
     __slots__ = ()
 
-    #: The ``type`` and ``schema_version`` of the file.
+    #: ``type`` and ``schema_version`` of the file.
     kind: ClassVar[str]
     version: ClassVar[int] = 1
-    #: Where such a file comes from, for errors.
+    #: Description of such a file and its source, for errors.
     origin: ClassVar[str]
-    #: The largest size of the file [bytes].
+    #: Maximum size of the file [bytes].
     max_bytes: ClassVar[int] = MAX_BYTES
-    #: A list to write last, with one entry per line.
+    #: Name of a list field that is written last, with one entry per line; empty for none.
     rows: ClassVar[str] = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """The document as JSON values, without its type and version."""
+        """Returns the document as JSON values, without its type and version."""
         return asdict(self)  # type: ignore[call-overload, no-any-return]  # a dataclass
 
     def to_json(self) -> str:
-        """The document as JSON; never fails (:func:`~stkzoo.race.json_values.json_value`)."""
+        """Returns the document as JSON text.
+
+        Any field value is accepted; see :func:`~stkzoo.race.json_values.json_value`.
+        """
         document = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
         values = json_value(document)
         if not self.rows:
@@ -52,11 +55,11 @@ class Document(ABC):
         """Reads the output of :meth:`to_json`.
 
         Args:
-            text: the JSON.
-            place: where it was found, for errors.
+            text: the JSON text.
+            place: source of the text, for errors.
 
         Raises:
-            ConfigError: the text is something else, has another version, or a field of it is
+            ConfigError: the text is not such a document or has another version, or a field is
                 missing or invalid.
         """
         with cls._reading(place):
@@ -66,10 +69,10 @@ class Document(ABC):
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], place: str = "the text") -> Self:
-        """Reads the output of :meth:`to_dict`; entries that are no fields do not count.
+        """Reads the output of :meth:`to_dict` and ignores unknown entries.
 
         Raises:
-            ConfigError: the values are no such document.
+            ConfigError: a field is missing or invalid.
         """
         with cls._reading(place):
             return typed(cls, values)
@@ -79,7 +82,7 @@ class Document(ABC):
         """Reads a file.
 
         Raises:
-            ConfigError: there is none, or it cannot be read.
+            ConfigError: the file does not exist, or is not such a document.
         """
         with cls._reading(str(file)):
             text = read_text(file, cls.max_bytes)
@@ -87,7 +90,7 @@ class Document(ABC):
 
     @classmethod
     def _reading(cls, place: str) -> AbstractContextManager[None]:
-        """Explains the error of a block that reads a document."""
+        """Adds the document's kind and origin to errors of a block that reads it."""
         return reading(f"{place} has no {cls.kind.replace('-', ' ')}", cls.origin)
 
 
@@ -95,8 +98,8 @@ def check_document(document: Any, kind: str, version: int) -> None:
     """Checks the type and version of a document.
 
     Raises:
-        Unreadable: it has no type or version.
-        ConfigError: it is something else, or of another version.
+        Unreadable: the document has no type or version.
+        ConfigError: the document has another type or version.
     """
     if not isinstance(document, dict):
         raise Unreadable(f"it is {shortened(document)}, expected an object")

@@ -1,4 +1,4 @@
-"""Values that any JSON reader accepts, from whatever an agent left in a result."""
+"""Converts arbitrary values from agents to values that every JSON reader accepts."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 
 
 def json_value(value: Any) -> Any:
-    """A value as plain JSON values; never fails.
+    """Converts a value to JSON values; never fails.
 
-    Numbers of numpy become Python's. JSON has neither NaN, which becomes 0, nor infinite numbers,
-    which become the largest ones. Lone surrogates, which are no valid text, become U+FFFD. What is
-    of no other type becomes a text.
+    Numpy numbers become Python numbers. JSON does not support NaN, which becomes 0, and infinite
+    numbers, which become the largest finite ones. Lone surrogates, which are invalid text, become
+    U+FFFD. Values of other types become strings.
 
     Args:
         value: the value; tuples in it stay tuples.
@@ -46,6 +46,6 @@ def _finite(number: float) -> float:
 def _text(value: object) -> str:
     try:
         text = value.decode(errors="replace") if isinstance(value, bytes) else str(value)
-    except Exception:  # noqa: BLE001 - of any class
+    except Exception:  # noqa: BLE001 - a __str__ of any class
         text = f"a {type(value).__name__}"
     return text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")

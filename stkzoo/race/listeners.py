@@ -1,4 +1,4 @@
-"""Listeners of a race, and what they get from it."""
+"""Listeners of a race, and the race state that they receive."""
 
 from __future__ import annotations
 
@@ -20,27 +20,28 @@ _Value = TypeVar("_Value")
 
 @dataclass(frozen=True, slots=True)
 class RaceProgress:
-    """One moment of a race, read-only.
+    """Read-only state of a race after a step.
 
     Attributes:
         env: the race's environment.
-        names: name to show of every agent.
-        sources: source of every agent.
+        names: display name of each agent.
+        sources: source of each agent.
         seed: seed of the environment's reset.
-        steps: environment steps so far.
+        steps: number of environment steps so far.
         race_time: game time of these steps [s].
-        race_length: laps times the lap's length [m].
-        distances: distance driven by each agent, at most ``race_length`` [m].
-        observations: observations of the agents now, in the ``full`` view; without agents that
+        race_length: number of laps times the lap length [m].
+        distances: distance driven by each agent [m], at most ``race_length``.
+        observations: current observations by agent, in the ``full`` view; without agents that
             finished before the last step.
-        actions: actions of the last step, by agent, in the game's own form; without the agents
-            that the game drives.
-        rewards: of the last step.
-        total_rewards: since the start.
-        infos: every agent's last info.
-        failures: failures so far, by agent.
+        actions: actions of the last step by agent, in the game's action space; without agents that
+            the game's AI drives.
+        rewards: rewards of the last step by agent.
+        total_rewards: sums of rewards since the start by agent.
+        infos: last info of each agent.
+        failures: failures so far by agent.
         seconds: duration of each driver's last decision [s].
-        stop: ends the race after this step; takes the reason, for the result's ``status``.
+        stop: ends the race after this step. Its argument is the reason, which becomes the result's
+            ``status``.
     """
 
     env: RaceParallelEnv
@@ -62,22 +63,22 @@ class RaceProgress:
 
     @property
     def leader_distance(self) -> float:
-        """Distance of the agent in front [m]."""
+        """Distance driven by the leading agent [m]."""
         return max(self.distances.values())
 
     @property
     def snapshot(self) -> Snapshot:
-        """The state of all karts and items now."""
+        """Current state of all karts and items."""
         return _present(self.env.snapshot)
 
     @property
     def scene(self) -> Scene:
-        """The race as pictures need it."""
+        """Description of the race for renderers."""
         return _present(self.env.scene)
 
     @property
     def race_info(self) -> RaceInfo:
-        """Names of the race and its karts."""
+        """Facts about the race, such as its track and karts."""
         return _present(self.env.race)
 
 
@@ -87,54 +88,56 @@ def _present(value: _Value | None) -> _Value:
 
 
 class RaceListener:
-    """Watches a race. Subclasses define the methods that they need.
+    """Observes a race. Subclasses override the methods that they need.
 
-    The race waits for its listeners. An exception in one ends the race.
+    The race waits until each call of a listener returns. An exception in a listener ends the race.
     """
 
     def env_options(self) -> dict[str, Any]:
-        """Arguments of the race's environment that the listener needs, such as ``render_mode``."""
+        """Returns arguments that the race's environment needs, such as ``render_mode``."""
         return {}
 
     def started(self, race: RaceProgress) -> None:
-        """Called when the karts stand on the grid."""
+        """Called when the karts are on the grid."""
 
     def stepped(self, race: RaceProgress) -> None:
-        """Called after every step."""
+        """Called after each step."""
 
     def ended(self, result: RaceResult) -> None:
-        """Called when the race is over, also by an interrupt, but not after an error.
+        """Called when the race has ended, also after an interrupt, but not after an error.
 
         The environment is still open.
         """
 
     def closed(self) -> None:
-        """Called last, also after an error; free resources here."""
+        """Called last, also after an error. Release resources here."""
 
 
 class ResultKeeper(RaceListener):
-    """Keeps the result, also if another listener fails after the race.
+    """Stores the result, which remains available if another listener fails after the race.
 
     Attributes:
-        result: the race's result; ``None`` until it is over.
+        result: result of the race; ``None`` until the race has ended.
     """
 
     def __init__(self) -> None:
         self.result: RaceResult | None = None
 
     def ended(self, result: RaceResult) -> None:
-        """Keeps the result."""
+        """Stores the result."""
         self.result = result
 
 
 class ExpendableListener(RaceListener):
-    """A listener whose failure does not end the race; from then on the listener gets nothing.
+    """Wraps a listener so that its failure does not end the race.
+
+    After a failure, the listener is closed and receives no further calls.
 
     Args:
-        listener: the listener.
+        listener: the wrapped listener.
 
     Attributes:
-        error: its first failure; ``None`` without one.
+        error: the listener's failure; ``None`` without one.
     """
 
     def __init__(self, listener: RaceListener) -> None:
@@ -158,7 +161,7 @@ class ExpendableListener(RaceListener):
         self._call(self._listener.ended, result)
 
     def closed(self) -> None:
-        """See :class:`RaceListener`; called once, also by a failure."""
+        """Closes the listener unless a failure has already closed it."""
         if self.error is None:
             self._call(self._listener.closed)
 
@@ -167,7 +170,7 @@ class ExpendableListener(RaceListener):
             return
         try:
             function(*arguments)
-        except Exception as error:  # noqa: BLE001 - whatever fails in a listener
+        except Exception as error:  # noqa: BLE001 - a listener may raise anything
             self.error = error
             with suppress(Exception):
                 self._listener.closed()

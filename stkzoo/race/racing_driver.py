@@ -1,4 +1,4 @@
-"""A driver in one race, and the handling of its failures."""
+"""A driver in a race, with handling of its failures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
 
 _MAX_FAILURES_KEPT = 20
-#: Characters of a name, and of a traceback with the last output behind it.
+#: Maximum lengths of a name, and of a traceback including the last output [characters].
 _MAX_NAME, _MAX_TRACE = 100, 8000
 _CLIPPED = (
     "an action of {} ({}) at step {} has a number outside its space, which is clipped; from now "
@@ -29,25 +29,26 @@ logger = logging.getLogger(__name__)
 
 
 class RacingDriver:
-    """A driver in one race, across restarts. The runner gives it the number of steps so far.
+    """A driver in one race, across restarts of its instance.
 
-    All methods but :meth:`close` raise :class:`~stkzoo.errors.AgentError` if the driver fails and
-    ``error_handling`` is ``"raise"``.
+    If the driver fails and ``error_handling`` is ``"raise"``, all methods except :meth:`start` and
+    :meth:`close` raise :class:`~stkzoo.errors.AgentError`. The argument ``step`` of the methods is
+    the number of environment steps so far.
 
     Args:
-        driver: not the game's AI.
-        request: what its instances are started with.
-        settings: the error handling.
+        driver: the driver; not the game's AI.
+        request: arguments with which its instances are started.
+        settings: settings of the race.
 
     Attributes:
         agent: id of the agent.
-        name: the name to show.
-        failures: the first failures.
+        name: display name.
+        failures: the first 20 failures.
         num_failures: number of all failures.
-        num_clipped: decisions with a number outside its ``Box``, which was clipped.
-        seconds: duration of each decision [s].
-        clock: the time for all decisions.
-        is_retired: whether it has been taken out of the race.
+        num_clipped: number of decisions with a clipped number.
+        seconds: duration of each successful decision [s].
+        clock: total time of all decisions.
+        is_retired: whether the driver is out of the race.
     """
 
     def __init__(self, driver: Driver, request: DriverRequest, settings: RaceSettings) -> None:
@@ -71,7 +72,7 @@ class RacingDriver:
         self._random_actions.seed(request.seed)
 
     def start(self) -> None:
-        """Starts the driver, which gets ready meanwhile."""
+        """Starts the driver without waiting until it is ready."""
         self._is_ready, self._start_error = False, None
         try:
             assert self._driver.start is not None  # noqa: S101 - not the game's AI
@@ -80,12 +81,12 @@ class RacingDriver:
             self._start_error = error
 
     def get_ready(self, step: int) -> None:
-        """Waits until the driver is ready; retires it if it fails to start."""
+        """Waits until the driver is ready, or retires it if the start fails."""
         if self.is_retired or self._is_ready:
             return
         try:
             name = self._started().ready()
-        except Exception as error:  # noqa: BLE001 - costs only its own race
+        except Exception as error:  # noqa: BLE001 - affects only this driver
             self._record(error, step, "start")
             self._retire()
             return
@@ -93,7 +94,7 @@ class RacingDriver:
         self.name = self.name or _one_line(name) or self._default_name()
 
     def ask(self, observation: Any, step: int) -> None:
-        """Hands the observation over."""
+        """Waits until the driver is ready, then sends the observation to it."""
         self._is_asked = False
         self.get_ready(step)
         if self.is_retired:
@@ -105,12 +106,12 @@ class RacingDriver:
             self._handle(error, step)
 
     def answer(self, step: int) -> Any:
-        """The driver's action, or its replacement."""
+        """Returns the driver's action, or a replacement if the driver failed."""
         if not self._is_asked:
             return self._replacement()
         try:
             decision = self._started().answer()
-        except Exception as error:  # noqa: BLE001 - costs only its own race
+        except Exception as error:  # noqa: BLE001 - affects only this driver
             self._handle(error, step)
             return self._replacement()
         self.seconds.append(decision.seconds)
@@ -125,12 +126,12 @@ class RacingDriver:
         return decision.action
 
     def replace_action(self, error: Exception, step: int) -> Any:
-        """Records an invalid action; returns the one to take instead."""
+        """Records an invalid action and returns a replacement."""
         self._handle(error, step)
         return self._replacement()
 
     def close(self) -> None:
-        """Closes the instance."""
+        """Closes the driver's instance."""
         instance, self._instance = self._instance, None
         if instance is not None:
             instance.close()
@@ -141,7 +142,7 @@ class RacingDriver:
         return self._instance
 
     def _handle(self, error: Exception, step: int) -> None:
-        """Records a failure while driving, then keeps, restarts or retires the driver."""
+        """Records a failure during the race, then keeps, restarts or retires the driver."""
         self.clock.used += error.seconds if isinstance(error, AgentError) else 0.0
         if self.clock.is_over:
             self._end_for_time(step)
@@ -158,14 +159,14 @@ class RacingDriver:
         self.start()
 
     def _end_for_time(self, step: int) -> None:
-        """Retires a driver that has used up its time budget, however errors are handled."""
+        """Retires a driver that has exhausted its time budget, for all error handlings."""
         budget = f"its time budget of {self.clock.budget:g} s"
         problem = AgentTimeout(f"it has used up {budget} for decisions", self.agent)
         self._record(problem, step, "timeout")
         self._retire()
 
     def _record(self, error: Exception, step: int, kind: str) -> None:
-        """Keeps a failure, or raises it if ``error_handling`` is ``"raise"``."""
+        """Stores a failure, or raises it if ``error_handling`` is ``"raise"``."""
         text = printable(in_words(error))
         trace = str(error.trace) if isinstance(error, AgentError) else ""
         trace = printable(bounded(trace, _MAX_TRACE))
@@ -189,12 +190,12 @@ class RacingDriver:
         return _one_line(name) or self.agent
 
     def _replacement(self) -> Any:
-        """The action in place of a missing or invalid one."""
+        """Returns the action that replaces a missing or invalid one."""
         if self._settings.error_handling == "catch" and not self.is_retired:
             return self._random_actions.sample()
         return create_zero_array(self._request.action_space)
 
 
 def _one_line(name: str) -> str:
-    """An agent's own name, fit for a table."""
+    """Converts a name from an agent to one printable line."""
     return printable(name, _MAX_NAME).replace("\n", " ").strip()

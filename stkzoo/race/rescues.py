@@ -1,8 +1,8 @@
-"""Counts how often karts are put back on the road.
+"""Counts rescues of karts, which put them back on the road.
 
-The engine does not report rescues, but they are easy to detect: the kart's body leaves the physics
-world (its speed is exactly 0 and its velocity is not updated) while the kart descends at a
-constant rate. An explosion also lifts a kart, but then it falls faster and faster.
+The engine does not report rescues, but their signature is clear. The kart's body leaves the physics
+world: its speed is exactly 0 and its velocity is not updated. Meanwhile, the kart descends at a
+constant rate. An explosion also lifts a kart, but then the kart accelerates as it falls.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-#: Bounds of the rate of descent [m/s]; PySuperTuxKart2 0.7.4 uses 1.67.
+#: Bounds of the descent rate [m/s]; PySuperTuxKart2 0.7.4 uses 1.67.
 _SLOWEST, _FASTEST = 0.5, 5.0
-#: Largest difference between two equal movements, by rounding [m].
+#: Maximum rounding difference between two equal movements [m].
 _SAME = 5e-3
 
 
 class RescueCounter:
-    """Counts the rescues of every kart in one race.
+    """Counts the rescues of each kart in one race.
 
     Args:
         num_kart: number of karts.
-        step_size: game time between two updates [s]; above about 0.25 s the counter may miss
-            a rescue.
+        step_size: game time between two updates [s]; above about 0.25 s, the counter may miss
+            rescues.
 
     Attributes:
-        counts: ``(num_kart,)`` rescues so far, in grid order.
+        counts: ``(num_kart,)`` int, number of rescues so far, in grid order.
     """
 
     def __init__(self, num_kart: int, step_size: float) -> None:
@@ -36,7 +36,7 @@ class RescueCounter:
         self._is_descending = np.zeros(num_kart, bool)
 
     def update(self, karts: npt.NDArray[np.void]) -> None:
-        """Counts the rescues that begin with a step.
+        """Counts the rescues that begin in this step.
 
         Args:
             karts: ``(num_kart,)`` records of :data:`~stkzoo.engine.snapshot.KART_DTYPE`.

@@ -27,8 +27,8 @@ from stkzoo.drivers.sandbox import BUBBLEWRAP, LANDLOCK, NONE
 from stkzoo.race.document import Document
 from stkzoo.race.json_values import json_value
 
-#: Version of the JSON schema (``docs/schemas/race-result.schema.json``); grows when an older
-#: reader would fail.
+#: Version of the JSON schema (``docs/schemas/race-result.schema.json``). It increases with each
+#: change that breaks older readers.
 SCHEMA_VERSION = 1
 
 
@@ -37,10 +37,10 @@ class AgentFailure:
     """A failure of an agent.
 
     Attributes:
-        step: number of environment steps before it; 0 is before the start.
-        kind: ``"start"`` (it could not be loaded), ``"timeout"`` or ``"error"``.
-        message: the error.
-        trace: the traceback in the agent's code, or the last output of its process.
+        step: number of environment steps before the failure; 0 before the first step.
+        kind: ``"start"`` (the agent could not be loaded), ``"timeout"`` or ``"error"``.
+        message: error message.
+        trace: traceback in the agent's code, or the last output of its process.
     """
 
     step: Count
@@ -51,15 +51,15 @@ class AgentFailure:
 
 @dataclass(frozen=True, slots=True)
 class ActionTime:
-    """Duration of an agent's decisions, from its observation to its answer [s].
+    """Durations of an agent's decisions, from the observation to the action [s].
 
-    The race's own clock measures it. For an agent on a server, the network counts too.
+    The race measures them. For an agent on a server, they include the network.
 
     Attributes:
-        mean: mean of the decisions.
+        mean: mean duration.
         p99: 99th percentile.
-        max: of the longest.
-        total: of all, with those that failed; ``None`` in old results.
+        max: longest duration.
+        total: total duration, including failed decisions; ``None`` in old results.
     """
 
     mean: Seconds
@@ -69,11 +69,11 @@ class ActionTime:
 
     @classmethod
     def of(cls, seconds: Sequence[float], total: float) -> ActionTime | None:
-        """The statistics of some durations; ``None`` if there are none.
+        """Returns the statistics of durations; ``None`` if there are none.
 
         Args:
-            seconds: of decisions that succeeded.
-            total: of all.
+            seconds: durations of successful decisions [s].
+            total: total duration of all decisions [s].
         """
         if not seconds:
             return None
@@ -86,21 +86,22 @@ class AgentResult:
     """The result of one agent.
 
     Attributes:
-        agent: its id in the environment.
+        agent: id of the agent in the environment.
         driver: the driver's name.
-        source: the driver's source, as the user wrote it.
-        status: ``"finished"``, ``"racing"`` (when the race was over) or ``"retired"``.
-        start_position: its place on the grid, 1 is in front.
-        rank: its place, 1 is first; agents that did not finish follow by distance.
-        finish_time: race time at the finish [s]; ``None`` if it did not finish.
-        laps: laps done.
-        distance: along the track from the start line [m], at most the length of the race.
-        reward: the sum over the race.
-        rescues: how often its kart was put back on the road; ``None`` in old results.
+        source: text from which the user selected the driver.
+        status: ``"finished"``, ``"racing"`` (still racing at the end) or ``"retired"``.
+        start_position: position on the grid, from 1 at the front.
+        rank: final rank, from 1. Agents that did not finish follow by distance.
+        finish_time: race time at the finish [s]; ``None`` if the agent did not finish.
+        laps: completed laps.
+        distance: distance along the track from the start line [m], at most the race length.
+        reward: sum of rewards over the race.
+        rescues: number of rescues of the kart; ``None`` in old results.
         num_errors: number of failures.
-        num_clipped: number of actions with a number outside its space, which was clipped.
-        errors: the first failures.
-        action_time: duration of its decisions; ``None`` for the game's AI.
+        num_clipped: number of actions with a clipped number.
+        errors: the first 20 failures.
+        action_time: durations of the decisions; ``None`` for the game's AI and for agents without
+            a successful decision.
     """
 
     agent: Annotated[str, Matching("kart_[0-9]+", "an agent's id such as kart_0")]
@@ -121,7 +122,7 @@ class AgentResult:
 
 
 def versions_now() -> dict[str, str]:
-    """Versions of the installed software."""
+    """Returns the versions of the installed software, by name."""
     return dict(_versions())
 
 
@@ -135,7 +136,10 @@ def _versions() -> dict[str, str]:
 def shared_protections(
     results: Iterable[RaceResult],
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The sandboxes of some races, and what was withheld in all races with agents from files."""
+    """Returns the sandboxes of races and the protections that all of them share.
+
+    Races without agents from files are ignored.
+    """
     foreign = [result for result in results if result.sandbox is not None]
     sandboxes = sorted({str(result.sandbox) for result in foreign})
     active = [set(result.protections) for result in foreign]
@@ -147,27 +151,27 @@ class RaceResult(Document):
     """The result of a race.
 
     Attributes:
-        status: ``"finished"`` (all karts that were still driving), ``"awaited_finished"`` (all
-            of ``wait_for``), ``"karts_finished"``, ``"max_steps_after_first"``, ``"max_steps"``,
-            ``"time_limit"`` (of the runner), ``"abandoned"`` (no driver is left and none has
-            finished), ``"interrupted"``, or a listener's reason to stop.
-        track: its name.
-        reverse: whether it was driven in the other direction.
-        laps: laps to drive.
-        difficulty: level of the game's AI, 0 to 3.
+        status: why the race ended: ``"finished"`` (all karts have finished or retired, and at least
+            one has finished), ``"abandoned"`` (all karts have retired), ``"awaited_finished"`` (all
+            drivers in ``wait_for`` have finished or retired), ``"karts_finished"``,
+            ``"max_steps_after_first"``, ``"max_steps"``, ``"time_limit"`` (the default limit
+            without ``max_steps``), ``"interrupted"``, or a listener's reason to stop.
+        track: name of the track.
+        reverse: whether the track was driven in reverse direction.
+        laps: number of laps of the race.
+        difficulty: difficulty of the game's AI, 0 to 3.
         seed: seed of the environment's reset; the same seed gives the same race.
-        race_length: laps times the lap's length [m].
+        race_length: number of laps times the lap length [m].
         steps: number of environment steps.
         race_time: game time of these steps [s].
         agents: one entry per agent, best rank first.
-        versions: of the software.
-        wall_time: real duration [s]; ignored when results are compared.
-        sandbox: of agents from files that ran here: ``"bubblewrap"``, ``"landlock"`` or
-            ``"none"``; ``None`` without such agents, and in old results. Ignored likewise.
-        protections: what the sandbox withheld, and what the race limited for each agent from files
-            (:func:`stkzoo.drivers.sandbox.protections`). Ignored likewise.
-        time_budget: time that each agent could spend on its decisions [s]; ``None`` for no limit.
-            Ignored likewise.
+        versions: versions of the software. This attribute and those below do not affect ``==``.
+        wall_time: real duration [s].
+        sandbox: sandbox of the agents from files that ran on this machine: ``"bubblewrap"``,
+            ``"landlock"`` or ``"none"``; ``None`` without such agents and in old results.
+        protections: resources that the sandbox and the race protect from agents from files
+            (:func:`stkzoo.drivers.sandbox.protections`).
+        time_budget: limit of each agent's total decision time [s]; ``None`` for no limit.
     """
 
     kind: ClassVar[str] = "race-result"
@@ -203,6 +207,6 @@ class RaceResult(Document):
         return any(agent.num_errors for agent in self.agents)
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as JSON values, with this class's field names and a ``schema_version``."""
+        """Returns the result as JSON values, with its ``type`` and ``schema_version``."""
         values = {"type": self.kind, "schema_version": self.version, **asdict(self)}
         return dict(json_value(values))

@@ -31,14 +31,14 @@ from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 from stkzoo.views import full_with
 
-#: Without ``max_steps``, a race ends after the time that this average speed needs ...
-_SLOWEST = 4.0  # [m/s]
-#: ... and this time.
-_GRACE = 60.0  # [s]
+#: Without ``max_steps``, the time limit is the race length divided by this speed [m/s] ...
+_SLOWEST = 4.0
+#: ... plus this time [s].
+_GRACE = 60.0
 
 
 class RaceInterrupted(KeyboardInterrupt):
-    """Ctrl-C interrupted a race.
+    """Raised when Ctrl-C interrupts a race.
 
     Attributes:
         result: the result so far; its ``status`` is ``"interrupted"``.
@@ -58,31 +58,32 @@ def run_race(
     wait_for: Sequence[int] | None = None,
     **changes: Any,
 ) -> RaceResult:
-    """Runs one race until all karts have finished.
+    """Runs one race until all karts have finished or a limit ends it.
 
-    Every driver has a kart and is an agent of one
-    :class:`~stkzoo.env.parallel.RaceParallelEnv`. Each agent from files runs in a process of its
-    own, so that its failures cost only its own kart.
+    Each driver drives one kart and is an agent of one
+    :class:`~stkzoo.env.parallel.RaceParallelEnv`. Each agent from files runs in its own process, so
+    its failures affect only its own kart.
 
     Args:
         drivers: drivers or their names (:func:`~stkzoo.race.find_driver`).
-        listeners: the race's listeners.
-        settings: the race's settings.
-        start_positions: each driver's place on the grid, 1 is in front; random by default.
-        wait_for: indices in ``drivers``: the race ends as soon as these drivers have finished
-            or failed.
+        listeners: listeners of the race.
+        settings: settings of the race; ``None`` for the defaults.
+        start_positions: grid position of each driver, from 1 at the front; random by default.
+        wait_for: indices of drivers. The race ends as soon as all of these drivers have finished or
+            retired.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that override ``settings``, such as
             ``track="lighthouse"``.
 
     Returns:
-        The result; agents that have not finished have no finish time.
+        The result of the race. Agents that have not finished have no finish time.
 
     Raises:
         ConfigError: an argument is invalid.
         AssetError: the game's data is missing.
-        AgentError: a driver failed and ``error_handling`` is ``"raise"``; it names the agent.
-        EngineError: the game died or hangs.
-        RaceInterrupted: an interrupt from the keyboard; it has the result so far.
+        AgentError: a driver failed and ``error_handling`` is ``"raise"``. The error names the
+            agent.
+        EngineError: the game crashed or hung.
+        RaceInterrupted: Ctrl-C interrupted the race. The exception contains the result so far.
     """
     if isinstance(drivers, str) or not isinstance(drivers, Sequence):
         raise ConfigError(f"drivers is {drivers!r}, expected a list of drivers or their names")
@@ -95,7 +96,7 @@ def run_race(
     found = [_driver(driver, chosen) for driver in drivers]
     check_adapter(found, chosen.adapter)
     chosen = _of_level(chosen, found)
-    _sandbox(chosen, found)  # refused or told before the race
+    _sandbox(chosen, found)  # raises or warns before the race starts
     with ExitStack() as resources:
         for listener in listeners:
             resources.callback(listener.closed)
@@ -121,7 +122,11 @@ def _driver(driver: str | Driver, settings: RaceSettings) -> Driver:
 
 
 def _of_level(settings: RaceSettings, drivers: Sequence[Driver]) -> RaceSettings:
-    """The settings with the difficulty that drivers ask for, if any."""
+    """Returns the settings with the difficulty that drivers require, if any.
+
+    Raises:
+        ConfigError: drivers require different difficulties.
+    """
     levels = {driver.difficulty for driver in drivers if driver.difficulty is not None}
     if len(levels) > 1:
         raise ConfigError(
@@ -132,7 +137,7 @@ def _of_level(settings: RaceSettings, drivers: Sequence[Driver]) -> RaceSettings
 
 
 def _sandbox(settings: RaceSettings, drivers: Sequence[Driver]) -> str | None:
-    """The sandbox of the agents from files; ``None`` if there is no such agent."""
+    """Returns the sandbox of the agents from files; ``None`` if there are no such agents."""
     if not any(driver.is_from_files for driver in drivers):
         return None
     if settings.inline:
@@ -191,7 +196,7 @@ def _env(
 
 
 class _RaceRun:
-    """One race, from its start to its result."""
+    """One run of a race, from the start to the result."""
 
     def __init__(
         self,
@@ -202,7 +207,7 @@ class _RaceRun:
         listeners: Sequence[RaceListener],
     ) -> None:
         self._begin = time.monotonic()
-        # Found before the race: after it the process may have no descriptors left.
+        # Read before the race, because the process may have no file descriptors left after it.
         self._versions, self._sandbox = versions_now(), _sandbox(settings, drivers)
         self._env, self._settings, self._listeners = env, settings, listeners
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
@@ -279,7 +284,7 @@ class _RaceRun:
             self._steps_at_first = self._steps
 
     def _step_checked(self) -> Any:
-        """Steps the environment; replaces the actions that it rejects."""
+        """Steps the environment and replaces invalid actions."""
         while True:
             try:
                 return self._env.step(self._actions)
@@ -288,7 +293,7 @@ class _RaceRun:
                 self._actions[error.agent] = member.replace_action(error, self._steps)
 
     def _ending(self) -> str:
-        """The status of a race that is over; empty if it is not."""
+        """Returns the status of the race if it is over; otherwise an empty string."""
         settings, finished = self._settings, self._num_finished()
         if self._stop:
             return self._stop
@@ -310,7 +315,7 @@ class _RaceRun:
         return 0 if self._steps_at_first is None else self._steps - self._steps_at_first
 
     def _is_any_driving(self, agents: Sequence[str]) -> bool:
-        """Whether any of these agents has neither finished nor been retired."""
+        """Returns whether any of these agents has neither finished nor retired."""
         retired = {agent for agent, member in self.members.items() if member.is_retired}
         return bool(set(agents).intersection(self._env.agents) - retired)
 
@@ -352,7 +357,7 @@ class _RaceRun:
 
     def _end(self, status: str) -> RaceResult:
         result = self._result(status)
-        with ExitStack() as calls:  # which calls all, whichever of them fails
+        with ExitStack() as calls:  # calls all listeners, even if one of them fails
             for listener in reversed(self._listeners):
                 calls.callback(listener.ended, result)
         return result

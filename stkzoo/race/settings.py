@@ -1,4 +1,4 @@
-"""What can be chosen about a race that is run to its end; the command's flags come from here."""
+"""Settings of a race, which are also options of the ``stkzoo race`` command."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.sandbox import MODES
 from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole, unknown_name
 
-#: What to do when an agent fails.
+#: Ways to handle the failure of an agent, with their descriptions.
 ERROR_HANDLING = {
     "raise": "end the race with the error",
     "catch": "take a random action instead, and ask it again at the next step",
@@ -21,17 +21,17 @@ ERROR_HANDLING = {
     "restart": "start it again, in the middle of the race",
 }
 
-#: Titles of groups of options.
+#: Titles of option groups.
 _AGENTS, _END = "agents", "end of the race"
 
 
 @check_arguments
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaceSettings:
-    """The settings of :func:`~stkzoo.race.run_race`, with the help of their options.
+    """Settings of :func:`~stkzoo.race.run_race`. The attribute texts are also the options' help.
 
-    ``None`` is no limit, and any track. Times are in seconds, memory is in MB. Without
-    ``max_steps`` a race ends after the time that a kart needs at 4 m/s, plus a minute.
+    ``None`` means no limit, or any track. Times are in seconds, memory is in MB. Without
+    ``max_steps``, a race ends after the time that a kart needs at 4 m/s plus 60 s.
 
     Attributes:
         track: name of a track, or train, test or all to draw one (default: all)
@@ -44,14 +44,14 @@ class RaceSettings:
         max_steps_after_first: end the race N steps after the first kart finishes
         karts_finished: end the race when N karts have finished
         error_handling: what to do when an agent fails
-        max_restarts: restarts of an agent that fails
+        max_restarts: maximum number of restarts of an agent that fails
         action_timeout: time limit for an agent's decision; 0 for no limit
         start_timeout: time limit for loading an agent
         time_budget: retire an agent after this total time for decisions (default: no limit)
         agent_memory: memory limit of agents; 0 for no limit
-        sandbox: run agents in a sandbox: on refuses to race without; auto takes the best there is
+        sandbox: sandbox for agents: on requires bubblewrap; auto uses the strongest available
         inline: run agents in this process: faster, but an agent can end the race
-        show_output: show what agents print, on stderr
+        show_output: show the output of agents on stderr
         adapter: Python file with create_actor(get_actor, module_dir, obs_space, act_space)
     """
 
@@ -111,15 +111,15 @@ class RaceSettings:
         changes: Mapping[str, Any],
         decided: Collection[str] = (),
     ) -> RaceSettings:
-        """The user's settings with changes.
+        """Returns settings with some fields replaced.
 
         Args:
-            settings: the user's; ``None`` for the defaults.
+            settings: the original settings; ``None`` for the defaults.
             changes: fields that replace those of ``settings``.
-            decided: fields that no change may name.
+            decided: names of fields that ``changes`` must not contain.
 
         Raises:
-            ConfigError: a change names no field that a user may set, or a value is invalid.
+            ConfigError: a name in ``changes`` is unknown or decided, or a value is invalid.
         """
         known = [entry.name for entry in fields(cls) if entry.name not in decided]
         for name in changes:
@@ -131,7 +131,7 @@ class RaceSettings:
 
     @property
     def limits(self) -> DriverLimits:
-        """The resources that each driver may use."""
+        """Resource limits of each driver."""
         return DriverLimits(
             self.action_timeout, self.start_timeout, self.agent_memory, self.sandbox
         )

@@ -1,4 +1,4 @@
-"""Videos of races, made while they run.
+"""Videos of races, recorded during the race.
 
 >>> from stkzoo.race import run_race
 >>> from stkzoo.race.video import RaceVideo
@@ -38,20 +38,21 @@ _MOST_SUB_STEPS = 60
 
 
 class RaceFilm:
-    """Films a race from its snapshots, independent of its drivers.
+    """Records a video of a race from its snapshots.
 
-    One second of the video is one second of the race. Between two steps the karts move smoothly.
-    The video does not change the race.
+    One second of the video is one second of the race. The karts' motion between two steps is
+    interpolated. The video does not affect the race.
 
     Args:
-        path: the file; see :data:`stkzoo.render.encoder.FORMATS`.
-        cameras: how many agents have a tile, at most 8; ``None`` for all, up to 4. A free
+        path: path of the video file; see :data:`stkzoo.render.encoder.FORMATS`.
+        cameras: number of agents with their own tile, at most 8; ``None`` for all, up to 4. A free
             tile shows the map.
-        size: width and height [pixels].
-        sub_steps: pictures per step.
-        backend: ``"auto"``, ``"engine"`` or ``"map"``.
-        preset: quality of the game's graphics: ``"ld"``, ``"sd"`` or ``"hd"``.
-        card_seconds: how long the video shows the results.
+        size: width and height of the video [pixels]; odd numbers are decreased by 1.
+        sub_steps: number of frames per step.
+        backend: renderer of the frames: ``"engine"``, the game; ``"map"``, a top-down map;
+            ``"auto"``, the game if it can render on this machine, otherwise the map.
+        preset: graphics quality of the game: ``"ld"``, ``"sd"`` or ``"hd"``.
+        card_seconds: duration of the results at the end [s].
 
     Raises:
         ConfigError: an argument is invalid, or a library is missing.
@@ -73,7 +74,7 @@ class RaceFilm:
         check_whole("sub_steps", sub_steps, 1, _MOST_SUB_STEPS)
         self.path = check_video_path(path)
         width, height = checked_size(size)
-        self._size = width & ~1, height & ~1  # video formats hold whole pairs of pixels
+        self._size = width & ~1, height & ~1  # video formats need even sizes
         self._cameras, self._sub_steps = cameras, sub_steps
         self._card_seconds = card_seconds
         self._renderer = RaceRenderer(backend, self._size, preset)
@@ -81,19 +82,19 @@ class RaceFilm:
 
     @property
     def num_frames(self) -> int:
-        """Pictures so far."""
+        """Number of frames so far."""
         return self._writer.num_frames if self._writer else 0
 
     @property
     def backend(self) -> str:
-        """The renderer in use; ``"auto"`` before the first picture."""
+        """Renderer in use; may be ``"auto"`` before the first frame."""
         return self._renderer.backend
 
     def begin(self, scene: Scene, snapshot: Snapshot) -> None:
-        """Adds the first picture: the karts on the grid.
+        """Starts the video with a frame of the karts on the grid.
 
         Raises:
-            EngineError: the game cannot draw, and ``backend`` does not allow the map.
+            EngineError: the game cannot render, and ``backend`` does not allow the map.
             VideoError: the file cannot be written.
         """
         wanted = min(len(scene.kart_indices), _USUAL_CAMERAS)
@@ -114,11 +115,11 @@ class RaceFilm:
         self._write(next(iter(frames), None), snapshot)
 
     def add(self, snapshot: Snapshot) -> None:
-        """Adds the pictures of one step.
+        """Adds the frames of one step.
 
         Raises:
-            ConfigError: before :meth:`begin`.
-            EngineError: the render process died.
+            ConfigError: called before :meth:`begin`.
+            EngineError: the render process crashed twice in a row.
             VideoError: the file cannot be written.
         """
         if self._writer is None:
@@ -131,13 +132,14 @@ class RaceFilm:
         self._last = snapshot
 
     def finish(self, rows: Sequence[ResultRow], subtitle: str) -> None:
-        """Adds the results and puts the file in place.
+        """Adds the results, then completes the file and moves it to its path.
 
         Args:
-            rows: the lines of the results, best first.
-            subtitle: a line above them.
+            rows: rows of the results, best first; if empty, no results are shown.
+            subtitle: line above the results.
 
         Raises:
+            ConfigError: called before :meth:`begin`.
             VideoError: the file cannot be written.
         """
         if self._writer is None:
@@ -150,16 +152,16 @@ class RaceFilm:
         self.abort()
 
     def abort(self) -> None:
-        """Ends without a file, unless :meth:`finish` wrote one; may be called again."""
+        """Discards the video unless :meth:`finish` completed it; may be called more than once."""
         if self._writer is not None:
             self._writer.abort()
         self._renderer.close()
 
     def results(self, agents: Sequence[AgentResult] = ()) -> list[ResultRow]:
-        """Result rows for :meth:`finish`, from the last snapshot.
+        """Returns result rows for :meth:`finish`, computed from the last snapshot.
 
         Args:
-            agents: results of the agents, in any order, which take precedence.
+            agents: results of agents, in any order. They take precedence over the snapshot.
         """
         if self._writer is None:
             return []
@@ -175,7 +177,7 @@ class RaceFilm:
         return sorted(rows)
 
     def _frames(self, snapshot: Snapshot) -> list[dict[int, Picture]]:
-        """The game's frames of a step; restarts a game that fails once."""
+        """Renders the frames of a step; restarts the render process once if it fails."""
         try:
             return list(self._renderer.pictures_between(snapshot, self._sub_steps))
         except EngineError as error:
@@ -204,7 +206,7 @@ class RaceFilm:
 
 
 def without_names(scene: Scene, filmed: Sequence[int]) -> Scene:
-    """The scene without the game's names above filmed karts, which the labels name already."""
+    """Removes the game's name tags of filmed karts, because labels show these names."""
     karts = tuple(
         replace(setup, name="") if kart in filmed else setup
         for kart, setup in enumerate(scene.setup.karts)
@@ -213,10 +215,10 @@ def without_names(scene: Scene, filmed: Sequence[int]) -> Scene:
 
 
 class RaceVideo(RaceFilm, RaceListener):
-    """Makes a video of the race that it listens to; its arguments are those of :class:`RaceFilm`.
+    """Listener that records a video of its race. It has the arguments of :class:`RaceFilm`.
 
-    When the race ends with an error there is no file; after an interrupt the file has the race
-    so far.
+    If an error ends the race, no file is written. After an interrupt, the file shows the race so
+    far.
     """
 
     def started(self, race: RaceProgress) -> None:

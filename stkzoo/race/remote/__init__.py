@@ -1,7 +1,7 @@
-"""Races with agents on other machines: servers of agents, and drivers that ask them.
+"""Races with agents on other machines: agent servers, and drivers that connect to them.
 
-The messages are described in ``docs/reference/protocol.md``; nothing in them is pickled. What a
-client or a server sends can at worst cost its own part in the race.
+``docs/reference/protocol.md`` describes the messages. They contain no pickled data. An invalid
+message from a client or a server affects only its own part of the race.
 """
 
 from __future__ import annotations

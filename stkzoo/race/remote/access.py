@@ -1,4 +1,4 @@
-"""How to reach servers, as values that a file or another process can hold."""
+"""Access to servers, as plain values that can be stored or passed to another process."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from stkzoo.errors import ConfigError, reason, shortened
 from stkzoo.race.remote.drivers import RemoteDriverGroup, ServedAgent
 from stkzoo.race.remote.keys import read_public, read_secret
 
-#: Largest size of a list of servers [bytes].
+#: Maximum size of a server list [bytes].
 _MAX_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class ServerAccess:
-    """How to reach servers; the arguments of :class:`RemoteDriverGroup`, with keys as files.
+    """Access to servers: the arguments of :class:`RemoteDriverGroup`, with keys as files.
 
     Attributes:
-        servers: their addresses.
-        server_keys: their public keys, as files or text: none, one for all, or one for each.
-        secret: the file of the client's own secret key; ``None`` where any client is allowed.
-        timeout: time limit for a server's answer [s]; ``None`` for the agents' limit plus 5 s.
-        connect_timeout: time limit for the connection [s].
+        servers: addresses of the servers.
+        server_keys: public keys of the servers, as files or text: none, one for all servers, or one
+            per server.
+        secret: file of the client's secret key; ``None`` if the servers allow any client.
+        timeout: time limit for a server's reply [s]; ``None`` for the agents' time limit plus 5 s.
+        connect_timeout: time limit for a connection [s].
     """
 
     servers: tuple[str, ...] = ()
@@ -35,11 +36,14 @@ class ServerAccess:
     connect_timeout: float = 10.0
 
     def connect(self, agents: Sequence[ServedAgent] = ()) -> RemoteDriverGroup:
-        """Connects to the servers, or to those of known agents when a race starts.
+        """Connects to the servers.
+
+        Args:
+            agents: agents that are already known; see :class:`RemoteDriverGroup`.
 
         Raises:
             ConfigError: a key or a value is invalid, or pyzmq is not installed.
-            RemoteError: a server does not answer, or not as a stkzoo server.
+            RemoteError: a server does not reply, or is not a stkzoo server.
         """
         return RemoteDriverGroup(
             self.servers,
@@ -52,16 +56,17 @@ class ServerAccess:
 
 
 def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The servers that a file lists: an address a line, and after it the server's public key.
+    """Reads a server list. Each line contains an address and optionally the server's public key.
 
-    A key is a ``.public`` file, relative to the list's folder, or the key itself. Lines that start
-    with ``#`` are comments.
+    A key is the path of a ``.public`` file, relative to the list's folder, or the key itself. Lines
+    that start with ``#`` are comments.
 
     Returns:
-        The addresses, and the keys; either all servers have a key, or none has.
+        The addresses and the keys. Either all servers have a key, or none has.
 
     Raises:
-        ConfigError: the file cannot be read, or a line is invalid.
+        ConfigError: the file cannot be read or lists no servers, a line is invalid, or only some
+            servers have a key.
     """
     path = Path(file).expanduser()
     try:

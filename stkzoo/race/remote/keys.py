@@ -1,7 +1,8 @@
 """Key files of servers and clients.
 
-``NAME.secret`` has both halves of a key and stays with its owner; ``NAME.public`` is for others.
-Each line is a word and a key in ZeroMQ's Z85 encoding, so public files can be concatenated.
+``NAME.secret`` contains both the secret and the public key; its owner must not share it.
+``NAME.public`` contains the public key for others. Each line is a word and a key in ZeroMQ's Z85
+encoding, so you can concatenate public files.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from stkzoo.errors import ConfigError, reason
 from stkzoo.race.remote.sockets import zmq_module
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-#: Largest size of a file of keys [bytes].
+#: Maximum size of a key file [bytes].
 _MAX_BYTES = 1 << 20
 _KEY = re.compile(r"[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
 
 
 @dataclass(frozen=True, slots=True)
 class KeyPair:
-    """Both halves of a key, in Z85 encoding.
+    """A public and a secret key, in Z85 encoding.
 
     Attributes:
-        public: the half to share.
-        secret: the half to keep.
+        public: key to share.
+        secret: key to keep private.
     """
 
     public: str
@@ -36,10 +37,10 @@ class KeyPair:
 
 
 def new_keys() -> KeyPair:
-    """A new pair of keys.
+    """Generates a key pair.
 
     Raises:
-        ConfigError: pyzmq is missing, or was built without encryption.
+        ConfigError: pyzmq is not installed, or was built without encryption.
     """
     zmq = zmq_module()
     if not zmq.has("curve"):
@@ -49,17 +50,17 @@ def new_keys() -> KeyPair:
 
 
 def new_key_files(name: str, folder: Path) -> tuple[Path, Path]:
-    """Writes a new pair of keys.
+    """Generates a key pair and writes its files.
 
     Args:
-        name: of the files, before ``.secret`` and ``.public``.
-        folder: their folder.
+        name: name of the files, without ``.secret`` and ``.public``.
+        folder: folder of the files.
 
     Returns:
-        The secret file, which only its owner can read, and the public one.
+        The paths of the secret file, which only its owner can read, and of the public file.
 
     Raises:
-        ConfigError: the files exist already, or cannot be written.
+        ConfigError: the name is invalid, or a file already exists or cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"key name {name!r}, expected letters, digits, _ . and -")
@@ -75,10 +76,10 @@ def new_key_files(name: str, folder: Path) -> tuple[Path, Path]:
 
 
 def read_secret(file: str | Path) -> KeyPair:
-    """Both halves from a ``.secret`` file.
+    """Reads a key pair from a ``.secret`` file.
 
     Raises:
-        ConfigError: it does not exist, others can read it, or it is not a secret key.
+        ConfigError: the file does not exist, is not a secret key, or other users can read it.
     """
     path = Path(file).expanduser()
     words = dict(line[:2] for line in _lines_of(path))
@@ -90,13 +91,13 @@ def read_secret(file: str | Path) -> KeyPair:
 
 
 def read_public(source: str | Path) -> str:
-    """One public key.
+    """Reads one public key.
 
     Args:
-        source: a ``.public`` file, or the 40 characters themselves.
+        source: path of a ``.public`` file, or the key itself (40 characters).
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: the source is not exactly one public key.
     """
     keys = read_publics([source])
     if len(keys) != 1:
@@ -105,13 +106,17 @@ def read_public(source: str | Path) -> str:
 
 
 def read_publics(sources: Iterable[str | Path]) -> dict[str, str]:
-    """Public keys and their names.
+    """Reads public keys.
 
     Args:
-        sources: ``.public`` files, folders of them, files of many such lines, or keys.
+        sources: paths of ``.public`` files, of folders of such files, or of concatenated files; or
+            the keys themselves.
+
+    Returns:
+        A mapping from keys to their names, which may be empty.
 
     Raises:
-        ConfigError: a source has no public key.
+        ConfigError: a source cannot be read or contains no public key.
     """
     keys: dict[str, str] = {}
     for source in sources:

@@ -1,7 +1,8 @@
-"""The messages between client and server of a networked race (``docs/reference/protocol.md``).
+"""Messages between client and server of a networked race (``docs/reference/protocol.md``).
 
-A message is two ZeroMQ frames: its kind, one byte, and its body, a dict encoded by
-:mod:`stkzoo.drivers.codec`. A *seat* is the number of a driver instance on one connection.
+A message consists of two ZeroMQ frames: its kind, which is one byte, and its body, which is a dict
+encoded with :mod:`stkzoo.drivers.codec`. A *seat* is the number of a driver instance on one
+connection.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from stkzoo.drivers.codec import Limits, decode, encode
 from stkzoo.errors import ProtocolError, shortened
 from stkzoo.mdp.spaces import EXTRAS
 
-#: Both ends must have the same.
+#: Version of the protocol; both ends must have the same one.
 VERSION = 3
 
 # From client to server.
@@ -20,29 +21,29 @@ HELLO, OPEN, ACT, CLOSE, BYE = b"H", b"O", b"A", b"C", b"B"
 # From server to client.
 WELCOME, OPENED, ACTED, ALIVE, ERROR = b"W", b"P", b"D", b"L", b"E"
 
-#: Twenty observations of the longest track need half of it.
+#: Limits of a message. Twenty observations of the longest track need half of ``max_bytes``.
 LIMITS = Limits(max_bytes=4 << 20)
 
-#: Driver instances of one client on one server.
+#: Maximum number of driver instances of one client on one server.
 MAX_SEATS = 32
 
 Field = TypeVar("Field")
 
 
 def pack(**fields: Any) -> bytes:
-    """The body of a message.
+    """Encodes the body of a message.
 
     Raises:
-        ProtocolError: it is not plain data, or too large.
+        ProtocolError: the fields are not plain data, or are too large.
     """
     return encode(fields, LIMITS)
 
 
 def unpack(body: bytes, *, limits: Limits = LIMITS) -> dict[str, Any]:
-    """The fields of a message's body.
+    """Decodes the body of a message to its fields.
 
     Raises:
-        ProtocolError: these bytes are not a message.
+        ProtocolError: the bytes are not a valid body.
     """
     fields = decode(body, limits)
     if type(fields) is not dict:
@@ -51,10 +52,10 @@ def unpack(body: bytes, *, limits: Limits = LIMITS) -> dict[str, Any]:
 
 
 def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
-    """One field, which must exist and have exactly this type.
+    """Returns a required field and checks that it has exactly this type.
 
     Raises:
-        ProtocolError: it is missing or has another type.
+        ProtocolError: the field is missing or has another type.
     """
     value = fields.get(name)
     if type(value) is not kind:
@@ -63,10 +64,10 @@ def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
 
 
 def check_extras(extras: list[Any]) -> list[str]:
-    """Checks what an agent observes in addition to the ``full`` view.
+    """Checks the names of the entries that an agent observes beyond the ``full`` view.
 
     Raises:
-        ProtocolError: it is more than this end knows.
+        ProtocolError: a name is unknown.
     """
     if not all(isinstance(extra, str) and extra in EXTRAS for extra in extras):
         raise ProtocolError(
@@ -76,10 +77,10 @@ def check_extras(extras: list[Any]) -> list[str]:
 
 
 def check_version(fields: dict[str, Any]) -> None:
-    """Checks that the other end has the same version of the protocol.
+    """Checks that the other end has the same protocol version.
 
     Raises:
-        ProtocolError: it has another, or none.
+        ProtocolError: the version differs or is missing.
     """
     protocol = field(fields, "protocol", int)
     if protocol != VERSION:

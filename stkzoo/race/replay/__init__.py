@@ -1,4 +1,4 @@
-"""Replays: race files that run again bit for bit.
+"""Replays: recorded races that the engine reproduces bit for bit.
 
 >>> from stkzoo.race import run_race
 >>> from stkzoo.race.replay import ReplayWriter, load_replay, play_replay

@@ -1,6 +1,6 @@
-"""A replay, and its file: a zip of JSON and two plain arrays (``docs/reference/replays.md``).
+"""Replays and their file format: a zip of JSON and two arrays (``docs/reference/replays.md``).
 
-Reading any file raises only :class:`ReplayError`, and takes bounded time and memory.
+For any file content, reading raises only :class:`ReplayError` and needs bounded time and memory.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stkzoo.errors import StkzooError, shortened
 from stkzoo.race.document import check_document
 from stkzoo.race.result import SCHEMA_VERSION, RaceResult
 
-#: Bytes of one digest.
+#: Size of one digest [bytes].
 DIGEST_SIZE = 8
 
 _BUTTONS = CONTROLS[2:]
@@ -36,9 +36,9 @@ class ReplayAgent:
     """One agent of a recorded race.
 
     Attributes:
-        name: the name to show.
+        name: display name.
         source: the driver's source.
-        is_game_ai: whether the game drove it.
+        is_game_ai: whether the game's AI drove the kart.
     """
 
     name: str
@@ -51,25 +51,25 @@ class Replay:
     """A recorded race.
 
     Attributes:
-        track: its name.
-        reverse: whether it was driven in the other direction.
-        laps: laps to drive.
-        difficulty: level of the game's AI, 0 to 3.
-        max_paths: track segments ahead in observations; ``None`` for all.
+        track: name of the track.
+        reverse: whether the track was driven in reverse direction.
+        laps: number of laps of the race.
+        difficulty: difficulty of the game's AI, 0 to 3.
+        max_paths: number of track segments ahead in observations; ``None`` for all.
         step_size: game time of a step [s].
         seed: seed of the environment's reset.
-        num_tracks: number of tracks that ``track`` was drawn from, which affects the random
-            numbers after it.
-        engine_seed: the engine's seed, drawn with ``seed``.
-        start_positions: every agent's place on the grid, 1 is in front.
+        num_tracks: number of tracks from which ``track`` was drawn. It affects the random numbers
+            that are drawn after the track.
+        engine_seed: seed of the engine, which was drawn from the generator of ``seed``.
+        start_positions: grid position of each agent, from 1 at the front.
         kart_types: model of each kart, in grid order.
-        agents: the drivers, in agent order.
-        controls: ``(T, A, 7)`` float32: each agent's controls in each step, with the columns of
-            :data:`~stkzoo.engine.snapshot.CONTROLS`; zeros for agents that the game drives or
+        agents: the agents, in the environment's order.
+        controls: ``(T, A, 7)`` float32, controls of each agent in each step, with the columns of
+            :data:`~stkzoo.engine.snapshot.CONTROLS`; zeros for agents that the game's AI drives or
             that have finished.
-        digests: ``(T + 1, 8)`` uint8: the chain of :func:`next_digest`, from the grid on.
-        status: the result's status; ``"partial"`` if the race ended with an error.
-        result: the race's result; ``None`` if it ended with an error.
+        digests: ``(T + 1, 8)`` uint8, hash chain of :func:`next_digest`, from the grid on.
+        status: the result's status; ``"partial"`` if an error ended the race.
+        result: result of the race; ``None`` if an error ended it.
         versions: versions of the software.
     """
 
@@ -93,7 +93,7 @@ class Replay:
 
     @property
     def steps(self) -> int:
-        """Steps recorded."""
+        """Number of recorded steps."""
         return len(self.controls)
 
     @property
@@ -102,18 +102,22 @@ class Replay:
         return self.result is None or self.status == "interrupted"
 
     def to_dict(self) -> dict[str, Any]:
-        """All but the arrays, as JSON values."""
+        """Returns all fields except the arrays, as JSON values."""
         result = self.result.to_dict() if self.result else None
         values = {**asdict(self), "result": result, "steps": self.steps}
         return {name: value for name, value in values.items() if name not in _ARRAYS}
 
 
 def next_digest(digest: bytes, snapshot: Snapshot) -> bytes:
-    """The next link of a hash chain, which depends on the positions of all karts so far.
+    """Returns the next link of a hash chain over the states of all karts so far.
 
-    It is BLAKE2b (8 bytes) of the previous link (nothing for the first) and of all karts'
-    locations ``(K, 3)``, rotations ``(K, 4)`` and velocities ``(K, 3)``, as little-endian
-    float32, karts in grid order.
+    The link is the BLAKE2b hash (8 bytes) of the previous link (empty for the first one), followed
+    by the locations ``(K, 3)``, rotations ``(K, 4)`` and velocities ``(K, 3)`` of all karts as
+    little-endian float32, in grid order.
+
+    Args:
+        digest: previous link; empty for the first one.
+        snapshot: state of the karts.
     """
     link = hashlib.blake2b(digest, digest_size=DIGEST_SIZE)
     for name in ("location", "rotation", "velocity"):
@@ -122,36 +126,36 @@ def next_digest(digest: bytes, snapshot: Snapshot) -> bytes:
 
 
 def controls_of(action: Mapping[str, Any]) -> list[float]:
-    """An action in the game's own form as a row of controls."""
+    """Converts an action of the game's action space to a row of controls."""
     return [float(np.asarray(action[name]).reshape(())) for name in CONTROLS]
 
 
 def action_of(row: npt.NDArray[np.float32]) -> dict[str, Any]:
-    """The inverse of :func:`controls_of`."""
+    """Converts a row of controls to an action; the inverse of :func:`controls_of`."""
     action: dict[str, Any] = {
         name: row[column : column + 1] for column, name in enumerate(CONTROLS[:2])
     }
     return action | {name: int(row[column]) for column, name in enumerate(_BUTTONS, 2)}
 
 
-#: Version of the format; grows when an older reader would fail.
+#: Version of the file format. It increases with each change that breaks older readers.
 FORMAT = 1
 
 _TYPE = "stkzoo-replay"
 _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 
-#: [bytes]
+#: Maximum size of each member of the zip [bytes].
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
-#: Fields that are options of the environment too.
+#: Fields that are also options of the environment.
 _SETTINGS = ("track", "reverse", "laps", "difficulty", "max_paths", "step_size")
 
 
 class ReplayError(StkzooError):
-    """A replay cannot be read, written or played."""
+    """Raised when a replay cannot be read, written or played."""
 
 
 def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
-    """Writes a replay, completely or not at all.
+    """Writes a replay atomically.
 
     Raises:
         ReplayError: the file cannot be written.
@@ -170,7 +174,7 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
     """Reads a replay.
 
     Raises:
-        ReplayError: the file is missing, damaged, too large, or of another version.
+        ReplayError: the file is missing, damaged or too large, or has another version.
     """
     expected = "a file from `stkzoo race --replay`"
     with reading(f"the replay {path} cannot be read", expected, ReplayError):

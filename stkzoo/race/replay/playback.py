@@ -1,4 +1,4 @@
-"""Runs a recorded race again and compares every step."""
+"""Replays a recorded race and compares each step with the recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.runner import run_race
 
 _DIFFERS = "differs"
-#: Fields that are settings of a race too.
+#: Fields of a replay that are also settings of a race.
 _SETTINGS = ("laps", "difficulty", "reverse", "seed", "max_paths")
 _RACE_FACTS = ("track", "reverse", "laps", "difficulty", "seed", "race_length", "steps")
 _AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "reward")
@@ -28,16 +28,16 @@ _AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "re
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """The outcome of a replay.
+    """Outcome of playing a replay.
 
     Attributes:
-        result: the race's result; for an exact replay the recorded one, with the agents'
+        result: result of the race; for an exact replay, the recorded result with the agents'
             recorded failures.
-        steps: steps played.
-        first_difference: the first step after which a kart's state differs in any bit, 0 on the
-            grid; ``None`` if none does.
-        result_differences: differences between the recorded result and this one, in words. If
-            all karts are equal, the file was changed.
+        steps: number of steps played.
+        first_difference: number of steps after which the state of a kart first differs in any bit,
+            0 on the grid; ``None`` if there is no difference.
+        result_differences: descriptions of the differences between the recorded result and this
+            one. If there are any although ``first_difference`` is ``None``, the file was modified.
     """
 
     result: RaceResult
@@ -47,7 +47,7 @@ class Playback:
 
     @property
     def is_exact(self) -> bool:
-        """Whether everything is as recorded."""
+        """Whether all states and the result equal the recording."""
         return self.first_difference is None and not self.result_differences
 
 
@@ -58,22 +58,22 @@ def play_replay(
     to_the_end: bool = False,
     any_engine: bool = False,
 ) -> Playback:
-    """Runs a recorded race again, on the real engine, and compares all karts.
+    """Runs a recorded race again in the engine and compares the states of all karts.
 
-    The drivers are not needed: their actions are in the replay, and the game's AI repeats itself.
+    The drivers are not required: the replay contains their actions, and the game's AI is
+    deterministic.
 
     Args:
-        replay: the race.
-        listeners: the race's listeners, as in :func:`~stkzoo.race.run_race`.
+        replay: the recorded race.
+        listeners: listeners of the race; see :func:`~stkzoo.race.run_race`.
         to_the_end: continue after a difference.
-        any_engine: also play a replay of another version of the engine, which may drive
-            differently.
+        any_engine: also accept a replay of another engine version, which may behave differently.
 
     Raises:
-        ReplayError: another version of the engine recorded it, or its track is missing.
+        ReplayError: another engine version recorded the replay, or its track is missing.
         AssetError: the game's data is missing.
-        EngineError: the game died or hangs.
-        RaceInterrupted: an interrupt from the keyboard.
+        EngineError: the game crashed or hung.
+        RaceInterrupted: Ctrl-C interrupted the race.
     """
     _check_engine(replay, any_engine)
     _check_track(replay)
@@ -83,10 +83,10 @@ def play_replay(
         [_driver(replay, number) for number in range(len(replay.agents))],
         listeners=[comparison, *watching],
         start_positions=replay.start_positions,
-        # As many choices as in the recording, so that the random numbers are the same.
+        # The number of tracks to draw from affects the random numbers that are drawn after it.
         track=(replay.track,) * replay.num_tracks,
         **{name: getattr(replay, name) for name in _SETTINGS},
-        max_steps=replay.steps + 1,  # the comparison ends the race
+        max_steps=replay.steps + 1,  # the comparison ends the race one step earlier
         action_timeout=None,
     )
     return Playback(
@@ -127,7 +127,7 @@ def _driver(replay: Replay, number: int) -> Driver:
 
 
 def recorded_driver(name: str, controls: npt.NDArray[np.float32]) -> Driver:
-    """A driver that repeats recorded controls ``(T, 7)``, whatever it sees."""
+    """Returns a driver that repeats recorded controls ``(T, 7)`` and ignores its observations."""
 
     def make_actor(_: spaces.Space[Any], __: spaces.Space[Any], ___: int) -> Callable[..., Any]:
         rows = iter(controls)
@@ -137,7 +137,7 @@ def recorded_driver(name: str, controls: npt.NDArray[np.float32]) -> Driver:
 
 
 class _Comparison(RaceListener):
-    """Compares the race with the recording, and ends it at the same step."""
+    """Listener that compares the race with the recording and ends it at the same step."""
 
     def __init__(self, replay: Replay, to_the_end: bool) -> None:
         self._replay, self._to_the_end = replay, to_the_end
@@ -160,14 +160,14 @@ class _Comparison(RaceListener):
         self._compare(race)
 
     def reported(self, result: RaceResult) -> RaceResult:
-        """The recorded result if this race has the same, else this race's own."""
+        """Returns the recorded result if this race's result equals it, otherwise this result."""
         recorded = self._recorded()
         if recorded is None or self.differences(result):
             return result
         return replace(recorded, wall_time=result.wall_time)
 
     def differences(self, result: RaceResult) -> list[str]:
-        """Differences between the recorded result and this one."""
+        """Returns descriptions of the differences between the recorded result and this one."""
         recorded = self._recorded()
         if recorded is None:
             return []
@@ -179,7 +179,7 @@ class _Comparison(RaceListener):
         ]
 
     def _recorded(self) -> RaceResult | None:
-        """The recorded result, if this race equals the recording from start to end."""
+        """Returns the recorded result if all states of this race equal the recording."""
         replay = self._replay
         is_whole = self.steps == replay.steps and not replay.is_partial
         return replay.result if is_whole and self.first_difference is None else None
@@ -200,7 +200,7 @@ class _Comparison(RaceListener):
 
 
 def _facts(result: RaceResult) -> dict[str, Any]:
-    """The part of a result that follows from the race itself."""
+    """Returns the part of a result that depends only on the race."""
     facts = {name: getattr(result, name) for name in _RACE_FACTS}
     for row in result.agents:
         facts |= {f"{row.agent}'s {name}": getattr(row, name) for name in _AGENT_FACTS}
@@ -214,9 +214,9 @@ def _is_equal(one: Any, two: Any) -> bool:
 
 
 class _WithRecordedFailures(RaceListener):
-    """Passes the race on to a listener, with the recorded failures.
+    """Wraps a listener and shows it the recorded failures.
 
-    In a replay no agent fails: the recording has the action that replaced the failed one.
+    No agent fails in a replay, because the recording contains the replacement actions.
     """
 
     def __init__(self, listener: RaceListener, replay: Replay, comparison: _Comparison) -> None:
@@ -225,7 +225,7 @@ class _WithRecordedFailures(RaceListener):
         self._failures = {row.agent: row.errors for row in agents}
 
     def env_options(self) -> dict[str, Any]:
-        """See :class:`~stkzoo.race.listeners.RaceListener`, as for the others."""
+        """See :class:`~stkzoo.race.listeners.RaceListener`, also for the other methods."""
         return self._listener.env_options()
 
     def started(self, race: RaceProgress) -> None:

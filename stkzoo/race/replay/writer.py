@@ -1,4 +1,4 @@
-"""Writes a replay of a race."""
+"""Listener that writes a replay of a race."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ from stkzoo.race.replay.file import (
 )
 from stkzoo.race.result import RaceResult, versions_now
 
-#: Fields of a replay that are facts of the race in it.
+#: Fields of a replay that are copied from the race's description.
 _RACE_FACTS = ("track", "reverse", "laps", "difficulty", "kart_types")
 
 
 class ReplayWriter(RaceListener):
-    """Writes a replay of the race that it listens to.
+    """Writes a replay of its race.
 
-    After an interrupt or an error the file has the race so far and is marked as partial.
+    After an interrupt or an error, the file contains the race so far and is marked as partial.
 
     Args:
-        path: the file; written when the race is over, replacing an older one.
+        path: path of the file. An existing file is replaced when the race has ended.
 
     Raises:
-        ConfigError: it cannot be written.
+        ConfigError: the file cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = check_writable(path, "the replay")
         self._head: Replay | None = None
         self._first_digest = b""
-        self._steps: list[tuple[list[list[float]], bytes]] = []  # controls and digest of each
+        self._steps: list[tuple[list[list[float]], bytes]] = []  # controls and digest per step
 
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -61,7 +61,7 @@ class ReplayWriter(RaceListener):
         self.ended(None)
 
     def ended(self, result: RaceResult | None) -> None:
-        """Writes the file once, if a race has started; see ``RaceListener``."""
+        """Writes the file if a race has started and the file is not yet written."""
         head, self._head = self._head, None
         if head is None:
             return
@@ -78,7 +78,7 @@ class ReplayWriter(RaceListener):
 
 
 def _head(race: RaceProgress) -> Replay:
-    """The replay of a race on the grid."""
+    """Returns the replay of a race on the grid, without steps."""
     env, info = race.env, race.race_info
     return Replay(
         **{name: getattr(info, name) for name in _RACE_FACTS},
