@@ -55,7 +55,7 @@ class DatasetWriter(RaceListener):
         self._about: dict[str, Any] = {}
 
     def decided(self, observation: Any, action: Any) -> None:
-        """Records an observation and the action for it, both in the view."""
+        """Records an observation and its action, both in the format of the view."""
         self._observations.append(observation)
         self._actions.append(action)
 
@@ -78,7 +78,7 @@ class DatasetWriter(RaceListener):
     def stepped(self, race: RaceProgress) -> None:
         """Records the outcome of the driver's last action."""
         if len(self._rewards) == len(self._actions):
-            return  # it has finished; others are still racing
+            return  # the driver has finished, and other karts are still racing
         self._rewards.append(float(race.rewards[_AGENT]))
         self._last = self._chain.observe(race.observations[_AGENT])
         self._is_finished = race.infos[_AGENT]["finish_time"] > 0

@@ -17,7 +17,7 @@ from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.views import VIEWS
 from stkzoo.wrappers.camera import checked_size
 
-#: Supported steps per second; a step is a whole number of game ticks of 1/60 s.
+#: Supported numbers of steps per second. A step is a whole number of game ticks of 1/60 s.
 RATES = (10, 12, 15, 20, 30, 60)
 
 #: The person drives the first agent.
@@ -38,24 +38,26 @@ def play_race(
 ) -> RaceResult:
     """Opens a window, lets a person drive, and returns the result of the race.
 
-    The race runs in real time, slower where a picture takes longer than a step. Escape and
-    closing the window end it.
+    The race runs in real time. It is slower if rendering a frame takes longer than a step. Press
+    Escape or close the window to end the race.
 
     Args:
         opponents: the other drivers (:func:`stkzoo.race.find_driver`).
-        name: the person's name.
-        backend: the renderer: ``"engine"``, ``"map"``, or ``"auto"`` for the game where it works.
-        size: width and height of the picture [pixels].
-        rate: steps and pictures per second, one of 10, 12, 15, 20, 30 and 60.
-        view: view of the recorded observations and actions; keys without an action in it do
+        name: display name of the person.
+        backend: renderer of the frames: ``"engine"``, the game; ``"map"``, a top-down map;
+            ``"auto"``, the game if it can render on this machine, otherwise the map.
+        size: width and height of a frame [pixels].
+        rate: number of steps and frames per second, one of 10, 12, 15, 20, 30 and 60.
+        view: view of the recorded observations and actions. Keys that have no action in the view do
             nothing.
-        dataset: path of an ``.npz`` file for the driving (:class:`DatasetWriter`).
-        listeners: other listeners.
-        settings: of the race, as for :func:`stkzoo.race.run_race`.
+        dataset: path of an ``.npz`` file to which the driving is recorded
+            (:class:`DatasetWriter`); ``None`` to record nothing.
+        listeners: further listeners of the race.
+        settings: settings of the race; see :func:`stkzoo.race.run_race`.
 
     Raises:
-        ConfigError: an argument is invalid, pygame is missing, or there is no display.
-        AgentError, AssetError, EngineError, RaceInterrupted: as :func:`stkzoo.race.run_race`.
+        ConfigError: an argument is invalid, pygame is not installed, or there is no display.
+        AgentError, AssetError, EngineError, RaceInterrupted: see :func:`stkzoo.race.run_race`.
     """
     _check(backend, rate, view)
     actions = keys_to_action(VIEWS[view], repr(view))
@@ -85,7 +87,7 @@ def _check(backend: str, rate: int, view: str) -> None:
 def _person(
     screen: PlayScreen, actions: Mapping[Any, Any], writer: DatasetWriter | None
 ) -> ActorMaker:
-    """Returns the person's driver, which acts according to the keys that are held down."""
+    """Returns a function that creates the person's actor, which reads the keys held down."""
 
     def act(observation: Any) -> Any:
         action = actions[tuple(sorted(screen.pressed)) or ""]
@@ -105,7 +107,7 @@ class _Game(RaceListener):
         self._due = 0.0
 
     def env_options(self) -> dict[str, Any]:
-        """The step size for the chosen rate."""
+        """Returns the step size for the rate."""
         return {"step_size": self._seconds}
 
     def started(self, race: RaceProgress) -> None:

@@ -1,4 +1,4 @@
-"""The window of the keyboard driver: it shows frames and tracks the keys that are held down."""
+"""Window of the keyboard driver, which shows frames and tracks the keys that are held down."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PlayScreen:
         self.is_left = False
 
     def listen(self) -> None:
-        """Handles the events of the keyboard and the window."""
+        """Handles keyboard and window events."""
         pygame = self._pygame
         for event in pygame.event.get():
             if event.type == pygame.QUIT:
@@ -60,7 +60,12 @@ class PlayScreen:
                 self.pressed.clear()  # another window gets their key-up events
 
     def show(self, picture: npt.NDArray[np.uint8], text: str) -> None:
-        """Shows a frame, ``(H, W, 3)`` uint8, as large as it fits, and a line of text."""
+        """Shows a frame and a line of text.
+
+        Args:
+            picture: frame, ``(H, W, 3)`` uint8. It is scaled to the size of the window.
+            text: text below the frame.
+        """
         pygame, window = self._pygame, self._window
         width, height = window.get_size()
         scale = min(width / picture.shape[1], max(1, height - _BAR) / picture.shape[0])
@@ -74,7 +79,7 @@ class PlayScreen:
         pygame.display.flip()
 
     def wait(self, deadline: float) -> None:
-        """Handles events until a time of :func:`time.monotonic`, or until the person leaves."""
+        """Handles events until a deadline (:func:`time.monotonic`) or until the person leaves."""
         self.listen()
         while not self.is_left and (left := deadline - time.monotonic()) > 0:
             time.sleep(min(left, 0.01))

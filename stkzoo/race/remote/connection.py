@@ -1,4 +1,4 @@
-"""The client's side of the connection to one server."""
+"""The client's end of a connection to one server."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
 from stkzoo.race.remote.sockets import client_socket, zmq_module
 
-#: How long ZeroMQ may take to send the last message in the background [ms].
+#: Time limit for ZeroMQ to send the last message in the background [ms].
 _GOODBYE = 500
-#: How late messages that came in time may be read [s].
+#: Grace period after a deadline for reading messages that arrived in time [s].
 _READING = 1.0
 
 
@@ -29,8 +29,8 @@ class Server:
     """A server's address and identity.
 
     Attributes:
-        address: in ZeroMQ's form.
-        key: its public key; ``None`` for no encryption.
+        address: address in ZeroMQ's format.
+        key: the server's public key; ``None`` for no encryption.
     """
 
     address: str
@@ -39,11 +39,11 @@ class Server:
 
 @dataclass(eq=False)
 class Failure(Exception):
-    """An agent's failure, as the server reported it.
+    """Raised when the server reports a failure of an agent.
 
     Attributes:
-        error: without the agent's id.
-        is_usable: whether the agent can be asked again.
+        error: the agent's error, without the agent's id.
+        is_usable: whether the agent accepts further observations.
     """
 
     error: AgentError
@@ -51,21 +51,21 @@ class Failure(Exception):
 
 
 class Connection:
-    """Sends and receives; belongs to one thread.
+    """A connection to a server. Use it in one thread only.
 
-    All waits are bounded. After any problem with the server, :attr:`failure` describes it, and all
-    methods raise :class:`~stkzoo.errors.RemoteError` at once.
+    All waits are bounded. After a problem with the server, :attr:`failure` describes the problem,
+    and methods that send or wait raise :class:`~stkzoo.errors.RemoteError` immediately.
 
     Args:
-        context: ZeroMQ's.
-        server: the other end.
-        keys: the client's own.
+        context: ZeroMQ context.
+        server: the server.
+        keys: the client's keys; ``None`` for no encryption.
     """
 
     def __init__(self, context: Any, server: Server, keys: KeyPair | None) -> None:
         self._zmq, self.server = zmq_module(), server
         self.failure = ""
-        #: The server's description of itself; empty until it comes.
+        #: Fields of the server's welcome message; empty until it arrives.
         self.welcome: dict[str, Any] = {}
         self._socket = client_socket(context, server.address, keys, server.key)
         self._monitor = self._socket.get_monitor_socket(
@@ -90,12 +90,16 @@ class Connection:
     # ------------------------------------------------------------------ requests
 
     def wait_welcome(self, deadline: float) -> dict[str, Any]:
-        """The server's description of itself."""
+        """Waits for the server's welcome message and returns its fields.
+
+        Args:
+            deadline: time limit (:func:`time.monotonic`).
+        """
         self._wait(lambda: bool(self.welcome), deadline, "connect")
         return self.welcome
 
     def open(self, **fields: Any) -> int:
-        """Asks the server to start a driver; returns the number of its seat."""
+        """Requests the start of a driver and returns the number of its seat."""
         number = self._next_seat
         self._next_seat += 1
         self._seats.add(number)
@@ -104,19 +108,20 @@ class Connection:
         return number
 
     def wait_answer(self, seat: int, deadline: float, what: str) -> Any:
-        """The answer to the last request for a seat.
+        """Waits for the reply to the last request of a seat.
 
         Args:
-            seat: its number.
-            deadline: for the answer.
-            what: what the server was asked to do.
+            seat: number of the seat.
+            deadline: time limit (:func:`time.monotonic`).
+            what: description of the request, for errors.
 
         Returns:
-            After :meth:`open` the driver's name and the path segments it uses; after
-            :meth:`ask` its decision.
+            After :meth:`open`, the driver's name and the number of track segments that it uses
+                (``None`` for all); after :meth:`ask`, its decision.
 
         Raises:
             Failure: the driver failed.
+            RemoteError: the server did not reply in time, or the connection failed.
         """
         self._wait(lambda: seat in self._answers, deadline, what)
         answer = self._answers.pop(seat)
@@ -125,15 +130,15 @@ class Connection:
         return answer
 
     def ask(self, seat: int, observation: Any) -> None:
-        """Keeps an observation until every seat has one, or until :meth:`flush`."""
+        """Buffers an observation. All are sent when each seat has one, or by :meth:`flush`."""
         self._require()
         self._answers.pop(seat, None)
         self._observations.append([seat, encode(observation)])
         if len(self._observations) == len(self._seats):
-            self.flush()  # the server starts while other servers are still asked
+            self.flush()  # the server begins before the runner has asked the other servers
 
     def flush(self) -> None:
-        """Sends all kept observations in one message; never raises."""
+        """Sends all buffered observations in one message; never raises."""
         if not self._observations or self.failure:
             return
         observations, self._observations = self._observations, []
@@ -147,7 +152,7 @@ class Connection:
             self._fail(str(error))
 
     def close_seat(self, seat: int) -> None:
-        """Ends a driver instance; the last one ends the connection."""
+        """Closes a driver instance. Closing the last one closes the connection."""
         if seat not in self._seats:
             return
         self._seats.discard(seat)
@@ -157,7 +162,7 @@ class Connection:
             self.close()
 
     def close(self) -> None:
-        """Tells the server and ends; may be called twice."""
+        """Notifies the server and closes the connection; may be called more than once."""
         self._pending.discard(self)
         if self._socket.closed:
             return
@@ -183,10 +188,10 @@ class Connection:
             self._fail(f"{self.server.address} does not accept messages: {error}")
 
     def _wait(self, is_there: Callable[[], bool], deadline: float, what: str) -> None:
-        """Receives until a condition holds.
+        """Receives messages until a condition holds.
 
-        A message that came in time counts even if the program reads it late, after a wait for
-        another server.
+        A message that arrived in time is accepted even if the program reads it late because it
+        waited for another server.
         """
         while not is_there():
             self._require()
@@ -204,7 +209,7 @@ class Connection:
                     self._receive_event()
 
     def _poll(self, milliseconds: int) -> list[tuple[Any, int]]:
-        """Waits for events of this connection; receives other drivers' replies meanwhile."""
+        """Waits for events of this connection and receives other drivers' replies meanwhile."""
         others = {other.fileno(): other for other in self._pending - {self}}
         if not others:
             return list(self._poller.poll(milliseconds))
@@ -218,18 +223,18 @@ class Connection:
         return [event for event in events if event[0] not in others]
 
     def fileno(self) -> int:
-        """The descriptor that becomes readable when a message may have come."""
+        """Returns the file descriptor that becomes readable when a message may have arrived."""
         return int(self._socket.getsockopt(self._zmq.FD))
 
     def receive_available(self) -> None:
-        """Receives the messages that have come, without waiting; never raises."""
+        """Receives the available messages without waiting; never raises."""
         while not self.failure and self._has_mail():
             self._receive()
         if self.failure:
             self._pending.discard(self)
 
     def _has_mail(self) -> bool:
-        """Whether a message that the server sent before it disconnected is still unread."""
+        """Returns whether a message is unread, which is possible even after a disconnect."""
         return bool(self._socket.getsockopt(self._zmq.EVENTS) & self._zmq.POLLIN)
 
     def _receive_event(self) -> None:
@@ -237,7 +242,7 @@ class Connection:
 
         event = parse_monitor_message(self._monitor.recv_multipart())["event"]
         if event == self._zmq.EVENT_DISCONNECTED:
-            # Before its first message it may still be starting, or checking the key.
+            # Before its welcome, the server may still be starting or checking the key.
             if self.welcome:
                 self._fail(f"the connection to {self.server.address} was lost")
         else:
@@ -250,7 +255,7 @@ class Connection:
         frames = self._socket.recv_multipart()
         try:
             self._handle(frames)
-        except Exception as error:  # noqa: BLE001 - no server may end the race
+        except Exception as error:  # noqa: BLE001 - a server must not end the race
             text = str(error) if isinstance(error, ProtocolError) else shortened(error, 200)
             self._fail(f"{self.server.address} broke the protocol: {text}")
 
@@ -313,10 +318,11 @@ class Connection:
         self._answers[seat] = printable(protocol.field(fields, "name", str), 100), paths
 
     def _handle_acted(self, fields: dict[str, Any]) -> None:
-        """Keeps the decisions and failures of a step.
+        """Stores the decisions and failures of a step.
 
-        The server says how long each driver took. The time until its answer came that this does
-        not explain counts for each of its drivers, so a server cannot hide time.
+        The server reports the duration of each decision. The part of the time until the reply that
+        the longest of them does not explain is added to each decision, so a server cannot hide
+        time.
         """
         if protocol.field(fields, "step", int) != self._step:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
@@ -348,7 +354,11 @@ class Connection:
 
 
 def _decision(entry: Any) -> tuple[int, Decision]:
-    """A seat and its decision; the server says how long it took."""
+    """Reads a seat and its decision, with the duration that the server reports.
+
+    Raises:
+        ProtocolError: the entry is invalid.
+    """
     match entry:
         case [int(seat), bytes(action), float(seconds), bool(is_clipped)] if 0 <= seconds < 1e9:
             return seat, Decision(decode(action), seconds, is_clipped)

@@ -19,24 +19,24 @@ from stkzoo.race.remote.connection import Connection, Failure, Server
 from stkzoo.race.remote.keys import KeyPair, new_keys
 from stkzoo.race.remote.sockets import full_address, zmq_module
 
-#: How long to wait for a server that has already failed in this race [s].
+#: Connection time limit for a server that did not reply the last time [s].
 _SECOND_CHANCE = 1.0
-#: How long a server may take to report a slow agent, beyond the agent's own limit [s].
+#: Additional time for a server to report that an agent exceeded its time limit [s].
 _MARGIN = 5.0
-#: How long a server may take to answer if its agents have no time limit [s].
+#: Time limit for a server's reply if its agents have no time limit [s].
 _TIMEOUT = 60.0
 
 
 @dataclass(frozen=True, slots=True)
 class ServedAgent:
-    """An agent of a server, as the server describes it.
+    """Description of an agent on a server.
 
     Attributes:
         server: the server.
         number: index of the agent on the server.
-        name: its name; may be empty.
-        source: its driver name or path on the server.
-        extras: what it observes in addition to the ``full`` view.
+        name: name of the agent; may be empty.
+        source: name or path of the agent on the server.
+        extras: observation entries that the agent needs beyond the ``full`` view.
     """
 
     server: Server
@@ -47,7 +47,7 @@ class ServedAgent:
 
     @classmethod
     def all_of(cls, server: Server, welcome: Mapping[str, Any]) -> list[ServedAgent]:
-        """The agents that a server's welcome lists."""
+        """Returns the agents that a server lists in its welcome message."""
         return [
             cls(server, number, name, source, tuple(extras))
             for number, (name, source, extras) in enumerate(welcome["agents"])
@@ -55,31 +55,33 @@ class ServedAgent:
 
     @property
     def place(self) -> str:
-        """The server's address and the source there."""
+        """Server address and source of the agent, separated by a space."""
         return f"{self.server.address} {self.source}".strip()
 
 
 class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
-    """The agents of some servers, as drivers of races.
+    """The agents of one or more servers, as drivers of races.
 
     >>> from stkzoo.race import run_race
     >>> with RemoteDriverGroup(["tcp://127.0.0.1:5555"]) as group:  # doctest: +SKIP
     ...     result = run_race([*group.drivers, "ai"])
 
-    Use it in one thread, for any number of races. A connection lasts for one race.
+    Use it in one thread only, for any number of races. A connection lasts for one race.
 
     Args:
-        servers: their addresses.
-        agents: agents that are known already, instead of ``servers``. Their servers are connected
-            when a race starts; until then nothing checks them.
-        keys: the client's own keys; ``None`` for new ones, where any client is allowed.
-        server_keys: the servers' public keys: none, one for all, or one for each.
-        timeout: time limit for a server's answer [s], in place of its agents' limits.
-        connect_timeout: time limit for the connection [s].
+        servers: addresses of the servers.
+        agents: agents that are already known; you may omit ``servers`` then. The connection to
+            their servers is made, and their description checked, only when a race starts.
+        keys: the client's keys. With ``None`` and ``server_keys``, new keys are generated, which
+            only servers that allow any client accept.
+        server_keys: public keys of the servers: none, one for all servers, or one per server.
+        timeout: time limit for a server's reply to an observation [s]; ``None`` for the agent's
+            time limit plus 5 s, or 60 s if the agent has none.
+        connect_timeout: time limit for a connection [s].
 
     Raises:
         ConfigError: an argument is invalid, or pyzmq is not installed.
-        RemoteError: a server does not answer, or not as a stkzoo server.
+        RemoteError: a server does not reply, or is not a stkzoo server.
     """
 
     def __init__(
@@ -113,7 +115,7 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
         self._connections: dict[Server, Connection] = {}
         self._failed: set[Server] = set()
         try:
-            #: The agents of each server, in order.
+            #: The known agents, then the agents of each server, in order.
             self.agents: list[ServedAgent] = [*agents, *self._find_agents()]
         except BaseException:
             self.close()
@@ -125,14 +127,14 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
         self.close()
 
     def close(self) -> None:
-        """Ends all connections; may be called twice."""
+        """Closes all connections; may be called more than once."""
         for connection in self._connections.values():
             connection.close()
         self._connections = {}
         self._context.term()
 
     def connection(self, server: Server) -> Connection:
-        """The connection to a server; a new one if there is none or it has failed."""
+        """Returns the connection to a server; opens a new one if there is none or it failed."""
         connection = self._connections.get(server)
         if connection is None or connection.failure:
             if connection is not None:
@@ -142,15 +144,15 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
         return connection
 
     def patience(self, server: Server) -> float:
-        """How long to wait for the connection to a server [s]."""
+        """Returns the time limit for the connection to a server [s]."""
         return _SECOND_CHANCE if server in self._failed else self._patience
 
     def record(self, server: Server, is_there: bool) -> None:
-        """Records whether a server answered, for :meth:`patience`."""
+        """Records whether a server replied, for :meth:`patience`."""
         (self._failed.discard if is_there else self._failed.add)(server)
 
     def flush(self) -> None:
-        """Sends the observations to all servers, before any wait for an answer."""
+        """Sends the buffered observations to all servers. Call it before you wait for a reply."""
         for connection in self._connections.values():
             connection.flush()
 
@@ -171,12 +173,12 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
 
 
 class RemoteInstance:
-    """An agent of a server in one race.
+    """An instance of an agent that runs on a server.
 
     Args:
         request: the runner's request.
-        group: the agents of all servers.
-        served: the agent, as its server described it before the race.
+        group: the group that owns the connections.
+        served: description of the agent, which must match that of the server.
 
     Raises:
         AgentError: the server cannot be reached.
@@ -204,7 +206,7 @@ class RemoteInstance:
             raise AgentError(str(error), self._agent) from error
 
     def ready(self) -> str:
-        """Waits until the agent can drive."""
+        """Waits until the agent is ready and returns the name that it declares."""
         start_timeout = self._limits.start_timeout
         with self._failures():
             patience = min(self._group.patience(self._server), start_timeout)
@@ -218,13 +220,13 @@ class RemoteInstance:
         return str(name)
 
     def ask(self, observation: Any) -> None:
-        """Keeps the observation until every driver has one."""
+        """Buffers the observation until each agent of the server has one."""
         self._begin = time.monotonic()
         with self._failures():
             self._connection.ask(self._seat, without_unused_paths(observation, self._paths))
 
     def answer(self) -> Decision:
-        """Waits for the decision."""
+        """Sends all buffered observations and waits for the decision."""
         self._group.flush()
         with self._failures():
             deadline = self._begin + self._timeout()
@@ -232,12 +234,12 @@ class RemoteInstance:
         return decision
 
     def close(self) -> None:
-        """Ends the agent's part in the race."""
+        """Stops the agent on the server."""
         self.is_usable = False
         self._connection.close_seat(self._seat)
 
     def _timeout(self) -> float:
-        """Time limit for the server's answer [s]."""
+        """Returns the time limit for the server's reply [s]."""
         if self._group.timeout is not None:
             return self._group.timeout
         limit = self._limits.action_timeout
@@ -245,7 +247,7 @@ class RemoteInstance:
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
-        """Raises :class:`AgentError` for an agent that failed, or whose server is gone."""
+        """Converts failures of the agent and its server to :class:`AgentError`."""
         try:
             yield
         except Failure as failure:

@@ -1,4 +1,4 @@
-"""The connections of a server: how many there are, and which of them must end."""
+"""Limits the number of a server's connections and closes idle or abusive ones."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from typing import Any
 from stkzoo._os import max_descriptors, network_of
 from stkzoo.race.remote.sockets import zmq_module
 
-#: Connections take at most this part of the process's descriptors; agents need the rest.
+#: Connections use at most 1/4 of the process's file descriptors; agents need the others.
 _SHARE = 4
 _MOST, _LEAST = 1024, 16
-#: So many more connections may wait for their last message to be sent.
+#: Number of additional connections that may wait until their last message is sent.
 _SPARE = 32
-#: A connection without a session ends after this time [s], ...
+#: Time after which a connection without a session is closed [s].
 IDLE = 30.0
-#: ... and a connection that has sent so much more than the server could read [bytes].
+#: Maximum unread data of a connection with a session, and total data of one without [bytes].
 _MAX_UNREAD, _MAX_UNREAD_IDLE = 96 << 20, 16 << 20
-#: How long a connection that ends may take to receive its last message [s].
+#: Time limit for a closing connection to receive its last message [s].
 _FAREWELL = 0.2
-#: Where Linux has the number of bytes received in ``struct tcp_info``.
+#: Position of the number of received bytes in Linux's ``struct tcp_info``.
 _BYTES_RECEIVED = struct.Struct("@128xQ")
 
 _TOO_MANY = "the server has too many connections, and this one has no race; try again later"
@@ -39,12 +39,15 @@ class _Peer:
     """One connection.
 
     Attributes:
-        ends: its two addresses, which say whether a descriptor is still this connection's.
-        network: whom it counts for.
-        since: when it came, or its session ended.
-        identity: ZeroMQ's name for it; empty until it has said something.
-        num_read: bytes of its messages that its session received; ``None`` without a session.
-        leaves_at: when it is cut; ``None`` as long as it may stay.
+        ends: local and remote address. They show whether a file descriptor still belongs to this
+            connection.
+        network: network of the client, by which connections are counted.
+        since: when the connection was accepted, or its last session ended
+            (:func:`time.monotonic`).
+        identity: ZeroMQ's identity of the client; empty until it has sent a message.
+        num_read: number of bytes that its session has received; ``None`` without a session.
+        leaves_at: when the connection is shut down (:func:`time.monotonic`); ``None`` if it may
+            stay.
     """
 
     ends: tuple[Any, Any]
@@ -56,7 +59,10 @@ class _Peer:
 
 
 class _Window:
-    """Looks at connections by their descriptors. It needs no new one: there may be none left."""
+    """Accesses connections by their file descriptors, and reserves the one that this needs.
+
+    The reserved descriptor is available even if the process has no others left.
+    """
 
     def __init__(self) -> None:
         self._null = os.open(os.devnull, os.O_RDONLY)
@@ -64,10 +70,10 @@ class _Window:
 
     @contextmanager
     def onto(self, descriptor: int) -> Iterator[socket.socket]:
-        """The connection behind a descriptor now, whatever ZeroMQ does with the descriptor.
+        """Opens the connection behind a descriptor, even if ZeroMQ closes the descriptor.
 
         Raises:
-            OSError: there is no connection any more.
+            OSError: the connection no longer exists.
         """
         os.dup2(descriptor, self._own, inheritable=False)
         try:
@@ -80,22 +86,25 @@ class _Window:
             os.dup2(self._null, self._own, inheritable=False)
 
     def close(self) -> None:
-        """Frees its descriptors."""
+        """Closes the reserved descriptors."""
         os.close(self._own)
         os.close(self._null)
 
 
 class PeerTable:
-    """Follows the connections of a ROUTER socket, and ends idle ones before they are too many.
+    """Tracks the connections of a ROUTER socket and limits their number.
 
-    ZeroMQ accepts connections until the process has no descriptors left, and has no call that
-    ends one. This table learns of each connection from ZeroMQ's events, and shuts its descriptor
-    down. At the limit, a new connection replaces the oldest one without a session of the address
-    that has most of them.
+    ZeroMQ accepts connections until the process has no file descriptors left, and has no call that
+    closes one. This table learns of each connection from ZeroMQ's events and closes it by a
+    shutdown of its descriptor. At the limit, a new connection replaces one without a session: the
+    oldest one of the network with the most such connections.
 
     Args:
         router: the socket.
-        refuse: sends a reason to a client, by its identity.
+        refuse: sends a reason to a client, given its identity.
+
+    Attributes:
+        socket: socket with ZeroMQ's events. Call :meth:`update` when it is readable.
     """
 
     def __init__(self, router: Any, refuse: Callable[[bytes, str], None]) -> None:
@@ -109,13 +118,13 @@ class PeerTable:
         )
 
     def close(self) -> None:
-        """Stops following; call it before the router is closed."""
+        """Stops tracking. Call it before you close the router."""
         self._router.disable_monitor()
         self.socket.close(0)
         self._window.close()
 
     def update(self) -> bool:
-        """Handles events, up to a number; returns whether connections had to end."""
+        """Handles up to 1000 events and returns whether there were too many connections."""
         for _ in range(1000):
             try:
                 event, _ = self.socket.recv_multipart(self._zmq.NOBLOCK)
@@ -128,7 +137,12 @@ class PeerTable:
         return self._make_room()
 
     def name(self, frame: Any, identity: bytes) -> None:
-        """Notes which connection a client's message came from."""
+        """Records the connection of a client.
+
+        Args:
+            frame: frame of a message from the client.
+            identity: ZeroMQ's identity of the client.
+        """
         try:
             peer = self._peers.get(int(frame.get("__fd")))
         except (self._zmq.ZMQError, ValueError):  # a transport without descriptors
@@ -138,23 +152,23 @@ class PeerTable:
             self._by_identity[identity] = peer
 
     def begin_session(self, identity: bytes) -> None:
-        """Notes that a client has a session."""
+        """Records that a client has a session."""
         if (peer := self._by_identity.get(identity)) is not None:
             peer.num_read = 0
 
     def count(self, identity: bytes, size: int) -> None:
-        """Notes that a session received a message."""
+        """Records that a client's session has received a message of ``size`` bytes."""
         peer = self._by_identity.get(identity)
         if peer is not None and peer.num_read is not None:
             peer.num_read += size
 
     def end_session(self, identity: bytes) -> None:
-        """Notes that a client's session is over."""
+        """Records that a client's session has ended."""
         if (peer := self._by_identity.get(identity)) is not None:
             peer.num_read, peer.since = None, time.monotonic()
 
     def check(self) -> None:
-        """Ends connections that are idle for too long, or send more than is read."""
+        """Closes connections that are idle for too long or have sent too much data."""
         now = time.monotonic()
         for descriptor, peer in list(self._peers.items()):
             if peer.leaves_at is not None:
@@ -169,7 +183,7 @@ class PeerTable:
         try:
             with self._window.onto(descriptor) as connection:
                 ends = connection.getsockname(), connection.getpeername()
-        except OSError:  # it is gone already
+        except OSError:  # the connection is already closed
             return
         host = ends[1][0] if isinstance(ends[1], tuple) else ""
         self._peers[descriptor] = _Peer(ends, network_of(host), time.monotonic())
@@ -180,7 +194,11 @@ class PeerTable:
             del self._by_identity[peer.identity]
 
     def _make_room(self) -> bool:
-        """Ends connections without a session until few enough stay."""
+        """Closes connections without a session down to the limit.
+
+        Returns:
+            Whether there were too many connections.
+        """
         if len(self._peers) <= self._most:
             return False
         staying = [peer for peer in self._peers.values() if peer.leaves_at is None]
@@ -201,14 +219,14 @@ class PeerTable:
         return num_excess > 0
 
     def _end(self, peer: _Peer, reason: str) -> None:
-        """Ends a connection once it has its last message."""
+        """Sends the reason to a client and schedules the shutdown of its connection."""
         peer.leaves_at = time.monotonic()
         if peer.identity:
             peer.leaves_at += _FAREWELL
             self._refuse(peer.identity, reason)
 
     def _unread(self, descriptor: int, peer: _Peer) -> int:
-        """How much more a connection has sent than it may; 0 where the system does not say."""
+        """Returns by how much a connection exceeds its data limit [bytes]; 0 if unknown."""
         if not hasattr(socket, "TCP_INFO"):
             return 0
         try:
@@ -217,13 +235,13 @@ class PeerTable:
                     socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED.size
                 )
                 received: int = _BYTES_RECEIVED.unpack(info)[0]
-        except (OSError, struct.error):  # it is gone, or no TCP
+        except (OSError, struct.error):  # the connection is closed, or does not use TCP
             return 0
         limit = _MAX_UNREAD_IDLE if peer.num_read is None else peer.num_read + _MAX_UNREAD
         return max(0, received - limit)
 
     def _shut(self, descriptor: int, peer: _Peer) -> None:
-        """Cuts a connection, unless its descriptor is another one's by now."""
+        """Shuts a connection down, unless its descriptor now belongs to another one."""
         with suppress(OSError), self._window.onto(descriptor) as connection:
             if (connection.getsockname(), connection.getpeername()) == peer.ends:
                 connection.shutdown(socket.SHUT_RDWR)

@@ -1,4 +1,4 @@
-"""The server: its agents drive in races that run elsewhere."""
+"""The agent server, whose agents drive in races on other machines."""
 
 from __future__ import annotations
 
@@ -31,30 +31,31 @@ from stkzoo.race.remote.sockets import (
 _log = logging.getLogger(__name__)
 _log.addFilter(RepeatFilter())
 
-#: The server ends the session of a client that is silent for this time [s].
+#: Time without a message after which the server ends a client's session [s].
 _PATIENCE = 600.0
-#: How often the server looks at its connections, and at its sessions [s].
+#: Intervals at which the server checks its connections and its sessions [s].
 _PEER_CHECK, _CLIENT_CHECK = 0.1, 1.0
-#: How long sessions may take to end when the server closes [s].
+#: Time limit for sessions to end when the server closes [s].
 _GRACE = 15.0
 _HELLO_LIMITS = Limits(max_bytes=4096, max_depth=2, max_length=16)
 _NUMBERS = itertools.count()
-#: The messages by which a client makes itself known.
+#: Messages that identify the connection of a client.
 _NAMED = (protocol.HELLO, protocol.OPEN)
 
 
 class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
-    """Serves agents to races elsewhere, race after race, to several clients at once.
+    """A server that provides agents to the races of several clients at the same time.
 
-    It listens from the start; :meth:`serve` does the work, in the thread that calls it.
+    The server listens when it is created. :meth:`serve` handles the messages in the thread that
+    calls it.
 
     Args:
-        drivers: the drivers that clients can use, without the game's own AI.
-        address: where to listen (:func:`~stkzoo.race.remote.full_address`).
-        limits: the resources of each agent; a client may ask for less time.
-        max_sessions: clients served at once; the server refuses others.
-        keys: the server's own keys, and those of its clients.
-        insecure: listen beyond this machine even without keys.
+        drivers: drivers that clients can use; the game's AI is not allowed.
+        address: address to listen on (:func:`~stkzoo.race.remote.full_address`).
+        limits: resource limits of each agent; a client may request shorter time limits.
+        max_sessions: maximum number of clients with a session; the server refuses further ones.
+        keys: keys of the server and of its clients; ``None`` for no keys.
+        insecure: allow an address that other machines can reach without keys.
 
     Raises:
         ConfigError: an argument is invalid, the address is not available, or pyzmq is not
@@ -98,14 +99,14 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         except BaseException:
             self._context.destroy(0)
             raise
-        #: Where it listens, with its port.
+        #: Address that the server listens on, including the port.
         self.address: str = self._socket.getsockopt_string(self._zmq.LAST_ENDPOINT)
 
     def __exit__(self, *exception: object) -> None:
         self.close()
 
     def serve(self) -> None:
-        """Serves until :meth:`stop`; no client can end it."""
+        """Serves clients until :meth:`stop` is called. Errors of clients do not end it."""
         poller = self._zmq.Poller()
         jobs: dict[Any, Callable[[], object]] = {
             self._peers.socket: self._update_peers,
@@ -127,11 +128,11 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
                     due[number] = time.monotonic() + period
 
     def stop(self) -> None:
-        """Makes :meth:`serve` return soon; may be called in any thread."""
+        """Makes :meth:`serve` return soon; may be called from any thread."""
         self._stop.set()
 
     def close(self) -> None:
-        """Ends all sessions and frees the address; call it in the thread of :meth:`serve`."""
+        """Ends all sessions and releases the address. Call it in the thread of :meth:`serve`."""
         for session in self._sessions:
             session.end()
         deadline = time.monotonic() + _GRACE
@@ -141,13 +142,13 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         if any(session.is_alive() for session in self._sessions):
             self._socket.close(0)  # a socket must not be closed outside its thread
         else:
-            self._context.destroy(0)  # with its sockets
+            self._context.destroy(0)  # also closes its sockets
 
     # ------------------------------------------------------------------ incoming messages
 
     def _receive(self) -> None:
-        """Handles the messages that wait, up to a number."""
-        for _ in range(20):  # then connections that are too many end first
+        """Handles up to 20 queued messages."""
+        for _ in range(20):  # excess connections are closed before further messages
             try:
                 identity = self._socket.recv(self._zmq.NOBLOCK)
             except self._zmq.Again:
@@ -157,12 +158,15 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
                 if origin is not None and frames[0] in _NAMED:
                     self._peers.name(origin, identity)
                 self._dispatch(identity, frames)
-            except Exception:  # noqa: BLE001 - no client may end the server
+            except Exception:  # noqa: BLE001 - a client must not end the server
                 _log.exception("a message could not be handled")
                 self._dismiss(identity)
 
     def _frames(self) -> tuple[list[bytes], Any]:
-        """The first three frames of a message, and the first one as ZeroMQ's own object."""
+        """Receives a message; returns its first three frames, and the first as ZeroMQ's object.
+
+        Further frames are discarded.
+        """
         frames: list[bytes] = []
         origin: Any = None
         while self._socket.getsockopt(self._zmq.RCVMORE):
@@ -236,7 +240,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
     # ------------------------------------------------------------------ outgoing messages
 
     def _send(self, identity: bytes, kind: bytes, body: bytes) -> bool:
-        """Sends a message; returns whether the client accepts it."""
+        """Sends a message and returns whether ZeroMQ accepted it for the client."""
         try:
             self._socket.send_multipart([identity, kind, body], self._zmq.NOBLOCK)
         except self._zmq.ZMQError:
@@ -247,7 +251,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         self._send(identity, protocol.ERROR, protocol.pack(text=text))
 
     def _refuse(self, identity: bytes, text: str) -> None:
-        """Tells a client why the server refuses it, and ends its session if it has one."""
+        """Sends a client the reason for its refusal and ends its session if it has one."""
         self._send_error(identity, text)
         self._dismiss(identity)
 
@@ -260,7 +264,10 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
     @contextlib.contextmanager
     def _replier(self, identity: bytes) -> Iterator[Reply]:
-        """A function that sends from a session's thread to its client, through the server's."""
+        """Yields a function that sends from a session's thread to its client.
+
+        The messages pass through the server's thread, because only it may use the server's socket.
+        """
         with self._context.socket(self._zmq.PUSH) as outbox:
             outbox.setsockopt(self._zmq.LINGER, 0)
             outbox.connect(self._replies)
@@ -278,7 +285,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
                 self._clients[identity].pinged = time.monotonic()
 
     def _check_clients(self) -> None:
-        """Ends the sessions of clients that are gone."""
+        """Pings silent clients; ends sessions of clients that disconnected or timed out."""
         now = time.monotonic()
         for identity, client in list(self._clients.items()):
             if now - client.heard > _PATIENCE:

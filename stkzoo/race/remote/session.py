@@ -1,4 +1,4 @@
-"""One client's side of a server: its driver instances, in a thread of their own."""
+"""A client's session on a server: its driver instances, which run in their own thread."""
 
 from __future__ import annotations
 
@@ -23,29 +23,30 @@ from stkzoo.race.remote import protocol
 _log = logging.getLogger(__name__)
 _log.addFilter(RepeatFilter())
 
-#: The server pings a silent client after this time [s], then less and less often: a paused race
-#: reads nothing, and its queue must not fill up.
+#: Time after which the server pings a silent client [s]. Further pings become less frequent,
+#: because a paused race does not read them and its queue must not overflow.
 _PING = 2.0
-#: Bounds of the queue of a session that is busy.
+#: Limits of a session's queue of unprocessed messages.
 _MAX_WAITING_MESSAGES, _MAX_WAITING_BYTES = 128, 16 << 20
 
-#: Sends a message (kind and body) to the session's client; an empty kind says it is over.
+#: Sends a message (kind and body) to the session's client; an empty kind ends the session.
 Reply = Callable[[bytes, bytes], None]
 
 
 class ClientSession(threading.Thread):
-    """The driver instances of one client.
+    """A thread that runs the driver instances of one client.
 
-    The thread starts them, because some live as long as the thread that started them.
+    The thread itself starts the instances, because some of them end with the thread that started
+    them.
 
     Args:
-        drivers: the drivers that the client can use.
-        limits: the resources of each instance.
-        replier: makes the function that sends to the client; called in the thread.
+        drivers: drivers that the client can use.
+        limits: resource limits of each instance.
+        replier: creates the function that sends to the client; called in the session's thread.
 
     Attributes:
-        heard: time of the client's last message.
-        pinged: time of the last message to it.
+        heard: time of the last message from the client (:func:`time.monotonic`).
+        pinged: time of the last message to the client (:func:`time.monotonic`).
     """
 
     def __init__(
@@ -66,11 +67,11 @@ class ClientSession(threading.Thread):
         self._used: set[int] = set()
 
     def needs_ping(self, now: float) -> bool:
-        """Whether it is time to check that the client is still there."""
+        """Returns whether a ping is due, which checks that the client is still connected."""
         return now - max(self.pinged, self.heard) > max(_PING, (now - self.heard) / 3)
 
     def put(self, kind: bytes, body: bytes) -> bool:
-        """Queues a message from the client; ``False`` if too many wait already."""
+        """Queues a message from the client and returns whether the queue is within its limits."""
         with self._changed:
             self._waiting += len(body)
             self._inbox.append((kind, body))
@@ -78,14 +79,14 @@ class ClientSession(threading.Thread):
             return len(self._inbox) <= _MAX_WAITING_MESSAGES and self._waiting <= _MAX_WAITING_BYTES
 
     def end(self) -> None:
-        """Ends the session soon and drops the messages that wait."""
+        """Requests the end of the session and discards its queued messages."""
         with self._changed:
             self._is_ending = True
             self._inbox.clear()
             self._changed.notify()
 
     def run(self) -> None:
-        """Serves until the client breaks the protocol, or :meth:`end`."""
+        """Serves the client until :meth:`end` is called or an error ends the session."""
         with self._replier() as self._reply:
             try:
                 self._serve()
@@ -115,7 +116,10 @@ class ClientSession(threading.Thread):
                 )
 
     def _next(self) -> tuple[bytes, bytes] | None:
-        """The next message; waits for the drivers that are starting first."""
+        """Returns the next message, or ``None`` at the end of the session.
+
+        If no message is queued, it first waits for the drivers that are starting.
+        """
         if not self._inbox:
             self._make_ready()
         with self._changed:
@@ -132,7 +136,7 @@ class ClientSession(threading.Thread):
     # ------------------------------------------------------------------ driver instances
 
     def _open(self, fields: dict[str, Any]) -> None:
-        """Starts a driver; several start side by side."""
+        """Starts a driver without waiting, so that several drivers start in parallel."""
         protocol.check_version(fields)
         seat, driver = protocol.field(fields, "seat", int), protocol.field(fields, "driver", int)
         is_full = len(self._instances) >= protocol.MAX_SEATS or len(self._used) > 10_000
@@ -150,7 +154,7 @@ class ClientSession(threading.Thread):
         try:
             self._instances[seat] = start(request)
             self._starting.append(seat)
-        except Exception as error:  # noqa: BLE001 - of any driver's code
+        except Exception as error:  # noqa: BLE001 - a driver may raise anything
             self._send(protocol.OPENED, seat=seat, error=error_report(error))
 
     def _request(self, fields: dict[str, Any]) -> DriverRequest:
@@ -169,7 +173,7 @@ class ClientSession(threading.Thread):
         )
 
     def _make_ready(self) -> None:
-        """Waits for the drivers that are starting, and reports how each start ended."""
+        """Waits for the drivers that are starting and reports the outcome of each start."""
         starting, self._starting = self._starting, []
         for seat in starting:
             instance = self._instances.get(seat)
@@ -177,7 +181,7 @@ class ClientSession(threading.Thread):
                 continue
             try:
                 name = printable(instance.ready(), 100)
-            except Exception as error:  # noqa: BLE001 - of any driver's code
+            except Exception as error:  # noqa: BLE001 - a driver may raise anything
                 self._drop(seat)
                 self._send(protocol.OPENED, seat=seat, error=error_report(error))
             else:
@@ -198,7 +202,7 @@ class ClientSession(threading.Thread):
     # ------------------------------------------------------------------ a step
 
     def _act(self, fields: dict[str, Any]) -> None:
-        """Asks all drivers, then collects their decisions."""
+        """Sends observations to all drivers, then collects and sends their decisions."""
         step = protocol.field(fields, "step", int)
         observations = dict(map(_observation, protocol.field(fields, "observations", list)))
         if len(observations) < len(fields["observations"]):
@@ -212,9 +216,10 @@ class ClientSession(threading.Thread):
     def _attempt(
         self, seat: int, failures: list[list[Any]], function: Callable[..., Any], *arguments: Any
     ) -> Any:
-        """Calls a function of a driver instance; records a failure and returns ``None`` then.
+        """Calls a function of a driver instance.
 
-        Closes an instance that cannot be used any more.
+        If the call fails, it records the failure, closes an instance that is no longer usable, and
+        returns ``None``.
         """
         instance = self._instances.get(seat)
         if instance is None:
@@ -222,7 +227,7 @@ class ClientSession(threading.Thread):
             return None
         try:
             return function(instance, *arguments)
-        except Exception as error:  # noqa: BLE001 - of any driver's code
+        except Exception as error:  # noqa: BLE001 - a driver may raise anything
             is_usable = bool(instance.is_usable)
             if not is_usable:
                 self._drop(seat)
@@ -238,7 +243,7 @@ def _observation(entry: Any) -> tuple[int, bytes]:
 
 
 def _ask(instance: DriverInstance, data: bytes) -> bool:
-    """Hands an observation over, without decoding it if it goes on to another process."""
+    """Sends an observation to an instance; does not decode it if another process will."""
     instance.ask(Encoded(data) if getattr(instance, "takes_encoded", False) else decode(data))
     return True
 
@@ -249,7 +254,11 @@ def _answer(instance: DriverInstance) -> tuple[bytes, float, bool]:
 
 
 def _shorter(own: float | None, requested: object) -> float | None:
-    """The shorter of two time limits; ``None`` is no limit."""
+    """Returns the shorter of two time limits [s]; ``None`` means no limit.
+
+    Raises:
+        ProtocolError: the requested limit is invalid.
+    """
     if requested is None:
         return own
     if not isinstance(requested, (int, float)) or not 0 < requested < 1e9:

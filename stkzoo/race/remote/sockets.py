@@ -24,23 +24,24 @@ _TCP = re.compile(r"(?P<host>\[[0-9a-fA-F:.%]+\]|[A-Za-z0-9_.-]+|\*)(:(?P<port>\
 
 
 def zmq_module() -> Any:
-    """The module ``zmq``.
+    """Returns the module ``zmq``.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: pyzmq is not installed.
     """
     return import_extra("zmq", "networked races need", "remote")
 
 
 def full_address(text: str) -> str:
-    """An address in ZeroMQ's form.
+    """Converts an address to ZeroMQ's format.
 
     Args:
-        text: ``tcp://host:port``, ``host:port``, ``host`` or ``ipc:///path``. A server's host
-            may be ``*`` for all of the machine's, and its port ``*`` for any free one.
+        text: ``tcp://host:port``, ``host:port``, ``host`` or ``ipc:///path``. The default port is
+            5555. A server's host may be ``*`` for all network interfaces, and its port may be ``*``
+            for any free port.
 
     Raises:
-        ConfigError: it is none of these.
+        ConfigError: the text has none of these forms.
     """
     if text.startswith("ipc://") and len(text) > len("ipc://"):
         return text
@@ -56,14 +57,15 @@ def _is_port(text: str) -> bool:
 
 
 def is_local(address: str) -> bool:
-    """Whether only programs on the same machine can reach an address."""
+    """Returns whether only programs on the same machine can reach an address."""
     host = address.removeprefix("tcp://").rpartition(":")[0].strip("[]")
     return address.startswith("ipc://") or is_loopback(host)
 
 
-#: Queue length on either side of one connection [messages].
+#: Length of the receive queue of a connection [messages]; the send queue is four times as long.
 _QUEUE = 16
-#: Options of all sockets [ms]. A connection is dead after a silence of ``HEARTBEAT_TIMEOUT``.
+#: Options of all sockets; times in ms. A connection without messages and heartbeats for
+#: ``HEARTBEAT_TIMEOUT`` is closed.
 _LIMITS = {
     "LINGER": 0,
     "MAXMSGSIZE": LIMITS.max_bytes,
@@ -73,18 +75,18 @@ _LIMITS = {
     "HEARTBEAT_TIMEOUT": 4000,
     "HEARTBEAT_TTL": 4000,
 }
-#: Time limit for a client to prove its keys [ms].
+#: Time limit for the handshake, in which a client proves that it has its keys [ms].
 _HANDSHAKE = 5000
 _DOMAIN = b"stkzoo"
 
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """A server's own keys, and those of its clients.
+    """Keys of a server and of its clients.
 
     Attributes:
-        own: its keys; ``None`` for no encryption.
-        allowed: public keys of its clients; ``None`` for all clients.
+        own: the server's keys; ``None`` for no encryption.
+        allowed: public keys of the allowed clients; ``None`` to allow all clients.
     """
 
     own: KeyPair | None = None
@@ -94,7 +96,8 @@ class ServerKeys:
         """Rejects an address that other machines can reach without keys.
 
         Raises:
-            ConfigError: they can, and ``insecure`` is not set.
+            ConfigError: other machines can reach the address without keys and ``insecure`` is not
+                set, or there are allowed clients but no server keys.
         """
         if self.allowed is not None and self.own is None:
             raise ConfigError("allowed clients have no effect without the server's secret key")
@@ -107,7 +110,7 @@ class ServerKeys:
 
 
 def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> zmq.Socket[Any]:
-    """A ROUTER socket that listens.
+    """Returns a ROUTER socket that listens on an address.
 
     Raises:
         ConfigError: the address is not available.
@@ -122,20 +125,20 @@ def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> 
 def client_socket(
     context: zmq.Context[Any], address: str, keys: KeyPair | None, server_key: str | None
 ) -> zmq.Socket[Any]:
-    """A DEALER socket that connects by itself.
+    """Returns a DEALER socket that connects and reconnects automatically.
 
     Args:
-        context: ZeroMQ's.
-        address: the server's.
-        keys: the client's own; needed with ``server_key``.
+        context: ZeroMQ context.
+        address: address of the server.
+        keys: the client's keys; required with ``server_key``.
         server_key: the server's public key; ``None`` for no encryption.
 
     Raises:
-        RemoteError: the address cannot be connected to.
+        RemoteError: a connection to the address is impossible.
     """
     options: dict[str, Any] = {"RECONNECT_IVL": 50, "RECONNECT_IVL_MAX": 500}
     if server_key is not None:
-        assert keys is not None  # noqa: S101 - RemoteDriverGroup makes them
+        assert keys is not None  # noqa: S101 - RemoteDriverGroup generates them
         options["CURVE_SERVERKEY"] = server_key.encode()
         options["CURVE_PUBLICKEY"] = keys.public.encode()
         options["CURVE_SECRETKEY"] = keys.secret.encode()
@@ -166,8 +169,8 @@ class ClientAuthenticator:
     """Answers ZeroMQ's requests to authenticate clients by their keys (ZAP, RFC 27).
 
     Args:
-        context: the server's.
-        allowed: the clients' public keys; ``None`` allows all clients.
+        context: ZeroMQ context of the server.
+        allowed: public keys of the allowed clients; ``None`` to allow all clients.
     """
 
     def __init__(self, context: zmq.Context[Any], allowed: Collection[str] | None) -> None:
@@ -181,7 +184,7 @@ class ClientAuthenticator:
         self.socket.bind("inproc://zeromq.zap.01")
 
     def answer(self) -> bool:
-        """Answers one request; returns whether the client is allowed."""
+        """Answers one request and returns whether the client is allowed."""
         version, request, domain, _, _, mechanism, *credentials = self.socket.recv_multipart()
         is_ours = version == b"1.0" and domain == _DOMAIN and mechanism == b"CURVE"
         key = self._encode(credentials[0]).decode() if is_ours and credentials else ""

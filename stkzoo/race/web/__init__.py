@@ -1,4 +1,4 @@
-"""A page in the browser that shows a race while it runs.
+"""A web page that shows a race live in the browser.
 
 >>> from stkzoo.race import run_race
 >>> from stkzoo.race.web import LivePage

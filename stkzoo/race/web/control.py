@@ -1,4 +1,4 @@
-"""Run, pause, step, stop and the speed of a race on the live page."""
+"""Controls of the live page: run, pause, step, stop and speed."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from typing import Any
 
 from stkzoo.errors import ConfigError, shortened
 
-#: Multiples of real time; ``None`` for no limit.
+#: Available speeds, as multiples of real time; ``None`` for no limit.
 SPEEDS: tuple[float | None, ...] = (1.0, 2.0, 4.0, None)
 
-#: A wait wakes up this often, so that Ctrl-C works on every system [s].
+#: Maximum duration of a single wait [s]. Waits are short so that Ctrl-C works on every system.
 _WAKE_UP = 0.5
-#: A race that is later than this does not catch up [s].
+#: Maximum delay that a race catches up [s].
 _MOST_LATE = 0.25
 
 
 class RaceControl:
-    """Decides when a race may take its next step.
+    """Controls when a race takes its next step.
 
-    The race's thread calls :meth:`wait_turn`; others call the rest.
+    The race's thread calls :meth:`begin`, :meth:`wait_turn`, :meth:`finish` and
+    :meth:`wait_stop`. Other threads may call the remaining methods.
 
     Args:
         speed: one of :data:`SPEEDS`.
-        paused: whether the race waits on the grid.
+        paused: whether the race is paused before its first step.
 
     Raises:
         ConfigError: the speed is invalid.
@@ -48,11 +49,11 @@ class RaceControl:
 
     @property
     def state(self) -> dict[str, Any]:
-        """The state as the page shows it."""
+        """State that the page shows: ``mode`` and ``speed``."""
         return {"mode": self.mode, "speed": self._speed}
 
     def run(self) -> None:
-        """Lets the race run."""
+        """Starts or resumes the race."""
         self._set(_paused=False, _steps=0, _last=time.monotonic())
 
     def pause(self) -> None:
@@ -60,7 +61,7 @@ class RaceControl:
         self._set(_paused=True, _steps=0)
 
     def step(self) -> None:
-        """Lets the race take one more step, then pauses it."""
+        """Runs one step of a paused race; pauses a running race."""
         self._set(_steps=self._steps + 1 if self._paused else 0, _paused=True)
 
     def stop(self) -> None:
@@ -71,12 +72,12 @@ class RaceControl:
         """Sets the speed.
 
         Raises:
-            ConfigError: it is not in :data:`SPEEDS`.
+            ConfigError: the speed is not in :data:`SPEEDS`.
         """
         self._set(_speed=_checked(speed), _last=time.monotonic())
 
     def begin(self) -> None:
-        """Begins a race. A stop before the first race still holds."""
+        """Begins a race. A :meth:`stop` that was called before it stays in effect."""
         with self._changed:
             is_stopped = self._stopped and not self._over
             self._set(_over=False, _stopped=is_stopped, _last=time.monotonic())
@@ -92,7 +93,7 @@ class RaceControl:
             step_size: game time of a step [s].
 
         Returns:
-            Whether to go on; ``False`` after :meth:`stop`.
+            Whether the race continues; ``False`` after :meth:`stop`.
         """
         with self._changed:
             while not self._stopped and not self._may_go(step_size):
@@ -100,13 +101,13 @@ class RaceControl:
             return not self._stopped
 
     def wait_stop(self) -> None:
-        """Waits for :meth:`stop`, also after the race."""
+        """Waits until :meth:`stop` is called, also after the race."""
         with self._changed:
             while not self._stopped:
                 self._changed.wait(_WAKE_UP)
 
     def _may_go(self, step_size: float) -> bool:
-        """Whether the race may take its next step; waits a while if not."""
+        """Returns whether the race may take its next step; if not, waits briefly first."""
         now = time.monotonic()
         if self._paused:
             if self._steps:

@@ -1,4 +1,4 @@
-"""What the page shows now, handed from the race's thread to the server's."""
+"""Data for the page, passed from the race's thread to the server's thread."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ import numpy.typing as npt
 
 from stkzoo.race.web.messages import encoded
 
-#: ``gap`` is the distance behind the leader [m]; ``throttle`` is the acceleration, 0 to 1, or -1
-#: while the kart brakes; ``reward`` is the sum since the start.
+#: Columns of the charts. ``speed`` is in m/s. ``gap`` is the distance behind the leader [m].
+#: ``reward`` is the sum since the start. ``throttle`` is the acceleration, 0 to 1, or -1 while the
+#: kart brakes.
 COLUMNS = ("speed", "rank", "gap", "reward", "steer", "throttle")
 
 FloatArray = npt.NDArray[np.float32]
-#: Makes the text of a message; see :func:`text_of`.
+#: Returns the text of a message; see :func:`text_of`.
 Text = Callable[[], str]
 
 
 class TraceLog:
-    """The past of a race in bounded memory, for the charts. One thread adds, others read.
+    """History of a race for the charts, in bounded memory. One thread adds, others read.
 
-    A full log drops every second entry, and from then on keeps every second step.
+    When the log is full, it drops every second entry and halves the rate of further entries.
 
     Args:
-        most: how many steps it holds.
+        most: maximum number of entries.
     """
 
     def __init__(self, most: int = 3000) -> None:
@@ -40,8 +41,8 @@ class TraceLog:
         """Adds a step.
 
         Args:
-            step: its number.
-            row: ``(C, K)`` float32, in the order of :data:`COLUMNS`.
+            step: number of the step.
+            row: ``(C, K)`` float32, values of all karts, in the order of :data:`COLUMNS`.
         """
         if step % self._stride:
             return
@@ -51,8 +52,13 @@ class TraceLog:
             self._log = [entry for entry in self._log if entry[0] % self._stride == 0]
 
     def since(self, step: int) -> dict[str, Any]:
-        """The steps after one, for JSON; ``steps`` is empty if there are none."""
-        log = self._log  # the other thread may append to it, or replace it
+        """Returns the entries after a step as JSON values.
+
+        Returns:
+            A dict with ``steps``, a list of numbers, and, unless it is empty, ``values``, a dict
+                from column to a list over steps and karts.
+        """
+        log = self._log  # the race's thread may replace the list meanwhile
         entries = log[bisect_right(log, step, key=itemgetter(0)) :]
         if not entries:
             return {"steps": []}
@@ -64,16 +70,16 @@ class TraceLog:
 
 @dataclass(frozen=True, slots=True)
 class RaceNews:
-    """All that there is to show of a race. The race's thread replaces it as a whole.
+    """Everything that the page shows. The race's thread replaces the object as a whole.
 
     Attributes:
-        race: the message with the race's constants.
+        race: message with the race's constants; ``None`` before the race.
         agents: ids of the race's agents.
-        traces: the race's past.
-        moment: the message about the moment.
-        steps: environment steps until then.
-        details: values of each agent then, for the page's tree.
-        result: the message with the race's result.
+        traces: history of the race.
+        moment: message with the current state; ``None`` before the race.
+        steps: number of environment steps at this state.
+        details: values of each agent at this state, for the page's tree.
+        result: message with the race's result; ``None`` until the race has ended.
     """
 
     race: Text | None = None
@@ -86,5 +92,8 @@ class RaceNews:
 
 
 def text_of(make_message: Callable[[], Mapping[str, Any]]) -> Text:
-    """The text of a message, made once for all viewers, and only if there are any."""
+    """Returns a function that encodes a message on its first call and caches the text.
+
+    All viewers share the text. Without viewers, the message is never created.
+    """
     return cache(lambda: encoded(make_message()))

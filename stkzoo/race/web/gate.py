@@ -1,4 +1,4 @@
-"""Accepts connections to the page, within limits that no client can exceed."""
+"""Accepts connections to the page and enforces limits on them."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ from contextlib import suppress
 
 from stkzoo._os import max_descriptors, network_of
 
-#: Connections without a viewer, viewers, and viewers from one network; each at most.
+#: Maximum numbers of visitors (connections without a viewer), viewers, and viewers per network.
 MOST_VISITORS, MOST_VIEWERS, MOST_VIEWERS_OF_ONE = 64, 64, 32
-#: Each of the first two may take this part of the process's descriptors; the race needs the rest.
+#: Visitors and viewers may each use 1/16 of the process's file descriptors; the race needs the
+#: others.
 _SHARE = 16
 _LEAST = 8
-#: A connection ends after this time, unless it becomes a viewer's [s].
+#: Time after which a visitor's connection is closed [s].
 _LIFETIME = 10.0
-#: Wait after each connection, so that a flood leaves the processor to the race; and without
-#: descriptors [s].
+#: Pause after each connection, so that a flood of them does not slow the race, and pause when no
+#: file descriptors are left [s].
 _PAUSE, _LONG_PAUSE = 0.001, 0.1
 
 
 class ConnectionGate:
-    """Accepts connections one by one and ends those that take too long.
+    """Accepts connections one by one and closes those that take too long.
 
-    A connection is a visitor's until :meth:`promote` makes it a viewer's. At the limit, each new
-    visitor replaces the oldest one of the network that has the most visitors. So a client that
-    sends its request at once gets its answer, however many others only hold their connections.
+    A connection belongs to a visitor until :meth:`promote` makes it a viewer's. At the limit, each
+    new visitor replaces the oldest visitor of the network with the most visitors. A client that
+    sends its request immediately therefore gets a response, even if many others hold connections
+    open.
 
     Args:
-        listener: a socket that listens.
+        listener: listening socket.
     """
 
     def __init__(self, listener: socket.socket) -> None:
@@ -39,24 +41,24 @@ class ConnectionGate:
         share = max(_LEAST, max_descriptors() // _SHARE)
         self._most_visitors = min(MOST_VISITORS, share)
         self._most_viewers = min(MOST_VIEWERS, share)
-        self._visitors: dict[asyncio.BaseTransport, str] = {}  # networks, oldest first
+        self._visitors: dict[asyncio.BaseTransport, str] = {}  # with their networks, oldest first
         self._viewers: dict[asyncio.BaseTransport, str] = {}
 
     async def run(self, make_protocol: Callable[[], asyncio.Protocol]) -> None:
-        """Accepts connections until it is cancelled.
+        """Accepts connections until the task is cancelled.
 
         Args:
-            make_protocol: makes the protocol of each connection.
+            make_protocol: creates the protocol of each connection.
         """
         loop = asyncio.get_running_loop()
         while True:
             try:
                 connection, _ = await loop.sock_accept(self._listener)
-            except OSError:  # there are no descriptors left
+            except OSError:  # no file descriptors are left
                 await asyncio.sleep(_LONG_PAUSE)
                 continue
             self._make_room()
-            with suppress(OSError):  # it is gone already
+            with suppress(OSError):  # the connection is already closed
                 await self._admit(connection, make_protocol)
             await asyncio.sleep(_PAUSE)
 
@@ -64,7 +66,7 @@ class ConnectionGate:
         """Makes a visitor a viewer.
 
         Returns:
-            Why it cannot be one; empty if it is one now.
+            The reason for a refusal; an empty string if the visitor is now a viewer.
         """
         self._viewers = _open_ones(self._viewers)
         network = self._visitors.get(transport)
@@ -78,7 +80,7 @@ class ConnectionGate:
         return ""
 
     def demote(self, transport: asyncio.BaseTransport) -> None:
-        """Makes a viewer that leaves a visitor, whose connection ends soon in any case."""
+        """Makes a leaving viewer a visitor, so that its connection is closed in bounded time."""
         network = self._viewers.pop(transport, None)
         if network is not None:
             self._add(transport, network)
@@ -106,16 +108,16 @@ class ConnectionGate:
             self._expire(next(one for one, network in self._visitors.items() if network == largest))
 
     def _expire(self, transport: asyncio.BaseTransport) -> None:
-        """Ends a visitor's connection, also one whose answer nobody reads."""
+        """Aborts a visitor's connection, even if its response has not been read."""
         if self._visitors.pop(transport, None) is not None:
-            assert isinstance(transport, asyncio.WriteTransport)  # noqa: S101 - a stream socket's
+            assert isinstance(transport, asyncio.WriteTransport)  # noqa: S101 - of a stream socket
             transport.abort()
 
 
 def _open_ones(
     transports: dict[asyncio.BaseTransport, str],
 ) -> dict[asyncio.BaseTransport, str]:
-    """Those that still have a descriptor."""
+    """Returns the transports whose sockets are still open."""
     return {
         transport: network
         for transport, network in transports.items()

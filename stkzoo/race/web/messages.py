@@ -1,6 +1,6 @@
-"""The messages about a race to its page: plain values for JSON.
+"""Messages from a race to its page, as JSON values.
 
-``docs/how-to/live-page.md`` describes every message.
+``docs/how-to/live-page.md`` describes each message.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from stkzoo.render.scene import Scene
 
 FloatArray = npt.NDArray[np.float32]
 
-#: Entries of a list that the page shows, beside its length.
+#: Maximum number of entries of a list that the page shows; a longer list also has its length.
 _MOST_ENTRIES = 12
 _DEEPEST = 8
-#: Enumerations behind numbers in an observation.
+#: Enumerations of the numbers in an observation.
 _LEGEND = {
     "attachment": AttachmentType,
     "items_type": ItemType,
@@ -36,16 +36,16 @@ _COLUMN = {name: number for number, name in enumerate(CONTROLS)}
 
 
 def encoded(message: Mapping[str, Any]) -> str:
-    """The text of a message."""
+    """Encodes a message as JSON text."""
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
 def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> dict[str, Any]:
-    """The message with the constants of a race.
+    """Returns the message with the constants of a race.
 
     Args:
-        scene: the race.
-        sources: sources of the agents.
+        scene: description of the race.
+        sources: sources of the agents, by id.
         seed: the race's seed, if known.
     """
     agents = {kart: f"kart_{number}" for number, kart in enumerate(scene.kart_indices)}
@@ -86,12 +86,12 @@ def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> 
 
 
 def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -> FloatArray:
-    """The controls of every kart: ``(K, 7)`` float32 in the order of ``CONTROLS``.
+    """Returns the controls of all karts, ``(K, 7)`` float32, in the order of ``CONTROLS``.
 
     Args:
-        scene: the race.
-        snapshot: its state now, with the controls of the game's AI.
-        actions: of the agents, in the game's own form.
+        scene: description of the race.
+        snapshot: current state, which includes the controls of the game's AI.
+        actions: actions of the agents by id, in the game's action space.
     """
     rows = np.array(snapshot.karts["control"], np.float32)
     for number, kart in enumerate(scene.kart_indices):
@@ -104,7 +104,17 @@ def control_rows(scene: Scene, snapshot: Snapshot, actions: Mapping[str, Any]) -
 def trace_row(
     scene: Scene, snapshot: Snapshot, controls: FloatArray, rewards: Sequence[float]
 ) -> FloatArray:
-    """The values for the charts: ``(C, K)``; see :data:`stkzoo.race.web.feed.COLUMNS`."""
+    """Returns the values for the charts, ``(C, K)`` float32.
+
+    Args:
+        scene: description of the race.
+        snapshot: current state.
+        controls: controls of all karts, from :func:`control_rows`.
+        rewards: sum of rewards of each kart, in grid order.
+
+    Returns:
+        The columns of :data:`stkzoo.race.web.feed.COLUMNS` for all karts.
+    """
     karts = snapshot.karts
     distances = _distances(scene, snapshot)
     brakes = controls[:, _COLUMN["brake"]] > 0
@@ -118,7 +128,7 @@ def trace_row(
 def moment_message(
     scene: Scene, snapshot: Snapshot, steps: int, traces: FloatArray, controls: FloatArray
 ) -> dict[str, Any]:
-    """The message about one moment of a race, with columns over karts in grid order."""
+    """Returns the message with the current state of a race; lists of karts are in grid order."""
     karts = snapshot.karts
     ways = (karts["front"] - karts["location"])[:, ::2]
     laps = scene.setup.laps
@@ -161,7 +171,7 @@ def moment_message(
 
 
 def _distances(scene: Scene, snapshot: Snapshot) -> FloatArray:
-    """Distance of every kart from the start, at most to the finish [m]."""
+    """Returns the distance of each kart from the start [m], at most the race length."""
     length = scene.track_map.length * scene.setup.laps
     karts = snapshot.karts
     distances = np.where(karts["has_finished_race"] != 0, length, karts["overall_distance"])
@@ -169,10 +179,16 @@ def _distances(scene: Scene, snapshot: Snapshot) -> FloatArray:
 
 
 def plain(value: Any, name: str = "", depth: int = 0) -> Any:
-    """Any observation as values for JSON.
+    """Converts any observation to JSON values.
 
-    Mappings stay mappings. A long list becomes ``{"first": [...], "of": length}``. A number of an
-    enumeration becomes a text with its name. Other values and infinite numbers become a text.
+    Mappings stay mappings. A list with more than 12 entries becomes a mapping with its first
+    entries and its length: ``{"first": [...], "of": length}``. A number of an enumeration becomes a
+    string with its name. Non-finite numbers and other values become strings.
+
+    Args:
+        value: the observation or a part of it.
+        name: key of the part, which selects its enumeration.
+        depth: nesting depth of the part; parts that are nested too deeply become ``"…"``.
     """
     if depth > _DEEPEST:
         return "…"
@@ -208,6 +224,6 @@ def _word(name: str) -> str:
 
 
 def _rounded(values: Any, digits: int = 2) -> Any:
-    """Numbers as lists; infinite and missing ones become 0, which every chart can draw."""
+    """Converts numbers to rounded lists; infinite numbers and NaN become 0 for the charts."""
     array = np.nan_to_num(np.asarray(values, np.float64), posinf=0.0, neginf=0.0)
     return array.round(digits).tolist()

@@ -1,4 +1,4 @@
-"""The live page: shows a race in browsers."""
+"""The live page, which shows a race in browsers."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from stkzoo.render.scene import Scene
 
 
 class RaceBroadcast:
-    """A page that shows a race from its snapshots, independent of its drivers.
+    """A page that shows a race from its snapshots.
 
-    It serves from the moment it is made. :meth:`begin`, :meth:`add` and :meth:`finish` give it a
-    race, :meth:`close` ends it. Only :meth:`wait_turn` waits.
+    The page is available as soon as the object exists. Call :meth:`begin`, :meth:`add` and
+    :meth:`finish` to show a race, and :meth:`close` to close the page. Only :meth:`wait_turn`
+    blocks.
 
     Args:
-        host: address to serve on. Beyond this machine (``"0.0.0.0"``) anyone may watch; only
-            viewers with the key in :attr:`url` may control the race.
-        port: port to serve on; 0 takes a free one.
-        speed: multiple of real time: 1, 2 or 4, or ``None`` for no limit.
-        paused: wait on the grid until a viewer lets the race run.
+        host: address to serve on. If other machines can reach it (``"0.0.0.0"``), anyone may watch,
+            but only viewers with the key in :attr:`url` may control the race.
+        port: port to serve on; 0 selects a free port.
+        speed: speed as a multiple of real time: 1, 2 or 4; ``None`` for no limit.
+        paused: whether to wait on the grid until a viewer starts the race.
 
     Attributes:
-        port: port that the page is served on.
-        url: address of the page, with the key for control if one is needed.
+        port: port of the page.
+        url: address of the page, including the key for control if one is required.
 
     Raises:
-        ConfigError: an argument is invalid, the port is taken, or aiohttp is missing.
+        ConfigError: an argument is invalid, the port is taken, or aiohttp is not installed.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class RaceBroadcast:
 
     @property
     def num_viewers(self) -> int:
-        """Number of viewers now."""
+        """Current number of viewers."""
         return self._server.num_viewers
 
     def begin(
@@ -71,8 +72,8 @@ class RaceBroadcast:
         """Begins a race.
 
         Args:
-            scene: the race.
-            snapshot: the karts on the grid.
+            scene: description of the race.
+            snapshot: state of the karts on the grid.
             sources: sources of the agents, by id.
             seed: the race's seed.
             details: see :meth:`add`.
@@ -97,15 +98,15 @@ class RaceBroadcast:
         """Shows the next step of the race.
 
         Args:
-            snapshot: the state after the step.
-            steps: environment steps so far.
-            actions: actions of the agents, in the game's own form.
-            rewards: sums since the start, by agent.
-            details: values of each agent for the page's tree, by part.
-            failures: last failure, by agent.
+            snapshot: state after the step.
+            steps: number of environment steps so far.
+            actions: actions by agent, in the game's action space.
+            rewards: sums of rewards since the start by agent.
+            details: values for the page's tree by agent and part.
+            failures: last failure by agent.
 
         Raises:
-            ConfigError: before :meth:`begin`.
+            ConfigError: called before :meth:`begin`.
         """
         scene = self._scene
         if scene is None:
@@ -126,41 +127,44 @@ class RaceBroadcast:
         self._server.news = replace(news, moment=moment, steps=steps, details=details or {})
 
     def wait_turn(self) -> bool:
-        """Waits until the viewers let the race continue.
+        """Waits until the next step is due at the speed and state that viewers have set.
 
         Returns:
-            Whether it continues; ``False`` if a viewer stopped it.
+            Whether the race continues; ``False`` if a viewer stopped it.
         """
         step_size = self._scene.setup.step_size if self._scene else 0.0
         return self.control.wait_turn(step_size)
 
     def finish(self, result: Mapping[str, Any]) -> None:
-        """Ends the race.
+        """Ends the race and shows its result.
 
         Args:
-            result: in the form of :meth:`stkzoo.race.RaceResult.to_dict`.
+            result: result in the format of :meth:`stkzoo.race.RaceResult.to_dict`.
         """
         self.control.finish()
         message = text_of(lambda: {"type": "result", "result": result})
         self._server.news = replace(self._server.news, result=message)
 
     def close(self) -> None:
-        """Ends the page; viewers keep what they received. May be called again."""
+        """Closes the page; may be called more than once.
+
+        Open browser windows keep the content that they have received.
+        """
         self._server.close()
 
 
 class LivePage(RaceBroadcast, RaceListener):
-    """Shows the race that it listens to on a page, from which viewers can control it.
+    """Listener that shows its race on a page, from which viewers can control it.
 
-    The page is available from the moment this is made until the race is over. The race runs
-    on without viewers, and never waits for one.
+    The page is available from the creation of the object until the end of the race. The race also
+    runs without viewers, and a slow viewer does not delay it.
 
     Args:
-        stay: keep the page after the race until a viewer closes it, or Ctrl-C.
-        options: ``host``, ``port``, ``speed`` and ``paused``, as for :class:`RaceBroadcast`.
+        stay: keep the page after the race until a viewer stops it or Ctrl-C is pressed.
+        options: ``host``, ``port``, ``speed`` and ``paused``; see :class:`RaceBroadcast`.
 
     Raises:
-        ConfigError: an argument is invalid, the port is taken, or aiohttp is missing.
+        ConfigError: an argument is invalid, the port is taken, or aiohttp is not installed.
     """
 
     def __init__(self, *, stay: bool = False, **options: Any) -> None:
@@ -192,7 +196,7 @@ class LivePage(RaceBroadcast, RaceListener):
             try:
                 self.control.wait_stop()
             except KeyboardInterrupt:
-                return  # the result is complete all the same
+                return  # the result is already complete
 
     def closed(self) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -204,7 +208,7 @@ class LivePage(RaceBroadcast, RaceListener):
 
 
 def _details(race: RaceProgress) -> dict[str, dict[str, Any]]:
-    """The values of every agent that the page's tree shows."""
+    """Returns the values of each agent for the page's tree."""
     details: dict[str, dict[str, Any]] = {}
     for agent, info in race.infos.items():
         details[agent] = {

@@ -1,4 +1,4 @@
-"""Serves the page, in a thread of its own."""
+"""Web server of the page, which runs in its own thread."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ from stkzoo.race.web.gate import ConnectionGate
 from stkzoo.race.web.viewer import PROTOCOL_VERSION, Viewer
 
 logger = logging.getLogger(__name__)
-#: Of aiohttp, which logs a traceback for each request that it cannot read.
+#: Logger for aiohttp, which logs a traceback for each invalid request.
 _requests_logger = logging.getLogger(f"{__name__}.requests")
 _requests_logger.addFilter(RepeatFilter(most=1, period=60.0))
 
 _FILES = Path(__file__).parent / "static"
 _LONGEST_MESSAGE = 1024
 _HEARTBEAT = 20.0
-#: The longest line of a request [bytes], and how long the rest of an answered one is read [s].
+#: Maximum line length of a request [bytes], and time limit for reading the rest of a request after
+#: the response [s].
 _LONGEST_LINE, _LINGERING = 4096, 1.0
-#: How long viewers have for the last messages, and the thread to end [s].
+#: Time limits for viewers to receive the last messages, and for the thread to end [s].
 _FAREWELL, _END = 2.0, 10.0
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -51,19 +52,18 @@ _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 class RequestGuard:
-    """Decides by a request's headers who may watch a race and who may control it.
+    """Decides which requests may watch a race and which may control it.
 
-    A page of another site, open in the viewer's browser, can send requests to this machine.
-    Two headers, which the browser writes and the page cannot change, identify such a request:
-    ``Origin`` names the other site, and ``Host`` names that site's own domain if the domain was
-    made to point here (DNS rebinding).
+    If the user's browser shows a page of another site, that page can send requests to this machine.
+    Two headers, which the browser sets and the page cannot change, identify such requests.
+    ``Origin`` names the other site. ``Host`` names the other site's domain if that domain resolves
+    to this machine (DNS rebinding).
 
     Args:
-        host: the name or address that the page is served on.
+        host: name or address on which the page is served.
 
     Attributes:
-        key: needed for control; empty on the loopback address, where every viewer may
-            control the race.
+        key: key for control; empty on a loopback address, where each viewer may control the race.
     """
 
     def __init__(self, host: str) -> None:
@@ -74,19 +74,19 @@ class RequestGuard:
         """Rejects requests that do not come from this page.
 
         Raises:
-            HTTPForbidden: ``Host`` is neither an address, ``localhost`` nor the page's name, or
-                ``Origin`` is another site.
+            HTTPForbidden: ``Host`` is neither an IP address nor ``localhost`` nor the page's name,
+                or ``Origin`` is another site.
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
         name = _name_of(f"//{host}")
         if name is None or (name not in ("localhost", self._host) and ip_address_of(name) is None):
             raise web.HTTPForbidden(text="the page has another name; open it by its address\n")
-        # Programs other than browsers send no Origin, and could send any.
+        # Other programs than browsers send no Origin, and could forge it.
         if origin is not None and origin.lower() != f"http://{host.lower()}":
             raise web.HTTPForbidden(text="the page accepts requests from itself only\n")
 
     def may_steer(self, key: str) -> bool:
-        """Whether a viewer with this key may control the race."""
+        """Returns whether a viewer with this key may control the race."""
         return hmac.compare_digest(key.encode(), self.key.encode()) or not self.key
 
 
@@ -101,18 +101,18 @@ def _name_of(url: str) -> str | None:
 
 
 class LiveServer:
-    """The page and its viewers. It serves from the moment it is made.
+    """The web server with the page and its viewers. It starts when the object is created.
 
     Attributes:
-        news: what it shows; the race's thread replaces it.
-        num_viewers: how many watch.
-        port: the port that it listens on.
-        url: address of the page, with the key for control if one is needed.
+        news: content of the page; the race's thread replaces it.
+        num_viewers: current number of viewers.
+        port: port that the server listens on.
+        url: address of the page, including the key for control if one is required.
 
     Args:
         host: address or name to listen on.
-        port: its port; 0 takes a free one.
-        control: the control of the race.
+        port: port to listen on; 0 selects a free port.
+        control: control of the race.
 
     Raises:
         ConfigError: the address or port is not available.
@@ -135,10 +135,10 @@ class LiveServer:
         self._thread.start()
 
     def close(self) -> None:
-        """Sends viewers the last messages, then ends; may be called again."""
+        """Sends the last messages to viewers, then stops; may be called more than once."""
         if not self._thread.is_alive():
             return
-        with suppress(RuntimeError):  # it has ended in the meantime
+        with suppress(RuntimeError):  # the loop has ended in the meantime
             self._loop.call_soon_threadsafe(self._closing.set)
         self._thread.join(_END)
         if self._thread.is_alive():
@@ -190,7 +190,7 @@ class LiveServer:
         except web.HTTPException as error:
             error.force_close()
             raise
-        response.force_close()  # one request a connection, so that the gate can pace them
+        response.force_close()  # one request per connection, so that the gate limits the rate
         return response
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
@@ -208,7 +208,7 @@ class LiveServer:
             heartbeat=_HEARTBEAT,
             compress=False,
             timeout=1.0,
-            autoping=False,  # the viewer counts pings too
+            autoping=False,  # pings count as messages from the viewer
         )
         if not connection.can_prepare(request):
             raise web.HTTPBadRequest(text="this address is for WebSockets; the race is at /\n")
@@ -237,7 +237,10 @@ class LiveServer:
 
 
 def _page_of(file: Path) -> tuple[bytes, str]:
-    """A file's content and its type, read before the race: later there may be no descriptors."""
+    """Returns a file's content and type.
+
+    Files are read before the race, because no file descriptors may be left during it.
+    """
     return file.read_bytes(), mimetypes.types_map.get(file.suffix, "application/octet-stream")
 
 
@@ -254,7 +257,7 @@ def _listener(host: str, port: int) -> socket.socket:
 
 
 def _shown(host: str, listener: socket.socket) -> str:
-    """The address to open in a browser: this machine's own for a wildcard address."""
+    """Returns the address to open in a browser; for a wildcard address, this machine's address."""
     address = ip_address_of(listener.getsockname()[0])
     if address is not None and address.is_unspecified:
         beyond = "2001:db8::1" if address.version == 6 else "192.0.2.1"

@@ -1,4 +1,4 @@
-"""One browser that shows the page: the messages to it and its commands."""
+"""A viewer of the page: the messages to one browser and the commands from it."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from stkzoo.race.web.messages import encoded, plain
 
 logger = logging.getLogger(__name__)
 
-#: Version of the messages; grows when a page of an older version would fail.
+#: Version of the messages. It increases with each change that breaks older pages.
 PROTOCOL_VERSION = 1
 
-#: Shortest time between two moments for a viewer, and between two observations [s].
+#: Minimum time between two updates for a viewer, and between two observations [s].
 _MOMENT_PAUSE, _OBSERVATION_PAUSE = 1 / 30, 1 / 5
-#: A viewer that receives nothing for this time is disconnected [s].
+#: Time limit for a viewer to receive a message; then it is disconnected [s].
 _PATIENCE = 20.0
-#: A viewer may send so many messages in a second; a person sends fewer.
+#: Maximum number of messages from a viewer per second; a person sends fewer.
 _MOST_MESSAGES = 50
 
 #: Methods of :class:`RaceControl` that a viewer may call.
@@ -33,15 +33,16 @@ _COMMANDS = ("run", "pause", "step", "stop", "speed")
 
 
 class Viewer:
-    """One connection. It looks for news 30 times a second, once it has received the last.
+    """The connection to one viewer.
 
-    A slow viewer misses moments; nothing waits for it.
+    It sends updates up to 30 times per second, each after the previous one has been sent. A slow
+    viewer skips updates and does not delay the race or other viewers.
 
     Args:
-        socket: the connection.
-        read_news: gives what there is to show.
-        control: the control of the race.
-        closing: set when the page ends.
+        socket: WebSocket of the viewer.
+        read_news: returns the current content of the page.
+        control: control of the race.
+        closing: event that is set when the page closes.
         may_steer: whether the viewer may control the race.
     """
 
@@ -56,17 +57,17 @@ class Viewer:
     ) -> None:
         self._socket, self._read_news, self._control = socket, read_news, control
         self._closing, self._may_steer = closing, may_steer
-        self._sent: dict[str, Any] = {}  # the last message of each kind
-        self._step = -1  # the last one of the traces
+        self._sent: dict[str, Any] = {}  # last message of each kind
+        self._step = -1  # last step of the traces that the viewer has
         self._watched: str | None = None
         self._next_observation = 0.0
-        self._second, self._num_messages = 0, 0  # of the messages from the viewer
+        self._second, self._num_messages = 0, 0  # messages from the viewer in this second
 
     async def serve(self) -> None:
-        """Sends and receives until the viewer leaves or the page ends."""
+        """Sends and receives until the viewer disconnects or the page closes."""
         sender = asyncio.ensure_future(self._send())
         try:
-            with suppress(ConnectionError, asyncio.TimeoutError):  # it is gone, or takes nothing
+            with suppress(ConnectionError, asyncio.TimeoutError):  # disconnected or stalled
                 await self._listen()
         finally:
             if not self._closing.is_set():
@@ -104,7 +105,7 @@ class Viewer:
         await self._put(encoded({"type": "observation", **message}))
 
     def _texts(self, news: RaceNews) -> Iterator[str]:
-        """The messages that the viewer does not have yet."""
+        """Yields the messages that the viewer does not have yet."""
         if self._is_new("race", news.race):
             self._step = -1
             yield self._sent["race"]()
