@@ -41,7 +41,7 @@ def frozen_policy(policy: object) -> Any:
     with suppress(Exception):  # a PPO policy that has learned contains an autograd graph
         return copy.deepcopy(policy)
     try:
-        return pickle.loads(pickle.dumps(policy))  # noqa: S301 - just made
+        return pickle.loads(pickle.dumps(policy))  # noqa: S301 - pickled here
     except Exception as error:
         raise ConfigError(
             f"the policy {shortened(policy, 200)} cannot be copied ({error}); give a function "
@@ -79,7 +79,7 @@ def act_together(actors: Sequence[Actor], observations: Sequence[Any]) -> Sequen
     """
     actor: Any = actors[0]
     seen, wanted = actor.observation_space, getattr(actor.policy, "observation_space", None)
-    if isinstance(seen, spaces.Dict) and isinstance(wanted, spaces.Box):  # flat_observations
+    if isinstance(seen, spaces.Dict) and isinstance(wanted, spaces.Box):  # SB3 flat_observations
         flat: list[Any] = [spaces.flatten(seen, own) for own in observations]
         batch: Any = np.stack(flat).astype(wanted.dtype)
     elif isinstance(seen, spaces.Dict):

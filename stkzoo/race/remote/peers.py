@@ -59,9 +59,9 @@ class _Peer:
 
 
 class _Window:
-    """Accesses connections by their file descriptors, and reserves the one that this needs.
+    """Accesses connections by their file descriptors through a reserved descriptor.
 
-    The reserved descriptor is available even if the process has no others left.
+    This works even if the process has no other descriptors left.
     """
 
     def __init__(self) -> None:

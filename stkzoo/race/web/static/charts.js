@@ -1,4 +1,4 @@
-// The past of the race as small charts: a line a kart, the chosen one in front.
+// Charts of the race's history, with one line per kart and the chosen kart in front.
 
 import { colour, fitted, lineColour } from "./theme.js";
 
@@ -60,7 +60,7 @@ export class Charts {
     for (const figure of this.figures) this.drawOne(figure, chosen);
   }
 
-  // The first step that is shown, its place in the lists, and the last.
+  // Returns the first and last step that are shown, and the list index of the first.
   span() {
     const last = this.steps.at(-1) ?? 0;
     const recent = RECENT / (this.race?.step_size ?? 0.1);

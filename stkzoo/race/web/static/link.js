@@ -1,4 +1,4 @@
-// The connection to the race: it comes back by itself when it is lost.
+// Connection to the race. It reconnects automatically.
 
 const VERSION = 1;
 const SLOWEST_RETRY = 3000; // [ms]

@@ -1,10 +1,10 @@
-// The race from above: x to the right, z up.
+// Top-down map of the race, with x to the right and z up.
 
 import { colour, fitted, mixed } from "./theme.js";
 
-const FOLLOWED = 110; // [m] across, when a kart is followed
+const FOLLOWED = 110; // [m], width of the map section when it follows a kart
 const TRAIL = 25; // moments
-const LEAP = 12; // [m]: more in one step is no driving
+const LEAP = 12; // [m], a few times this in one update is a jump, which is not interpolated
 const ITEMS = {
   0: ["#d98a00", "square"],
   1: ["#b8a000", "disc"],
@@ -43,7 +43,7 @@ export class RaceMap {
     return this.after && performance.now() < this.since + this.duration + 50;
   }
 
-  // Where karts are to be drawn: on their way from the last moment to this one.
+  // Returns the karts with positions interpolated between the last two updates.
   shown(now) {
     const { before, after } = this;
     const part = this.duration > 0 ? Math.min((now - this.since) / this.duration, 1) : 1;

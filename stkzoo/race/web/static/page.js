@@ -1,4 +1,4 @@
-// The page: takes messages, keeps the present, draws it, and sends what is pressed.
+// The page: receives messages, stores the current state, draws it, and sends commands.
 
 import { Charts } from "./charts.js";
 import { Link } from "./link.js";
@@ -21,7 +21,7 @@ const standings = new Standings(find("standings"), choose);
 const tree = new Tree(find("tree"));
 const link = new Link({ onMessage: take, onLost: lose });
 
-// ---------------------------------------------------------------- what comes
+// ---------------------------------------------------------------- incoming messages
 
 const TAKERS = {
   hello: ({ may_steer }) => (now.maySteer = may_steer),
@@ -88,7 +88,7 @@ function lose() {
   showState();
 }
 
-// ---------------------------------------------------------------- what is shown
+// ---------------------------------------------------------------- display
 
 function showState() {
   const { mode, speed } = now.state;
@@ -202,13 +202,13 @@ requestAnimationFrame(frame);
 addEventListener("resize", () => (charts.isStale = true));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (charts.isStale = true));
 
-// ---------------------------------------------------------------- what is pressed
+// ---------------------------------------------------------------- user input
 
 function press(selector, function_) {
   for (const button of document.querySelectorAll(selector)) {
     button.addEventListener("click", (event) => {
       function_(button);
-      if (event.detail) button.blur(); // a click leaves the keys to the page
+      if (event.detail) button.blur(); // so that the page, not the button, gets the next key
     });
   }
 }

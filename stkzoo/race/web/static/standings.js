@@ -1,4 +1,4 @@
-// Who is where. A kart's row keeps its place in the page and slides when the order changes.
+// Standings. Each kart keeps its row element, which moves with an animation when ranks change.
 
 export class Standings {
   constructor(list, onChoose) {

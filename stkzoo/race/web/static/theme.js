@@ -1,4 +1,4 @@
-// Colours of the page for canvases, and lines that can be seen on both grounds.
+// The page's colours for canvases, and line colours with enough contrast in both colour schemes.
 
 const isDark = matchMedia("(prefers-color-scheme: dark)");
 let known = {};
@@ -27,7 +27,7 @@ function luminance(hex) {
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
 }
 
-// The same hue, darker on a light ground and lighter on a dark one, until a thin line shows.
+// Returns the colour, darkened on a light ground or lightened on a dark one to enough contrast.
 export function lineColour(hex) {
   const key = `line ${hex}`;
   if (known[key]) return known[key];
@@ -43,7 +43,7 @@ export function lineColour(hex) {
   return known[key];
 }
 
-// A canvas's drawing context with as many pixels as the screen has; measures in CSS pixels.
+// Returns a canvas's drawing context at the screen's resolution, with CSS pixels as the unit.
 export function fitted(canvas) {
   const ratio = Math.min(devicePixelRatio || 1, 2);
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];

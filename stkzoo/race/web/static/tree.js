@@ -1,4 +1,4 @@
-// What an agent sees, as a tree that can be opened. Only what is open is written anew.
+// Expandable tree of an agent's observation. Only open nodes are updated.
 
 export class Tree {
   constructor(place) {
