@@ -76,7 +76,7 @@ COMMANDS = [
     ("race-server random --address 127.0.0.1:{port}", "choose another address, or end the program"),
     ("race-server random --address *:5555", "give the server a key of its own (--secret)"),
     ("race-server ai --threads 0", "threads is 0, expected a whole number of 1 or more"),
-    ("race-server ai", "name it at the client"),
+    ("race-server ai", "name it on the client"),
     ("race-server heuristik", "Did you mean 'heuristic'?"),
     ("race-client", "no servers; give --server ADDRESS or --servers FILE"),
     ("race-client --servers none.txt", "the list of servers none.txt cannot be read"),

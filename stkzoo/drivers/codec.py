@@ -93,7 +93,7 @@ def encode(message: object, limits: Limits = LIMITS) -> bytes:
         _check(message, limits, 0)
         data = _pack(message)
     except (ValueError, TypeError, OverflowError) as error:
-        raise ProtocolError(f"a message that cannot be sent: {error}") from error
+        raise ProtocolError(f"the message is not plain data: {error}") from error
     _check_size(data, limits)
     return data
 

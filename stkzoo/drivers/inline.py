@@ -75,7 +75,7 @@ class InlineInstance:
         """Runs the driver and returns its decision."""
         agent = self._request.agent
         if not self._is_ready:
-            raise AgentError(f"{agent} was asked before it was ready", agent)
+            raise AgentError(f"{agent} received an observation before it was ready", agent)
         receive_pending()  # so that this driver's time does not count for the other drivers
         begin, clipped = time.perf_counter(), self._chain.num_clipped
         limit = self._request.clock.limit(self._request.limits.action_timeout)

@@ -47,7 +47,7 @@ _HAS_KEEPER = sys.platform == "linux"
 _MOST_REASON = 200
 #: Beginnings of errors that the sandbox may have caused by hiding a file.
 _OUT_OF_REACH = ("FileNotFoundError", "PermissionError", "OSError: [Errno 30]")
-_HINT = " (in its sandbox it has only its own files; --sandbox off runs it without)"
+_HINT = " (the sandbox hides other files; --sandbox off disables it)"
 
 
 class IsolatedInstance:

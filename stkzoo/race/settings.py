@@ -16,9 +16,9 @@ from stkzoo.errors import ConfigError, check_arguments, check_number, check_whol
 #: Ways to handle the failure of an agent, with their descriptions.
 ERROR_HANDLING = {
     "raise": "end the race with the error",
-    "catch": "take a random action instead, and ask it again at the next step",
-    "retire": "let its kart roll to a stop; the others continue",
-    "restart": "start it again, in the middle of the race",
+    "catch": "use a random action for this step",
+    "retire": "stop driving its kart; the others continue",
+    "restart": "restart the agent during the race",
 }
 
 #: Titles of option groups.

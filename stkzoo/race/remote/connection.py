@@ -257,7 +257,7 @@ class Connection:
             self._handle(frames)
         except Exception as error:  # noqa: BLE001 - a server must not end the race
             text = str(error) if isinstance(error, ProtocolError) else shortened(error, 200)
-            self._fail(f"{self.server.address} broke the protocol: {text}")
+            self._fail(f"{self.server.address} sent an invalid message: {text}")
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text
@@ -268,7 +268,7 @@ class Connection:
 
     def _handle(self, frames: list[bytes]) -> None:
         if len(frames) != 2:
-            raise ProtocolError(f"{len(frames)} frames came, expected 2")
+            raise ProtocolError(f"received {len(frames)} frames, expected 2")
         kind, body = frames
         if kind == protocol.ALIVE:
             return
@@ -307,7 +307,7 @@ class Connection:
     def _handle_opened(self, fields: dict[str, Any]) -> None:
         seat = protocol.field(fields, "seat", int)
         if seat not in self._starting:
-            raise ProtocolError(f"a start of seat {seat}, which was not asked for")
+            raise ProtocolError(f"unexpected start of seat {seat}")
         self._starting.discard(seat)
         if "error" in fields:
             self._answers[seat] = Failure(reported_error(fields["error"], ""))

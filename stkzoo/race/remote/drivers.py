@@ -212,7 +212,7 @@ class RemoteInstance:
             patience = min(self._group.patience(self._server), start_timeout)
             welcome = self._connection.wait_welcome(self._begin + patience)
             if self._served not in ServedAgent.all_of(self._server, welcome):
-                raise ProtocolError(f"{self._server.address} has other agents than before")
+                raise ProtocolError(f"the agents of {self._server.address} have changed")
             deadline = self._begin + start_timeout + _MARGIN
             answer = self._connection.wait_answer(self._seat, deadline, "start an agent")
         self._group.record(self._server, is_there=True)

@@ -181,7 +181,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
     def _dispatch(self, identity: bytes, frames: list[bytes]) -> None:
         if len(frames) != 2:
-            self._refuse(identity, f"{len(frames)} frames came, expected a kind and a body")
+            self._refuse(identity, f"received {len(frames)} frames, expected a kind and a body")
             return
         kind, body = frames
         client = self._clients.get(identity)
@@ -226,11 +226,11 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         session.put(protocol.OPEN, body)
         session.start()
         self._sessions.add(session)
-        _log.info("a client came; %d of %d sessions", len(self._clients), self._max_sessions)
+        _log.info("client connected; %d of %d sessions", len(self._clients), self._max_sessions)
 
     def _update_peers(self) -> None:
         if self._peers.update():
-            _log.warning("too many connections; the oldest ones without a race are ended")
+            _log.warning("too many connections; closing the oldest ones without a race")
 
     def _authenticate(self) -> None:
         assert self._authenticator is not None  # noqa: S101 - it has a socket
@@ -260,7 +260,9 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         if client is not None:
             client.end()
             self._peers.end_session(identity)
-            _log.info("a client left; %d of %d sessions", len(self._clients), self._max_sessions)
+            _log.info(
+                "client disconnected; %d of %d sessions", len(self._clients), self._max_sessions
+            )
 
     @contextlib.contextmanager
     def _replier(self, identity: bytes) -> Iterator[Reply]:
@@ -289,7 +291,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         now = time.monotonic()
         for identity, client in list(self._clients.items()):
             if now - client.heard > _PATIENCE:
-                self._refuse(identity, f"the client said nothing for {_PATIENCE:g} s")
+                self._refuse(identity, f"no message from the client for {_PATIENCE:g} s")
             elif client.needs_ping(now):
                 client.pinged = now
                 if not self._send(identity, protocol.ALIVE, b""):
@@ -301,5 +303,5 @@ def _checked(drivers: Sequence[Driver]) -> list[Driver]:
         raise ConfigError("the server has no agents; name at least one")
     for driver in drivers:
         if driver.is_game_ai:
-            raise ConfigError("the game's AI drives where the game runs; name it at the client")
+            raise ConfigError("the game's AI runs in the game; name it on the client")
     return list(drivers)

@@ -137,6 +137,4 @@ def _checked(speed: object) -> float | None:
     for known in SPEEDS:
         if speed == known and not isinstance(speed, bool):
             return known
-    raise ConfigError(
-        f"the speed is {shortened(speed, 50)}, expected 1, 2, 4 or None (as fast as it goes)"
-    )
+    raise ConfigError(f"the speed is {shortened(speed, 50)}, expected 1, 2, 4 or None (no limit)")

@@ -80,7 +80,7 @@ class RequestGuard:
         host, origin = headers.get("Host", ""), headers.get("Origin")
         name = _name_of(f"//{host}")
         if name is None or (name not in ("localhost", self._host) and ip_address_of(name) is None):
-            raise web.HTTPForbidden(text="the page has another name; open it by its address\n")
+            raise web.HTTPForbidden(text="unknown host name; open the page by its IP address\n")
         # Other programs than browsers send no Origin, and could forge it.
         if origin is not None and origin.lower() != f"http://{host.lower()}":
             raise web.HTTPForbidden(text="the page accepts requests from itself only\n")

@@ -53,7 +53,7 @@ def test_a_message_that_is_too_large_ends_the_connection_only():
 @pytest.mark.parametrize(
     ("frames", "text"),
     [
-        ([b"H"], "1 frames came"),
+        ([b"H"], "received 1 frames"),
         ([b"H", b"a", b"b", b"c"], "3 frames came"),
         ([b"H", b"\x01"], "a int came, expected a dict"),
         ([b"H", pack(protocol=99)], f"speaks protocol 99, this one {VERSION}"),
@@ -134,8 +134,8 @@ def lies(*frames, **fields):
 
 
 LIES = {
-    "garbage": (lies(b"D", b"\xc1\xc1"), "broke the protocol"),
-    "one frame": (lies(b"D"), "1 frames came"),
+    "garbage": (lies(b"D", b"\xc1\xc1"), "sent an invalid message"),
+    "one frame": (lies(b"D"), "received 1 frames"),
     "unknown kind": (lies(b"?", pack()), "message kind b'?' came"),
     "another step": (lies(step=77), "an answer to step 77"),
     "another seat": (
@@ -243,5 +243,5 @@ def test_what_is_no_server_of_ours_is_told_before_the_race(welcome):
             identity, *_ = self._socket.recv_multipart()
             self._socket.send_multipart([identity, b"W", welcome])
 
-    with Odd(None) as server, pytest.raises(RemoteError, match="broke the protocol"):
+    with Odd(None) as server, pytest.raises(RemoteError, match="sent an invalid message"):
         RemoteDriverGroup([server.address])
