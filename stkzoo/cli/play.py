@@ -1,7 +1,7 @@
 """Drive yourself, with the keyboard.
 
-Opens a window and lets you drive, in real time, against other drivers: the game's ai (three of
-them by default), heuristic, random, or agents from files, as in `stkzoo race`.
+Opens a window in which you drive in real time against other drivers: the game's ai (three karts
+by default), heuristic, random, or agents from files, as in `stkzoo race`.
 
   arrows      throttle, brake, steer          P     pause
   V           drift, while steering           Esc   leave
@@ -30,7 +30,8 @@ from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
 
-#: Default view and rate of a dataset, which are those of the ids; default rate without one.
+#: Default view and rate of a dataset, those of supertuxkart/flattened_discrete-v0; and the default
+#: rate without a dataset.
 _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
 _DECIDED = ("seed",)
 
@@ -95,7 +96,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
-    """Opens the window and races."""
+    """Opens the window and runs the race."""
     from stkzoo.cli._race_report import show_race
     from stkzoo.play import play_race
     from stkzoo.race import RaceInterrupted
