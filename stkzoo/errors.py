@@ -11,7 +11,7 @@
     │   ├── EngineCrashed                 the game's process ended unexpectedly
     │   └── EngineTimeout                 the game's process did not answer in time
     ├── AgentError                        an agent's own code failed
-    │   ├── AgentException                a wrapper of an agent failed (the reference's name)
+    │   ├── AgentException                a wrapper of an agent failed (pystk2-gymnasium's name)
     │   └── AgentTimeout                  an agent took too long
     └── RemoteError                       the other end of a network connection failed
         └── ProtocolError                 the other end sent an invalid message

@@ -56,8 +56,8 @@ class PlayWindowArguments:
     """Options of the window to play in.
 
     Attributes:
-        map: show a map instead of the game's pictures
-        is_3d: show the game's pictures; fail if this machine cannot draw them
+        map: show a map instead of 3D graphics
+        is_3d: show 3D graphics; fail if this machine cannot draw them
         width: width of the window
         height: height of the window
         rate: steps per second: 10, 12, 15, 20, 30 or 60 (default: 20; 10 with --dataset, as
@@ -76,7 +76,7 @@ class PlayDatasetArguments:
     """Options of the dataset to record.
 
     Attributes:
-        dataset: record your observations and actions into FILE (.npz)
+        dataset: record your observations and actions to FILE (.npz)
         view: view of the dataset: simple or a flattened one (default: flattened_discrete)
     """
 

@@ -10,7 +10,7 @@ Each driver gets a kart:
   MODULE           your agent, by the name of a Python module
 
 DRIVER@:Name sets a driver's name. Each agent from files runs in its own process, so a failure
-only affects its own kart. Races with the same seed are identical, bit for bit.
+only affects its own kart. The same seed reproduces the same race, bit for bit.
 
 Examples:
   stkzoo race --demo                          a learned driver against the AI
