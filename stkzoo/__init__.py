@@ -8,8 +8,8 @@
 >>> env.close()
 
 Importing this package registers the environments with Gymnasium (``supertuxkart/...-v0``)
-and PettingZoo (``supertuxkart/race-v0``). The game itself is loaded in processes of its
-own, when an environment is made.
+and PettingZoo (``supertuxkart/race-v0``). The game itself runs in separate processes, which start
+when an environment is created.
 """
 
 from __future__ import annotations

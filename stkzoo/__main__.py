@@ -1,4 +1,4 @@
-"""``python -m stkzoo`` is the command ``stkzoo``."""
+"""Runs the command ``stkzoo`` as ``python -m stkzoo``."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Options of programs: a dataclass declares them, and its docstring is their help."""
+"""Command-line options: a dataclass declares them, and its docstring provides their help."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ __all__ = ["CommandParser", "add_options", "option", "positional", "values_of"]
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
-#: A command with more options has a usage line that does not list them.
+#: Maximum number of options that the usage line of a command lists.
 _MAX_LISTED = 6
 
 
 class _HelpFormatter(argparse.HelpFormatter):
-    """Fills paragraphs, keeps indented lists, and shortens the usage of long commands."""
+    """A help formatter that fills paragraphs, keeps indented lists and shortens long usages."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        """Fills paragraphs to the terminal's width; those with indented lines stay as they are."""
+        """Fills paragraphs to the terminal's width. Paragraphs with indented lines are kept."""
         plain = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text).replace("``", "`")
         filled = "\n\n".join(
             part
@@ -41,7 +41,7 @@ class _HelpFormatter(argparse.HelpFormatter):
         return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
 
     def _format_action(self, action: argparse.Action) -> str:
-        """Lists commands without a line for the word COMMAND."""
+        """Lists subcommands without a line for their metavar, such as COMMAND."""
         if isinstance(action, argparse._SubParsersAction):
             return "".join(map(self._format_action, action._get_subactions()))
         return super()._format_action(action)
@@ -53,7 +53,7 @@ class _HelpFormatter(argparse.HelpFormatter):
         groups: Iterable[argparse._MutuallyExclusiveGroup],
         prefix: str | None = None,
     ) -> None:
-        """Replaces a long list of options with ``[OPTION ...]``."""
+        """Adds the usage line. A long list of options becomes ``[OPTION ...]``."""
         listed = list(actions)
         free = [action for action in listed if action.option_strings and not action.required]
         if len(free) > _MAX_LISTED:
@@ -63,31 +63,45 @@ class _HelpFormatter(argparse.HelpFormatter):
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose errors are one line, which names what was probably meant."""
+    """A parser whose errors are one line, with a suggestion for an unknown name."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**{"formatter_class": _HelpFormatter, **options})
 
     def group(self, title: str) -> argparse._ArgumentGroup:
-        """The group of options with a title; groups are shown in the order of their first use."""
+        """Returns the group of options with a title, which is created if needed.
+
+        The help shows groups in the order of their creation.
+
+        Args:
+            title: title of the group.
+        """
         for group in self._action_groups:
             if group.title == title:
                 return group
         return self.add_argument_group(title)
 
     def fail(self, message: str) -> NoReturn:
-        """Ends the program with exit code 2."""
+        """Prints an error and ends the program with exit code 2.
+
+        Args:
+            message: text of the error.
+        """
         self.exit(2, f"{self.prog}: {message}\n")
 
     def error(self, message: str) -> NoReturn:
-        """Ends the program because of its command line; ``argparse`` calls this."""
+        """Ends the program because of an invalid command line. ``argparse`` calls this.
+
+        Args:
+            message: text of the error.
+        """
         joint = " See" if message.endswith("?") else "; see"
         self.fail(f"{message.rstrip('.')}{joint} `{self.prog} --help`")
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Parses a command line; unknown arguments are errors of the command they belong to."""
+        """Parses a command line. The subcommand reports its unknown arguments as errors."""
         found, unknown = super().parse_known_args(args, namespace)
         if unknown:
             name = unknown[0].partition("=")[0]
@@ -119,25 +133,30 @@ def _number(text: str) -> float:
 
 
 def _unknown(kind: str, name: object, known: Collection[str]) -> str:
-    """The error for an unknown name, without the list of all."""
+    """Returns the error text for an unknown name, without the list of known names."""
     text = str(unknown_name(kind, name, known))
     return re.split(r"(?: Choose a name from the list:)?\sKnown: ", text)[0]
 
 
 def option(default: Any = None, **keywords: Any) -> Any:
-    """A field of a dataclass for :func:`add_options`, where the type does not say it all.
+    """Returns a dataclass field for :func:`add_options` with additional settings.
 
     Args:
-        default: the field's.
-        **keywords: of ``ArgumentParser.add_argument``, and ``flag``, where the option has another
-            name than the field, ``group``, the title of its group in the help, and ``rivals``:
-            at most one of the options with the same ``rivals`` can be given.
+        default: default of the field.
+        **keywords: arguments of ``ArgumentParser.add_argument``; and also ``flag``, the option's
+            name if it differs from the field's; ``group``, the title of its group in the help; and
+            ``rivals``, a name of mutually exclusive options.
     """
     return field(default=default, metadata=keywords)
 
 
 def positional(default: Any = MISSING, **keywords: Any) -> Any:
-    """As :func:`option`, for an argument that is given by its place."""
+    """Returns a field as :func:`option` does, for a positional argument.
+
+    Args:
+        default: default of the field.
+        **keywords: as for :func:`option`.
+    """
     return option(default, flag="", **keywords)
 
 
@@ -151,15 +170,16 @@ def add_options(
 ) -> None:
     """Adds an option for each field of a dataclass: ``--max-steps`` for ``max_steps``.
 
-    The help is the field's line under ``Attributes:`` in the docstring, unless the field's
-    metadata have one. Fields are numbers, texts, booleans, paths, or tuples of these.
+    The help text is the field's entry under ``Attributes:`` in the docstring, unless the field's
+    metadata has a ``help``. Fields can be numbers, texts, booleans, paths, or tuples of these.
 
     Args:
-        parser: the command's.
+        parser: parser of the command.
         kind: the dataclass.
-        without: fields to leave out.
-        only: the fields to add; ``None`` for all.
-        group: title of the group of fields that name none; ``None`` for the parser's own.
+        without: names of fields to leave out.
+        only: names of fields to add; ``None`` for all.
+        group: title of the group for fields without their own group; ``None`` for the parser's
+            default group.
     """
     kinds, texts = typing.get_type_hints(kind), _texts(kind)
     rivals: dict[str, argparse._ActionsContainer] = {}
@@ -185,7 +205,16 @@ def values_of(
     without: Collection[str] = (),
     only: Collection[str] | None = None,
 ) -> dict[str, Any]:
-    """The values of the options that :func:`add_options` added, by field; lists become tuples."""
+    """Returns the values of the options that :func:`add_options` added, by field.
+
+    Lists become tuples.
+
+    Args:
+        arguments: the parsed arguments.
+        kind: the dataclass.
+        without: names of fields to leave out.
+        only: names of fields to return; ``None`` for all.
+    """
     values = {entry.name: getattr(arguments, entry.name) for entry in _fields(kind, without, only)}
     return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
 
@@ -199,9 +228,9 @@ def _fields(kind: Any, without: Collection[str], only: Collection[str] | None) -
 
 
 def _texts(kind: type) -> dict[str, str]:
-    """The lines under ``Attributes:`` of a dataclass and its bases, by field."""
+    """Returns the entries under ``Attributes:`` of a dataclass and its bases, by field."""
     docs = "\n".join(inspect.cleandoc(base.__doc__ or "") for base in reversed(kind.__mro__))
-    docs = docs.replace("%", "%%")  # argparse formats help
+    docs = docs.replace("%", "%%")  # argparse formats help texts with %
     return {
         name: " ".join(re.sub(r"(?<!\.)\.$", "", text).split())
         for name, text in _ATTRIBUTE.findall(docs)
@@ -209,7 +238,7 @@ def _texts(kind: type) -> dict[str, str]:
 
 
 def _metadata(kind: type, name: str) -> dict[str, Any]:
-    """The metadata of a field; a new default keeps those of the base's field."""
+    """Returns the metadata of a field. A field with a new default keeps its base's metadata."""
     metadata: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
         if name in (entries := getattr(base, "__dataclass_fields__", {})):
@@ -220,10 +249,10 @@ def _metadata(kind: type, name: str) -> dict[str, Any]:
 def _keywords(
     entry: Field[Any], metadata: dict[str, Any], kind: Any, texts: dict[str, str]
 ) -> dict[str, Any]:
-    """The keywords of ``add_argument`` for a field."""
+    """Returns the keyword arguments of ``add_argument`` for a field."""
     is_positional, default = metadata.get("flag") == "", entry.default
     keywords: dict[str, Any] = {"help": texts.get(entry.name, ""), **metadata}
-    if typing.get_origin(kind) in (types.UnionType, typing.Union):  # with None
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):  # a union with None
         kind = next(part for part in typing.get_args(kind) if part is not types.NoneType)
         keywords |= {"nargs": "?"} if is_positional else {}
     if default is not MISSING:

@@ -1,7 +1,7 @@
-"""How this copy of stkzoo was installed, and the command that adds an extra to it.
+"""The installation of this copy of stkzoo, and the command that adds an extra to it.
 
-No package index has stkzoo yet, so pip cannot find its extras by name. pip records where it found
-stkzoo (PEP 610), and the extras come from the same place.
+stkzoo is not on a package index yet, so pip cannot find its extras by name. pip records the source
+of an installation (PEP 610), and the command installs extras from the same source.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ _EXTRA = re.compile(r"extra\s*==\s*['\"]([\w-]+)['\"]")
 
 
 def repository_url() -> str:
-    """The address of the project's repository, from the metadata of the installed package."""
+    """Returns the URL of the project's repository from the package's metadata; empty if unknown."""
     package = _installed()
     urls = (package and package.metadata.get_all("Project-URL")) or []
     return next((url.partition(", ")[2] for url in urls if url.startswith("Repository, ")), "")
 
 
 def extra_requirements() -> dict[str, list[str]]:
-    """What each extra requires, such as ``{"web": ["aiohttp>=3.11"]}``."""
+    """Returns the requirements of each extra, such as ``{"web": ["aiohttp>=3.11"]}``."""
     package = _installed()
     extras: dict[str, list[str]] = {}
     for requirement in (package and package.requires) or ():
@@ -38,17 +38,23 @@ def extra_requirements() -> dict[str, list[str]]:
 
 
 def install_command(extra: str) -> str:
-    """The command that installs an extra of stkzoo, from where stkzoo itself came.
+    """Returns the command that installs an extra of stkzoo from the source of stkzoo itself.
+
+    If that source is unknown, the command installs the libraries of the extra.
 
     Args:
-        extra: the extra, such as ``"sb3"``.
+        extra: name of the extra, such as ``"sb3"``.
     """
     libraries = _libraries(extra) or [f"stkzoo[{extra}]"]
     return pip_install(_source(extra) or " ".join(f'"{name}"' for name in libraries))
 
 
 def pip_install(arguments: str) -> str:
-    """The command that installs into the running Python: ``pip``, or this Python's own."""
+    """Returns the pip command that installs into the running Python.
+
+    Args:
+        arguments: arguments of ``pip install``.
+    """
     pip = which("pip")
     here = Path(sys.executable).parent
     if pip and Path(pip).parent == here:
@@ -57,14 +63,18 @@ def pip_install(arguments: str) -> str:
 
 
 def _installed() -> metadata.Distribution | None:
-    """What pip installed; a build leaves metadata in a checkout too, which may be out of date."""
+    """Returns the installed distribution.
+
+    The one that pip installed comes first. A build also leaves metadata in a checkout, which may
+    be out of date.
+    """
     found = list(metadata.distributions(name="stkzoo"))
     by_pip = (package for package in found if package.read_text("INSTALLER"))
     return next(by_pip, found[0] if found else None)
 
 
 def _source(extra: str) -> str:
-    """The argument of pip for the place that stkzoo came from; empty if it is gone or unknown."""
+    """Returns pip's argument for the source of stkzoo; empty if it is unknown or was removed."""
     package = _installed()
     origin = json.loads((package and package.read_text("direct_url.json")) or "{}")
     url = str(origin.get("url", ""))
@@ -80,7 +90,7 @@ def _source(extra: str) -> str:
 
 
 def _libraries(extra: str) -> list[str]:
-    """What an extra requires, with the requirements of the extras that it names."""
+    """Returns the requirements of an extra, including those of the extras that it names."""
     found: dict[str, None] = {}
     for requirement in extra_requirements().get(extra, ()):
         inner = re.fullmatch(r"stkzoo\[([\w,-]+)\]", requirement)

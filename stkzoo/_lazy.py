@@ -1,4 +1,4 @@
-"""Names of a package that are loaded when they are first used."""
+"""Lazy imports: names of a package that are loaded on first use."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ __all__ = ["lazy_names"]
 
 
 def lazy_names(package: str, homes: Mapping[str, Collection[str]]) -> Callable[[str], Any]:
-    """The ``__getattr__`` of a package.
+    """Returns a ``__getattr__`` function for a package.
 
     Args:
-        package: its ``__name__``.
-        homes: names by the module that defines them.
+        package: ``__name__`` of the package.
+        homes: the names that each module defines.
     """
     modules = {name: module for module, names in homes.items() for name in names}
 

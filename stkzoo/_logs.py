@@ -1,4 +1,4 @@
-"""Logs of programs that strangers can reach: few lines, and no wait for their reader."""
+"""Logs of public servers: clients cannot flood the log, and a slow reader cannot block them."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from logging.handlers import QueueHandler, QueueListener
 
 __all__ = ["BackgroundHandler", "RepeatFilter"]
 
-#: Waiting lines; a line that finds the queue full is dropped.
+#: Maximum number of waiting lines. Further lines are dropped.
 _MAX_WAITING = 1000
-#: Kinds of messages that a filter remembers.
+#: Maximum number of kinds of messages that a filter remembers.
 _MAX_KINDS = 256
 
 
 class RepeatFilter(logging.Filter):
-    """Lets each kind of message through a few times in a period, and counts the others.
+    """A log filter that limits how often each kind of message is logged in a period.
 
-    Messages are of one kind if their logger, level and text before formatting are the same. The
-    next message of the kind that comes through says how many were left out.
+    Messages are of the same kind if their logger, level and text before formatting are equal. The
+    first message in a later period reports how many messages of its kind were left out.
 
     Args:
-        most: messages of one kind in a period.
-        period: its length [s].
+        most: maximum number of messages of one kind in a period.
+        period: length of a period [s].
     """
 
     def __init__(self, most: int = 5, period: float = 10.0) -> None:
         super().__init__()
         self._most, self._period = most, period
-        self._kinds: dict[tuple[str, int, str], tuple[float, int]] = {}  # period's end, messages
+        self._kinds: dict[tuple[str, int, str], tuple[float, int]] = {}  # end of period, count
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether to log this record."""
+        """Returns whether to log a record."""
         kind, now = (record.name, record.levelno, str(record.msg)[:500]), time.monotonic()
         end, count = self._kinds.get(kind, (0.0, 0))
         if now >= end:
@@ -50,15 +50,15 @@ class RepeatFilter(logging.Filter):
 
 
 class BackgroundHandler(QueueHandler):
-    """Writes log records to a descriptor in a thread of its own.
+    """A log handler that writes records to a descriptor in a separate thread.
 
-    A program that writes its log itself stops when the log is a pipe that nobody reads. This
-    handler keeps a bounded number of lines instead, drops those that find no room, and logs how
-    many were dropped as soon as there is room again.
+    A program that writes its log directly blocks if the log is a pipe whose reader has stopped.
+    This handler has a queue of limited length instead. It drops lines while the queue is full, and
+    later logs how many it dropped.
 
     Args:
-        descriptor: where to write; 2 is stderr.
-        most: lines that wait at most.
+        descriptor: the descriptor; 2 is stderr.
+        most: maximum number of lines in the queue.
     """
 
     def __init__(self, descriptor: int = 2, most: int = _MAX_WAITING) -> None:
@@ -66,7 +66,7 @@ class BackgroundHandler(QueueHandler):
         super().__init__(self._waiting)
         self._num_dropped = 0
         self._listener = _DescriptorWriter(self._waiting, descriptor)
-        self._listener.start()  # a daemon thread
+        self._listener.start()  # starts a daemon thread
 
     def enqueue(self, record: logging.LogRecord) -> None:
         """Queues a record, or counts it as dropped."""
@@ -79,13 +79,17 @@ class BackgroundHandler(QueueHandler):
             self._num_dropped += 1
 
     def drain(self, seconds: float = 1.0) -> None:
-        """Waits until all lines are written, at most so long."""
+        """Waits until all lines are written.
+
+        Args:
+            seconds: maximum time to wait [s].
+        """
         deadline = time.monotonic() + seconds
         while self._waiting.unfinished_tasks and time.monotonic() < deadline:
             time.sleep(0.005)
 
     def close(self) -> None:
-        """Ends the thread once it has written the waiting lines; does not wait for it."""
+        """Ends the thread after it has written the waiting lines, without waiting for this."""
         with suppress(queue.Full):
             self._listener.enqueue_sentinel()
         super().close()
@@ -97,14 +101,14 @@ def _notice(count: int) -> logging.LogRecord:
 
 
 class _DescriptorWriter(QueueListener):
-    """Writes to a descriptor without Python's buffers: their locks would block the exit."""
+    """Writes records to a descriptor without Python's buffers, whose locks could block the exit."""
 
     def __init__(self, waiting: queue.Queue[logging.LogRecord], descriptor: int) -> None:
         super().__init__(waiting)
         self._descriptor = descriptor
 
     def handle(self, record: logging.LogRecord) -> None:
-        """Writes a record; it is lost if the descriptor was closed."""
+        """Writes a record. If the descriptor is closed, the record is lost."""
         data = f"{record.getMessage()}\n".encode("utf-8", "backslashreplace")
         try:
             while data:

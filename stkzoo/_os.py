@@ -1,4 +1,4 @@
-"""What the library needs of the machine: cores, a display, files, zips, locks, addresses."""
+"""Interfaces to the operating system: cores, display, files, zips, locks and addresses."""
 
 from __future__ import annotations
 
@@ -45,42 +45,42 @@ __all__ = [
     "write_zip",
 ]
 
-#: Glob pattern of the files that :func:`atomic_write` has not finished.
+#: Glob pattern of the temporary files of :func:`atomic_write`.
 PART_FILES = ".*.part"
 
 _PREFIX = "stkzoo-run-"
 
 
 def cpu_count() -> int:
-    """The number of CPU cores that this process may use."""
+    """Returns the number of CPU cores that this process can use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def max_descriptors() -> int:
-    """How many files and connections this process may have open (``ulimit -n``)."""
+    """Returns the maximum number of open files and connections of this process (``ulimit -n``)."""
     if resource is None:
-        return 8192  # of the C library on Windows
+        return 8192  # limit of the C library on Windows
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return sys.maxsize if soft == resource.RLIM_INFINITY else soft
 
 
 def has_display() -> bool:
-    """Whether a window can be opened."""
+    """Returns whether the system has a display for windows."""
     names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
     return sys.platform != "linux" or any(map(os.environ.get, names))
 
 
 def check_display(need: str, alternative: str = "") -> None:
-    """Checks that there is a display for a window.
+    """Checks that the system has a display for windows.
 
     Args:
-        need: who needs it, for the message.
-        alternative: what to do without it, such as ``" or render_mode=None"``.
+        need: what needs the display, as first clause of the error text.
+        alternative: alternative in the error text, such as ``" or render_mode=None"``.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is no display.
     """
     if not has_display():
         raise ConfigError(
@@ -90,14 +90,18 @@ def check_display(need: str, alternative: str = "") -> None:
 
 
 def check_writable(path: str | os.PathLike[str], noun: str) -> Path:
-    """Checks before the work that a file can be written when it is done.
+    """Checks that a file can be written, before long work whose result it stores.
 
     Args:
-        path: the file; it may exist.
-        noun: what it is, such as ``"the result"``, for the message.
+        path: the file, which may exist.
+        noun: name of the content in the error text, such as ``"the result"``.
+
+    Returns:
+        The file.
 
     Raises:
-        ConfigError: it is a folder, a device or a pipe, or its folder is missing or not writable.
+        ConfigError: ``path`` is a folder, a device or a pipe, or its folder is missing or not
+            writable.
     """
     file = Path(path)
     folder = file.absolute().parent
@@ -116,9 +120,12 @@ def check_writable(path: str | os.PathLike[str], noun: str) -> Path:
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yields a temporary file to write, which replaces ``path`` when the block ends.
 
-    The temporary file is flushed to the disk first: after a crash of the program or the
-    machine, ``path`` holds the new content or the old one, never a part. An error in the
-    block removes the temporary file.
+    The temporary file is flushed to the disk before the replacement. After a crash of the program
+    or the machine, ``path`` has either the new or the old content, never a part of it. After an
+    error in the block, the temporary file is removed.
+
+    Args:
+        path: the file.
 
     Raises:
         OSError: the file cannot be written, or ``path`` is a device, a pipe or a folder.
@@ -147,15 +154,15 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 def write_whole(
     path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
 ) -> Iterator[Path]:
-    """:func:`atomic_write` with an error for users.
+    """Calls :func:`atomic_write` and converts its OSError to an error for users.
 
     Args:
         path: the file.
-        noun: what it is, such as ``"the plot"``.
-        error_type: the class of the error.
+        noun: name of the content in the error text, such as ``"the plot"``.
+        error_type: class of the error.
 
     Raises:
-        StkzooError: of ``error_type``; the file cannot be written.
+        StkzooError: the file cannot be written; the error is an ``error_type``.
     """
     try:
         with atomic_write(path) as part:
@@ -165,13 +172,23 @@ def write_whole(
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a text file whole; see :func:`write_whole`."""
+    """Writes a UTF-8 text file atomically; see :func:`write_whole`.
+
+    Args:
+        path: the file.
+        text: the text.
+    """
     with write_whole(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def write_zip(path: Path, members: Mapping[str, bytes]) -> None:
-    """Writes a compressed zip; a fixed date makes equal contents equal files."""
+    """Writes a compressed zip. All dates are fixed, so equal contents result in equal files.
+
+    Args:
+        path: the file.
+        members: content of each member by name.
+    """
     with zipfile.ZipFile(path, "w") as archive:
         for name, data in members.items():
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
@@ -180,10 +197,16 @@ def write_zip(path: Path, members: Mapping[str, bytes]) -> None:
 
 
 def try_lock(descriptor: int) -> bool:
-    """Locks an open file for this process, unless another one has locked it.
+    """Locks an open file for this process, without waiting.
 
-    The system releases the lock when the process ends, however it ends. A system without such
-    locks locks nothing.
+    The system releases the lock when the process ends, even after a crash. On systems without
+    ``flock``, this does nothing and returns ``True``.
+
+    Args:
+        descriptor: descriptor of the file.
+
+    Returns:
+        Whether the file is locked; ``False`` if another process has locked it.
     """
     if fcntl is not None:
         try:
@@ -194,11 +217,11 @@ def try_lock(descriptor: int) -> bool:
 
 
 def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:
-    """The digest of a file's content, as hexadecimal digits.
+    """Returns the digest of a file's content as hexadecimal digits.
 
     Args:
         path: the file.
-        digest: a new object of :mod:`hashlib`.
+        digest: a new hash object of :mod:`hashlib`.
     """
     with path.open("rb") as stream:
         while block := stream.read(1 << 20):
@@ -215,7 +238,7 @@ def _flush(path: Path) -> None:
 
 
 def file_identity(descriptor: int) -> tuple[int, int] | None:
-    """Device and inode of an open file or socket; ``None`` if the descriptor is closed."""
+    """Returns the device and inode of an open descriptor; ``None`` if it is closed."""
     try:
         status = os.fstat(descriptor)
     except OSError:
@@ -224,9 +247,13 @@ def file_identity(descriptor: int) -> tuple[int, int] | None:
 
 
 def above_standard_streams(descriptor: int) -> int:
-    """The descriptor, or one of 3 or more in its place where a standard stream is closed.
+    """Returns a descriptor above those of the standard streams, for the same file.
 
-    A library that writes to stdout or stderr would write into a file that has its number.
+    If a standard stream is closed, a new file can get its number. A library that writes to stdout
+    or stderr would then write to this file.
+
+    Args:
+        descriptor: an open descriptor. If it is 2 or less, it is duplicated and closed.
     """
     if descriptor > 2 or fcntl is None:
         return descriptor
@@ -237,13 +264,16 @@ def above_standard_streams(descriptor: int) -> int:
 
 
 class OwnDescriptor:
-    """A descriptor that a program may close behind our back, and use for a file of its own.
+    """A descriptor that notices if the program closed it.
 
-    ``os.closerange`` and libraries that make daemons close all descriptors. Then the number is
-    somebody else's, and closing it would be an error in their file.
+    ``os.closerange`` and daemon libraries close all descriptors of a process. Another file can
+    then get the number of the descriptor, and must not be closed.
 
     Args:
-        descriptor: an open one; this object closes it.
+        descriptor: an open descriptor, which this object closes.
+
+    Attributes:
+        closed: whether :meth:`close` was called.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -252,16 +282,16 @@ class OwnDescriptor:
         self.closed = False
 
     def fileno(self) -> int:
-        """The descriptor."""
+        """Returns the descriptor."""
         return self._descriptor
 
     @property
     def is_lost(self) -> bool:
-        """Whether the descriptor is closed or is of another file by now."""
+        """Whether the descriptor is closed or now refers to another file."""
         return self.closed or file_identity(self._descriptor) != self._identity
 
     def close(self) -> None:
-        """Closes the descriptor if it is still ours. You may call it again."""
+        """Closes the descriptor, unless it now refers to another file. Can be called again."""
         if not self.is_lost:
             os.close(self._descriptor)
         self.closed = True
@@ -272,14 +302,14 @@ class OwnDescriptor:
 
 
 class LockedTemporaryDirectory:
-    """A temporary directory that does not outlive its program, however that ends.
+    """A temporary directory that is removed even if its program is killed.
 
-    The directory is locked for as long as the program runs; the system releases the lock of
-    a killed program. Each new directory removes those that are no longer locked. A context
-    manager.
+    The directory is locked while the program runs, and the system releases the lock of a killed
+    program. Whenever a new directory is created, all unlocked ones are removed. This class is a
+    context manager.
 
     Args:
-        kind: what the directory is for; part of its name.
+        kind: purpose of the directory, which is part of its name.
 
     Attributes:
         path: the directory.
@@ -289,7 +319,7 @@ class LockedTemporaryDirectory:
         remove_stale_directories()
         self._lock: OwnDescriptor | None = None
         is_locked = False
-        while not is_locked:  # another program may remove the directory before it is locked
+        while not is_locked:  # another program can remove the directory before it is locked
             self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
             is_locked = fcntl is None or self._acquire()
 
@@ -300,12 +330,12 @@ class LockedTemporaryDirectory:
         self.close()
 
     def close(self) -> None:
-        """Removes the directory. You may call it again."""
+        """Removes the directory. Can be called again."""
         shutil.rmtree(self.path, ignore_errors=True)
         self.release()
 
     def release(self) -> None:
-        """Releases the lock and leaves the directory in place."""
+        """Releases the lock but keeps the directory."""
         lock, self._lock = self._lock, None
         if lock is not None:
             lock.close()
@@ -340,7 +370,7 @@ def _remove_if_unlocked(folder: Path) -> None:
 
 
 def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """The IP address that a text is; ``None`` for a name."""
+    """Returns the IP address in a text; ``None`` for a host name."""
     try:
         return ipaddress.ip_address(host)
     except ValueError:
@@ -348,7 +378,14 @@ def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | 
 
 
 def network_of(host: str) -> str:
-    """The network of an address that counts as one client: of IPv6, the first 64 bits."""
+    """Returns the network of an address that counts as one client.
+
+    Args:
+        host: an address or name.
+
+    Returns:
+        The /64 network of an IPv6 address; otherwise ``host`` itself.
+    """
     address = ip_address_of(host.partition("%")[0])
     if isinstance(address, ipaddress.IPv6Address) and not address.ipv4_mapped:
         return str(ipaddress.ip_network((address, 64), strict=False))
@@ -356,6 +393,6 @@ def network_of(host: str) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address or name."""
+    """Returns whether an address or name can only be reached from this machine."""
     address = ip_address_of(host)
     return host.lower() == "localhost" or (address is not None and address.is_loopback)

@@ -1,4 +1,4 @@
-"""Reads files that anyone may have made: bounded memory, and one error for any damage."""
+"""Readers of untrusted files, with bounded memory and one kind of error for any damage."""
 
 from __future__ import annotations
 
@@ -33,27 +33,28 @@ __all__ = [
     "reading",
 ]
 
-#: The largest size of a text or JSON file, unless its reader has another limit [bytes].
+#: Default maximum size of a text or JSON file [bytes].
 MAX_BYTES = 8 << 20
 
-#: JSON values take up to 72 bytes of memory each, so a text may have one for each of these bytes.
+#: Minimum size of a text per JSON value [bytes]. A value takes up to 72 bytes of memory.
 _BYTES_PER_VALUE = 8
 _MAX_REASON = 300
 _MIN_LIST = 1 << 20
-_MAX_NAME = 300  # bytes of memory and file for the name of a zip's member
-_KINDS = "biufU"  # of arrays
+_MAX_NAME = 300  # maximum mean size of a member's entry in a zip's list of files [bytes]
+_KINDS = "biufU"  # valid kinds of array types
 _BLOCK = 1 << 20
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # the others unpack without a bound
-#: No file grows more than this when deflate unpacks it, unless its members overlap.
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # other methods unpack without a bound
+#: Maximum ratio of unpacked to packed size with deflate, if the members of a zip do not overlap;
+#: and a size that is always allowed [bytes].
 _MAX_RATIO, _SMALL = 1100, 1 << 20
 
 
 class Unreadable(ValueError):
-    """Why a file is damaged. Its reader turns it into an error that names the file.
+    """A file is damaged. :func:`reading` converts this to an error that names the file.
 
     Args:
-        problem: what came, and what was expected.
-        field: the part of the document that it is about, such as ``agents[0].rank``.
+        problem: what was found, and what was expected.
+        field: the affected part of the document, such as ``agents[0].rank``.
     """
 
     def __init__(self, problem: str, field: str = "") -> None:
@@ -61,7 +62,11 @@ class Unreadable(ValueError):
         self._problem, self._field = problem, field
 
     def inside(self, outer: str) -> Unreadable:
-        """The same for the document that has the part ``outer``: ``.name`` or ``[number]``."""
+        """Returns the same error for an enclosing document.
+
+        Args:
+            outer: the part of the enclosing document: ``.name`` or ``[number]``.
+        """
         return Unreadable(self._problem, outer + self._field)
 
 
@@ -69,21 +74,21 @@ class Unreadable(ValueError):
 def reading(
     what: str, expected: str, error_type: type[StkzooError] = ConfigError
 ) -> Iterator[None]:
-    """Turns every error of a block that reads a file into one for users.
+    """Converts every error of a block that reads a file to an error for users.
 
     Args:
-        what: names the file, such as ``"plan.json has no tournament plan"``.
-        expected: where a good one comes from, or what to do.
-        error_type: the class of the error.
+        what: start of the error text, such as ``"plan.json has no tournament plan"``.
+        expected: the source of a valid file, or what to do.
+        error_type: class of the error.
 
     Raises:
-        StkzooError: of ``error_type``.
+        StkzooError: the block raised an error; this one is an ``error_type``.
     """
     try:
         yield
     except MemoryError:
         raise
-    except Exception as error:  # damage shows in many ways
+    except Exception as error:  # damage causes many kinds of errors
         why = _why(error)
         line = f"{what} ({why}); expected {expected}"
         if len(line) > MAX_LINE:
@@ -105,17 +110,22 @@ def _why(error: Exception) -> str:
 
 
 def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes:
-    """The content of a file.
+    """Returns the content of a file.
+
+    Args:
+        path: the file.
+        max_bytes: maximum size [bytes].
 
     Raises:
-        Unreadable: it is larger than ``max_bytes``, or no regular file: a pipe would block.
-        OSError: it is missing or cannot be read.
+        Unreadable: the file is larger than ``max_bytes``, or not a regular file. A pipe, for
+            example, would block.
+        OSError: the file is missing or cannot be read.
     """
     file = Path(path)
     size = _checked_size(file, max_bytes)
     with file.open("rb") as stream:
-        data = stream.read(size + 1)  # Python makes room for all that it is asked to read
-        if len(data) > size:  # it has grown, or its system reports no size
+        data = stream.read(size + 1)  # Python allocates as much memory as it is asked to read
+        if len(data) > size:  # the file has grown, or its file system reports no size
             data += stream.read(max_bytes + 1 - len(data))
     if len(data) > max_bytes:
         raise Unreadable(f"it has more than {max_bytes:,} bytes")
@@ -123,7 +133,7 @@ def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes
 
 
 def is_there(path: str | os.PathLike[str]) -> bool:
-    """Whether there is a file or folder; a text that is no path names none."""
+    """Returns whether a file or folder exists; ``False`` for a text that is not a valid path."""
     try:
         return Path(path).exists()
     except (OSError, ValueError):
@@ -140,11 +150,15 @@ def _checked_size(file: Path, max_bytes: int) -> int:
 
 
 def read_text(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> str:
-    """The text of a UTF-8 file.
+    """Returns the text of a UTF-8 file.
+
+    Args:
+        path: the file.
+        max_bytes: maximum size [bytes].
 
     Raises:
-        Unreadable: it is too large, or not such a text.
-        OSError: it is missing or cannot be read.
+        Unreadable: the file is too large, not a regular file, or not UTF-8.
+        OSError: the file is missing or cannot be read.
     """
     return _decoded(read_file(path, max_bytes))
 
@@ -157,10 +171,14 @@ def _decoded(data: bytes) -> str:
 
 
 def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
-    """The value of a JSON text. Unlike Python's own reader, it accepts only finite numbers.
+    """Returns the value of a JSON text. Unlike Python's own reader, it accepts only finite numbers.
+
+    Args:
+        text: the text, or its UTF-8 bytes.
+        max_bytes: maximum length of the text [characters], which also limits its number of values.
 
     Raises:
-        Unreadable: the text is not JSON, nested too deep, or has too many values.
+        Unreadable: the text is not JSON, is too long or too deeply nested, or has too many values.
     """
     if isinstance(text, bytes):
         text = _decoded(text)
@@ -177,7 +195,7 @@ def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
         raise
     except json.JSONDecodeError as error:
         raise Unreadable(f"it is not JSON: {error}") from None
-    except ValueError as error:  # a whole number of more digits than Python accepts
+    except ValueError as error:  # a whole number with more digits than Python accepts
         raise Unreadable(f"it has a number that is too long: {error!s:.100}") from None
 
 
@@ -189,16 +207,25 @@ def _finite(text: str) -> float:
 
 
 def load_json(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> Any:
-    """The value of a JSON file; see :func:`read_text` and :func:`read_json`."""
+    """Returns the value of a JSON file; see :func:`read_text` and :func:`read_json`.
+
+    Args:
+        path: the file.
+        max_bytes: maximum size [bytes].
+    """
     return read_json(read_text(path, max_bytes), max_bytes)
 
 
 def read_lines(path: str | os.PathLike[str], max_bytes: int = 64 << 20) -> Iterator[Any]:
-    """The value of each line of a file of JSON lines.
+    """Yields the value of each line of a file of JSON lines.
+
+    Args:
+        path: the file.
+        max_bytes: maximum size [bytes].
 
     Raises:
-        Unreadable: it is too large, or a line is not JSON.
-        OSError: it is missing or cannot be read.
+        Unreadable: the file is too large, or a line is not JSON.
+        OSError: the file is missing or cannot be read.
     """
     _checked_size(Path(path), max_bytes)
     with Path(path).open("rb") as stream:
@@ -217,7 +244,10 @@ def _line(line: bytes, number: int) -> Any:
 
 
 class _ZipFile(io.FileIO):
-    """A zip's file; while the zip is opened, its list of members is bounded."""
+    """The file of a zip. It limits the list of members that zipfile reads when it opens the zip.
+
+    Setting ``max_files`` to ``None`` ends the limit.
+    """
 
     def __init__(self, path: Path, max_files: int) -> None:
         super().__init__(path)
@@ -240,17 +270,19 @@ class _ZipFile(io.FileIO):
 def open_zip(
     path: str | os.PathLike[str], max_files: int, max_unpacked: int, max_bytes: int | None = None
 ) -> Iterator[zipfile.ZipFile]:
-    """A zip to read, after a check of its list: reading a member takes no more than it declares.
+    """Opens a zip for reading after checking its list of members.
+
+    Reading a member then takes no more memory than its declared size.
 
     Args:
         path: the file.
-        max_files: the largest number of members.
-        max_unpacked: the largest size of all members together [bytes].
-        max_bytes: the largest size of the file [bytes]; the same as ``max_unpacked`` by default.
+        max_files: maximum number of members.
+        max_unpacked: maximum total size of the unpacked members [bytes].
+        max_bytes: maximum size of the file [bytes]; by default, ``max_unpacked``.
 
     Raises:
         Unreadable: a limit is exceeded, or a member is encrypted or has an unusual compression.
-        Exception: it is damaged; zipfile and zlib report that in many ways.
+        Exception: the zip is damaged; zipfile and zlib raise errors of many classes.
     """
     file = Path(path)
     _checked_size(file, max_unpacked if max_bytes is None else max_bytes)
@@ -278,12 +310,12 @@ def _check_member(member: zipfile.ZipInfo) -> None:
 def read_zip(
     path: str | os.PathLike[str], limits: Mapping[str, int], max_bytes: int = 64 << 20
 ) -> dict[str, bytes]:
-    """The content of a zip's members.
+    """Returns the contents of members of a zip, by name.
 
     Args:
         path: the file.
-        limits: the largest size of each member to read [bytes], by name.
-        max_bytes: the largest size of the file [bytes].
+        limits: the members to read, with the maximum unpacked size of each [bytes].
+        max_bytes: maximum size of the file [bytes].
 
     Raises: as :func:`open_zip`.
     """
@@ -301,12 +333,12 @@ def read_zip(
 def read_arrays(
     path: str | os.PathLike[str], max_unpacked: int, max_files: int = 1000
 ) -> dict[str, npt.NDArray[Any]]:
-    """The arrays of an ``.npz`` file by name. Nothing is unpickled.
+    """Returns the arrays of an ``.npz`` file by name, without unpickling.
 
     Args:
         path: the file.
-        max_unpacked: the largest size of all arrays together [bytes].
-        max_files: the largest number of arrays.
+        max_unpacked: maximum total size of the arrays [bytes].
+        max_files: maximum number of arrays.
 
     Raises: as :func:`open_zip`.
     """
@@ -318,10 +350,14 @@ def read_arrays(
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
-    """An array whose header agrees with the size of its file."""
+    """Returns an array, after checking that its header matches the size of its member.
+
+    Raises:
+        Unreadable: the header is invalid or does not match.
+    """
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
-        if version != (1, 0):  # the others have headers of any length
+        if version != (1, 0):  # headers of other versions have no limit on their length
             raise Unreadable(f"{member.filename} has version {version}, expected (1, 0)")
         shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
         if dtype.kind not in _KINDS or not dtype.itemsize:
@@ -330,7 +366,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
         if min(shape, default=0) < 0 or size != member.file_size - stream.tell():
             found = shortened(shape, 60)
             raise Unreadable(f"{member.filename} has another size than its shape {found}")
-        data = bytearray(size)  # arrays on it are writable
+        data = bytearray(size)  # unlike bytes, makes the array writable
         for start in range(0, size, _BLOCK):
             block = stream.read(min(_BLOCK, size - start))
             data[start : start + len(block)] = block

@@ -1,4 +1,4 @@
-"""JSON values as dataclasses: types and bounds are the annotations of the fields.
+"""Conversion of JSON values to dataclasses, whose annotations define types and bounds.
 
 >>> @dataclass
 ... class Kart:
@@ -43,9 +43,9 @@ __all__ = [
 T = TypeVar("T")
 _Reader = Callable[[Any], Any]
 
-#: Larger whole numbers do not fit into arrays.
+#: Limit of whole numbers. Larger ones do not fit into arrays.
 _MAX_WHOLE = 2**63
-#: How deep a value without a type may be nested.
+#: Maximum nesting depth of a value without a type.
 _MAX_DEPTH = 16
 
 
@@ -64,12 +64,12 @@ class Within:
     is_above: bool = False
 
     def accepts(self, value: Any) -> bool:
-        """Whether a value keeps to the bounds."""
+        """Returns whether a value is within the bounds."""
         number = value if isinstance(value, (int, float)) else len(value)
         return self.low <= number <= self.high and not (self.is_above and number == self.low)
 
     def expected(self, value: Any) -> str:
-        """The bounds in words."""
+        """Returns the bounds as text for an error."""
         noun = "a value" if isinstance(value, (int, float)) else "a length"
         if self.is_above:
             return f"{noun} above {self.low:g}"
@@ -85,36 +85,36 @@ class OneOf:
     values: tuple[object, ...]
 
     def accepts(self, value: Any) -> bool:
-        """Whether a value is among them."""
+        """Returns whether a value is valid."""
         return value in self.values
 
     def expected(self, value: Any) -> str:  # noqa: ARG002 - the same for all
-        """The values in words."""
+        """Returns the valid values as text for an error."""
         return f"one of {', '.join(map(str, self.values))}"
 
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """The form of a text.
+    """The required pattern of a text.
 
     Attributes:
-        pattern: a regular expression for all of it.
-        noun: what such a text is.
+        pattern: a regular expression for the whole text.
+        noun: description of a valid text in errors.
     """
 
     pattern: str
     noun: str
 
     def accepts(self, value: Any) -> bool:
-        """Whether a text has the form."""
+        """Returns whether a text matches the pattern."""
         return re.fullmatch(self.pattern, value) is not None
 
     def expected(self, value: Any) -> str:  # noqa: ARG002 - the same for all
-        """The form in words."""
+        """Returns the description of a valid text."""
         return self.noun
 
 
-#: Usual bounds.
+#: Common types with bounds.
 Count = Annotated[int, Within(0)]
 Whole = Annotated[int, Within(1)]
 Level = Annotated[int, Within(0, 3)]
@@ -125,21 +125,24 @@ Share = Annotated[float, Within(0, 1)]
 
 
 def plain_text(text: str) -> str:
-    """A text without control codes, which a terminal would obey."""
+    """Returns a text in which ``?`` replaces control codes, which could affect a terminal.
+
+    Line feeds and tabs are kept.
+    """
     if text.isprintable():
         return text
     return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in text)
 
 
 def typed(hint: type[T], value: Any) -> T:
-    """A JSON value as a type with bounds.
+    """Converts a JSON value to a type and checks its bounds.
 
-    Objects become dataclasses, without entries that are no fields: later versions may have
-    others. Lists become tuples where the type has tuples. Texts lose control codes.
+    Objects become dataclasses. Entries that are not fields are ignored, because later versions may
+    add entries. Lists become tuples if the type is a tuple. Control codes in texts are replaced.
 
     Args:
-        hint: a dataclass, a tuple, list, dict or plain type, one of these or ``None``, or an
-            ``Annotated`` form of one with :class:`Within`, :class:`OneOf` or :class:`Matching`.
+        hint: a dataclass, tuple, list, dict or plain type; a union of one of these and ``None``;
+            or one of these annotated with :class:`Within`, :class:`OneOf` or :class:`Matching`.
         value: the value.
 
     Raises:
@@ -150,7 +153,7 @@ def typed(hint: type[T], value: Any) -> T:
 
 @cache
 def _reader(hint: Any) -> _Reader:
-    """What reads values of a type."""
+    """Returns the function that converts values to a type."""
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if hint is Any:
         return _read_any
@@ -278,7 +281,7 @@ def _read_str(value: Any) -> str:
 
 
 def _read_any(value: Any, depth: int = _MAX_DEPTH) -> Any:
-    """A value of any type, which is not nested deep and has no huge numbers."""
+    """Returns a value of any type, after checking its depth, numbers and texts."""
     if depth == 0:
         raise Unreadable("is nested too deep")
     if type(value) is list:
@@ -291,7 +294,7 @@ def _read_any(value: Any, depth: int = _MAX_DEPTH) -> Any:
 
 
 def _instance(kind: type) -> _Reader:
-    """A value that is an object of Python already."""
+    """Returns a function that only accepts instances of a class."""
 
     def instance(value: Any) -> Any:
         if not isinstance(value, kind):

@@ -1,4 +1,4 @@
-"""The ways in which a user may name an agent."""
+"""Lookup of agents by id or number."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ Value = TypeVar("Value")
 
 
 def find_agent(name: object, agents: Iterable[str]) -> str:
-    """The id of the agent that is meant.
+    """Returns the id of an agent.
 
     Args:
-        name: an agent's id (``"kart_0"``), its number (``0``) or that as a string (``"0"``).
-        agents: the ids of all agents.
+        name: id of the agent (``"kart_0"``), its number (``0``) or the number as a string
+            (``"0"``).
+        agents: ids of all agents.
 
     Raises:
-        ConfigError: none of them is meant; the text lists them.
+        ConfigError: there is no such agent; the error text lists the agents.
 
     Example:
         >>> find_agent(1, ["kart_0", "kart_1"])
@@ -37,10 +38,14 @@ def find_agent(name: object, agents: Iterable[str]) -> str:
 
 
 def of_agent(values: Mapping[str, Value], agent: str) -> Value:
-    """The value of the agent with this id.
+    """Returns the value of an agent.
+
+    Args:
+        values: values by id of the agent.
+        agent: id of the agent.
 
     Raises:
-        ConfigError: there is no such agent; the text lists them.
+        ConfigError: there is no such agent; the error text lists the agents.
     """
     if agent not in values:
         raise unknown_name("agent", agent, values)
@@ -48,10 +53,14 @@ def of_agent(values: Mapping[str, Value], agent: str) -> Value:
 
 
 def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str, Value]:
-    """The same values under the agents' ids.
+    """Returns values by id of the agent.
+
+    Args:
+        values: values by id or number of the agent, as in :func:`find_agent`.
+        agents: ids of all agents.
 
     Raises:
-        ConfigError: a key means no agent, or two keys mean the same one.
+        ConfigError: a key does not identify an agent, or two keys identify the same agent.
     """
     agents = list(agents)
     found: dict[str, Value] = {}

@@ -29,9 +29,9 @@ class AgentSpec:
         name: player name.
         camera_mode: whether the kart has a camera when the game renders the race. Also accepts a
             name, such as ``"ON"``.
-        kart: kart model, such as ``"gnu"`` (``stkzoo assets status`` lists them); an empty string
-            selects the game's default.
-        color: hue shift of the kart, in [0, 1]; 0 keeps the original color.
+        kart: kart model, such as ``"gnu"`` (``stkzoo karts`` lists them); an empty string selects
+            the game's default.
+        color: hue shift of the kart, in [0, 1]; 0 keeps the original colour.
     """
 
     rank_start: int | None = None

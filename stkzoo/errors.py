@@ -8,16 +8,16 @@
     ├── ApiOrderError                     a method was called too early or too late
     ├── ActionError (also a ValueError)   an action is invalid; the race did not advance
     ├── EngineError                       the game's process failed
-    │   ├── EngineCrashed                 the game's process died
+    │   ├── EngineCrashed                 the game's process ended unexpectedly
     │   └── EngineTimeout                 the game's process did not answer in time
     ├── AgentError                        an agent's own code failed
-    │   ├── AgentException                a wrapper of an agent failed (the reference's name)
+    │   ├── AgentException                a wrapper of an agent failed (pystk2-gymnasium's name)
     │   └── AgentTimeout                  an agent took too long
     └── RemoteError                       the other end of a network connection failed
         └── ProtocolError                 the other end sent an invalid message
 
-A message says what came, what was expected and what to do. Every error can be made from its
-text alone, and pickled.
+An error text says what was found, what was expected and what to do. Every error can be pickled,
+and constructed from its text alone.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ __all__ = [
 
 Kind = TypeVar("Kind", bound=type)
 
-#: The longest first line of a message, in characters.
+#: Maximum length of the first line of an error text [characters].
 MAX_LINE = 200
 
-#: Containers that :func:`shortened` writes element by element ...
+#: Brackets of the containers that :func:`shortened` writes element by element.
 _BRACKETS: dict[type, tuple[str, str]] = {list: "[]", tuple: "()", dict: "{}", set: "{}"}  # type: ignore[dict-item]
-#: ... to this depth, and the most elements of an array that it shows.
+#: Maximum depth of containers, and maximum size of arrays, that :func:`shortened` writes.
 _MAX_DEPTH, _MAX_SHOWN = 20, 1000
 
 
@@ -85,7 +85,7 @@ class ActionError(StkzooError, ValueError):
     """An action is outside its space, or missing. The race did not advance.
 
     Attributes:
-        agent: id of the agent whose action it is; empty if unknown.
+        agent: id of the agent; empty if unknown.
     """
 
     def __init__(self, message: str, agent: str = "") -> None:
@@ -98,7 +98,7 @@ class EngineError(StkzooError):
 
     Attributes:
         message: the text without the log.
-        log: the last lines that the game wrote, oldest first; may be empty.
+        log: last lines of the game's output, oldest first; may be empty.
     """
 
     def __init__(self, message: str, log: str = "") -> None:
@@ -109,7 +109,7 @@ class EngineError(StkzooError):
 
 
 class EngineCrashed(EngineError):
-    """The game's process died; the next ``reset`` starts a new one."""
+    """The game's process ended unexpectedly. The next ``reset`` starts a new one."""
 
 
 class EngineTimeout(EngineError):
@@ -121,9 +121,8 @@ class AgentError(StkzooError):
 
     Attributes:
         key: id of the agent; empty if unknown.
-        trace: the traceback in the agent's own code, or the last lines that its process
-            wrote; may be empty.
-        seconds: how long the decision took that failed [s]; 0 if unknown.
+        trace: traceback in the agent's code, or the last output of its process; may be empty.
+        seconds: duration of the failed decision [s]; 0 if unknown.
     """
 
     def __init__(self, message: str, key: str = "", trace: str = "", seconds: float = 0.0) -> None:
@@ -138,7 +137,7 @@ class AgentException(AgentError):
 
 
 class AgentTimeout(AgentError):
-    """An agent took longer for its action than allowed."""
+    """An agent exceeded the time limit for its action."""
 
 
 class RemoteError(StkzooError):
@@ -150,12 +149,16 @@ class ProtocolError(RemoteError):
 
 
 def shortened(value: object, limit: int = 60) -> str:
-    """The value as Python writes it, cut to a number of characters.
+    """Returns the ``repr`` of a value, shortened to a maximum length.
 
-    The cost depends on the limit, not on the value: of a list, tuple, dict or text only what is
-    shown is written, and an array of many elements is described. (The standard library's
-    ``reprlib`` sorts dicts, and shows only the first few elements of everything.) Other values
-    are written by their own ``__repr__``.
+    The cost depends on the limit, not on the size of the value. Only the visible part of a list,
+    tuple, dict, set or text is formatted, and a large array is described by shape and dtype. Other
+    values are formatted by their own ``__repr__``. (The standard library's ``reprlib`` sorts dicts
+    and shows only the first few elements of each container.)
+
+    Args:
+        value: the value.
+        limit: maximum length [characters].
     """
     text = ""
     for part in _parts_of(value, limit, 0):
@@ -166,7 +169,7 @@ def shortened(value: object, limit: int = 60) -> str:
 
 
 def _parts_of(value: object, limit: int, depth: int) -> Iterator[str]:
-    """The text of a value piece by piece, each of bounded length for plain data."""
+    """Yields the text of a value in pieces. For plain data, each piece has a bounded length."""
     kind = type(value)
     if kind in _BRACKETS and depth < _MAX_DEPTH and value:
         opening, closing = _BRACKETS[kind]
@@ -188,21 +191,21 @@ def _parts_of(value: object, limit: int, depth: int) -> Iterator[str]:
     else:
         try:
             yield repr(value)
-        except Exception:  # noqa: BLE001 - of any class
+        except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error
             yield f"({kind.__name__}: its __repr__ failed)"
 
 
 def check_whole(name: str, value: object, low: int, high: int | None = None) -> int:
-    """Checks that a value is a whole number within bounds, and returns it as Python's own.
+    """Checks that a value is a whole number within bounds, and returns it as an int.
 
     Args:
-        name: what the value is for, such as ``"jobs"``.
-        value: the value as it came.
+        name: name of the value in the error text, such as ``"jobs"``.
+        value: the value.
         low: lowest valid value.
         high: highest valid value; ``None`` for no bound.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: the value is not a whole number or out of bounds.
     """
     try:
         number = low - 1 if isinstance(value, bool) else operator.index(value)  # type: ignore[arg-type]
@@ -223,18 +226,18 @@ def check_number(
     unit: str = "",
     is_finite: bool = True,
 ) -> float:
-    """Checks that a value is a number within bounds, and returns it as Python's own.
+    """Checks that a value is a number within bounds, and returns it as a float.
 
     Args:
-        name: what the value is for, such as ``"step_size"``.
-        value: the value as it came.
-        low: the number that it must be above; with ``high`` the lowest valid one.
+        name: name of the value in the error text, such as ``"step_size"``.
+        value: the value.
+        low: lowest valid value; without ``high``, the value must be above ``low``.
         high: highest valid value; ``None`` for no bound.
-        unit: of the number, such as ``"seconds"``, for the message.
+        unit: unit of the value in the error text, such as ``"seconds"``.
         is_finite: whether infinity is invalid.
 
     Raises:
-        ConfigError: it is not.
+        ConfigError: the value is not a number or out of bounds.
     """
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
     try:
@@ -252,10 +255,14 @@ def check_number(
 
 
 def check_flag(name: str, value: object) -> bool:
-    """Checks that a value is true or false, and returns it as Python's own.
+    """Checks that a value equals ``True`` or ``False``, and returns it as a bool.
+
+    Args:
+        name: name of the value in the error text.
+        value: the value.
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: the value is neither.
     """
     if not isinstance(value, Hashable) or value not in (True, False):
         raise ConfigError(f"{name} is {shortened(value)}, expected True or False")
@@ -266,13 +273,14 @@ def import_extra(module: str, needs: str, extra: str, hint: str = "") -> Any:
     """Imports a module of a library that one of stkzoo's extras installs.
 
     Args:
-        module: its name.
-        needs: subject and verb of the error, such as ``"the plot needs"``.
-        extra: the extra.
-        hint: what follows the command, such as ``"or pass --no-plot"``.
+        module: name of the module.
+        needs: subject and verb of the error text, such as ``"the plot needs"``.
+        extra: name of the extra.
+        hint: end of the error text, after the command that installs the extra, such as
+            ``"or pass --no-plot"``.
 
     Raises:
-        ConfigError: it is not installed.
+        ConfigError: the library is not installed or cannot be loaded.
     """
     try:
         return importlib.import_module(module)
@@ -288,16 +296,16 @@ def import_extra(module: str, needs: str, extra: str, hint: str = "") -> Any:
 
 
 def reason(error: Exception) -> str:
-    """Why a file or an address cannot be used, without numbers and without the name again."""
+    """Returns why a file or address cannot be used, without its name or an error number."""
     return (getattr(error, "strerror", None) or str(error)).partition(" (while ")[0]
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
-    """Makes the error for an unknown name; it suggests the nearest known one, or lists them all.
+    """Returns the error for an unknown name. It suggests the nearest valid name or lists all.
 
     Args:
-        kind: what the name is for, such as ``"track"``.
-        name: the name as it came.
+        kind: what the name identifies, such as ``"track"``.
+        name: the unknown name.
         known: the valid names.
     """
     known = sorted(known)
@@ -311,9 +319,12 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
 
 
 def check_arguments(kind: Kind) -> Kind:
-    """Decorates a class: an unknown keyword is a ``ConfigError`` that names the nearest one.
+    """Class decorator that raises a ``ConfigError`` with a suggestion for an unknown keyword.
 
-    Where the class has ``num_kart``, ``num_karts`` is accepted too.
+    If the class has an argument ``num_kart``, its constructor also accepts ``num_karts``.
+
+    Args:
+        kind: the class.
     """
     make: Any = kind.__init__  # type: ignore[misc]
     known = list(inspect.signature(make).parameters)[1:]

@@ -1,7 +1,7 @@
 """Enumerations of the numeric codes in observations; most codes are the engine's own.
 
-Importing this module does not load the engine. When a race starts, :mod:`stkzoo.engine.race`
-compares these numbers with those of the engine.
+Importing this module does not load the engine. When the engine starts, :mod:`stkzoo.engine.race`
+compares the numbers of powerups, attachments and items with those of the engine.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The fixed split of the race tracks into training and test tracks.
 
 The six test tracks mix short and long tracks, with and without forks, easy and hard for simple
-drivers. Do not train or tune on them. ``black_forest`` is a training track, although its lap
-takes four times as long as the shortest one.
+drivers. Do not train or tune on them. ``black_forest`` is a training track, although the
+game's AI takes more than four times as long for its lap as for the shortest one.
 """
 
 from __future__ import annotations

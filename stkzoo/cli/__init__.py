@@ -1,15 +1,15 @@
 """The command line, ``stkzoo``: each public module of this package is one command.
 
-A command's module has
+The module of a command has
 
-- a docstring: its first line is the command's line in ``stkzoo --help``, the rest its description,
-  of which ``stkzoo COMMAND --help`` shows ``exit codes:`` and what follows at the end;
-- ``add_arguments(parser)``: declares its arguments;
-- ``run(arguments)``: does the work and returns the exit code; a command with actions has one
-  function for each instead (:func:`~stkzoo.cli._arguments.add_actions`).
+- a docstring, whose first line is the command's summary in ``stkzoo --help``. The rest is its
+  description in ``stkzoo COMMAND --help``, which shows the part from ``exit codes:`` at the end;
+- ``add_arguments(parser)``, which declares its arguments;
+- ``run(arguments)``, which runs the command and returns the exit code. A command with actions has
+  one function for each action instead (:func:`~stkzoo.cli._arguments.add_actions`).
 
-Modules are light to import: ``add_arguments`` and ``run`` import what is heavy. The module
-``race_server`` is the command ``race-server``. Private modules have what several commands share.
+Modules must be fast to import, so slow imports are inside ``add_arguments`` and ``run``. The
+module ``race_server`` is the command ``race-server``. Private modules contain shared code.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from stkzoo.errors import StkzooError
 
 __all__ = ["COMMANDS", "build_parser", "main"]
 
-#: The commands' names.
+#: Names of the commands.
 COMMANDS = tuple(
     module.name.replace("_", "-")
     for module in pkgutil.iter_modules(__path__)
@@ -52,11 +52,11 @@ exit codes:
 
 
 def build_parser(command: str | None = None) -> CommandParser:
-    """The parser of the command line.
+    """Returns the parser of the command line.
 
     Args:
-        command: the command that will be parsed; the others are listed, but without their
-            arguments. ``None`` for the arguments of all commands.
+        command: the command to parse. Other commands are listed without their arguments. ``None``
+            declares the arguments of all commands.
     """
     parser = CommandParser(
         prog="stkzoo",
@@ -79,11 +79,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command.
 
     Args:
-        argv: the words after the program's name; ``None`` for the process's own.
+        argv: arguments after the name of the program; ``None`` for those of this process.
 
     Returns:
-        0 for success, 1 for failure (also where the reader of its output is gone, as with
-        ``| head``), 2 for an invalid command line, 130 after an interrupt from the keyboard.
+        The exit code: 0 for success; 1 for failure, or if the reader of stdout has ended, as with
+        ``| head``; 2 for an invalid command line; 130 after an interrupt from the keyboard. Some
+        commands return further codes.
     """
     words = sys.argv[1:] if argv is None else list(argv)
     prepare_streams()

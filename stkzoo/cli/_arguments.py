@@ -1,4 +1,4 @@
-"""Arguments that several commands share, and how they are checked."""
+"""Arguments that several commands share, and functions to add commands."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ from stkzoo._arguments import CommandParser, add_options, option
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
 
-#: ``reverse`` by the names of ``--directions``.
+#: Values of ``reverse`` by the names of ``--directions``.
 DIRECTIONS = {"forward": False, "reversed": True}
 
 Run = Callable[[argparse.Namespace], int]
 
 
 def usage_errors(run: Run) -> Run:
-    """Reports a command's ``ConfigError`` with its usage and exit code 2, as argparse does."""
+    """Decorator that reports a command's ``ConfigError`` like argparse, with exit code 2.
+
+    Args:
+        run: the command's ``run``.
+    """
 
     @functools.wraps(run)
     def checked(arguments: argparse.Namespace) -> int:
@@ -42,11 +46,11 @@ def add_command(
     """Adds the parser of a command or an action.
 
     Args:
-        subparsers: of the command line, or of a command.
-        name: the command's.
-        documented: what has its docstring: a line for the list, a description if there is more to
-            say, "Examples:", and "exit codes:", which come below the options.
-        **options: of the parser.
+        subparsers: subparsers of the command line or of a command.
+        name: name of the command or action.
+        documented: module or function with its docstring: a summary, and optionally a description,
+            "Examples:" and "exit codes:". The help shows the exit codes below the options.
+        **options: further arguments of the parser.
     """
     summary, _, text = (inspect.getdoc(documented) or "").partition("\n\n")
     description, heading, codes = text.partition("exit codes:")
@@ -63,11 +67,11 @@ def add_actions(parser: CommandParser, *actions: Run) -> list[CommandParser]:
     """Adds the actions of a command, such as ``install`` of ``stkzoo assets install``.
 
     Args:
-        parser: the command's parser.
-        *actions: functions named after the actions, each run as a command's ``run``.
+        parser: parser of the command.
+        *actions: functions named after the actions. Each is called like a command's ``run``.
 
     Returns:
-        The actions' parsers.
+        The parsers of the actions.
     """
     subparsers = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     children = []
@@ -95,25 +99,29 @@ def add_batch_options(parser: CommandParser, decided: Collection[str]) -> None:
     """Adds the options of all commands that run many races.
 
     Args:
-        parser: the command's parser.
-        decided: fields of ``RaceSettings`` that the command sets itself.
+        parser: parser of the command.
+        decided: fields of ``RaceSettings`` without options, because the command sets them.
     """
     add_options(parser, BatchArguments)
     add_options(parser, RaceSettings, without=decided, group="each race")
 
 
 def tracks_option() -> Any:
-    """A field for ``--track``, with several names."""
+    """Returns a field for ``--track`` that takes several names."""
     return option(
         ("train",), flag="--track", metavar="TRACK", help="names of tracks, or train, test or all"
     )
 
 
 def directions_option(*default: str) -> Any:
-    """A field for ``--directions``."""
+    """Returns a field for ``--directions``.
+
+    Args:
+        *default: names of the default directions.
+    """
     return option(default, choices=list(DIRECTIONS), help="ways to drive the tracks")
 
 
 def chosen_directions(arguments: argparse.Namespace) -> list[bool]:
-    """``reverse`` for each of ``--directions``."""
+    """Returns the value of ``reverse`` for each of ``--directions``."""
     return [DIRECTIONS[name] for name in arguments.directions]

@@ -1,4 +1,4 @@
-"""Runs a batch of races for a command: progress bar, errors, interruption."""
+"""Runs batches of races for commands, with a progress bar and error messages."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def run_batch(
     """Runs a batch with a progress bar.
 
     Args:
-        arguments: of the command, with ``jobs`` and ``race_timeout``.
-        run: runs the batch.
+        arguments: arguments of the command, with ``jobs`` and ``race_timeout``.
+        run: function that runs the batch.
 
     Returns:
-        The result, and the exit code. The result is ``None`` if there is nothing to show.
+        The result and the exit code. The result is ``None`` if there is no result to show.
     """
     done = total = 0
     with make_bars(
@@ -77,10 +77,10 @@ def run_plan(
     """Runs a planned batch and shows its result.
 
     Args:
-        arguments: of the command, with ``jobs``, ``race_timeout`` and ``json``.
-        plan: the batch.
-        folder: its folder.
-        show: prints the result.
+        arguments: arguments of the command, with ``jobs``, ``race_timeout`` and ``json``.
+        plan: plan of the batch.
+        folder: folder of the batch.
+        show: function that prints the result.
 
     Returns:
         The exit code.

@@ -1,4 +1,4 @@
-"""Terminal output that several commands share: lines, tables and progress bars."""
+"""Shared terminal output of commands: lines, tables and progress bars."""
 
 from __future__ import annotations
 
@@ -27,12 +27,17 @@ from stkzoo.engine.assets import Progress
 
 
 def make_console() -> Console:
-    """A console on stdout. It shows names such as ``:fire:`` as they are."""
+    """Returns a console on stdout that does not convert names such as ``:fire:`` to emoji."""
     return Console(emoji=False)
 
 
 def say(text: str, console: Console | None = None) -> None:
-    """Prints a text as it is, without wrapping and markup."""
+    """Prints a text without wrapping, markup and emoji conversion.
+
+    Args:
+        text: the text.
+        console: where to print; stdout by default.
+    """
     console = console or make_console()
     console.print(text, highlight=False, markup=False, soft_wrap=True, emoji=False)
 
@@ -47,18 +52,18 @@ def show_table(
     is_narrow: bool = False,
     **options: Any,
 ) -> None:
-    """Prints a table of results: framed on a terminal, bare in a file.
+    """Prints a table of results, with a frame on a terminal and without in a file.
 
-    Where it is too wide, texts wrap; numbers stay whole.
+    If the table is too wide, texts wrap, but numbers do not.
 
     Args:
-        columns: headings.
-        rows: the texts of each row.
-        left: headings of columns of text; the others are numbers, and aligned right.
-        styles: each row's.
-        console: where to print.
-        is_narrow: draw no frame, because the terminal has no room for it.
-        **options: of ``rich.table.Table``.
+        columns: headings of the columns.
+        rows: texts of each row.
+        left: headings of columns with text. Other columns contain numbers and are right-aligned.
+        styles: style of each row.
+        console: where to print; stdout by default.
+        is_narrow: draw no frame even on a terminal, because there is no space for it.
+        **options: further arguments of ``rich.table.Table``.
     """
     console = console or make_console()
     is_framed = console.is_terminal and not is_narrow
@@ -72,17 +77,22 @@ def show_table(
 
 
 def make_bars(*columns: ProgressColumn | str, vanish: bool = True) -> Bars:
-    """Bars on stderr, which vanish when they end; nothing without a terminal."""
+    """Returns progress bars on stderr, which are disabled without a terminal.
+
+    Args:
+        *columns: columns of the bars.
+        vanish: whether the bars are removed when they end.
+    """
     console = Console(stderr=True)
     return Bars(*columns, console=console, transient=vanish, disable=not console.is_terminal)
 
 
-#: Without a terminal, seconds between two lines about the same stage.
+#: Minimum time between two lines about the same stage without a terminal [s].
 _QUIET_INTERVAL = 10.0
 
 
 class ConsoleProgress(Progress):
-    """Draws a bar for each stage on stderr; without a terminal, prints a line now and then."""
+    """Shows a progress bar for each stage on stderr; prints lines if there is no terminal."""
 
     def __init__(self) -> None:
         self._bars = make_bars(
@@ -106,7 +116,7 @@ class ConsoleProgress(Progress):
         self._bars.stop()
 
     def begin(self, stage: str, total: int | None = None) -> None:
-        """Starts a bar, or prints a line."""
+        """Starts a bar for a stage, or prints a line about it."""
         self._finish()
         self._bars.add_task(stage, total=total)
         self._stage = self._bars.tasks[-1]
@@ -115,7 +125,7 @@ class ConsoleProgress(Progress):
             self.note(stage + (f" ({megabytes(total)})" if total else ""))
 
     def reach(self, done: int) -> None:
-        """Moves the bar."""
+        """Updates the bar, or prints a line if the last one was 10 s ago."""
         stage = self._stage
         if stage is None:
             return
@@ -126,7 +136,7 @@ class ConsoleProgress(Progress):
             self.note(f"{stage.description}: {megabytes(done)}{of}")
 
     def note(self, text: str) -> None:
-        """Prints a line."""
+        """Prints a line of text."""
         say(text, self._bars.console)
 
     def _finish(self) -> None:
@@ -136,5 +146,5 @@ class ConsoleProgress(Progress):
 
 
 def megabytes(size: float) -> str:
-    """A size [bytes] as text."""
+    """Returns a size [bytes] as text in megabytes."""
     return f"{size / 1e6:,.0f} MB"

@@ -1,6 +1,6 @@
-"""What can be attached to a race: a replay, the game's window, a video, a live page.
+"""Options for outputs of a race: a replay, the game's window, a video and a live page.
 
-Each has a function that adds its options and one that makes its listeners.
+Each output has a function that adds its options and a function that creates its listeners.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ _SPEEDS = {"1": 1.0, "2": 2.0, "4": 4.0, "max": None}
 
 
 def add_replay_options(parser: CommandParser) -> None:
-    """Adds ``--replay``."""
+    """Adds the option ``--replay``."""
     parser.group("output").add_argument(
         "--replay", metavar="FILE", help="record the race into FILE (.stkz), for stkzoo replay"
     )
 
 
 def replay_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
-    """The listeners for ``--replay``.
+    """Returns the listeners for ``--replay``.
 
     Raises:
-        ConfigError: the file is invalid.
+        ConfigError: the file is invalid, or there are several races.
     """
     if arguments.replay is None:
         return []
@@ -115,7 +115,7 @@ def add_viewing_options(parser: CommandParser) -> None:
 
 
 def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
-    """The listeners for the options of :func:`add_viewing_options`.
+    """Returns the listeners for the options of :func:`add_viewing_options`.
 
     Raises:
         ConfigError: a value is invalid, the port is in use, or a library is missing.
@@ -135,7 +135,16 @@ def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
 
 
 def _check_unused(arguments: argparse.Namespace, kind: type, needed: str) -> None:
-    """Refuses options that do nothing without another one."""
+    """Rejects options that have no effect without another option.
+
+    Args:
+        arguments: the parsed arguments.
+        kind: dataclass of the options.
+        needed: the other option.
+
+    Raises:
+        ConfigError: such an option is given.
+    """
     for entry in fields(kind):
         if getattr(arguments, entry.name) != entry.default:
             option = "--" + entry.name.replace("_", "-")

@@ -1,4 +1,4 @@
-"""Output of races: a bar while a race runs, tables when it is over."""
+"""Terminal output of races: a progress bar during a race, and tables of results."""
 
 from __future__ import annotations
 
@@ -32,10 +32,14 @@ _TEXT_COLUMNS = ("driver", "kart")
 
 
 class LoadCheck(RaceListener):
-    """Ends a race before its first step if an agent could not be loaded."""
+    """A race listener that ends a race before its first step if an agent could not be loaded."""
 
     def started(self, race: RaceProgress) -> None:
-        """Raises one error about all agents that failed."""
+        """Checks the agents.
+
+        Raises:
+            AgentError: agents could not be loaded; the error describes all of them.
+        """
         failed = [(agent, errors[0]) for agent, errors in race.failures.items() if errors]
         if failed:
             first, *others = (
@@ -47,7 +51,7 @@ class LoadCheck(RaceListener):
 
 
 class RaceBar(RaceListener):
-    """A bar with the leader's distance and the simulation's speed, on a terminal's stderr."""
+    """A progress bar on stderr with the leader's distance and the speed of the simulation."""
 
     def __init__(self) -> None:
         self._bars = make_bars(
@@ -65,11 +69,11 @@ class RaceBar(RaceListener):
         self._bars.stop()
 
     def started(self, _: RaceProgress) -> None:
-        """Starts the clock."""
+        """Resets the clock for the speed of the simulation."""
         self._begin = time.monotonic()
 
     def stepped(self, race: RaceProgress) -> None:
-        """Moves the bar."""
+        """Updates the bar."""
         elapsed = max(time.monotonic() - self._begin, 1e-3)
         leader = race.leader_distance
         is_won = leader >= race.race_length
@@ -84,7 +88,7 @@ class RaceBar(RaceListener):
 
 
 def show_race(result: RaceResult) -> None:
-    """Prints one race: what it was, who won, and what went wrong."""
+    """Prints the result of one race: its settings, the ranking, and failures of agents."""
     laps = "1 lap" if result.laps == 1 else f"{result.laps} laps"
     way = ", reversed" if result.reverse else ""
     say(
@@ -114,7 +118,7 @@ def _race_cells(row: AgentResult) -> Sequence[str]:
 
 
 def show_series(results: Sequence[RaceResult]) -> None:
-    """Prints several races with the same drivers as one table."""
+    """Prints the results of several races with the same drivers as one table."""
     tracks = ", ".join(dict.fromkeys(result.track for result in results))
     say(f"{len(results)} races, seeds {results[0].seed} to {results[-1].seed}: {tracks}")
     numbers = ("wins", "mean rank", "finished", "mean time [s]", "reward", "errors")
@@ -156,7 +160,7 @@ def _style_of(row: AgentResult) -> str | None:
 
 
 def _show_errors(row: AgentResult, where: str = "") -> None:
-    """Prints an agent's first failure, and how many there were."""
+    """Prints an agent's first failure and its number of failures."""
     if not row.errors:
         return
     first = row.errors[0]

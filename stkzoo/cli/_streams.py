@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full, or of another encoding."""
+"""Handling of standard streams that are closed, full, or not in UTF-8."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from stkzoo.errors import StkzooError, reason
 
 
 def prepare_streams() -> None:
-    """Opens the standard streams that are closed, and lets stdout show any text.
+    """Opens closed standard streams on the null device, and lets stdout print any text.
 
-    Without this the next file or socket would get the number of a closed stream. What is written
-    to a closed stdout is an error (:func:`writing_stdout`); a closed stderr loses it.
+    Otherwise, the next file or socket would get the number of a closed stream. Writing to a closed
+    stdout is an error (:func:`writing_stdout`). Output to a closed stderr is lost.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
@@ -28,7 +28,7 @@ def prepare_streams() -> None:
 
 
 def _open(number: int, flags: int) -> None:
-    """Opens the null device with a number."""
+    """Opens the null device with a given descriptor number."""
     descriptor = os.open(os.devnull, flags)
     if descriptor != number:
         os.dup2(descriptor, number)
@@ -38,20 +38,20 @@ def _open(number: int, flags: int) -> None:
 
 @contextmanager
 def writing_stdout() -> Iterator[None]:
-    """Reports in one line that stdout, which this block writes, is closed or full.
+    """Raises a one-line error if stdout is closed or full when the block writes to it.
 
-    Other errors of the block stay as they are.
+    Other errors of the block are not changed.
 
     Raises:
-        StkzooError: stdout cannot be written; from then on what is written to it is lost.
-        BrokenPipeError: its reader is gone.
+        StkzooError: stdout cannot be written. Later output to it is discarded.
+        BrokenPipeError: the reader of stdout has ended.
     """
     try:
         yield
     except BrokenPipeError:
         raise
     except OSError:
-        _write("\n")  # which fails too if it was stdout that failed
+        _write("\n")  # also fails if the block's error came from stdout
         raise
     _write()
 
@@ -70,7 +70,7 @@ def _write(text: str = "") -> None:
 
 
 def discard_stdout() -> None:
-    """Makes stdout lose what is written to it, and what it has not written yet."""
+    """Discards later output to stdout, and output that has not been flushed yet."""
     with suppress(OSError):
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, sys.stdout.fileno())

@@ -1,10 +1,10 @@
 """Find, get and pack the game's tracks and karts.
 
-Besides the engine, races need the game's data: 21 tracks and 16 karts. stkzoo looks for it in this
-order:
+Besides the engine, races need the game's data: 21 tracks and 16 karts. stkzoo searches for it in
+this order:
 
   1. the folder in the environment variable SUPERTUXKART_DATADIR
-  2. stkzoo's own cache (moved by the environment variable STKZOO_CACHE):
+  2. stkzoo's cache (the environment variable STKZOO_CACHE sets its folder):
      the headless pack, then the full data
   3. the cache of pystk2
   4. an installed game (/usr/share/games/supertuxkart)
@@ -13,13 +13,13 @@ The headless pack has no textures, music or sound. Races with it are bit-identic
 faster; drawing needs the full data. Only `stkzoo assets install` downloads anything.
 
 Examples:
-  stkzoo assets status                       what is on this machine
-  stkzoo assets install                      any source that works
-  stkzoo assets install --source debian      from Debian's or Ubuntu's package
-  stkzoo assets install --source upstream    by the download of pystk2
-  stkzoo assets install --from pack.tar.xz   from another machine's pack
+  stkzoo assets status                       show the data on this machine
+  stkzoo assets install                      from the first source that works
+  stkzoo assets install --source debian      from the Debian or Ubuntu package
+  stkzoo assets install --source upstream    with the download of pystk2
+  stkzoo assets install --from pack.tar.xz   from the pack of another machine
   stkzoo assets pack                         build the pack in the cache
-  stkzoo assets pack --output pack.tar.xz    the same, as a file of about 40 MB
+  stkzoo assets pack --output pack.tar.xz    write it to a file of about 40 MB
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class InstallArguments:
     """Options of ``stkzoo assets install``.
 
     Attributes:
-        source: where to get it; auto is the first that works
-        archive: take the headless pack from FILE, written by `stkzoo assets pack --output`
+        source: source of the data; auto takes the first that works
+        archive: install the headless pack from FILE, written by `stkzoo assets pack --output`
         force: replace existing data
     """
 
@@ -66,8 +66,8 @@ def add_arguments(parser: CommandParser) -> None:
 def _status(arguments: argparse.Namespace) -> int:
     """Show where the data is.
 
-    Shows where stkzoo looks for the game's data and what it finds. Fails if a headless race cannot
-    run.
+    Shows where stkzoo searches for the game's data and what it finds. Fails if headless races
+    cannot run.
     """
     from stkzoo.cli._console import megabytes, show_table
     from stkzoo.engine.assets import find_assets, survey
@@ -94,17 +94,18 @@ def _describe(report: PlaceReport) -> str:
 
 
 def _install(arguments: argparse.Namespace) -> int:
-    """Make the data usable; download it if needed.
+    """Install the data, with a download if needed.
 
-    Uses the data on this machine, or downloads it (about 630 MB to download; 1.5 GB of disk
-    meanwhile, 750 MB after) and builds the headless pack. No administrator's rights are needed. You
-    may interrupt and repeat it; several may run at once.
+    Uses the data on this machine or downloads it, and builds the headless pack. The download is
+    about 630 MB. It needs 1.5 GB of disk space temporarily, and 750 MB afterwards. Administrator
+    rights are not needed. You can interrupt and repeat this command, and run it several times at
+    once.
 
     Examples:
-      stkzoo assets install                      any source that works
-      stkzoo assets install --source debian      from Debian's or Ubuntu's package
-      stkzoo assets install --source upstream    by the download of pystk2
-      stkzoo assets install --from pack.tar.xz   from another machine's pack
+      stkzoo assets install                      from the first source that works
+      stkzoo assets install --source debian      from the Debian or Ubuntu package
+      stkzoo assets install --source upstream    with the download of pystk2
+      stkzoo assets install --from pack.tar.xz   from the pack of another machine
     """
     from stkzoo.cli._console import ConsoleProgress
     from stkzoo.engine.assets import install
@@ -121,7 +122,7 @@ def _install(arguments: argparse.Namespace) -> int:
 
 
 def _pack(arguments: argparse.Namespace) -> int:
-    """Build the headless pack, or write it into a file.
+    """Build the headless pack, or write it to a file.
 
     Builds the headless pack from the full data.
     """
@@ -138,7 +139,7 @@ def _clean(arguments: argparse.Namespace) -> int:
     """Remove stkzoo's data from its cache.
 
     Removes the full data, the headless pack and the links to an installed game from stkzoo's
-    cache. Nothing outside is touched.
+    cache. Nothing else is removed.
     """
     from stkzoo.engine.assets import cache_folder, clean
 

@@ -1,15 +1,15 @@
 """Measure how good an agent is.
 
-Measures an agent by the same races as every other: on the test tracks, forward and reversed,
-alone (P), as one kart among four of the game's AI (PAAAA), and as two among three (PPAAA),
-from both ends of the grid. It shows the agent's time as a multiple of the AI's median time, its
-win rate, its mean rank, and how often it did not finish and was rescued, each with a 95 %
-interval.
+Every agent drives the same races: on the test tracks, forward and reversed, alone (P), as one
+kart against four of the game's AI (PAAAA), and as two karts against three (PPAAA), from both ends
+of the grid. The results are the agent's time as a multiple of the AI's median time, its win rate,
+its mean rank, the share of races that it did not finish, and its number of rescues per race, each
+with a 95 % interval.
 
-Each race is stored in the output folder as soon as it is over. After an interruption the same
+Each race is stored in the output folder as soon as it ends. After an interruption, the same
 command resumes.
 
-The agent is named as for `stkzoo race`: heuristic, ai, random, a folder, a zip, a module; append
+Name the agent as for `stkzoo race`: heuristic, ai, random, a folder, a zip or a module; append
 @:Name to rename it.
 
 Examples:
@@ -51,13 +51,13 @@ if TYPE_CHECKING:
         RaceGroup,
     )
 
-#: Options that are arguments of ``plan_benchmark``.
+#: Options that are also arguments of ``plan_benchmark``.
 _PLANNED = ("agent", "difficulty", "seeds", "ai_times")
 _MAIN_GROUPS = ("all", "form")
 _SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
-#: Width of a line with all figures; on a narrower terminal the intervals are printed below.
+#: Width of a line with all metrics. On a narrower terminal, intervals are printed below values.
 _WIDTH = 145
-#: Title, factor and decimals of each figure.
+#: Title, factor and number of decimals of each metric.
 _COLUMNS = {
     "time_ratio": ("time ratio", 1, 3),
     "win_rate": ("won %", 100, 1),
@@ -74,7 +74,7 @@ class BenchmarkArguments:
 
     Attributes:
         agent: the agent; see above
-        compare: compare results (folders or result.json files): the first with each other
+        compare: compare results (folders or result.json files): the first with each of the others
         baseline: measure the game's AI at all difficulties, for --ai-times
         split: names of tracks, or train, test or all (default: test; with --baseline, all)
         difficulty: difficulty of the game's AI, 0 to 3
@@ -82,7 +82,7 @@ class BenchmarkArguments:
         seeds: races of each track, direction, line-up and end of the grid
         ai_times: the AI's times, from --baseline (default: those that come with stkzoo)
         output: folder for the races, result.json and benchmark.png (default: benchmark/AGENT);
-            with --compare, a file for the picture; with --baseline, a folder for the times
+            with --compare, a file for the plot; with --baseline, a folder for the times
         json: write only JSON to stdout
         no_plot: do not draw benchmark.png
     """
@@ -180,7 +180,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 
 
 def _show_results(results: Sequence[BenchmarkResult]) -> None:
-    """Prints one agent's figures, or the main figures of several agents."""
+    """Prints the metrics of one agent, or the main metrics of several agents."""
     from stkzoo.cli._console import say
 
     is_one = len(results) == 1
@@ -223,13 +223,20 @@ def _show_figures(
     groups: Sequence[RaceGroup],
     sign: str = "",
 ) -> None:
-    """Prints a table of groups of races: the cells of each row, and the group's figures."""
+    """Prints a table with the metrics of groups of races.
+
+    Args:
+        columns: headings of the first columns.
+        rows: texts of the first columns, for each group.
+        groups: the groups.
+        sign: sign option for formatting numbers; ``"+"`` shows the sign of positive ones.
+    """
     from rich.console import Console
 
     from stkzoo.cli._console import show_table
 
     console = Console(emoji=False)
-    if not console.is_terminal:  # a file is wide enough
+    if not console.is_terminal:  # a file has no limit on its width
         console = Console(width=max(console.width, _WIDTH))
     is_wide = console.width >= _WIDTH
     show_table(

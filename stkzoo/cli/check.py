@@ -1,12 +1,12 @@
-"""Check an agent before you hand it in.
+"""Check an agent before you submit it.
 
-Loads an agent, drives it for a few seconds in a process of its own, and shows its times, its
-memory and its size. The last line is what a tournament would say.
+Loads an agent, lets it drive for a few seconds in its own process, and shows its times, memory
+and size. The last line shows whether a tournament would accept it.
 
 Examples:
   stkzoo check my_agent          a folder
-  stkzoo check my_agent.zip      the file that you hand in
-  stkzoo check my_agent --json   the same for programs
+  stkzoo check my_agent.zip      the file that you submit
+  stkzoo check my_agent --json   JSON output for programs
 
 exit codes:
   0 the agent passed, 1 the check could not be run, 2 invalid command line, 3
@@ -39,7 +39,7 @@ class CheckArguments:
         agent: a folder, a zip, a Python file, or the name of a module
         track: the track to drive
         max_steps: number of steps to drive
-        seed: of all random choices
+        seed: seed of all random choices
         json: write JSON instead of text
     """
 
@@ -58,7 +58,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
-    """Checks the agent; returns 3 if a tournament would not accept it."""
+    """Checks the agent. Returns 3 if a tournament would not accept it."""
     from stkzoo.evaluation import check_agent
 
     options = values_of(arguments, CheckArguments, only=("track", "max_steps", "seed"))

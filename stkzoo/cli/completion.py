@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Prints the script."""
+    """Prints the completion script."""
     from stkzoo.cli import build_parser
 
     shtab = import_extra("shtab", "completion needs", "completion")
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _complete_files(parser: argparse.ArgumentParser, files: Any) -> None:
-    """Marks the arguments that are files or folders, by their metavars."""
+    """Marks arguments whose metavar shows that they are files or folders."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for child in action.choices.values():

@@ -1,11 +1,11 @@
 """Record demonstrations to learn from.
 
-Records the observations and actions of a driver, in the view of your choice, as one file to
-learn from: behaviour cloning, offline learning, a start for reinforcement learning.
+Records the observations and actions of a driver, in a view of your choice, to one file. Use it
+for behaviour cloning, offline reinforcement learning or to initialise reinforcement learning.
 
-The driver is the game's AI (ai), one that comes with stkzoo (heuristic, pretrained:ace), or an
-agent of yours (a folder, a zip, a module), whatever view it sees itself. All its karts are
-recorded. Each race is stored as soon as it is over; after an interruption the same command
+The driver is the game's AI (ai), a driver that comes with stkzoo (heuristic, pretrained:ace), or
+your own agent (a folder, a zip, a module). The driver itself can use another view. All its karts
+are recorded. Each race is stored as soon as it ends. After an interruption, the same command
 resumes.
 
 Read the file with stkzoo.evaluation.load_demonstrations(path), or with numpy.load (no pickles).
@@ -45,7 +45,7 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.evaluation import Demonstrations, DemoPlan
 
-#: Options that are arguments of ``plan_demonstrations``.
+#: Options that are also arguments of ``plan_demonstrations``.
 _PLANNED = ("agent", "view", "tracks", "karts", "rivals", "substeps")
 
 
@@ -60,8 +60,8 @@ class DemosArguments:
         first_seed: seed of the first of these races
         karts: number of karts that the driver drives in a race
         rivals: drivers of the other karts
-        substeps: how often to read the AI's controls in a step, 1 to 12; more is slower
-            (default: 4; for agents 1)
+        substeps: how often to read the AI's controls per step: 1, 2, 3, 4, 6 or 12; more is
+            slower (default: 4; for agents 1)
         output: file of the dataset (default: demos.npz); with --format minari, its name there
             (default: supertuxkart/AGENT-v0)
         format: format of the dataset
@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_minari()
         label = plan.agent.label.replace(":", "-")
         arguments.output = arguments.output or f"supertuxkart/{label}-v0"
-        file = Path(f"{arguments.output.replace('/', '-')}.npz")  # until the import into Minari
+        file = Path(f"{arguments.output.replace('/', '-')}.npz")  # deleted after the import
     demos, code = run_batch(arguments, partial(record_plan, plan, file))
     return code if demos is None else _finish(arguments, demos, file)
 

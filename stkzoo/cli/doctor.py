@@ -1,11 +1,11 @@
 """Check this machine and suggest fixes.
 
-Checks everything that stkzoo needs or can use, and names the command that fixes what is missing.
-Succeeds if a headless race can run here.
+Checks everything that stkzoo needs or can use, and shows commands that fix problems. Succeeds if
+a headless race can run on this machine.
 
 Examples:
   stkzoo doctor           a table
-  stkzoo doctor --json    the same for programs
+  stkzoo doctor --json    JSON output for programs
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ pystk2.init(pystk2.GraphicsConfig.none())
 print("tracks:", *pystk2.list_tracks(pystk2.RaceConfig.RaceMode.NORMAL_RACE))
 """
 
-#: The engine starts in half a second; after this time it hangs [s].
+#: Time limit for the engine's start [s], which normally takes 0.5 s.
 _PROBE_LIMIT = 60.0
 
 
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs all checks and shows their findings."""
+    """Runs all checks and shows the findings."""
     findings = _diagnose()
     ready = all(finding.ok for finding in findings if finding.required)
     if arguments.json:
@@ -79,11 +79,11 @@ class Finding:
     """The outcome of one check.
 
     Attributes:
-        name: what was checked.
-        ok: whether it is available and works.
+        name: name of the checked feature.
+        ok: whether the feature is available and works.
         found: what was found, or the problem.
-        remedy: the fix, a command where there is one; empty if it works.
-        required: whether headless races need it.
+        remedy: the fix, if possible a command; empty if the feature works.
+        required: whether headless races need the feature.
     """
 
     name: str
@@ -94,7 +94,12 @@ class Finding:
 
 
 class NotFound(Exception):
-    """What a check found instead, and the remedy if it is not the usual one."""
+    """A check failed.
+
+    Args:
+        found: the problem.
+        remedy: the fix; empty for the default fix of the check.
+    """
 
     def __init__(self, found: str, remedy: str = "") -> None:
         super().__init__(found)
@@ -102,8 +107,8 @@ class NotFound(Exception):
 
 
 def _diagnose() -> list[Finding]:
-    """Runs all checks, in the order in which you would fix things."""
-    # A variable that overrides the data is unset first.
+    """Runs all checks, in the order in which to fix problems."""
+    # The variable overrides installed data, so users must unset it first.
     prefix = f"unset {DATADIR_VARIABLE}; " if os.environ.get(DATADIR_VARIABLE) else ""
     install = f"{prefix}stkzoo assets install"
     return [
@@ -126,7 +131,14 @@ def _diagnose() -> list[Finding]:
 
 
 def _look(name: str, find: Callable[[], str], remedy: str, *, required: bool = False) -> Finding:
-    """Runs a check, which returns what it found, or raises NotFound or AssetError."""
+    """Runs a check and returns its finding.
+
+    Args:
+        name: name of the checked feature.
+        find: the check. It returns what it found, or raises NotFound or AssetError.
+        remedy: default fix.
+        required: whether headless races need the feature.
+    """
     try:
         return Finding(name, True, find(), "", required)
     except NotFound as problem:
@@ -166,7 +178,12 @@ def _start(install: str) -> str:
 
 
 def _probe(program: str, variables: dict[str, str]) -> tuple[int, str]:
-    """Exit code and output of a small program: the engine may crash its process."""
+    """Returns exit code and output of a program run in a new process, which the engine may crash.
+
+    Args:
+        program: Python code.
+        variables: additional environment variables.
+    """
     try:
         process = subprocess.run(  # noqa: S603 - our own interpreter
             [sys.executable, "-c", program],
@@ -246,7 +263,7 @@ def _ffmpeg() -> str:
 
 
 def _extras() -> dict[str, list[str]]:
-    """The libraries of each extra for users."""
+    """Returns the libraries of each extra, except the extras for developers and ``all``."""
     return {
         extra: [re.split(r"[^\w.-]", requirement)[0] for requirement in requirements]
         for extra, requirements in extra_requirements().items()

@@ -1,11 +1,11 @@
 """List the karts.
 
-Shows the game's karts. Heavy ones have stronger engines and a higher top speed, light ones have
-a smaller turning circle and use less nitro. AgentSpec(kart="gnu") selects one for an agent.
+Shows the game's karts. Heavy karts have stronger engines and a higher top speed. Light karts have
+a smaller turning circle and use less nitro. AgentSpec(kart="gnu") selects a kart for an agent.
 
 Examples:
   stkzoo karts           a table
-  stkzoo karts --json    the same for programs
+  stkzoo karts --json    JSON output for programs
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class KartFacts:
     """Facts about one kart.
 
     Attributes:
-        kart: its name for ``AgentSpec``.
-        title: its name in the game.
-        weight: ``light``, ``medium`` or ``heavy``.
-        wheel_base: between the axles [m]; ``None`` if not measured.
-        max_steer_angle: of the wheels at rest [rad]; ``None`` likewise.
+        kart: model name for ``AgentSpec``.
+        title: name in the game.
+        weight: ``light``, ``medium`` or ``heavy``; ``?`` if unknown.
+        wheel_base: distance between the axles [m]; ``None`` if not measured.
+        max_steer_angle: maximum angle of the wheels at rest [rad]; ``None`` if not measured.
     """
 
     kart: str
@@ -43,7 +43,7 @@ class KartFacts:
 
 
 def kart_facts() -> list[KartFacts]:
-    """All karts of the game's data, by name."""
+    """Returns facts about all karts in the game's data, sorted by name."""
     from stkzoo.engine.assets import find_assets
     from stkzoo.wrappers.control.kart import KARTS
 

@@ -2,12 +2,13 @@
 
 Keys identify the participants of networked races and encrypt the traffic.
 
-Each participant makes a pair. NAME.secret stays on the machine; NAME.public goes to the others.
+Each participant makes a key pair. Keep NAME.secret on your machine, and give NAME.public to the
+others.
 
 Examples:
-  stkzoo keys new ada                   writes ada.secret and ada.public
-  stkzoo keys new course --folder keys  the same into another folder
-  stkzoo keys show ada.secret           the public half of a secret key
+  stkzoo keys new ada                   write ada.secret and ada.public
+  stkzoo keys new course --folder keys  write them to another folder
+  stkzoo keys show ada.secret           show the public key of a secret key
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def _new(arguments: argparse.Namespace) -> int:
-    """Make a pair of keys."""
+    """Make a key pair."""
     from stkzoo.race.remote import new_key_files, read_public
 
     secret, public = new_key_files(arguments.name, arguments.folder)
@@ -44,7 +45,7 @@ def _new(arguments: argparse.Namespace) -> int:
 
 
 def _show(arguments: argparse.Namespace) -> int:
-    """Show the public half of a key."""
+    """Show the public key of a key file."""
     from stkzoo.race.remote import read_publics
 
     for key, name in read_publics([arguments.file]).items():

@@ -13,10 +13,10 @@ from __future__ import annotations
 import argparse
 from importlib import import_module
 
-#: The league has a parser of its own: no word is an option here.
+#: The league has its own parser, so this parser must not interpret any argument as an option.
 PARSER_OPTIONS = {"add_help": False, "prefix_chars": "\0"}
 
-#: Imported by name, as drivers are: the package does not depend on its agents.
+#: The module is imported by name, because the package must not depend on its agents.
 _LEAGUE = "stkzoo.agents.training.league.league"
 
 

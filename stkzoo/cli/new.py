@@ -1,8 +1,8 @@
 """Create a starter agent.
 
-Writes a small commented driver into a new folder. It finishes easy tracks such as lighthouse;
-improve it from there. With another view than simple, it acts at random until you add a policy.
-Existing files are never overwritten.
+Writes a small commented driver to a new folder, as a starting point for your own. It finishes
+easy tracks such as lighthouse. With another view than simple, its actions are random until you add
+a policy. Existing files are never overwritten.
 
 Examples:
   stkzoo new my_agent                create my_agent/pystk_actor.py

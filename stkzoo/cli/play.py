@@ -1,7 +1,7 @@
 """Drive yourself, with the keyboard.
 
-Opens a window and lets you drive, in real time, against other drivers: the game's ai (three of
-them by default), heuristic, random, or agents from files, as in `stkzoo race`.
+Opens a window in which you drive in real time against other drivers: the game's ai (three karts
+by default), heuristic, random, or agents from files, as in `stkzoo race`.
 
   arrows      throttle, brake, steer          P     pause
   V           drift, while steering           Esc   leave
@@ -30,7 +30,8 @@ from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
 
-#: Default view and rate of a dataset, which are those of the ids; default rate without one.
+#: Default view and rate of a dataset, those of supertuxkart/flattened_discrete-v0; and the default
+#: rate without a dataset.
 _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
 _DECIDED = ("seed",)
 
@@ -55,8 +56,8 @@ class PlayWindowArguments:
     """Options of the window to play in.
 
     Attributes:
-        map: show a map instead of the game's pictures
-        is_3d: show the game's pictures; fail if this machine cannot draw them
+        map: show a map instead of 3D graphics
+        is_3d: show 3D graphics; fail if this machine cannot draw them
         width: width of the window
         height: height of the window
         rate: steps per second: 10, 12, 15, 20, 30 or 60 (default: 20; 10 with --dataset, as
@@ -75,7 +76,7 @@ class PlayDatasetArguments:
     """Options of the dataset to record.
 
     Attributes:
-        dataset: record your observations and actions into FILE (.npz)
+        dataset: record your observations and actions to FILE (.npz)
         view: view of the dataset: simple or a flattened one (default: flattened_discrete)
     """
 
@@ -95,7 +96,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
-    """Opens the window and races."""
+    """Opens the window and runs the race."""
     from stkzoo.cli._race_report import show_race
     from stkzoo.play import play_race
     from stkzoo.race import RaceInterrupted

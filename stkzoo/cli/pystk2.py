@@ -1,12 +1,13 @@
 """Run the commands of pystk2-gymnasium.
 
-For scripts that call `pystk2`: its commands, options, defaults and form of results. The race is
-that of `stkzoo race`, whose other options work too: a reward is the sum over the race, and the exit
-code is 3 if an agent failed. One line on stderr says what else differs.
+For scripts that call `pystk2`: takes the same commands, options and defaults, and writes results
+in the same format. Races run as with `stkzoo race`, whose other options also work. A reward is the
+sum over the race, and the exit code is 3 if an agent failed. A line on stderr reports other
+differences.
 
 Examples:
   stkzoo pystk2 race my_agent.zip --track lighthouse --hide --output result.json
-  stkzoo pystk2 install      write the command `pystk2`, unless there is one
+  stkzoo pystk2 install      add the command `pystk2`, if there is none
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from stkzoo.errors import AgentError, ConfigError
 if TYPE_CHECKING:
     from stkzoo.race import RaceResult
 
-#: What pystk2-gymnasium does without an option, where `stkzoo race` does something else.
+#: Defaults of pystk2-gymnasium that differ from those of `stkzoo race`.
 _DEFAULTS = {
     "num_karts": 3,
     "error_handling": "raise",
@@ -45,7 +46,7 @@ _DEFAULTS = {
     "web_port": 8050,
 }
 
-#: The reference's names of options, and what `stkzoo race` calls their values.
+#: Names of pystk2-gymnasium's options, and the corresponding values of `stkzoo race`.
 _NAMES = {"--record": "video", "--screen-width": "width", "--screen-height": "height"}
 
 
@@ -72,18 +73,18 @@ def _race(arguments: argparse.Namespace) -> int:
 
 
 def _race_client(arguments: argparse.Namespace) -> int:
-    """Run a race with agents that are served elsewhere."""
+    """Run a race with agents on servers."""
     _translate(arguments)
     return race_client.run(arguments)
 
 
 def _race_server(arguments: argparse.Namespace) -> int:
-    """Serve agents to races that run elsewhere."""
+    """Serve agents to races on this or other machines."""
     return race_server.run(arguments)
 
 
 def _install(_: argparse.Namespace) -> int:
-    """Write the command `pystk2`, unless there is one."""
+    """Add the command `pystk2`, if there is none."""
     stkzoo = Path(sysconfig.get_path("scripts"), "stkzoo")
     script, text = (
         stkzoo.with_name("pystk2"),
@@ -108,14 +109,14 @@ def _install(_: argparse.Namespace) -> int:
 
 
 def _translate(arguments: argparse.Namespace) -> None:
-    """Changes options into those of ``stkzoo race``, and says what pystk2 does otherwise."""
+    """Converts options to those of ``stkzoo race``, and prints notes about differences."""
     from stkzoo.race import RaceListener
 
     class ReferenceReward(RaceListener):
         def env_options(self) -> dict[str, Any]:
             return {"reward": "reference"}
 
-    if arguments.replay is None:  # a replay is checked with stkzoo's own reward
+    if arguments.replay is None:  # replays are checked with stkzoo's own reward
         arguments.listeners = (ReferenceReward(),)
     if arguments.verbose:
         logging.basicConfig(level=logging.DEBUG)
@@ -137,7 +138,7 @@ def _translate(arguments: argparse.Namespace) -> None:
 
 
 def _document(results: Sequence[RaceResult], failure: AgentError | None, _: object) -> str:
-    """The last race's result, or the failure that ended it, in the form of pystk2-gymnasium."""
+    """Returns the last race's result, or the error that ended it, in pystk2-gymnasium's format."""
     return json.dumps(_failed(failure) if failure else _finished(results[-1]), indent=2)
 
 
@@ -173,6 +174,6 @@ def _finished(result: RaceResult) -> dict[str, Any]:
 
 
 def _key(agent: str) -> int:
-    """The reference's number of ``kart_0``; -1 if the agent is unknown."""
+    """Returns an agent's number in pystk2-gymnasium, 0 for ``kart_0``; -1 if it is unknown."""
     number = agent.rpartition("_")[2]
     return int(number) if number.isdecimal() else -1

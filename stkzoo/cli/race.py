@@ -9,8 +9,8 @@ Each driver gets a kart:
   FOLDER, ZIP      your agent: a pystk_actor.py with get_actor(...)
   MODULE           your agent, by the name of a Python module
 
-DRIVER@:Name sets a driver's name. Each agent from files runs in a process of its own: a failure
-affects its own kart only. The same seed gives the same race, bit for bit.
+DRIVER@:Name sets a driver's name. Each agent from files runs in its own process, so a failure
+only affects its own kart. The same seed reproduces the same race, bit for bit.
 
 Examples:
   stkzoo race --demo                          a learned driver against the AI
@@ -69,13 +69,13 @@ _AGENT_FAILED, _INTERRUPTED = 3, 130
 
 @dataclass
 class RacesArguments:
-    """Options of the commands that run races of named drivers.
+    """Options of commands that run races of named drivers.
 
     Attributes:
         num_karts: add karts of the game's AI until there are N karts
         races: number of races; their seeds are consecutive
         seed: seed of all random choices (default: a new one each time)
-        output: write the result into FILE as JSON
+        output: write the result to FILE as JSON
         json: write only JSON to stdout
     """
 
@@ -106,7 +106,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def add_race_options(parser: CommandParser) -> None:
-    """Adds all options of a race but its drivers."""
+    """Adds all options of a race except its drivers."""
     add_options(parser, RaceSettings, without=_DECIDED, group="race")
     add_options(parser, RacesArguments)
     _race_options.add_replay_options(parser)
@@ -125,7 +125,7 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
 
     Args:
         arguments: these options, ``drivers`` and ``demo``.
-        remote: more drivers, who get the first karts.
+        remote: additional drivers, which get the first karts.
 
     Returns:
         The exit code.
@@ -159,7 +159,7 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
 
 @contextlib.contextmanager
 def _prints_on_stderr() -> Iterator[None]:
-    """Keeps what agents and their libraries print out of the JSON on stdout."""
+    """Redirects stdout to stderr, so that output of agents does not mix with the JSON on stdout."""
     kept = os.dup(1)
     os.dup2(2, 1)
     try:
@@ -173,7 +173,11 @@ def _prints_on_stderr() -> Iterator[None]:
 def _plan(
     arguments: argparse.Namespace, remote: Sequence[Driver]
 ) -> list[tuple[list[str | Driver], dict[str, Any]]]:
-    """For each race the drivers, and the settings of :func:`stkzoo.race.run_race`."""
+    """Returns the drivers and the settings of :func:`stkzoo.race.run_race` for each race.
+
+    Raises:
+        ConfigError: the options are invalid.
+    """
     if arguments.demo and arguments.drivers:
         raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
     if arguments.output is not None:
@@ -209,9 +213,9 @@ def _race(
 
     Args:
         drivers: the drivers.
-        settings: of the race.
-        arguments: with the outputs.
-        problems: gets the failures that cost the race an output, but not its result.
+        settings: settings of the race.
+        arguments: the options, which name the outputs.
+        problems: list to which errors are appended that only affect an output, not the result.
     """
     from stkzoo.cli._race_report import LoadCheck, RaceBar
     from stkzoo.race import RaceInterrupted, run_race
@@ -244,7 +248,17 @@ def _report(
     arguments: argparse.Namespace,
     problems: list[Exception],
 ) -> int:
-    """Writes and shows the results; a failure of one does not prevent the other."""
+    """Writes and shows the results, even if one of the two fails.
+
+    Args:
+        results: results of the races.
+        failure: error that ended the last race.
+        arguments: the options.
+        problems: list to which errors are appended.
+
+    Returns:
+        The exit code: 3 if an agent failed, otherwise 0.
+    """
     code = _AGENT_FAILED if any(result.has_errors for result in results) else 0
     text = arguments.document(results, failure, arguments)
     try:
@@ -278,7 +292,7 @@ def _show(results: Sequence[RaceResult], arguments: argparse.Namespace, *, is_cl
 def _document(
     results: Sequence[RaceResult], _: AgentError | None, arguments: argparse.Namespace
 ) -> str:
-    """What ``--output`` writes; nothing if no race ended."""
+    """Returns the JSON for ``--output`` and ``--json``; empty if no race ended."""
     from stkzoo.race import SCHEMA_VERSION
 
     if not results:

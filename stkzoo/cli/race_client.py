@@ -1,8 +1,9 @@
-r"""Run a race with agents that are served elsewhere.
+r"""Run a race with agents on servers.
 
 Runs a race like `stkzoo race`, with the agents of servers (`stkzoo race-server`). Every agent of
-every server gets a kart, in the order of --server; the drivers named as arguments run here and
-get the next karts. A server that is slow, dies or misbehaves affects its own karts only.
+every server gets a kart, in the order of --server. The drivers named as arguments run in this
+program and get the next karts. A server that is slow, crashes or misbehaves only affects its own
+karts.
 
 Examples:
   stkzoo race-client --server 127.0.0.1:5555 --track lighthouse
@@ -66,10 +67,16 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def server_access(arguments: argparse.Namespace) -> ServerAccess | None:
-    """What the options of :class:`ServersArguments` say; ``None`` without a server.
+    """Returns the access to servers from the options of :class:`ServersArguments`.
+
+    Args:
+        arguments: the options.
+
+    Returns:
+        The access; ``None`` if no server is given.
 
     Raises:
-        ConfigError: the options do not fit together, or a file cannot be read.
+        ConfigError: the options contradict each other, or a file cannot be read.
     """
     from stkzoo.race.remote import ServerAccess, read_servers
 

@@ -1,18 +1,18 @@
-r"""Serve agents to races that run elsewhere.
+r"""Serve agents to races on this or other machines.
 
-Serves agents to races that run elsewhere (`stkzoo race-client`), one race after another and
-several at once, until Ctrl-C. Each agent of each race runs in a process of its own here, with its
-own wrappers; only observations and actions go over the network.
+Serves agents to races that `stkzoo race-client` runs, several at once, until Ctrl-C. Each agent of
+each race runs in its own process of the server, with its own wrappers. Only observations and
+actions are sent over the network.
 
-An agent is the path of a folder or zip with pystk_actor.py, or the name of a module or of a
-driver of stkzoo; append @:Name to rename it (docs/reference/agents.md).
+An agent is the path of a folder or zip with pystk_actor.py, or the name of a module or of one of
+stkzoo's drivers; append @:Name to rename it (docs/reference/agents.md).
 
 Examples:
   stkzoo race-server my_agent.zip             for clients on this machine
   stkzoo race-server ada.zip bob/ --address 127.0.0.1:6000
   stkzoo race-server my_agent --address '*:5555' --secret ada.secret \
       --allow course.public                   for a remote client with a key
-  stkzoo race-client --server 127.0.0.1:5555  on the client's side
+  stkzoo race-client --server 127.0.0.1:5555  run a race with these agents
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class RaceServerArguments:
 
     Attributes:
         agents: the agents; see above
-        address: address to listen at
+        address: address to listen on
         threads: number of clients served at the same time
         secret: secret key of the server (see stkzoo keys new)
         allow: public key of a client, a file of keys or a folder of .public files; repeatable
-        insecure: accept other machines even without keys
+        insecure: accept clients on other machines even without keys
         quiet: log only failures
     """
 
@@ -68,7 +68,7 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Serves until it is stopped."""
-    log = BackgroundHandler()  # so that a log that nobody reads does not stop the server
+    log = BackgroundHandler()  # a log pipe without a reader must not block the server
     logging.basicConfig(
         level=logging.WARNING if arguments.quiet else logging.INFO,
         format="%(asctime)s %(message)s",
@@ -96,7 +96,7 @@ def _serve(arguments: argparse.Namespace) -> None:
 
 
 def _sandbox_of(arguments: argparse.Namespace) -> str:
-    """What protects this machine from the agents."""
+    """Returns a description of the sandbox that protects this machine from the agents."""
     from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind
 
     kind = NONE if arguments.inline else sandbox_kind(arguments.sandbox)

@@ -1,7 +1,8 @@
 """Run a recorded race again, check it, or make a video of it.
 
-Runs a race that `stkzoo race --replay FILE` recorded again, on the real engine, and checks after
-every step that each kart is where it was, to the last bit. The drivers are not needed.
+Replays a race recorded with `stkzoo race --replay FILE` on the real engine. After every step, it
+checks that the locations, rotations and velocities of all karts are identical to the recorded
+ones, bit for bit. The drivers are not needed.
 
 Examples:
   stkzoo race heuristic ai ai --seed 1 --replay race.stkz
@@ -10,8 +11,8 @@ Examples:
   stkzoo replay race.stkz --info               describe the file, run nothing
 
 exit codes:
-  0 all is as recorded, 1 it is not, or the file is not playable, 2 invalid
-  command line, 130 interrupted
+  0 the race is as recorded, 1 it differs, or the file is not playable, 2
+  invalid command line, 130 interrupted
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class ReplayArguments:
         info: describe the file, run nothing
         json: write JSON to stdout
         to_the_end: continue after the first difference
-        any_engine: play it with another engine version, which may behave differently
+        any_engine: also play races of another engine version, which may behave differently
     """
 
     file: str = positional()

@@ -1,10 +1,11 @@
 """Write the report of a tournament: one page, and tables as CSV.
 
-Writes report.html, standings.csv and races.csv into the tournament's folder, as each tournament
-does when it ends; a tournament may still be running. With --publish, writes index.html and the
-tables into another folder, without error messages, tracebacks, addresses, paths and replays.
+Writes report.html, standings.csv and races.csv to the tournament's folder. Each tournament does
+this when it ends; this command also works while a tournament is running. With --publish, writes
+index.html and the tables to another folder, without error messages, tracebacks, addresses, paths
+and replays.
 
-The page is one file: it needs no server, loads nothing and runs no script.
+The page is one file. It needs no server, loads no other files and runs no scripts.
 
 Examples:
   stkzoo report league
@@ -27,7 +28,7 @@ class ReportArguments:
 
     Attributes:
         folder: folder of the tournament
-        publish: write a page without private details into FOLDER
+        publish: write a page without private details to FOLDER
         title: heading of the page
         films: races with a map film (default: six races of the best agents)
     """

@@ -1,16 +1,16 @@
 """Rate agents in many races.
 
-Runs many races among agents and rates them. The schedule is balanced: each agent races as
-often as the others, on each track, from each place of the grid, against each other agent.
+Runs many races among agents and rates the agents. The schedule is balanced: all agents race about
+equally often, on each track, from each place of the grid, and against each other agent.
 
-Each race is stored in the output folder as soon as it is over. After an interruption the same
-command resumes; so does --resume FOLDER. Agents that are new in it join the tournament and get
-races of their own. An agent that fails loses its race; the tournament goes on.
+Each race is stored in the output folder as soon as it ends. After an interruption, the same
+command or --resume FOLDER resumes. Additional agents join the tournament and get additional
+races. An agent that fails loses its race, and the tournament continues.
 
 Choose --races as agents * 15 / --per-race, so that each agent has 15 races. A race of five agents
 from files on a short track takes about 15 s; --jobs races run at the same time.
 
-Agents are named as for `stkzoo race`: ai, heuristic, random, a folder, a zip, a module; append
+Name agents as for `stkzoo race`: ai, heuristic, random, a folder, a zip or a module; append
 @:Name to rename one.
 
 Examples:
@@ -40,7 +40,7 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.evaluation import TournamentPlan, TournamentResult
 
-#: Options that are arguments of ``plan_tournament``.
+#: Options that are also arguments of ``plan_tournament``.
 _PLANNED = ("agents", "tracks", "races", "per_race", "seed")
 
 

@@ -1,15 +1,15 @@
 """List the tracks.
 
-Shows the game's tracks: the length of a lap, parts and forks of the driving line, items at
-the start, and how long the game's AI takes for a lap, forward and reversed (median of 25 karts
-at --difficulty). Do not train on the tracks of "test".
+Shows the game's tracks: the length of a lap, the parts and forks of the driving line, the items
+at the start, and the lap time of the game's AI, forward and reversed (median of 25 karts at
+--difficulty). Do not train on the tracks of "test".
 
 Examples:
-  stkzoo tracks                                    all, by name
-  stkzoo tracks train --sort time                  the fastest first
+  stkzoo tracks                                    all tracks by name
+  stkzoo tracks train --sort time                  the shortest times first
   stkzoo tracks lighthouse hacienda --difficulty 3
-  stkzoo tracks lighthouse --map lighthouse.png    its map as a picture
-  stkzoo tracks --json                             for programs
+  stkzoo tracks lighthouse --map lighthouse.png    draw a map
+  stkzoo tracks --json                             JSON output for programs
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import SPLITS, TEST_TRACKS
 
-#: What ``--sort`` means.
+#: Field to sort by, for each choice of ``--sort``.
 _SORTS = {"name": "track", "length": "length", "time": "time", "items": "items"}
 
 
@@ -33,10 +33,10 @@ class TracksArguments:
     """Options of ``stkzoo tracks``.
 
     Attributes:
-        tracks: names, or train, test or all (default: all)
-        sort: what they are sorted by
-        difficulty: of the AI whose times are shown, 0 to 3
-        map: draw the one track's map (.png, .jpg, .webp)
+        tracks: names of tracks, or train, test or all (default: all)
+        sort: sort order
+        difficulty: difficulty of the AI whose times are shown, 0 to 3
+        map: draw a map of one track to FILE (.png, .jpg, .webp)
         json: write JSON instead of a table
     """
 
@@ -54,7 +54,18 @@ def add_arguments(parser: CommandParser) -> None:
 
 @dataclass(frozen=True)
 class TrackFacts:
-    """Facts about one track: length [m], counts, and the AI's times for a lap [s]."""
+    """Facts about one track.
+
+    Attributes:
+        track: name of the track.
+        split: ``"train"`` or ``"test"``.
+        length: length of a lap [m].
+        segments: number of segments of the driving line.
+        forks: number of segments with several successors.
+        items: number of items at the start.
+        time: the AI's median time for a lap, forward [s]; ``None`` if not measured.
+        reversed_time: the AI's median time for a lap, reversed [s]; ``None`` if not measured.
+    """
 
     track: str
     split: str
@@ -104,10 +115,10 @@ def _chosen(arguments: argparse.Namespace) -> list[str]:
 
 
 def track_facts(track: str, difficulty: int) -> TrackFacts:
-    """Starts a race on a track and reads its facts.
+    """Returns facts about a track, which it reads from a race that it starts.
 
     Args:
-        track: its name.
+        track: name of the track.
         difficulty: level of the AI whose times are included, 0 to 3.
     """
     from stkzoo import race_v0

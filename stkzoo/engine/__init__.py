@@ -1,8 +1,9 @@
-"""The game: its data, its processes, and its state as arrays.
+"""The interface to the game: its data, its processes, and its state as arrays.
 
-Only this package imports ``pystk2``, and only in processes that run or draw a race:
-:mod:`~stkzoo.engine.race` and :mod:`~stkzoo.engine.render_process` do. It needs numpy, the
-kernel and the modules directly in ``stkzoo``, so that an engine process starts quickly.
+Only this package imports ``pystk2``: :mod:`~stkzoo.engine.race` and
+:mod:`~stkzoo.engine.render_process` import it when they run or draw a race. To start quickly, an
+engine process imports only numpy, the kernel and modules directly in ``stkzoo`` besides this
+package.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ __all__ = [
     "decode_track",
 ]
 
-# An engine process needs few of them.
+# Names are imported on first use, because an engine process needs only a few of them.
 _HOMES = {
     "stkzoo.engine.session": ("WorkerSession",),
     "stkzoo.engine.setup": ("KartSetup", "RaceSetup"),

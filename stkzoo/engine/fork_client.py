@@ -1,4 +1,4 @@
-"""The program's side of the fork server: one connection, and the processes forked through it."""
+"""The client of the fork server, and the race processes forked through it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,10 @@ from stkzoo.errors import EngineCrashed, EngineTimeout
 
 
 def can_fork() -> bool:
-    """Whether races are forked from a fork server (Linux), not spawned."""
+    """Returns whether races are forked from a fork server (Linux) instead of spawned.
+
+    The environment variable ``STKZOO_START_METHOD=spawn`` disables forking.
+    """
     return sys.platform == "linux" and os.environ.get("STKZOO_START_METHOD") != "spawn"
 
 
@@ -40,26 +43,26 @@ def start_race_process(root: Path) -> RaceProcess:
     """Starts a process that can run races.
 
     Args:
-        root: the game's data, as :attr:`stkzoo.engine.assets.Assets.root`.
+        root: folder of the game's data, :attr:`stkzoo.engine.assets.Assets.root`.
 
     Raises:
         EngineCrashed: the engine could not start.
-        EngineTimeout: it took too long to start.
+        EngineTimeout: the engine took too long to start.
     """
     with explain_os_errors():
         if not can_fork():
             return SpawnedProcess(root, "worker")
         try:
             return start_fork_server(root).fork()
-        except EngineCrashed:  # the fork server was killed since it was last used
+        except EngineCrashed:  # the fork server was killed after its last use
             return start_fork_server(root).fork()
 
 
 class ForkServerClient:
-    """This program's connection to one fork server.
+    """A connection of this program to one fork server.
 
     Attributes:
-        root: the game's data.
+        root: folder of the game's data.
     """
 
     def __init__(self, root: Path) -> None:
@@ -85,7 +88,12 @@ class ForkServerClient:
             on_failure.pop_all()
 
     def fork(self) -> RaceProcess:
-        """A new child that has run no race yet."""
+        """Returns a new child of the fork server that has not run a race yet.
+
+        Raises:
+            EngineCrashed: the fork server ended or could not start.
+            EngineTimeout: the fork server did not answer in time and was ended.
+        """
         if self._control.is_lost:
             _retire(self)
             raise EngineCrashed(f"the connection to the game's fork server {LOST_CONNECTION}")
@@ -108,17 +116,19 @@ class ForkServerClient:
         return process
 
     def fork_from(self, source: wire.EngineConnection, timeout: float | None) -> RaceProcess:
-        """A fork of the fork server or one of its children; ends by itself on a failure.
+        """Returns a fork of the fork server or of one of its children.
+
+        If this fails, the new process ends by itself.
 
         Args:
             source: connection to the process to fork.
-            timeout: seconds that this may take.
+            timeout: time limit for the fork [s].
 
         Raises:
-            EngineError: it is not possible now.
-            EOFError: the process to fork is gone.
-            ConnectionError: likewise.
-            TimeoutError: it took too long.
+            EngineError: the system cannot start or clone a process now.
+            EOFError: the process to fork has ended.
+            ConnectionError: as for EOFError.
+            TimeoutError: the new process did not answer in time.
         """
         if source.is_lost:
             raise ConnectionError("the descriptor was closed")
@@ -129,7 +139,8 @@ class ForkServerClient:
                 on_failure.callback(log.close)
             with theirs:
                 ours.settimeout(timeout)
-                if source is not self._control:  # a race's kernel takes no files: they follow
+                if source is not self._control:
+                    # A race's kernel cannot receive files, so they come in a second message.
                     wire.send(source, wire.FORK)
                 wire.send(source, wire.FORK, files=[theirs.fileno(), log.fileno()])
             try:
@@ -149,7 +160,11 @@ class ForkServerClient:
         return _ForkedProcess(ours, int(frames[0]), log, self)
 
     def end_child(self, pid: int) -> int | None:
-        """Ends a child if it still lives; its wait status, ``None`` if it is lost."""
+        """Ends a child if it is still running.
+
+        Returns:
+            The wait status of the child; ``None`` if the fork server could not report it.
+        """
         if self._control.is_lost:
             return None
         with contextlib.suppress(EOFError, OSError), self._lock:
@@ -162,7 +177,7 @@ class ForkServerClient:
         return None
 
     def close(self) -> None:
-        """Ends the fork server and with it all its children."""
+        """Ends the fork server and all its children."""
         self._control.close()
         try:
             stop(self._process, 2.0)
@@ -171,14 +186,14 @@ class ForkServerClient:
             self._log.close()
 
     def forget(self) -> None:
-        """Closes the handles of a fork server that belongs to this process's parent."""
+        """Closes the handles of a fork server that the parent process started."""
         self._control.close()
-        self._process.returncode = 0  # not our child: nothing to wait for
+        self._process.returncode = 0  # not a child of this process, so there is nothing to wait for
         self._home.release()
 
 
 def _is_closed(connection: socket.socket) -> bool:
-    """Whether the other end is closed, whatever it has sent before."""
+    """Returns whether the other end is closed, even if it sent data before."""
     poller = select.poll()
     poller.register(connection, 0)
     return bool(poller.poll(0))
@@ -208,7 +223,10 @@ _fork_servers_lock = threading.Lock()
 
 
 def start_fork_server(root: Path) -> ForkServerClient:
-    """This program's fork server for the given game data; does not wait for it."""
+    """Returns this program's fork server for a folder of game data, and starts it if needed.
+
+    This does not wait until the fork server is ready.
+    """
     with _fork_servers_lock:
         if root not in _fork_servers:
             with explain_os_errors():
@@ -225,7 +243,7 @@ def _retire(fork_server: ForkServerClient) -> None:
 
 @atexit.register
 def _close_all() -> None:
-    with contextlib.suppress(KeyboardInterrupt):  # what is left ends with the program
+    with contextlib.suppress(KeyboardInterrupt):  # remaining fork servers end with the program
         while _fork_servers:
             _fork_servers.popitem()[1].close()
 
@@ -239,7 +257,7 @@ def _forget_all() -> None:
         _forgotten.append(fork_server)
 
 
-#: Fork servers of the parent process, kept so that their finalizers do not run here.
+#: Fork servers of the parent process. References prevent their finalizers from running here.
 _forgotten: list[ForkServerClient] = []
 
 if hasattr(os, "register_at_fork"):

@@ -1,13 +1,13 @@
 """The fork server: starts the engine once and forks one child for each race.
 
-Every child is the first race of its process, which is what makes a race repeat bit for
-bit (the engine carries hidden random state from one race to the next). The fork server has
-never run a race, holds no graphics and runs no threads, so that forking it is safe.
+Each race is the first one of its process, so its results are reproducible bit for bit: the engine
+carries hidden random state from one race to the next. Forking the fork server is safe, because it
+never runs a race, uses no graphics and has no threads.
 
-A race's process can clone itself (:mod:`stkzoo.engine.process_clone`). Clones are children of
-the fork server too: it ends and reaps them like all others, and all die with it.
+The process of a race can clone itself (:mod:`stkzoo.engine.process_clone`). Clones are also
+children of the fork server: it ends and reaps them like the others, and they end with it.
 
-The fork server speaks :mod:`stkzoo.engine.wire` with the program, over one packet socket.
+The fork server and the program exchange :mod:`stkzoo.engine.wire` messages over one packet socket.
 """
 
 from __future__ import annotations
@@ -29,12 +29,16 @@ from stkzoo.engine.race import init_engine
 from stkzoo.engine.worker import WorkerServer
 
 _POLL_SECONDS = 0.5
-#: Time for a child to end by itself after its connection broke [s].
+#: Time for a child to end by itself after its connection is closed [s].
 _GRACE_SECONDS = 0.2
 
 
 def main(control_fd: int) -> None:
-    """Runs until the program at the other end of ``control_fd`` is gone."""
+    """Runs the fork server until its program ends.
+
+    Args:
+        control_fd: descriptor of the socket to the program.
+    """
     control = socket.socket(fileno=control_fd)
     libc = ctypes.CDLL(None)
     _unbuffer_output(libc)
@@ -51,11 +55,11 @@ class _ForkServer:
         self._control = control
         self._pid = os.getpid()
         self._program = os.getppid()
-        self._statuses: dict[int, int] = {}  # of ended children that may be requested
-        self._dropped: set[int] = set()  # children that are ending, whose status is not needed
+        self._statuses: dict[int, int] = {}  # of ended children; the program may request them
+        self._dropped: set[int] = set()  # killed children whose status is not needed
 
     def run(self) -> None:
-        """Serves the program's requests until it is gone."""
+        """Serves the program's requests until the program ends."""
         poller = select.poll()
         poller.register(self._control, select.POLLIN)
         with contextlib.suppress(EOFError, ConnectionError):
@@ -84,12 +88,12 @@ class _ForkServer:
             os._exit(0)
         except BaseException:
             traceback.print_exc()
-            if os.getpid() != self._pid:  # nothing of the fork server may run in the child
+            if os.getpid() != self._pid:  # the child must not run the fork server's code
                 os._exit(1)
             raise
 
     def _end(self, pid: int) -> int:
-        """Ends a child that still lives after a moment; returns its wait status."""
+        """Returns the wait status of a child; kills it after :data:`_GRACE_SECONDS`."""
         deadline = time.monotonic() + _GRACE_SECONDS
         self._reap()
         while pid not in self._statuses:
@@ -116,7 +120,7 @@ class _ForkServer:
 
 
 def _unbuffer_output(libc: ctypes.CDLL) -> None:
-    """Makes the game's own output reach the log even if the game dies."""
-    with contextlib.suppress(ValueError):  # a C library with other names for its streams
+    """Turns off C's output buffers, so the log is complete even if the game crashes."""
+    with contextlib.suppress(ValueError):  # some C libraries name their streams differently
         stdout = ctypes.c_void_p.in_dll(libc, "stdout")
         libc.setvbuf(stdout, None, 2, 0)  # 2 is _IONBF

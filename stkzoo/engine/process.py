@@ -1,8 +1,8 @@
-"""The processes that hold the game, seen from the program that uses them.
+"""The program's handles of engine processes.
 
-A race runs in a :class:`RaceProcess`: a fork of this program's fork server
-(:mod:`stkzoo.engine.fork_client`) where forking works, else a :class:`SpawnedProcess`, a new
-interpreter. Both speak :mod:`stkzoo.engine.wire`.
+A race runs in a :class:`RaceProcess`. Where forking works, this is a fork of the program's fork
+server (:mod:`stkzoo.engine.fork_client`); otherwise it is a :class:`SpawnedProcess`, a new
+interpreter. Both exchange :mod:`stkzoo.engine.wire` messages with the program.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from stkzoo._os import LockedTemporaryDirectory, OwnDescriptor
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 
-#: Time limit for a process to start, and for a race to be ready on the grid [s].
+#: Time limit for a process to start, and for a race to place its karts on the grid [s].
 START_TIMEOUT = 60.0
-#: The same for the render process: without a graphics card, shaders take minutes.
+#: The same limit for the render process [s]. Without a graphics card, shaders take minutes.
 DRAWING_START_TIMEOUT = 300.0
 _LOG_TAIL_BYTES = 4096
-#: Errors of the system when the folder for temporary files is missing or not writable.
+#: System errors for a missing or read-only folder of temporary files.
 _NO_FOLDER = (errno.ENOENT, errno.EACCES, errno.EROFS)
 _TOKEN_BYTES = 32
 
-#: Environment variables with which numerical libraries use one thread.
+#: Environment variables that limit numerical libraries to one thread.
 ONE_THREAD = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
 
-#: Makes ``stkzoo`` a bare package in the engine's interpreter, so that importing the
-#: engine's own modules does not import Gymnasium and the rest of the library.
+#: Makes ``stkzoo`` an empty package in the engine's interpreter. Otherwise, the import of the
+#: engine's modules would also import Gymnasium and the rest of the library.
 _BOOTSTRAP = """
 import sys, types
 sys.path[:] = [path for path in sys.path if path]
@@ -53,34 +53,34 @@ main(int(sys.argv[2]))
 """
 
 
-#: The output of an engine process.
+#: The file with the output of an engine process.
 Log = OwnDescriptor
 
 
 def open_log() -> Log:
-    """An unnamed file for the output of an engine process."""
+    """Returns a new unnamed file for the output of an engine process."""
     with tempfile.TemporaryFile(prefix="stkzoo-log-") as file:
         return Log(os.dup(file.fileno()))
 
 
 def tail(log: Log) -> str:
-    """The last lines of an output; empty once the file is closed."""
+    """Returns the last 4,096 bytes of a log as text; empty if the file is closed."""
     if log.is_lost:
         return ""
     start = max(0, os.fstat(log.fileno()).st_size - _LOG_TAIL_BYTES)
-    # Not through the file object: the writer shares its position.
+    # pread does not move the file position, which the writer shares.
     return os.pread(log.fileno(), _LOG_TAIL_BYTES, start).decode(errors="replace").strip()
 
 
 @dataclass(eq=False)
 class RaceProcess:
-    """A process that serves one connection.
+    """A process that serves the requests of one connection.
 
     Attributes:
-        connection: socket that speaks :mod:`stkzoo.engine.wire`.
-        pid: its process id.
-        log: its output.
-        owner: process id of the program that started it.
+        connection: socket for :mod:`stkzoo.engine.wire` messages.
+        pid: process id.
+        log: output of the process.
+        owner: process id of the program that started the process.
     """
 
     connection: wire.EngineConnection
@@ -89,7 +89,11 @@ class RaceProcess:
     owner: int = field(default_factory=os.getpid, init=False)
 
     def end(self) -> str:
-        """Ends the process if it still runs and says how it ended."""
+        """Ends the process if it is still running.
+
+        Returns:
+            How the process ended, as in :func:`describe_end`.
+        """
         raise NotImplementedError
 
     def drop(self) -> None:
@@ -97,7 +101,10 @@ class RaceProcess:
         raise NotImplementedError
 
     def release(self) -> None:
-        """:meth:`drop` in the program that started it; its forks only close the handles."""
+        """Calls :meth:`drop` in the program that started the process.
+
+        In a fork of that program, this only closes the handles.
+        """
         if self.owner == os.getpid():
             if not self.connection.is_lost:
                 with contextlib.suppress(OSError):  # wakes a thread that waits for a reply
@@ -110,9 +117,10 @@ class RaceProcess:
         """Waits for one reply and returns its frames.
 
         Raises:
-            EngineError: the game refused the request.
-            EOFError: the process is gone.
-            TimeoutError: the connection's time-out passed.
+            ConfigError: the process rejected an argument.
+            EngineError: the process reported another error.
+            EOFError: the process has ended.
+            TimeoutError: no reply came within the connection's timeout.
         """
         kind, frames = wire.receive(self.connection)
         if kind == wire.ERROR:
@@ -126,12 +134,12 @@ class RaceProcess:
         return frames
 
     def fork(self) -> RaceProcess:
-        """A clone of the process in its present state; call it between two requests.
+        """Returns a clone of the process in its current state. Call it between two requests.
 
         Raises:
-            EngineError: no clone could be made; the process is unchanged.
-            EOFError: the process is gone.
-            TimeoutError: the connection's time-out passed.
+            EngineError: the process cannot be cloned; it is unchanged.
+            EOFError: the process has ended.
+            TimeoutError: the clone did not answer within the connection's timeout.
         """
         raise EngineError(
             "a race's state can be saved and copied only where races are forked: on Linux, "
@@ -143,7 +151,7 @@ class RaceProcess:
         self.log.close()
 
 
-#: What an error says when a descriptor of ours was closed.
+#: Part of the error text when this program has closed one of stkzoo's descriptors.
 LOST_CONNECTION = (
     "was lost: this program closed a file descriptor of stkzoo, as os.closerange and daemon "
     "libraries do"
@@ -152,7 +160,7 @@ LOST_CONNECTION = (
 
 @contextlib.contextmanager
 def explain_os_errors() -> Iterator[None]:
-    """Explains the error of a system that cannot start another process."""
+    """Converts an OSError during the start of a process to an EngineError with a remedy."""
     try:
         yield
     except OSError as error:
@@ -166,10 +174,14 @@ def explain_os_errors() -> Iterator[None]:
 
 
 def engine_environment(root: Path, home: str) -> dict[str, str]:
-    """The environment of an engine process.
+    """Returns the environment variables of an engine process.
 
     The game reads and writes its settings in ``home``, so a player's own settings do not
-    affect it, and several processes do not share a folder.
+    affect it, and processes do not share a settings folder.
+
+    Args:
+        root: folder of the game's data.
+        home: home folder of the process.
     """
     private = {
         "SUPERTUXKART_DATADIR": str(root),
@@ -187,11 +199,11 @@ def spawn_interpreter(
     """Starts a new interpreter that runs ``main`` of one of this package's modules.
 
     Args:
-        module: the module's name.
-        channel: the argument of ``main``: a descriptor or a port to reach this program.
-        environment: the process's environment.
-        log: receives its output.
-        **options: of :class:`subprocess.Popen`.
+        module: name of the module.
+        channel: argument of ``main``: the descriptor or port of a connection to this program.
+        environment: environment variables of the process.
+        log: file for the output of the process.
+        **options: further arguments of :class:`subprocess.Popen`.
     """
     package = Path(__file__).resolve().parents[1]
     code = _BOOTSTRAP.format(module=module)
@@ -201,13 +213,23 @@ def spawn_interpreter(
         stdout=log.fileno(),
         stderr=log.fileno(),
         env=environment,
-        start_new_session=True,  # a Ctrl-C on the terminal is the program's, not the game's
+        start_new_session=True,  # Ctrl-C in the terminal must reach only the program
         **options,
     )
 
 
 class SpawnedProcess(RaceProcess):
-    """A new interpreter, connected over the loopback interface."""
+    """A new interpreter that connects to this program over the loopback interface.
+
+    Args:
+        root: folder of the game's data.
+        module: the module whose ``main`` the interpreter runs.
+        variables: further environment variables.
+
+    Raises:
+        EngineCrashed: the process ended before it connected.
+        EngineTimeout: the process did not connect in time.
+    """
 
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
         self._home = LockedTemporaryDirectory("home")
@@ -215,7 +237,7 @@ class SpawnedProcess(RaceProcess):
         log = open_log()
         token = secrets.token_bytes(_TOKEN_BYTES)
         environment = engine_environment(root, home) | {"STKZOO_TOKEN": token.hex()}
-        environment.setdefault("XDG_RUNTIME_DIR", home)  # a window asks for one
+        environment.setdefault("XDG_RUNTIME_DIR", home)  # required to open a window
         environment |= variables or {}
         with socket.create_server(("127.0.0.1", 0)) as listener:
             listener.settimeout(0.25)
@@ -272,7 +294,12 @@ def _own(connection: socket.socket) -> wire.EngineConnection:
 
 
 def stop(process: subprocess.Popen[bytes], patience: float) -> None:
-    """Waits so many seconds for a process to end by itself, then kills it; at Ctrl-C, at once."""
+    """Waits for a process to end by itself, then kills it. Ctrl-C kills it immediately.
+
+    Args:
+        process: the process.
+        patience: how long to wait [s].
+    """
     try:
         process.wait(patience)
     except BaseException as error:
@@ -283,7 +310,11 @@ def stop(process: subprocess.Popen[bytes], patience: float) -> None:
 
 
 def describe_end(returncode: int) -> str:
-    """Says how a process ended, such as ``"was ended by SIGKILL"``."""
+    """Returns a description of how a process ended, such as ``"was ended by SIGKILL"``.
+
+    Args:
+        returncode: as in :class:`subprocess.Popen`.
+    """
     if returncode >= 0:
         return f"exited with code {returncode}"
     try:

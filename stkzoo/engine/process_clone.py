@@ -1,14 +1,14 @@
-"""Forks a process that has a connection and a log of its own (Linux).
+"""Forks of a process, each with its own connection and log (Linux).
 
 A child of the fork server is an ordinary fork. A clone of a race must outlive the process
-that it was made from, and die with the fork server.
-A plain fork gives a child of the race's process, so the clone is forked as a *sibling*:
-the kernel's ``clone`` call with ``CLONE_PARENT`` makes it the fork server's own child from its
-first moment, which it can end and reap, and which the kernel ends when it dies. (A fork
-of a fork, with an orphan adopted by the fork server, does the same in twice the time.)
+from which it was cloned, and end with the fork server. An ordinary fork would be a child of the
+race's process, so the clone is forked as a *sibling*: the system call ``clone`` with
+``CLONE_PARENT`` makes it a child of the fork server from the start. The fork server can end and
+reap it, and the kernel ends it when the fork server ends. (A fork of a fork, whose orphan the fork
+server adopts, does the same but takes twice as long.)
 
-This call skips Python's and the C library's own preparations for a fork. They matter to
-processes with threads; a race without a window has none, which is checked.
+This call skips the preparations of Python and of the C library for a fork. They only matter to
+processes with threads. A race without a window has none; :func:`fork_beside` checks this.
 """
 
 from __future__ import annotations
@@ -26,15 +26,17 @@ from stkzoo.engine import wire
 
 _PR_SET_PDEATHSIG = 1
 _CLONE_PARENT = 0x8000
-#: Number of the system call ``clone``; with these arguments both platforms call it alike.
+#: Numbers of the system call ``clone``. Both platforms take the arguments used here in one order.
 _SYS_CLONE = {"x86_64": 56, "aarch64": 220}
 
-# Unlike CDLL, PyDLL keeps Python's lock during a call, so the clone starts with it.
+# Unlike CDLL, PyDLL holds the GIL during a call, so the clone also starts with it.
 _libc: Any = ctypes.PyDLL(None, use_errno=True) if os.name == "posix" else None
 
 
 def die_with(parent: int) -> None:
-    """Makes the kernel kill this process when its parent ends, or ends it if that has happened.
+    """Makes the kernel kill this process when its parent ends.
+
+    If the parent has already ended, this process exits.
 
     Args:
         parent: process id of the parent.
@@ -50,19 +52,19 @@ def serve_fork(
     """Serves a request of kind :data:`~stkzoo.engine.wire.FORK`.
 
     Args:
-        connection: this process's own connection, which the new process closes.
-        files: descriptors of the new process's connection and log. They are closed here, so
-            the program sees the end of that connection if no process takes it.
-        fork: forks this process, as :func:`os.fork` does.
+        connection: the connection of this process; the new process closes it.
+        files: descriptors of the new process's connection and log. This process closes them, so
+            the program notices if no new process uses that connection.
+        fork: function that forks this process, such as :func:`os.fork`.
         fork_server: process id of the new process's parent.
 
     Returns:
-        In the new process its connection; ``None`` in this one.
+        The connection of the new process, in the new process; ``None`` in this process.
     """
     with contextlib.ExitStack() as on_exit:
         for file in files:
             on_exit.callback(os.close, file)
-        if len(files) != 2:  # this process may open no more files
+        if len(files) != 2:  # this process has reached its limit of open files
             return None
         session_fd, log_fd = files
         try:
@@ -83,13 +85,14 @@ def serve_fork(
 
 
 def fork_beside() -> int:
-    """Forks this process into a sibling: a child of its parent, not of its own.
+    """Forks this process as a sibling: the new process is a child of this process's parent.
 
     Returns:
-        Process id of the new process; 0 in the new process itself.
+        Process id of the new process; 0 in the new process.
 
     Raises:
-        OSError: the system refuses, or this process has threads.
+        OSError: the system call failed, the platform is not supported, or this process has
+            several threads.
     """
     if len(os.listdir("/proc/self/task")) > 1:
         raise OSError("a process with several threads cannot be cloned")

@@ -1,4 +1,4 @@
-"""The game itself, driven in this process by ``pystk2``."""
+"""The game in this process, run with ``pystk2``."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from stkzoo.kernel import GameStepper
 from stkzoo.kernel.reference import game_stepper
 from stkzoo.names import AttachmentType, CameraMode, ItemType, Phase, PowerupType
 
-#: More steps than any race needs before the engine shows READY (31 at 0.1 s).
+#: Maximum number of steps before the phase READY; a race needs 31 at a step size of 0.1 s.
 _MAX_WARMUP_STEPS = 100_000
 
-#: More letters of a kart's name would cover the picture.
+#: Maximum length of a kart's name. Longer names would cover the image.
 _LONGEST_NAME = 20
 _is_initialised = False
 
 
 @dataclass(frozen=True, slots=True)
 class RaceStart:
-    """What is known of a race once its karts stand on the grid.
+    """The data of a race when its karts are ready to start.
 
     Attributes:
         kart_types: model name of each kart, in grid order.
-        track: the track as a block for :func:`stkzoo.engine.track.decode_track`.
-        snapshot: the first moment, in phase READY.
+        track: the encoded track; :func:`stkzoo.engine.track.decode_track` decodes it.
+        snapshot: the first snapshot, in phase READY unless the race has custom starts.
     """
 
     kart_types: tuple[str, ...]
@@ -42,21 +42,24 @@ class RaceStart:
     snapshot: Snapshot
 
     def to_frames(self) -> tuple[bytes, bytes, bytes]:
-        """The start as three blocks of bytes."""
+        """Returns the start as three blocks of bytes: kart types, track and snapshot."""
         return json.dumps(self.kart_types).encode(), self.track, self.snapshot.data
 
     @classmethod
     def from_frames(cls, kart_types: bytes, track: bytes, snapshot: bytes) -> RaceStart:
-        """Reads what :meth:`to_frames` wrote."""
+        """Decodes the blocks of :meth:`to_frames`."""
         return cls(tuple(json.loads(kart_types)), track, Snapshot(snapshot))
 
 
 def init_engine(graphics: str = '{"preset": "none"}') -> None:
-    """Starts the engine in this process, once; later calls do nothing.
+    """Starts the engine in this process. Later calls do nothing.
 
     Args:
-        graphics: fields of ``pystk2.GraphicsConfig`` as a JSON object, in which ``preset``
-            names the preset for those left out; ``"none"`` is no graphics.
+        graphics: fields of ``pystk2.GraphicsConfig`` as a JSON object. Its key ``preset`` names
+            the preset of the other fields; ``"none"`` disables graphics.
+
+    Raises:
+        EngineError: the installed ``pystk2`` numbers powerups, attachments or items differently.
     """
     global _is_initialised
     if _is_initialised:
@@ -93,7 +96,11 @@ def _check_numbers(pystk2: Any) -> None:
 
 
 class GameRace:
-    """One race of the engine in this process. At most one may live at a time."""
+    """One race of the engine in this process. A process can have only one at a time.
+
+    Args:
+        setup: options of the race.
+    """
 
     def __init__(self, setup: RaceSetup) -> None:
         import pystk2
@@ -107,11 +114,16 @@ class GameRace:
         self._race = pystk2.Race(race_config(setup))
         self._race.start()
         self._world = pystk2.WorldState()
-        self._stepper: Any = None  # a GameStepper of the kernel, once the race is ready
+        self._stepper: Any = None  # a GameStepper after begin()
         self._track = pystk2.Track()
 
     def begin(self) -> RaceStart:
-        """Advances to the first moment on the grid, from which karts may act."""
+        """Advances the race to its first snapshot, after which karts can act.
+
+        Raises:
+            EngineError: the race does not reach the phase READY.
+            ConfigError: a kart cannot start where ``setup.starts`` places it.
+        """
         for _ in range(_MAX_WARMUP_STEPS):
             self._race.step()
             self._world.update()
@@ -131,29 +143,34 @@ class GameRace:
         )
 
     def step(self, controls: bytes | npt.NDArray[np.float32]) -> Snapshot:
-        """Advances the game by one step.
+        """Advances the game by one step and returns the snapshot after it.
 
         Args:
-            controls: ``(P, 7)`` float32, or its bytes: a row for each player kart in grid
-                order, columns as in :data:`stkzoo.engine.snapshot.CONTROLS`.
+            controls: ``(P, 7)`` float32 or its bytes: one row per player kart in grid order,
+                with the columns of :data:`stkzoo.engine.snapshot.CONTROLS`.
         """
         return Snapshot(self._stepper.step(controls))
 
     @property
     def serve(self) -> Callable[[int], bytes] | None:
-        """Takes the steps that are asked for, until something else is, which it returns.
+        """Function that serves step requests until another request arrives, which it returns.
 
         Its argument is the descriptor of one end of :func:`stkzoo.engine.wire.pair`, without a
-        time-out. It raises EOFError when the other end is gone. ``None`` if it is not available.
+        timeout. It raises EOFError when the other end is closed. ``None`` if the stepper of this
+        race has no such function.
         """
         return getattr(self._stepper, "serve", None)
 
     def stop(self) -> None:
-        """Ends the race; nothing else may be called afterwards."""
+        """Ends the race. Do not call any other method afterwards."""
         self._race.stop()
 
     def _new_stepper(self) -> Any:
-        """What steps and reads the race: by the engine's block, or attribute by attribute."""
+        """Returns the object that steps and reads the race.
+
+        The compiled stepper reads the engine's memory block. If it is not available or its result
+        differs, the slower reference reads the engine's attributes one by one.
+        """
         what: tuple[Any, ...] = self._race, self._world, self._actions, CONTROLS
         what += self._phases, Phase.RACE_PHASE, self._reporting
         by_attribute = game_stepper.GameStepper(*what)
@@ -166,11 +183,11 @@ class GameRace:
 
 
 def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
-    """The engine's ``pystk2.RaceConfig``.
+    """Returns the ``pystk2.RaceConfig`` of a race.
 
     Args:
-        setup: the race.
-        has_cameras: follow the karts' ``camera_mode``; otherwise no kart has a camera.
+        setup: options of the race.
+        has_cameras: use each kart's ``camera_mode``; otherwise no kart has a camera.
     """
     import pystk2
 
@@ -183,8 +200,8 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
     )
     config.reverse = setup.reverse
     config.step_size = setup.step_size
-    # Any other number is that of the first karts, whatever they ask for; a camera without
-    # graphics is the end of the game.
+    # With another number, so many of the first karts get a camera, regardless of their
+    # camera_mode. Without graphics, a camera crashes the game.
     config.num_cameras = 0
     config.players.clear()
     kinds = pystk2.PlayerConfig
@@ -203,5 +220,5 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
 
 
 def _shown_name(name: str) -> str:
-    """What the game can write above a kart: one short line."""
+    """Returns a name as the game can show it above a kart: a short line of printable text."""
     return "".join(letter for letter in name if letter.isprintable())[:_LONGEST_NAME]

@@ -1,9 +1,8 @@
 """The render process: a second race with graphics, whose karts follow those of another race.
 
-Graphics change the game's physics a little, so the exact race runs without them. Its pictures
-come from this process, which has graphics and a race of its own. Before each picture it moves
-its karts to the poses of the exact race. Drawing can therefore never change a race, and costs
-nothing while no pictures are requested.
+Graphics slightly change the game's physics, so the exact race runs without them. This process has
+graphics and its own race. Before it draws an image, it moves its karts to the poses of the exact
+race. Rendering therefore never changes a race, and costs nothing while no image is requested.
 """
 
 from __future__ import annotations
@@ -24,22 +23,22 @@ from stkzoo.engine.race import race_config
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.worker import RequestServer, connected
 
-#: Numbers of a pose: location [m], rotation (w, x, y, z), speed [m/s].
+#: Number of values in a pose: location [m], rotation (w, x, y, z), speed [m/s].
 _POSE_SIZE = 8
-#: So many laps that no kart finishes: a finished kart cannot be moved.
+#: Number of laps, large enough that no kart finishes. A finished kart cannot be moved.
 _MANY_LAPS = 999
-#: The race clock from which karts can be moved [s]; how far a step goes until then [s], for
-#: a window draws every step; and more steps than that takes.
+#: Race clock after which karts can be moved [s]; step size until then [s], large because a window
+#: draws every step; and the maximum number of these steps.
 _FREE_AFTER, _WARMUP_STEP, _MAX_WARMUP_STEPS = 1.01, 0.5, 1000
 
 Poses = npt.NDArray[np.float32]
 
 
 class MirroredRace:
-    """The drawn race. A process can have one at a time.
+    """The race that is drawn. A process can have only one at a time.
 
     Args:
-        setup: the race to mirror; the karts whose ``camera_mode`` is on have a camera.
+        setup: the race to mirror. A kart has a camera if its ``camera_mode`` is not off.
     """
 
     def __init__(self, setup: RaceSetup) -> None:
@@ -67,7 +66,13 @@ class MirroredRace:
                 break
 
     def follow(self, poses: Poses, seconds: float, *, in_real_time: bool = False) -> None:
-        """Moves the karts through ``(T, K, 8)`` poses, each ``seconds`` of game time apart [s]."""
+        """Moves the karts through a sequence of poses.
+
+        Args:
+            poses: ``(T, K, 8)`` float32: location [m], rotation (w, x, y, z), speed [m/s].
+            seconds: game time between two poses [s].
+            in_real_time: take at least as long as the game time.
+        """
         self._race.config.step_size = seconds
         move = self._world.set_kart_location
         for moment in poses.tolist():
@@ -79,30 +84,34 @@ class MirroredRace:
         self._world.update()
 
     def _wait(self, seconds: float) -> None:
-        """Waits until ``seconds`` after the last pose; delays are not made up for."""
+        """Waits until ``seconds`` after the last pose. Later poses do not catch up on delays."""
         now = time.monotonic()
         self._due = max(self._due + seconds, now)
         time.sleep(min(self._due - now, seconds))
 
     def pictures(self) -> npt.NDArray[np.uint8]:
-        """What each camera sees: ``(C, H, W, 3)`` uint8."""
+        """Returns the image of each camera: ``(C, H, W, 3)`` uint8."""
         return np.array([camera.image for camera in self._race.render_data], np.uint8)
 
     def depths(self) -> npt.NDArray[np.float32]:
-        """How far each camera sees: ``(C, H, W)`` float32, as the graphics library keeps it."""
+        """Returns the depth buffer of each camera: ``(C, H, W)`` float32, 0 near and 1 far."""
         return np.array([camera.depth for camera in self._race.render_data], np.float32)
 
     def locations(self) -> npt.NDArray[np.float32]:
-        """Where the drawn karts are: ``(K, 3)`` [m]."""
+        """Returns the locations of the drawn karts: ``(K, 3)`` float32 [m]."""
         return np.array([kart.location for kart in self._world.karts], np.float32)
 
     def stop(self) -> None:
-        """Ends the race. Do not call anything else afterwards."""
+        """Ends the race. Do not call any other method afterwards."""
         self._race.stop()
 
 
 def main(port: int) -> None:
-    """Draws for the program until it is gone."""
+    """Serves the program's drawing requests until the program ends.
+
+    Args:
+        port: port on which the program listens.
+    """
     with connected(port, os.environ.pop("STKZOO_GRAPHICS")) as connection:
         _RenderServer(connection).run()
 
@@ -123,7 +132,13 @@ class _RenderServer(RequestServer):
 
 
 def _draw(race: MirroredRace, request: bytes, poses: bytes) -> list[bytes]:
-    """Answers a :data:`~stkzoo.engine.wire.DRAW`: the request as JSON, and poses."""
+    """Returns the reply to a :data:`~stkzoo.engine.wire.DRAW` request.
+
+    Args:
+        race: the race to draw.
+        request: options as JSON.
+        poses: bytes of the poses.
+    """
     wishes = json.loads(request)
     moments = np.frombuffer(poses, np.float32).reshape(-1, len(race.locations()), _POSE_SIZE)
     race.follow(moments, wishes["seconds"], in_real_time=wishes["in_real_time"])
@@ -138,7 +153,7 @@ def _draw(race: MirroredRace, request: bytes, poses: bytes) -> list[bytes]:
 
 @contextlib.contextmanager
 def _ending_with(connection: socket.socket) -> Iterator[None]:
-    """Ends this process if the program ends meanwhile, because drawing can take minutes."""
+    """Ends this process when the program ends. Drawing can take minutes, so it cannot wait."""
     if sys.platform != "linux":
         yield
         return
@@ -146,7 +161,8 @@ def _ending_with(connection: socket.socket) -> Iterator[None]:
 
     flags = fcntl.fcntl(connection, fcntl.F_GETFL)
     fcntl.fcntl(connection, fcntl.F_SETOWN, os.getpid())
-    fcntl.fcntl(connection, fcntl.F_SETFL, flags | os.O_ASYNC)  # a SIGIO at the end, which kills
+    # With O_ASYNC, the kernel sends SIGIO at the end of the connection, which kills this process.
+    fcntl.fcntl(connection, fcntl.F_SETFL, flags | os.O_ASYNC)
     try:
         with contextlib.suppress(BlockingIOError):
             if not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT):

@@ -1,4 +1,4 @@
-"""The program's side of the render process, which draws a race that runs elsewhere."""
+"""The client of the render process, which draws a race that runs in another process."""
 
 from __future__ import annotations
 
@@ -25,26 +25,26 @@ from stkzoo.engine.session import ProcessSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError, EngineCrashed
 
-#: Game time of one move of the drawn karts [s].
+#: Default game time between two poses of the drawn karts [s].
 TICK = 1 / 60
 
-#: Debian's names of what drawing without a screen needs.
+#: Debian packages that drawing without a display needs.
 GRAPHICS_PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 
 
-#: Mesa's renderer without a graphics card can lose itself for a minute in this filter.
+#: Disables this filter, with which Mesa's software renderer can hang for a minute.
 _NO_ANISOTROPY = "-GL_EXT_texture_filter_anisotropic -GL_ARB_texture_filter_anisotropic"
 
 
 @dataclass(frozen=True, slots=True)
 class Footage:
-    """What the cameras see at one moment.
+    """The camera images of one moment.
 
     Attributes:
-        images: ``(C, H, W, 3)`` uint8, one picture per camera; ``C`` is 0 if none was requested.
-        depths: ``(C, H, W)`` float32, the depth buffer as the graphics library keeps it: 0 is
-            near and 1 far; ``C`` is 0 if none was requested.
-        locations: ``(K, 3)`` float32: where the drawn karts stand [m].
+        images: ``(C, H, W, 3)`` uint8, one image per camera; ``C`` is 0 if none was requested.
+        depths: ``(C, H, W)`` float32, the raw depth buffer: 0 is near and 1 is far; ``C`` is 0 if
+            none was requested.
+        locations: ``(K, 3)`` float32: locations of the drawn karts [m].
     """
 
     images: npt.NDArray[np.uint8]
@@ -53,10 +53,10 @@ class Footage:
 
 
 def check_graphics_libraries() -> None:
-    """Checks that the game can draw without a screen, as far as a look at the libraries tells.
+    """Checks that the libraries for drawing without a display are installed (Linux only).
 
     Raises:
-        ConfigError: libraries are missing; it names the packages.
+        ConfigError: libraries are missing; the message names the packages.
     """
     if sys.platform != "linux":
         return
@@ -70,7 +70,11 @@ def check_graphics_libraries() -> None:
 
 
 def has_graphics_card() -> bool:
-    """Whether there is a graphics card; without one, fine drawing takes minutes a picture."""
+    """Returns whether the machine has a graphics card.
+
+    Without one, an image in high quality takes minutes. Systems other than Linux are not checked
+    and return ``True``.
+    """
     if sys.platform != "linux":
         return True
     names = ("dri/renderD*", "nvidia[0-9]*", "dxg")
@@ -78,16 +82,16 @@ def has_graphics_card() -> bool:
 
 
 class RenderSession(ProcessSession):
-    """Draws races in a process of its own, one at a time.
+    """A session that draws races in a separate process, one at a time.
 
     Args:
-        root: the game's full data.
-        size: width and height of a picture [pixels].
-        preset: how finely the game draws: ``"ld"``, ``"sd"`` or ``"hd"``, or fields of
-            ``pystk2.GraphicsConfig`` by name.
-        has_window: shows the game's window; otherwise nothing appears on a screen.
-        timeout: seconds that the pictures of one moment may take, the first ones ten times as
-            long: without a graphics card, shaders take their time.
+        root: folder of the game's full data.
+        size: width and height of an image [pixels].
+        preset: graphics quality: ``"ld"``, ``"sd"`` or ``"hd"``, or a mapping of fields of
+            ``pystk2.GraphicsConfig``.
+        has_window: show the game's window; otherwise the game draws off screen.
+        timeout: time limit for the images of one moment [s]. The limit for the first images is
+            ten times as long, because shaders are slow without a graphics card.
     """
 
     def __init__(
@@ -113,10 +117,13 @@ class RenderSession(ProcessSession):
         self._timeout = timeout
 
     def start(self, setup: RaceSetup) -> None:
-        """Starts the drawn race; its karts stand on the grid.
+        """Starts the race to draw, with its karts on the grid.
+
+        Args:
+            setup: options of the race.
 
         Raises:
-            EngineError: the game cannot draw here; the text has its last lines.
+            EngineError: the game cannot draw on this machine; the error has its last output.
         """
         if self._process is not None and self._process.owner != os.getpid():
             self.close()
@@ -134,19 +141,19 @@ class RenderSession(ProcessSession):
         depths: bool = False,
         in_real_time: bool = False,
     ) -> Footage:
-        """Moves the karts and looks.
+        """Moves the karts through a sequence of poses and draws the last one.
 
         Args:
-            poses: ``(T, K, 8)``: where every kart is: location [m], rotation (w, x, y, z),
+            poses: ``(T, K, 8)``: pose of each kart: location [m], rotation (w, x, y, z),
                 speed [m/s].
-            seconds: game time from one moment to the next [s].
-            images: give the pictures.
-            depths: give the depth buffers.
-            in_real_time: take no less time than the karts.
+            seconds: game time between two poses [s].
+            images: return the images.
+            depths: return the depth buffers.
+            in_real_time: take at least as long as the game time.
 
         Raises:
             ApiOrderError: no race was started.
-            EngineError: the game died or hangs.
+            EngineError: the game crashed or does not answer.
         """
         wishes = {
             "seconds": seconds,
@@ -168,7 +175,8 @@ class RenderSession(ProcessSession):
                 self._send(kind, *data)
                 return self._receive(kind)
             finally:
-                if self._asked is not None:  # interrupted: its reply would answer the next one
+                if self._asked is not None:
+                    # Interrupted: the next request would get this request's reply.
                     self.close()
 
     def _start_process(self) -> RaceProcess:
@@ -196,10 +204,10 @@ class RenderSession(ProcessSession):
 
 
 def _window_variables() -> dict[str, str]:
-    """Environment variables that open the window on the user's display."""
+    """Returns the environment variables that open the window on the user's display."""
     systems = {"DISPLAY": "x11", "WAYLAND_DISPLAY": "wayland"}
     named = ",".join(system for name, system in systems.items() if os.environ.get(name))
     variables = {"SDL_VIDEODRIVER": os.environ.get("SDL_VIDEODRIVER") or named}
-    # The game's home is not the user's, where X looks for its key.
+    # The X server's key is in the user's home, but the game has its own home.
     key = os.environ.get("XAUTHORITY") or str(Path.home() / ".Xauthority")
     return {**variables, "XAUTHORITY": key} if Path(key).is_file() else variables

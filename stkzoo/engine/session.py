@@ -1,4 +1,4 @@
-"""Sessions: one race after another, in separate processes or in this one."""
+"""Sessions: each runs one race after another, in separate processes or in this process."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeo
 Controls = npt.NDArray[np.float32]
 
 
-#: Why a race in this process cannot be saved and copied.
+#: Error text for a race in this process, which cannot be saved or copied.
 _NO_COPIES = (
     "a race's state can be saved and copied only while it runs in a separate process; leave "
     "use_subprocess at True"
@@ -46,62 +46,70 @@ class Session(ABC):
 
     @abstractmethod
     def start(self, setup: RaceSetup) -> RaceStart:
-        """Ends the race before and starts another; returns when the karts are on the grid."""
+        """Ends the previous race, starts another and waits until its karts can act.
+
+        Args:
+            setup: options of the race.
+        """
 
     def step(self, controls: Controls) -> Snapshot:
-        """:meth:`step_async` and :meth:`step_wait` in one."""
+        """Calls :meth:`step_async`, then returns the snapshot of :meth:`step_wait`."""
         self.step_async(controls)
         return self.step_wait()
 
     @abstractmethod
     def step_async(self, controls: Controls) -> None:
-        """Requests one step; a separate process takes it while the caller goes on.
+        """Requests one step. A separate process simulates it while the caller continues.
 
         Args:
             controls: ``(P, 7)`` float32, as in :meth:`stkzoo.engine.race.GameRace.step`.
 
         Raises:
-            ApiOrderError: there is no race, or a step is under way.
-            EngineCrashed: the game's process died.
+            ApiOrderError: there is no race, or a step is already in progress.
+            EngineCrashed: the game's process ended.
         """
 
     @abstractmethod
     def step_wait(self) -> Snapshot:
-        """The moment after the step that :meth:`step_async` requested.
+        """Waits for the step that :meth:`step_async` requested and returns its snapshot.
 
         Raises:
-            EngineCrashed: the game's process died.
-            EngineTimeout: it did not answer in time and was ended.
+            ApiOrderError: no step was requested.
+            EngineCrashed: the game's process ended.
+            EngineTimeout: the process did not answer in time and was ended.
         """
 
     def branch(self) -> Session:
-        """A new session whose race is a copy of this one's present moment.
+        """Returns a new session with a copy of this session's race in its current state.
 
         Raises:
-            EngineError: races cannot be copied here, or the game's process has failed.
+            EngineError: races cannot be copied here, or the game's process failed.
         """
         raise EngineError(_NO_COPIES)
 
     def resume(self, other: Session) -> None:  # noqa: ARG002 - the interface
-        """Ends this session's race and continues with a copy of another's present moment.
+        """Ends this session's race and continues with a copy of another session's race.
+
+        Args:
+            other: the session whose race is copied in its current state.
 
         Raises:
-            EngineError: as for :meth:`branch`; this session's race goes on.
+            EngineError: as for :meth:`branch`; this session keeps its race.
         """
         raise EngineError(_NO_COPIES)
 
     @abstractmethod
     def close(self) -> None:
-        """Ends the race. You may call it again; :meth:`start` still works."""
+        """Ends the race. Repeated calls do nothing; :meth:`start` works afterwards."""
 
 
 class ProcessSession:
-    """Requests to one engine process at a time, in strict order.
+    """The connection to one engine process, with one request at a time.
 
     Args:
-        what: what an error calls the process.
-        remedy: what an error says to do when the process has ended.
-        timeouts: seconds that a request may take, by its kind.
+        what: name of the process in error texts.
+        remedy: advice in error texts for when the process has ended.
+        timeouts: time limit of a request [s], by kind of request.
 
     Attributes:
         what: as above.
@@ -116,11 +124,11 @@ class ProcessSession:
 
     @property
     def pid(self) -> int | None:
-        """Id of the process, if it runs."""
+        """Process id; ``None`` if no process is running."""
         return self._process.pid if self._process else None
 
     def close(self) -> None:
-        """Ends the process. You may call it again, and start another one afterwards."""
+        """Ends the process. Repeated calls do nothing; another process can start afterwards."""
         process, self._process, self._asked = self._process, None, None
         if process is not None:
             process.release()
@@ -168,14 +176,14 @@ class ProcessSession:
         return self._process
 
     def _end_after(self, error: BaseException, process: RaceProcess) -> None:
-        """Ends the process after a failure, because its replies no longer match requests.
+        """Ends the process after a failure, because its replies no longer match the requests.
 
         Raises:
-            ApiOrderError: the failure is that :meth:`close` was called meanwhile.
-            EngineCrashed: the failure is that the process is gone.
-            EngineTimeout: the failure is that no reply came in time.
+            ApiOrderError: :meth:`close` was called during the request.
+            EngineCrashed: the process had ended.
+            EngineTimeout: no reply came in time.
         """
-        if self._process is not process:  # a signal's handler or another thread
+        if self._process is not process:  # closed by a signal handler or another thread
             if isinstance(error, (EOFError, OSError)):
                 raise ApiOrderError(
                     f"{self.what} was closed while it worked on a request; {self.remedy}"
@@ -195,11 +203,11 @@ class ProcessSession:
 
 
 class WorkerSession(ProcessSession, Session):
-    """Races in processes of their own: each race in a new one, so its results repeat bit for bit.
+    """A session that runs each race in a new process, so its results repeat bit for bit.
 
     Args:
-        root: the game's data.
-        timeout: seconds that one step may take.
+        root: folder of the game's data.
+        timeout: time limit for one step [s].
     """
 
     def __init__(self, root: Path, timeout: float = 30.0) -> None:
@@ -216,13 +224,17 @@ class WorkerSession(ProcessSession, Session):
         return self.start_wait()
 
     def start_async(self, setup: RaceSetup) -> None:
-        """Requests a race; :meth:`start_wait` returns it."""
+        """Ends the previous race and requests another; :meth:`start_wait` returns its start.
+
+        Args:
+            setup: options of the race.
+        """
         self.close()
         self._process = start_race_process(self._root)
         self._send(wire.BEGIN, setup.to_json())
 
     def start_wait(self) -> RaceStart:
-        """The race that :meth:`start_async` requested."""
+        """Waits for the race that :meth:`start_async` requested and returns its start."""
         return RaceStart.from_frames(*self._receive(wire.BEGIN))
 
     def step_async(self, controls: Controls) -> None:
@@ -249,7 +261,7 @@ class WorkerSession(ProcessSession, Session):
         self._process = process
 
     def _fork(self) -> RaceProcess:
-        """A clone of the race's process."""
+        """Returns a clone of the race's process."""
         process = self._idle()
         try:
             process.connection.settimeout(self._timeouts[wire.FORK])
@@ -261,16 +273,18 @@ class WorkerSession(ProcessSession, Session):
             raise
 
 
-#: The sessions of this process whose race may hold its engine.
+#: All local sessions of this process. At most one of them can have a race.
 _local_sessions: weakref.WeakSet[LocalSession] = weakref.WeakSet()
 
 
 class LocalSession(Session):
-    """Races in this process, one at a time.
+    """A session that runs races in this process, one at a time.
 
-    With game bots, the second and later races of a process do not repeat bit for bit,
-    because the engine carries hidden random state over. A crash of the game crashes this
-    program.
+    With bots, only the first race of a process is reproducible, because the engine carries hidden
+    random state from one race to the next. If the game crashes, so does this program.
+
+    Args:
+        root: folder of the game's data.
     """
 
     def __init__(self, root: Path) -> None:
@@ -294,7 +308,7 @@ class LocalSession(Session):
             return self._race.begin()
 
     def step_async(self, controls: Controls) -> None:
-        """See :meth:`Session.step_async`; nothing moves before :meth:`step_wait` here."""
+        """See :meth:`Session.step_async`. Here, :meth:`step_wait` simulates the step."""
         if self._race is None:
             raise ApiOrderError("there is no race; call reset() first")
         self._controls = controls
@@ -318,7 +332,11 @@ class LocalSession(Session):
 
 @contextlib.contextmanager
 def _quiet_output() -> Iterator[None]:
-    """Keeps the game's output off the terminal; an error carries it instead."""
+    """Redirects the game's output from the terminal to a log, which errors include.
+
+    Raises:
+        EngineError: the game raised an error.
+    """
     log = open_log()
     _flush_c_streams()
     originals = {stream: _copy_of(stream) for stream in (1, 2)}
@@ -331,7 +349,7 @@ def _quiet_output() -> Iterator[None]:
     except Exception as error:
         raise EngineError(f"the game refused: {error!r}", tail(log)) from error
     finally:
-        _flush_c_streams()  # or the game's output appears when this program ends
+        _flush_c_streams()  # otherwise the game's output appears when this program ends
         for stream, original in originals.items():
             if original is None:
                 os.close(stream)
@@ -342,7 +360,7 @@ def _quiet_output() -> Iterator[None]:
 
 
 def _copy_of(stream: int) -> int | None:
-    """Another descriptor of a standard stream; ``None`` if the program has closed it."""
+    """Duplicates the descriptor of a standard stream; ``None`` if the stream is closed."""
     return None if file_identity(stream) is None else os.dup(stream)
 
 
@@ -352,7 +370,7 @@ def _flush_c_streams() -> None:
 
 
 def _init_here(root: Path) -> None:
-    """Starts the engine in this process, with the environment that engine processes have."""
+    """Starts the engine in this process, with the environment variables of engine processes."""
     home = LockedTemporaryDirectory("home")
     atexit.register(home.close)
     environment = dict(os.environ)

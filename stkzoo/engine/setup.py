@@ -1,4 +1,4 @@
-"""The engine's options of a race: plain values, already checked."""
+"""The engine's options for a race: plain values that have already been checked."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _FOLDER = Matching(r"[^/\\\0]*", "the name of a folder in the game's data")
 
 @dataclass(frozen=True, slots=True)
 class KartSetup:
-    """One kart, at its place on the starting grid.
+    """The engine's options for one kart.
 
     Attributes:
-        is_bot: the game's own AI drives.
-        reports_control: the snapshots carry what the game's AI chose for this kart.
+        is_bot: whether the game's AI drives the kart.
+        reports_control: whether snapshots include the controls of the game's AI for this kart.
         kart: model name; empty for the game's default.
-        name: the player's name.
-        color: hue shift in [0, 1]; 0 leaves the model's colours.
+        name: name of the player.
+        color: hue shift in [0, 1]; 0 keeps the model's colours.
         camera_mode: number of :class:`stkzoo.names.CameraMode`.
     """
 
@@ -36,9 +36,18 @@ class KartSetup:
 
 @dataclass(frozen=True, slots=True)
 class RaceSetup:
-    """One race. ``karts`` is in grid order, first place first.
+    """The engine's options for one race.
 
-    ``starts`` says where each kart starts; by default all start on the grid.
+    Attributes:
+        track: name of the track.
+        karts: the karts in grid order, first place first.
+        laps: number of laps.
+        reverse: whether karts drive the track in reverse.
+        difficulty: the game's difficulty, 0 to 3.
+        seed: seed of the engine.
+        step_size: game time of one step [s].
+        num_cameras: number of karts with a camera; the renderer uses it, the engine does not.
+        starts: start of each kart; if empty, all karts start on the grid.
     """
 
     track: Annotated[str, _FOLDER]
@@ -52,12 +61,12 @@ class RaceSetup:
     starts: tuple[Start, ...] = ()
 
     def to_json(self) -> bytes:
-        """The setup as UTF-8 JSON."""
+        """Returns the setup as UTF-8 JSON."""
         return json.dumps(asdict(self)).encode()
 
     @classmethod
     def from_json(cls, data: bytes) -> RaceSetup:
-        """Reads what :meth:`to_json` wrote."""
+        """Decodes the JSON of :meth:`to_json`."""
         values = json.loads(data)
         karts = tuple(KartSetup(**kart) for kart in values.pop("karts"))
         starts = tuple(Start(**start) for start in values.pop("starts", ()))

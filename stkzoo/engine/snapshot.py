@@ -1,8 +1,8 @@
-"""One moment of a race as arrays: all that the rest of the library learns from the engine.
+"""Snapshots: the state of a race at one moment, as arrays.
 
-A :class:`Snapshot` is one block of bytes (header, karts, items). The compiled kernel reads
-it directly, Python through numpy's structured types. It crosses a process border by one copy
-and is never pickled.
+A :class:`Snapshot` is one block of bytes: header, karts, items. The compiled kernel reads it
+directly; Python reads it with numpy's structured types. It is sent between processes as it is,
+without pickling. The rest of the library knows a race's state only from snapshots.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy.typing as npt
 
 from stkzoo.kernel import layouts
 
-#: The parts of a kart's control, in the order of the control arrays' last axis.
+#: Names of a kart's controls, in the order of the last axis of control arrays.
 CONTROLS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
 
 HEADER_DTYPE = np.dtype(
     [
         ("time", "f4"),  # race clock since GO [s]
-        ("aux_ticks", "f4"),  # the engine's physics ticks before GO; stops there
+        ("aux_ticks", "f4"),  # the engine's physics ticks before GO; constant afterwards
         ("phase", "i4"),  # stkzoo.names.Phase
         ("num_kart", "i4"),
         ("num_items", "i4"),
@@ -30,21 +30,21 @@ HEADER_DTYPE = np.dtype(
     ]
 )
 
-#: Vectors are in the world frame unless said otherwise: metres, y up.
+#: Vectors are in the world frame (metres, y up) unless a comment names another frame.
 KART_DTYPE = np.dtype(
     [
         ("location", "f4", 3),  # [m]
         ("rotation", "f4", 4),  # unit quaternion w, x, y, z: world to kart frame
-        ("front", "f4", 3),  # middle of the front edge [m]
+        ("front", "f4", 3),  # centre of the front edge [m]
         ("velocity", "f4", 3),  # [m/s]
         ("velocity_lc", "f4", 3),  # [m/s], kart frame: x right, y up, z forward
         ("angular_velocity", "f4", 3),  # [rad/s]
         ("size", "f4", 3),  # width, height, length [m]
         ("speed", "f4"),  # [m/s]
-        ("max_steer_angle", "f4"),  # at the present speed [rad]
+        ("max_steer_angle", "f4"),  # at the current speed [rad]
         ("wheel_base", "f4"),  # [m]
-        ("energy", "f4"),  # nitro left
-        ("skeed_factor", "f4"),  # the engine's spelling of its skid factor; 1 is no skid
+        ("energy", "f4"),  # remaining nitro
+        ("skeed_factor", "f4"),  # skid factor, in the engine's spelling; 1 means no skid
         ("shield_time", "f4"),  # [s]
         ("attachment_time_left", "f4"),  # [s]
         ("distance_down_track", "f4"),  # in this lap [m]
@@ -61,15 +61,14 @@ KART_DTYPE = np.dtype(
         ("race_result", "i4"),
         ("jumping", "i4"),
         ("is_on_road", "i4"),
-        # What the kart's driver does: the game AI's own choice for AI karts whose
-        # control is asked for, zeros for all others.
+        # Controls that the game's AI chose, for karts with reports_control; zeros for others.
         ("control", "f4", len(CONTROLS)),
     ]
 )
 
 ITEM_DTYPE = np.dtype([("location", "f4", 3), ("size", "f4"), ("type", "i4"), ("id", "i4")])
 
-#: The fields of :data:`HEADER_DTYPE`; numpy takes longer to read one.
+#: The fields of :data:`HEADER_DTYPE`. Reading a field with numpy takes longer.
 _HEADER = struct.Struct("=ffiiii")
 
 
@@ -88,10 +87,10 @@ if layouts() not in (None, _OFFSETS):
 
 @dataclass(frozen=True)
 class Snapshot:
-    """One moment of a race. Its arrays are views of its bytes, and read-only.
+    """The state of a race at one moment. Its arrays are read-only views of its bytes.
 
     Attributes:
-        data: the whole moment as one block: header, karts, items.
+        data: the state as one block of bytes: header, karts, items.
     """
 
     data: bytes = field(repr=False)
@@ -100,7 +99,13 @@ class Snapshot:
     def of(
         cls, header: np.void, karts: npt.NDArray[np.void], items: npt.NDArray[np.void]
     ) -> Snapshot:
-        """Makes a snapshot of these parts and sets the header's counts."""
+        """Builds a snapshot from its parts and sets the counts in its header.
+
+        Args:
+            header: record of :data:`HEADER_DTYPE`; its counts are ignored.
+            karts: ``(K,)`` records of :data:`KART_DTYPE`.
+            items: ``(M,)`` records of :data:`ITEM_DTYPE`.
+        """
         head = np.zeros(1, HEADER_DTYPE)
         head[0] = header
         head["num_kart"], head["num_items"] = len(karts), len(items)
@@ -121,7 +126,7 @@ class Snapshot:
     def items(self) -> npt.NDArray[np.void]:
         """``(M,)`` records of :data:`ITEM_DTYPE`.
 
-        ``M`` changes in a race when bubble gum is dropped.
+        ``M`` changes during a race when a kart drops bubble gum.
         """
         _, _, _, num_kart, count, _ = self._head
         begin = HEADER_DTYPE.itemsize + num_kart * KART_DTYPE.itemsize
@@ -134,7 +139,7 @@ class Snapshot:
 
     @property
     def running(self) -> bool:
-        """Whether some player kart is still racing."""
+        """Whether any player kart is still racing."""
         return bool(self._head[5])
 
     @property

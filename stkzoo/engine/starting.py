@@ -1,9 +1,10 @@
-"""Puts the karts of a race that has just begun anywhere on the track, at any speed.
+"""Custom starts: places karts anywhere on the track, at any speed, when a race begins.
 
-The engine can move a kart but not give it speed, and it counts laps by the lines that a kart
-crosses. So all karts are led along the road from the start line to their places, high enough
-to touch nothing, and set down there. They gain their speed on the spot: a kart that is moved
-back after every tick keeps the speed that it has gained. The race clock runs meanwhile.
+The engine can move a kart but cannot set its speed, and it counts laps from the lines that a kart
+crosses. So all karts are moved along the road from the start line to their places, high enough
+to touch nothing, and lowered there. Then they accelerate without leaving their places: a kart
+that is moved back after every tick keeps the speed that it gained. The race clock runs during all
+of this.
 """
 
 from __future__ import annotations
@@ -20,43 +21,50 @@ from stkzoo.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
 
-_TICK = 1 / 120  # of the engine [s]
-_STRIDES = (12.0, 9.0, 6.0, 15.0)  # how far karts are led in a tick [m]
-_LED_HEIGHTS = (1.0, 0.4)  # above the road; some lines count low karts only [m]
-_ITEM_REACH = 2.5  # from the middle of a kart to that of an item that it takes [m]
-_BEFORE_LINE = 8.0  # where the way begins [m]
-_DROP_HEIGHT = 0.4  # from which karts are set down [m]
+_TICK = 1 / 120  # physics tick of the engine [s]
+_STRIDES = (12.0, 9.0, 6.0, 15.0)  # distances to move karts along the road per tick [m]
+_LED_HEIGHTS = (1.0, 0.4)  # above the road [m]; some lines only count low karts
+_ITEM_REACH = 2.5  # distance between the centres of a kart and an item at which it takes it [m]
+_BEFORE_LINE = 8.0  # where the movement begins, before the start line [m]
+_DROP_HEIGHT = 0.4  # initial height for lowering a kart [m]
 _SETTLE_CYCLES = 20
-_CYCLE_TICKS = 4  # a kart that is put somewhere in every tick does not fall
+_CYCLE_TICKS = 4  # more than one, because a kart that is placed in every tick does not fall
 _MAX_RUN_TICKS = 600
-_ROLLING = 0.01  # this little throttle keeps the game from stopping a kart
+_ROLLING = 0.01  # minimum throttle with which the game does not stop a kart
 
-#: How bots are turned while they are let down: what they gain one way they lose the other,
-#: and tyres hold sideways.
+#: Turns of bots while they are lowered [rad]. Speed gained in one direction is lost in the
+#: opposite one, and tyres prevent sideways movement.
 _SPINS = (math.pi / 2, -math.pi / 2, math.pi, 0.0)
 _EDGE = 0.5  # half a kart's width [m]
 
-#: How far from its place a kart may end up, along the ground and in height [m].
+#: Maximum distance between a kart and its place, horizontal and vertical [m].
 _REACH = 1.5
 _HEIGHT_REACH = 1.3
 
-#: Cosine of the angle by which it may point elsewhere, up and down included.
+#: Cosine of the maximum angle between a kart's direction and its heading, including the slope.
 _FACING = 0.75
 
 #: Top speed at each difficulty [m/s]; the game slows down faster karts.
 _TOP_SPEEDS = (15.0, 20.0, 23.0, 25.0)
 
-#: How far from the asked one its speed may be [m/s].
+#: Maximum difference between a kart's speed and the requested speed [m/s].
 _SPEED_REACH = 1.0
 
 
 def put_karts(
     race: Any, world: Any, track: Any, setup: RaceSetup, make_action: Callable[[], Any]
 ) -> None:
-    """Moves all karts to ``setup.starts``; call it in phase READY.
+    """Moves all karts to ``setup.starts``. Call it in the phase READY.
+
+    Args:
+        race: the engine's race.
+        world: the engine's world state.
+        track: the engine's track.
+        setup: options of the race.
+        make_action: creates an action of the engine.
 
     Raises:
-        ConfigError: a place is off the road, or a kart does not stay there.
+        ConfigError: a kart cannot start at its place, with its heading or at its speed.
     """
     road = CentreLine(track)
     places = [_Place(road, setup, kart) for kart in range(len(setup.starts))]
@@ -72,7 +80,11 @@ def put_karts(
 
 
 class _Place:
-    """A kart's start in the world."""
+    """The place of a kart's start in the world frame.
+
+    Raises:
+        ConfigError: the start is off the road or beyond the lap, or its speed is too high.
+    """
 
     def __init__(self, road: CentreLine, setup: RaceSetup, kart: int) -> None:
         self.kart, self.start = kart, setup.starts[kart]
@@ -110,17 +122,17 @@ class _Place:
         self.ahead = np.array([math.sin(yaw + start.heading), 0.0, math.cos(yaw + start.heading)])
 
     def is_near(self, kart: Any) -> bool:
-        """Whether a kart of the game stands here."""
+        """Returns whether a kart of the engine is at this place."""
         x, y, z = np.asarray(kart.location, np.float64) - self.point
         return math.hypot(x, z) <= _REACH and abs(y) <= _HEIGHT_REACH
 
 
 class _Mover:
-    """Moves karts and the game, tick by tick."""
+    """Moves karts and advances the game, tick by tick."""
 
     def __init__(self, race: Any, world: Any, actions: dict[int, Any]) -> None:
         self.world = world
-        self._race, self._actions = race, actions  # of the karts that are no bots
+        self._race, self._actions = race, actions  # actions of the karts that are not bots
         self._arguments = [list(actions.values())] if actions else []
 
     def tick(self) -> None:
@@ -135,7 +147,7 @@ class _Mover:
             self._actions[kart].acceleration = value
 
     def drives(self, kart: int) -> bool:
-        """Whether the kart follows our actions; bots do not."""
+        """Returns whether the kart follows actions; bots do not."""
         return kart in self._actions
 
     def wait_for_go(self) -> None:
@@ -146,7 +158,11 @@ class _Mover:
 
 
 def _lead(mover: _Mover, road: CentreLine, places: list[_Place]) -> None:
-    """Leads the karts over the start line and along the road, or to a place before the line."""
+    """Moves the karts along the road, above the ground, to the distances of their places.
+
+    If a kart whose place is after the start line has not crossed it, all karts are moved again,
+    lower.
+    """
     for height in _LED_HEIGHTS:
         distances = [min(-_BEFORE_LINE, place.distance) for place in places]
         is_there = False
@@ -169,7 +185,7 @@ def _lead(mover: _Mover, road: CentreLine, places: list[_Place]) -> None:
 def _next(
     road: CentreLine, place: _Place, distance: float, height: float, items: FloatArray
 ) -> float:
-    """The distance of a kart in the next tick, where it touches no item [m]."""
+    """Returns the distance of a kart in the next tick [m], if possible one without items."""
     for stride in _STRIDES:
         ahead = min(distance + stride, place.distance)
         point = _led_point(road, place, ahead, height)
@@ -179,7 +195,7 @@ def _next(
 
 
 def _led_point(road: CentreLine, place: _Place, distance: float, height: float) -> FloatArray:
-    """A point above the road, with a little room between the karts."""
+    """Returns a kart's point above the road, beside the points of the other karts."""
     along = road.direction(distance)
     right = np.array([along[2], 0.0, -along[0]])
     point: FloatArray = road.point(distance) + place.side * right
@@ -188,7 +204,11 @@ def _led_point(road: CentreLine, place: _Place, distance: float, height: float) 
 
 
 def _set_down(mover: _Mover, places: list[_Place]) -> None:
-    """Sets the karts down on the road, at rest, and records how they stand there."""
+    """Lowers the karts to the road, at rest, and stores their height and rotation there.
+
+    Raises:
+        ConfigError: a kart does not stay at its place.
+    """
     for place in places:
         place.stand = place.point + np.array([0.0, _DROP_HEIGHT, 0.0])
     for cycle in range(_SETTLE_CYCLES):
@@ -206,11 +226,11 @@ def _set_down(mover: _Mover, places: list[_Place]) -> None:
             raise _no_ground(place)
         if mover.drives(place.kart):
             w, x, y, z = map(float, kart.rotation)
-            place.rotation = [-x, -y, -z, w]  # the game reads it as world to kart
+            place.rotation = [-x, -y, -z, w]  # the engine expects world to kart
 
 
 def _run_up(mover: _Mover, places: list[_Place]) -> None:
-    """Makes the karts gain speed on the spot, and releases them."""
+    """Accelerates the karts at their places, then releases them."""
     if not any(place.start.speed for place in places):
         return
     for _ in range(_MAX_RUN_TICKS):
@@ -219,7 +239,7 @@ def _run_up(mover: _Mover, places: list[_Place]) -> None:
         for place in places:
             is_slow = _lacks(mover, place) > 0
             mover.throttle(place.kart, 1.0 if is_slow else _ROLLING if place.start.speed else 0.0)
-            # A bot does not follow us; turned round it slows down as hard.
+            # A bot chooses its own throttle. When it is turned around, it slows down as fast.
             turn = 0.0 if is_slow or mover.drives(place.kart) else math.pi
             speed = place.start.speed
             mover.put(place.kart, place.stand, _turned(place.rotation, turn), speed)
@@ -235,7 +255,7 @@ def _lacks(mover: _Mover, place: _Place) -> float:
 
 
 def _check(mover: _Mover, places: list[_Place]) -> None:
-    mover.world.update()  # karts have been turned since
+    mover.world.update()  # karts were turned after the last update
     for place in places:
         kart = mover.world.karts[place.kart]
         nose = np.asarray(kart.front, np.float64) - np.asarray(kart.location, np.float64)
@@ -263,10 +283,12 @@ def _no_ground(place: _Place) -> ConfigError:
 
 
 class CentreLine:
-    """The track's main line as a curve over the distance from the start line.
+    """The centre line of the track's main road, as a function of the distance along it.
+
+    Distances start at the start line and wrap around at the length of the lap.
 
     Attributes:
-        length: of a lap [m].
+        length: length of a lap [m].
 
     Args:
         track: the engine's track.
@@ -284,16 +306,16 @@ class CentreLine:
         self._half_widths = np.repeat(widths[chain] / 2, 2)[order]
 
     def point(self, distance: float) -> FloatArray:
-        """The centre line ``(3,)`` [m] at a distance [m]."""
+        """Returns the point ``(3,)`` of the centre line at a distance [m], world frame."""
         mark = distance % self.length
         return np.array([np.interp(mark, self._marks, column) for column in self._points.T])
 
     def half_width(self, distance: float) -> float:
-        """From the centre line to the road's edge [m]."""
+        """Returns the distance from the centre line to the road's edge [m]."""
         return float(np.interp(distance % self.length, self._marks, self._half_widths))
 
     def direction(self, distance: float) -> FloatArray:
-        """Where the road leads, a unit vector ``(3,)``."""
+        """Returns the direction of the road at a distance, a unit vector ``(3,)``."""
         mark = distance % self.length
         row = int(np.clip(np.searchsorted(self._marks, mark, "right"), 1, len(self._marks) - 1))
         while row > 1 and np.linalg.norm(self._points[row] - self._points[row - 1]) < 0.05:
@@ -304,7 +326,7 @@ class CentreLine:
 
 
 def _main_line(successors: Any) -> list[int]:
-    """The nodes of the main road, from the start line on."""
+    """Returns the nodes of the main road, beginning at the start line."""
     chain, node = [], 0
     while node not in chain:
         chain.append(node)
@@ -313,14 +335,14 @@ def _main_line(successors: Any) -> list[int]:
 
 
 def _rotation_of(yaw: float, climb: float) -> list[float]:
-    """The quaternion x, y, z, w of a turn to ``yaw`` and then the nose up by ``climb``."""
+    """Returns the quaternion x, y, z, w of a turn by ``yaw``, then nose up by ``climb`` [rad]."""
     sy, cy = math.sin(yaw / 2), math.cos(yaw / 2)
     sp, cp = math.sin(-climb / 2), math.cos(-climb / 2)
     return [cy * sp, sy * cp, -sy * sp, cy * cp]
 
 
 def _turned(rotation: list[float], angle: float) -> list[float]:
-    """A rotation after a turn about the kart's own upright axis."""
+    """Returns a rotation after a turn about the kart's own vertical axis [rad]."""
     x, y, z, w = rotation
     s, c = math.sin(angle / 2), math.cos(angle / 2)
     return [x * c - z * s, y * c + w * s, z * c + x * s, w * c - y * s]

@@ -1,4 +1,4 @@
-"""A track's driving line as arrays, and the order of the segments ahead."""
+"""The driving line of a track as arrays, and the order of the segments ahead."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class TrackMap:
         length: length of a lap [m].
         path_nodes: ``(N, 2, 3)`` float32 [m], world frame: start and end of each
             segment of the centre line.
-        path_width: ``(N, 1)`` float32 [m].
-        path_distance: ``(N, 2)`` float32 [m]: distance from the start line to each
-            segment's start and end.
-        successors: for each node, the nodes that follow it; more than one at a fork.
-        graph: the same as the kernel has it.
+        path_width: ``(N, 1)`` float32: width of the road [m].
+        path_distance: ``(N, 2)`` float32: distance from the start line to the start and the end
+            of each segment [m].
+        successors: the nodes that follow each node; more than one at a fork.
+        graph: the same graph in the kernel's form.
     """
 
     length: float
@@ -55,14 +55,14 @@ class TrackMap:
         return len(self.successors)
 
     def nodes_ahead(self, nodes: IntArray, max_paths: int | None = None) -> IntArray:
-        """The segments ahead, nearest first along the way a kart can drive.
+        """Returns the segments ahead, nearest first in driving distance.
 
-        The distance is that of the shortest way over the graph, so a branch that the kart has
-        passed comes a lap later than its own.
+        The driving distance is the shortest path in the graph. A branch that the kart has passed
+        is therefore a lap away.
 
         Args:
-            nodes: ``(A,)`` segments to start from.
-            max_paths: number of segments; all by default.
+            nodes: ``(A,)`` indices of the segments to start from.
+            max_paths: maximum number of segments; all by default.
 
         Returns:
             ``(A, P)`` indices; the first column is ``nodes``.
@@ -72,10 +72,10 @@ class TrackMap:
 
 
 def encode_track(track: Any) -> bytes:
-    """A track as one block of bytes, for :func:`decode_track`.
+    """Returns a track as one block of bytes, which :func:`decode_track` decodes.
 
     Args:
-        track: has the attributes of a :class:`TrackMap`, as a ``pystk2.Track`` does.
+        track: an object with the attributes of a :class:`TrackMap`, such as a ``pystk2.Track``.
     """
     facts = json.dumps({"length": track.length, "successors": track.successors}).encode()
     arrays = track.path_nodes, track.path_width, track.path_distance
@@ -85,12 +85,19 @@ def encode_track(track: Any) -> bytes:
 
 @functools.lru_cache(maxsize=64)
 def decode_track(data: bytes) -> TrackMap:
-    """Reads a block of :func:`encode_track`; equal blocks share one :class:`TrackMap`."""
+    """Decodes a block of :func:`encode_track`.
+
+    Args:
+        data: the block.
+
+    Returns:
+        The track. Results are cached, so equal blocks return the same object.
+    """
     (size,) = _JSON_SIZE.unpack_from(data)
     start = _JSON_SIZE.size + size
     facts = json.loads(data[_JSON_SIZE.size : start])
     count = len(facts["successors"])
-    numbers = np.frombuffer(data, "f4", offset=start).copy()  # aligned
+    numbers = np.frombuffer(data, "f4", offset=start).copy()  # the copy is aligned
     nodes, widths, distances = np.split(numbers, [6 * count, 7 * count])
     shaped = nodes.reshape(count, 2, 3), widths.reshape(count, 1), distances.reshape(count, 2)
     return TrackMap(facts["length"], *shaped, facts["successors"])

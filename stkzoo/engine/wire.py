@@ -1,8 +1,9 @@
 """Messages between a program and its engine processes.
 
-A message is a kind (one byte), the number of its frames (one byte), their lengths, and the
-frames. Nothing is pickled: a frame holds arrays in a fixed layout, or JSON. After a message
-each end waits for the other's, so one read of a connection holds one message.
+A message consists of its kind (one byte), its number of frames (one byte), their lengths (four
+bytes each), and the frames. A frame contains arrays in a fixed layout or JSON; nothing is pickled.
+After sending a message, each end waits for a message from the other, so one read of a connection
+returns at most one message.
 """
 
 from __future__ import annotations
@@ -16,31 +17,34 @@ from collections.abc import Sequence
 
 from stkzoo._os import above_standard_streams, file_identity
 
-#: Requests: start a race (JSON), and advance it (control array).
+#: Requests to start a race (JSON) and to advance it (array of controls).
 BEGIN, ACT = b"B", b"A"
-#: Request to fork the process, which brings a connection and a log for the new one. There is no
-#: reply: the new process sends its process id on its own connection.
+#: Request to fork the process, with the descriptors of a connection and a log for the new process.
+#: There is no reply: the new process sends its process id on its own connection.
 FORK = b"F"
-#: Requests to a fork server, with a child's process id: end the child and reply with its id and
-#: its wait status; and end it without a reply.
+#: Requests to a fork server, with the process id of a child. END ends the child and replies with
+#: its id and wait status; DROP ends it without a reply.
 END, DROP = b"X", b"D"
-#: Request to the render process (:mod:`stkzoo.engine.render_process`): move the karts and draw.
+#: Request to the render process (:mod:`stkzoo.engine.render_process`) to move the karts and draw.
 DRAW = b"P"
-#: Replies: the requested bytes, or a JSON object with ``type``, ``message``, ``traceback``.
+#: Replies: the requested bytes, or an error as a JSON object with ``type``, ``message`` and
+#: ``traceback``.
 OK, ERROR = b"O", b"E"
 
 _HEADER = struct.Struct("<cB")
-#: Far more than any message has; a larger length means a broken stream.
+#: Maximum size of a message [bytes]. A larger size means that the stream is damaged.
 _MAX_LENGTH = 1 << 28
-#: More than a message on one machine can have, so one call reads it.
+#: Size of a read [bytes], larger than any message over :func:`pair`, so one call reads it.
 _ONE_READ = 1 << 18
 
 
 class EngineConnection(socket.socket):
-    """A socket that a program may close behind our back (:class:`stkzoo._os.OwnDescriptor`).
+    """A socket that notices if the program closed its descriptor.
+
+    See also :class:`stkzoo._os.OwnDescriptor`.
 
     Args:
-        fileno: its descriptor, which must be open.
+        fileno: open descriptor of the socket.
     """
 
     def __init__(self, fileno: int) -> None:
@@ -49,27 +53,34 @@ class EngineConnection(socket.socket):
 
     @property
     def is_lost(self) -> bool:
-        """Whether the descriptor is closed or is of another file by now."""
+        """Whether the descriptor is closed or now refers to another file."""
         return self.fileno() < 0 or file_identity(self.fileno()) != self._identity
 
     def close(self) -> None:
-        """Closes the socket, unless its descriptor is somebody else's by now."""
+        """Closes the socket, unless its descriptor now refers to another file."""
         if self.is_lost:
             self.detach()
         super().close()
 
 
 def pair() -> tuple[EngineConnection, EngineConnection]:
-    """Both ends of a connection within this machine.
+    """Returns both ends of a new connection within this machine.
 
-    It carries each message in one piece, which is faster than a stream.
+    The connection is a packet socket, which is faster than a stream.
     """
     first, second = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     return EngineConnection(first.detach()), EngineConnection(second.detach())
 
 
 def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence[int] = ()) -> None:
-    """Sends one message, and open files by their descriptors to a process on this machine."""
+    """Sends one message.
+
+    Args:
+        connection: the socket.
+        kind: kind of the message.
+        *frames: frames of the message.
+        files: descriptors of open files to send along, to a process on this machine.
+    """
     head = struct.pack(f"<cB{len(frames)}I", kind, len(frames), *map(len, frames))
     message = b"".join([head, *frames])
     if files:
@@ -79,27 +90,30 @@ def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence
 
 
 def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
-    """Waits for one message and returns its kind and its frames.
+    """Waits for one message and returns its kind and frames.
 
     Raises:
-        EOFError: the other end is gone.
-        TimeoutError: the socket's time-out passed.
+        EOFError: the other end is closed, or the message is invalid.
+        TimeoutError: no message came within the socket's timeout.
     """
     room = _read_buffer.bytes
     return complete(connection, bytes(room[: connection.recv_into(room)]))
 
 
 def receive_with_files(connection: socket.socket) -> tuple[bytes, list[bytes], list[int]]:
-    """:func:`receive`, and the descriptors of at most two open files, which the caller owns.
+    """Waits for one message and returns its kind, frames and file descriptors.
 
-    Fewer come where this process may open no more.
+    At most two descriptors are received, and fewer if this process reaches its limit of open
+    files. The caller must close them.
+
+    Raises: as :func:`receive`.
     """
     data, files, _, _ = socket.recv_fds(connection, _ONE_READ, 2)
     return (*complete(connection, data), list(files))
 
 
 def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]]:
-    """Reads the rest of a message that begins with ``data``; returns its kind and frames.
+    """Reads the rest of a message that begins with ``data``, and returns its kind and frames.
 
     Raises: as :func:`receive`.
     """
@@ -122,14 +136,19 @@ def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]
 
 
 def send_error(connection: socket.socket, error: Exception) -> None:
-    """Replies with the error that is being handled."""
+    """Replies with the error that is being handled.
+
+    Args:
+        connection: the socket.
+        error: the error.
+    """
     facts = {"type": type(error).__name__, "message": str(error)}
     text = json.dumps({**facts, "traceback": traceback.format_exc()})
     send(connection, ERROR, text.encode())
 
 
 class _ReadBuffer(threading.local):
-    """The buffer that messages are read into; allocating one for each message is slower."""
+    """The read buffer of a thread, because a new buffer for each message is slower."""
 
     def __init__(self) -> None:
         self.bytes = memoryview(bytearray(_ONE_READ))
@@ -139,7 +158,11 @@ _read_buffer = _ReadBuffer()
 
 
 def _at_least(connection: socket.socket, data: bytes, size: int) -> bytes:
-    """Reads until there are ``size`` bytes."""
+    """Returns ``data`` extended to at least ``size`` bytes from the connection.
+
+    Raises:
+        EOFError: the other end is closed.
+    """
     if len(data) >= size:
         return data
     whole = bytearray(data)

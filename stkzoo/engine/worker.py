@@ -1,7 +1,7 @@
-"""The engine process's side: starts the engine and serves a program's requests for races.
+"""The server of an engine process: starts the engine and serves a program's requests for races.
 
-:func:`main` runs in an interpreter that a program has started for one race, where forking is
-not available. Children of the fork server run a :class:`WorkerServer` alone.
+Where forking is not available, :func:`main` runs in a new interpreter for each race. Children of
+the fork server only run a :class:`WorkerServer`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from stkzoo.engine.race import GameRace, init_engine
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 
-#: A request that still runs after this many seconds ends the engine process from inside, so that
-#: a game that hangs cannot outlive a program that can no longer end it.
+#: Time limit of a request, after which the engine process ends itself [s]. Otherwise, a game that
+#: hangs could outlive a program that can no longer end it.
 _SELF_DESTRUCT_SECONDS = 600
 
 
 @contextlib.contextmanager
 def connected(port: int, *graphics: str) -> Iterator[socket.socket]:
-    """Starts the engine, connects back to the program, and ends this process afterwards.
+    """Starts the engine, connects to the program, and ends this process afterwards.
 
     Args:
-        port: where the program listens.
-        *graphics: of :func:`stkzoo.engine.race.init_engine`.
+        port: port on which the program listens.
+        *graphics: arguments of :func:`stkzoo.engine.race.init_engine`.
     """
     token = bytes.fromhex(os.environ.pop("STKZOO_TOKEN"))
     try:
@@ -40,13 +40,17 @@ def connected(port: int, *graphics: str) -> Iterator[socket.socket]:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.sendall(token)
             yield connection
-    finally:  # the program may have been killed
+    finally:  # the program cannot remove the folder if it was killed
         shutil.rmtree(os.environ["HOME"], ignore_errors=True)
     os._exit(0)
 
 
 def main(port: int) -> None:
-    """Serves the program's requests until it is gone."""
+    """Serves the program's requests until the program ends.
+
+    Args:
+        port: port on which the program listens.
+    """
     with connected(port) as connection:
         WorkerServer(connection).run()
 
@@ -65,7 +69,7 @@ class RequestServer:
         self._connection = connection
 
     def run(self) -> None:
-        """Serves requests until the program is gone."""
+        """Serves requests until the program ends."""
         while True:
             try:
                 kind, frames = self._next_request()
@@ -83,12 +87,12 @@ class RequestServer:
         return wire.receive(self._connection)
 
     def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
-        """Carries out a request and returns the reply, if there is one."""
+        """Executes a request and returns the frames of the reply; ``None`` for no reply."""
         if kind != wire.BEGIN:
             return self._advance(*frames)
         if self._race is not None:
             self._race.stop()
-            self._race = None  # the engine counts a race until its object is gone
+            self._race = None  # the engine allows another race only after this object is deleted
         return self._begin(RaceSetup.from_json(frames[0]))
 
     def _begin(self, setup: RaceSetup) -> Sequence[bytes]:
@@ -98,7 +102,7 @@ class RequestServer:
         raise NotImplementedError
 
     def _set_alarm(self, seconds: int) -> None:
-        """Ends this process after ``seconds``, where the system can; 0 cancels it."""
+        """Ends this process after ``seconds``, where the system supports it; 0 cancels this."""
         if self._has_alarm:
             signal.alarm(seconds)
 
@@ -108,9 +112,9 @@ class WorkerServer(RequestServer):
 
     Args:
         connection: socket to the program.
-        fork_server: process id of the parent, if that is a fork server. Clones of this process
-            become its children; without a fork server this process cannot be cloned. A child of
-            a fork server ends with it and needs no alarm.
+        fork_server: process id of the parent if the parent is a fork server. Clones of this
+            process become children of the fork server; without one, this process cannot be
+            cloned. A child of a fork server ends with it, so it needs no alarm.
     """
 
     def __init__(self, connection: socket.socket, fork_server: int | None = None) -> None:
@@ -119,9 +123,9 @@ class WorkerServer(RequestServer):
         self._has_alarm = self._has_alarm and fork_server is None
 
     def _next_request(self) -> tuple[bytes, list[bytes]]:
-        """The next request that is not a step; the kernel takes the steps before it.
+        """Waits for the next request that is not a step; the kernel serves the steps before it.
 
-        Only children of a fork server have a packet socket.
+        The kernel needs a packet socket, which only children of a fork server have.
         """
         serve = self._race.serve if self._race is not None and self._fork_server else None
         if serve is None:
@@ -131,7 +135,7 @@ class WorkerServer(RequestServer):
     def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
         if kind != wire.FORK or self._fork_server is None:
             return super()._serve(kind, frames)
-        # The kernel takes no files, so they come with a second message.
+        # The kernel cannot receive files, so they come in a second message.
         _, _, files = wire.receive_with_files(self._connection)
         session = serve_fork(self._connection, files, fork_beside, self._fork_server)
         self._connection = session or self._connection

@@ -12,8 +12,8 @@
 >>> result.standings[0].label  # doctest: +SKIP
 'heuristic'
 
-All of these run as batches: races in parallel processes, each stored in the output folder as soon
-as it is over, so that the same call resumes after an interruption.
+All of these run as batches: races run in parallel processes. Each result is stored in the output
+folder as soon as its race ends, so the same call resumes after an interruption.
 """
 
 from stkzoo.evaluation.agent_check import AgentReport, ThinkingTime, check_agent

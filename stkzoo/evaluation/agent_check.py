@@ -1,4 +1,4 @@
-"""Checks an agent before it is handed in: what a tournament would say, and what the agent costs."""
+"""A check of an agent before its submission to a tournament: errors, time and memory."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ from stkzoo.race import run_race
 
 @dataclass(frozen=True, slots=True)
 class ThinkingTime:
-    """The durations of an agent's decisions [s]."""
+    """Statistics of the durations of an agent's decisions.
+
+    Attributes:
+        mean: mean duration [s].
+        p95: 95th percentile [s].
+        max: longest duration [s].
+    """
 
     mean: float
     p95: float
@@ -30,7 +36,7 @@ class ThinkingTime:
 
     @classmethod
     def of(cls, seconds: Sequence[float]) -> ThinkingTime | None:
-        """The statistics of some durations; ``None`` if there are none."""
+        """Returns the statistics of durations [s]; ``None`` if there are none."""
         if not seconds:
             return None
         return cls(float(np.mean(seconds)), float(np.percentile(seconds, 95)), max(seconds))
@@ -41,19 +47,20 @@ class AgentReport:
     """The outcome of a check.
 
     Attributes:
-        agent: the agent, as the user wrote it.
-        name: the name to show.
+        agent: the agent as the user wrote it.
+        name: display name of the agent.
         passed: whether a tournament would accept the agent.
-        reason: why not; empty if it passed.
-        trace: the traceback in the agent's own code, and its last output; may be empty.
+        reason: why the agent did not pass; empty if it passed.
+        trace: traceback in the agent's code, and its last output; may be empty.
         steps: number of steps driven.
-        distance: how far the kart came [m].
+        distance: distance that the kart covered [m].
         num_clipped: number of actions that were clipped to the action space.
-        load_time: time to start the agent's process and to load it [s]; ``None`` if that failed.
-        thinking_time: durations of its decisions; ``None`` if it made none.
-        memory: peak memory of its process [MB]; ``None`` where the system does not report it.
-        num_files: number of its files; ``None`` for a module found by its name.
-        size: of these files, unpacked [bytes]; ``None`` likewise.
+        load_time: time to start the agent's process and load the agent [s]; ``None`` if this
+            failed.
+        thinking_time: durations of the agent's decisions; ``None`` if it made none.
+        memory: peak memory of the agent's process [MB]; ``None`` if the system does not report it.
+        num_files: number of the agent's files; ``None`` for a module found by its name.
+        size: unpacked size of these files [bytes]; ``None`` for a module found by its name.
     """
 
     agent: str
@@ -74,17 +81,17 @@ class AgentReport:
 def check_agent(
     source: str, *, track: str = "lighthouse", max_steps: int = 50, **settings: Any
 ) -> AgentReport:
-    """Drives an agent alone, in a process of its own, as a tournament would.
+    """Checks an agent in a race without other karts, in a separate process as in a tournament.
 
     Args:
         source: a folder, a zip, a Python file, or the name of a module.
         track: the track.
         max_steps: number of steps to drive.
-        **settings: more fields of :class:`~stkzoo.race.RaceSettings`, such as ``seed`` and
+        **settings: other fields of :class:`~stkzoo.race.RaceSettings`, such as ``seed`` and
             ``action_timeout``.
 
     Raises:
-        ConfigError: there is no such agent, or an argument is invalid.
+        ConfigError: the agent does not exist or comes with stkzoo, or an argument is invalid.
         AssetError: the game's data is missing.
 
     Example:
@@ -139,21 +146,21 @@ class _Meter:
 
 
 class _MeasuredAgent(IsolatedInstance):
-    """An agent in a process of its own that is measured."""
+    """An agent in a separate process, whose time and memory are measured."""
 
     def __init__(self, request: DriverRequest, files: AgentFiles, meter: _Meter) -> None:
         self._meter, self._begin = meter, time.perf_counter()
         super().__init__(request, files)
 
     def ready(self) -> str:
-        """Waits until the agent is loaded."""
+        """Waits until the agent is loaded and returns its name."""
         name = super().ready()
         self._meter.load_time = time.perf_counter() - self._begin
         self._meter.memory = self.peak_memory()
         return name
 
     def answer(self) -> Decision:
-        """Waits for the action."""
+        """Waits for the agent's decision and returns it."""
         decision = super().answer()
         self._meter.seconds.append(decision.seconds)
         self._meter.memory = self.peak_memory()
@@ -161,7 +168,7 @@ class _MeasuredAgent(IsolatedInstance):
 
 
 def _measure(files: AgentFiles) -> tuple[int | None, int | None]:
-    """Number and size [bytes] of an agent's files, unpacked."""
+    """Returns the number of an agent's files and their unpacked size [bytes], if known."""
     path = files.path
     if path is None:
         return None, None
@@ -179,7 +186,7 @@ def _measure(files: AgentFiles) -> tuple[int | None, int | None]:
 
 
 def _too_large(num_files: int | None, size: int | None) -> str:
-    """Why a zip of these files would be refused; empty if it would not."""
+    """Returns why a zip of these files would be rejected; empty if it would be accepted."""
     if (num_files or 0) > MAX_FILES:
         return f"has {num_files} files; at most {MAX_FILES} are allowed in a zip"
     if (size or 0) > MAX_BYTES:

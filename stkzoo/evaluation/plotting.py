@@ -1,4 +1,4 @@
-"""The style that all plots share."""
+"""The shared style of all plots."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def require_matplotlib(extra: str = "benchmark", alternative: str = "") -> Any:
     """Imports ``matplotlib.figure``.
 
     Args:
-        extra: the extra of the package that installs it.
-        alternative: what the user can do without it, such as ``"pass --no-plot"``.
+        extra: name of the package's extra that installs matplotlib.
+        alternative: alternative in the error text, such as ``"or pass --no-plot"``.
 
     Raises:
         ConfigError: matplotlib is not installed.
@@ -34,7 +34,11 @@ def require_matplotlib(extra: str = "benchmark", alternative: str = "") -> Any:
 
 
 def new_figure(width: float, height: float) -> Any:
-    """An empty ``matplotlib`` figure; sizes in inches.
+    """Returns an empty ``matplotlib`` figure.
+
+    Args:
+        width: width of the figure [inches].
+        height: height of the figure [inches].
 
     Raises:
         ConfigError: matplotlib is not installed.
@@ -43,7 +47,12 @@ def new_figure(width: float, height: float) -> Any:
 
 
 def style_axes(axes: Any, title: str | None = None) -> None:
-    """Removes frame and tick marks, and sets the title."""
+    """Removes the frame and tick marks of axes, and sets their title.
+
+    Args:
+        axes: the ``matplotlib`` axes.
+        title: the title; ``None`` leaves it unchanged.
+    """
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.tick_params(length=0, colors=INK, labelsize=9)
@@ -59,7 +68,15 @@ def draw_intervals(
     color: str = BLUE,
     label: str | None = None,
 ) -> None:
-    """Draws a point with a horizontal interval in each row, at a multiple of the estimates."""
+    """Draws estimates as points with horizontal intervals.
+
+    Args:
+        axes: the ``matplotlib`` axes.
+        estimates: the estimates by row.
+        scale: factor for all values.
+        color: colour of the points and intervals.
+        label: label in the legend.
+    """
     values = scale * np.array([estimate.value for estimate in estimates.values()])
     ends = scale * np.array([estimate.interval for estimate in estimates.values()]).reshape(-1, 2)
     axes.errorbar(
@@ -80,14 +97,14 @@ def draw_intervals(
 def two_panels(
     path: str | os.PathLike[str], title: str, width: float, height: float, ratios: Sequence[float]
 ) -> Iterator[Any]:
-    """Yields two axes side by side, whose figure is written when the block ends.
+    """Yields two axes side by side, and writes their figure when the block ends.
 
     Args:
-        path: the file; its ending selects the format, such as ``.png`` or ``.svg``.
-        title: above both.
-        width: of the figure [inches].
-        height: of the figure [inches].
-        ratios: of the widths of the axes.
+        path: the file; its suffix selects the format, such as ``.png`` or ``.svg``.
+        title: title above both axes.
+        width: width of the figure [inches].
+        height: height of the figure [inches].
+        ratios: relative widths of the axes.
 
     Raises:
         ConfigError: matplotlib is not installed, or the file cannot be written.
@@ -99,12 +116,16 @@ def two_panels(
 
 
 def shorten(label: str) -> str:
-    """Cuts a label to the length that fits beside a plot."""
+    """Shortens a label to at most 18 characters, which fit beside a plot."""
     return label if len(label) <= _MAX_LABEL else label[: _MAX_LABEL - 3] + "..."
 
 
 def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
-    """Writes a figure atomically; the file name's ending selects the format.
+    """Writes a figure to a file, atomically.
+
+    Args:
+        figure: the ``matplotlib`` figure.
+        path: the file; its suffix selects the format, ``.png`` by default.
 
     Raises:
         ConfigError: the file cannot be written.
@@ -113,5 +134,5 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     with write_whole(file, "the plot") as part:
         try:
             figure.savefig(part, format=file.suffix[1:] or "png", dpi=110)
-        except ValueError as error:  # of an unknown format
+        except ValueError as error:  # unknown format
             raise ConfigError(f"the plot {file} cannot be written: {error}") from error

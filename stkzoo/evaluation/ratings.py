@@ -1,8 +1,8 @@
 """Ratings of agents from the finishing orders of their races.
 
-The model is Plackett-Luce, from the library openskill: the probability that an agent finishes
-first is its share of the strengths of all agents in the race; the same then holds for second
-place among the others, and so on.
+The model is Plackett-Luce, from the library openskill. The probability that an agent finishes
+first is its strength divided by the sum of the strengths of all agents in the race. The same rule
+determines second place among the remaining agents, and so on.
 """
 
 from __future__ import annotations
@@ -18,20 +18,22 @@ from stkzoo._schema import Within
 from stkzoo.errors import import_extra
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
 
-#: The model updates race by race, so a rating is the mean over this many orders of the races.
+#: Number of random orders of the races over which ratings are averaged. The model updates ratings
+#: race by race, so they depend on the order.
 _ORDERS = 30
-#: Bootstrap draws for the interval; fewer when there are many races.
+#: Maximum and minimum number of bootstrap draws for the interval, and the total number of rated
+#: races that limits it.
 _MAX_DRAWS, _MIN_DRAWS, _MAX_RATED_RACES = 400, 100, 100_000
 
 
 @dataclass(frozen=True, slots=True)
 class Rating(Estimate):
-    """The strength of an agent; 25 is the prior mean.
+    """The rating of an agent; 25 is the prior mean.
 
-    The value is the model's rating, averaged over orders of the races.
+    The value is the model's rating, averaged over random orders of the races.
 
     Attributes:
-        sigma: the model's own standard deviation.
+        sigma: standard deviation according to the model.
     """
 
     sigma: Annotated[float, Within(0)]
@@ -47,20 +49,20 @@ def require_openskill() -> Any:
 
 
 def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list[Rating]:
-    """Rates agents.
+    """Returns the ratings of all agents.
 
-    The interval is a bootstrap over races. One more race with all agents in random order is part
-    of the resampled pool, so that an outcome that has not occurred yet keeps some probability.
+    The interval comes from a bootstrap over races. The resampled pool includes one additional race
+    of all agents in random order, so that outcomes that have not occurred keep some probability.
 
     Args:
-        races: the agents of each race, best first.
-        num_agents: the number of agents; they are numbered from 0.
-        seed: the same arguments give the same ratings.
+        races: numbers of the agents in each race, best first.
+        num_agents: number of agents; their numbers start at 0.
+        seed: seed of the bootstrap and the orders. The same arguments return the same ratings.
 
     Raises:
         ConfigError: openskill is not installed.
     """
-    model = require_openskill().PlackettLuce(tau=0)  # tau: agents do not change meanwhile
+    model = require_openskill().PlackettLuce(tau=0)  # tau=0: agents do not change over time
     generator = random.Random(seed)
     passes = [_pass(model, generator.sample(races, len(races)), num_agents) for _ in range(_ORDERS)]
     num_draws = max(_MIN_DRAWS, min(_MAX_DRAWS, _MAX_RATED_RACES // max(len(races), 1)))
@@ -78,14 +80,14 @@ def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list
 def _resample(
     races: Sequence[Sequence[int]], num_agents: int, generator: random.Random
 ) -> list[Sequence[int]]:
-    """A bootstrap sample of the races and one more in random order."""
+    """Returns a bootstrap sample of the races and of one additional race in random order."""
     agents = range(num_agents)
     numbers = generator.choices(range(len(races) + 1), k=len(races) + 1)
     return [races[n] if n < len(races) else generator.sample(agents, num_agents) for n in numbers]
 
 
 def _pass(model: Any, races: Sequence[Sequence[int]], num_agents: int) -> list[tuple[float, float]]:
-    """Mean and deviation of every agent after some races, one after another."""
+    """Returns the rating and standard deviation of every agent after a sequence of races."""
     ratings = [model.rating() for _ in range(num_agents)]
     for order in races:
         after = model.rate([[ratings[agent]] for agent in order], ranks=list(range(len(order))))

@@ -1,4 +1,4 @@
-"""Means over races with bootstrap intervals."""
+"""Means over races, with bootstrap intervals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-#: Coverage of every interval that stkzoo reports.
+#: Coverage probability of all intervals that stkzoo reports.
 CONFIDENCE = 0.95
 _DRAWS = 2000
 
@@ -21,8 +21,8 @@ class Estimate:
 
     Attributes:
         value: the mean over races.
-        low: lower end of the interval; ``None`` if the races do not determine one.
-        high: upper end of the interval; ``None`` likewise.
+        low: lower end of the interval; ``None`` if there are too few races for an interval.
+        high: upper end of the interval; ``None`` as for ``low``.
     """
 
     value: float
@@ -31,7 +31,7 @@ class Estimate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Both ends; the value itself where there is no interval."""
+        """Both ends of the interval; the value itself if there is no interval."""
         if self.low is None or self.high is None:
             return self.value, self.value
         return self.low, self.high
@@ -42,20 +42,24 @@ def estimate_mean(
     strata: Sequence[Hashable],
     bounds: tuple[float, float] | None = None,
 ) -> Estimate | None:
-    """The mean of one value per race, with a 95 % bootstrap interval.
+    """Returns the mean of one value per race, with a 95 % bootstrap interval.
 
     The bootstrap resamples the races within each stratum, and draws one race less than the
-    stratum has. The drawn means then vary as much as the mean itself does, even in small strata
-    (McCarthy and Snowden 1985). ``None`` if no value is known.
+    stratum has. The variance of the resampled means then matches that of the mean, even in small
+    strata (McCarthy and Snowden 1985).
 
     Args:
-        values: one per race; ``None`` where there is none.
-        strata: the stratum of each race, fixed over repetitions of the experiment. A stratum
-            with a single race carries no information about chance; the result then has no
+        values: value of each race; ``None`` if a race has none.
+        strata: stratum of each race. Strata stay the same when the experiment is repeated. A
+            stratum with only one race gives no information about variance, so the result has no
             interval.
-        bounds: the least and greatest possible value, for shares and counts. If all races of
-            each stratum agree, the bootstrap has no spread. The interval is then that of an
-            event that did not happen in so many tries: up to ``1 - 0.025 ** (1 / tries)``.
+        bounds: lowest and highest possible value, for fractions and counts. If all races of each
+            stratum agree, the bootstrap has no spread. The interval then extends from the mean by
+            ``1 - 0.025 ** (1 / n)`` for ``n`` races, the upper bound for the probability of an
+            event that did not occur in ``n`` trials.
+
+    Returns:
+        The estimate; ``None`` if no race has a value.
     """
     members: dict[Hashable, list[float]] = {}
     for value, stratum in zip(values, strata, strict=True):
@@ -71,12 +75,12 @@ def estimate_mean(
         margin = 1 - ((1 - CONFIDENCE) / 2) ** (1 / count)
         return Estimate(mean, max(bounds[0], mean - margin), min(bounds[1], mean + margin))
     low, high = percentile_interval(_resampled_means(list(members.values()), count))
-    # Where all races agree, sums in another order differ in the last place.
+    # If all races agree, sums in different orders can differ in the last digit.
     return Estimate(mean, min(float(low), mean), max(float(high), mean))
 
 
 def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Lower and upper end ``(2, ...)`` of the central interval of draws ``(n, ...)``."""
+    """Returns both ends ``(2, ...)`` of the central 95 % interval of draws ``(n, ...)``."""
     tail = 50 * (1 - CONFIDENCE)
     ends: npt.NDArray[np.float64] = np.percentile(np.asarray(draws), (tail, 100 - tail), axis=0)
     return ends

@@ -1,7 +1,7 @@
-"""The game's data: finding it, getting it, and the small headless pack.
+"""The game's data: how stkzoo finds and installs it, and the small headless pack.
 
-Nothing here loads the engine. :func:`find_assets` only looks; what downloads or
-builds is :func:`install` and :func:`pack`, which the command line calls.
+This package does not load the engine. :func:`find_assets` only searches. :func:`install`
+downloads data and :func:`pack` builds the headless pack; the command line calls both.
 """
 
 from stkzoo.engine.assets.find import (

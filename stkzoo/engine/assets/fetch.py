@@ -1,9 +1,8 @@
-"""Downloading the game's data: from Debian's or Ubuntu's package, or with ``pystk2``.
+"""Downloads of the game's data: the package of Debian or Ubuntu, or the download of ``pystk2``.
 
-The Debian package is downloaded and unpacked, not installed: nothing outside stkzoo's cache
-changes, and an ordinary user may do it. Where the machine's package lists are missing or out
-of date, apt fetches new ones into a private folder. The apt client checks signatures and
-sums.
+The package is downloaded and unpacked, not installed. This needs no root privileges and changes
+nothing outside stkzoo's cache. If the machine's package lists are missing or out of date, apt
+downloads new ones to a private folder. apt checks signatures and checksums.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_ma
 from stkzoo.errors import AssetError
 
 _LOOK_EVERY = 0.1  # [s]
-#: Most that a program may write [bytes]; the list of the game's data takes half a megabyte.
+#: Maximum output of a program [bytes]. The file list of the game's data takes 0.5 MB.
 _MAX_OUTPUT = 8 << 20
 
 
@@ -39,21 +38,21 @@ def _run(
     last_lines: int = 8,
     environment: Mapping[str, str] | None = None,
 ) -> str:
-    """Runs a program to its end.
+    """Runs a program and waits for its end.
 
     Args:
         command: the program and its arguments.
-        folder: where it runs.
-        watch: called a few times a second meanwhile; what it raises ends the program.
-        name: what the message calls it; the command itself by default.
-        last_lines: how much of its output the message shows.
-        environment: variables; ``None`` for our own.
+        folder: working directory.
+        watch: function called every 0.1 s. If it raises an error, the program is killed.
+        name: name of the program in error texts; by default, the command.
+        last_lines: number of lines of the output in error texts.
+        environment: environment variables; by default, those of this process.
 
     Returns:
-        What it wrote.
+        The output of the program.
 
     Raises:
-        AssetError: it failed; the message carries its last lines.
+        AssetError: the program failed; the message has the last lines of its output.
     """
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as log:
         process = subprocess.Popen(  # noqa: S603 - a fixed program, no shell
@@ -84,7 +83,7 @@ def _run(
 
 
 def _ending_with_us() -> list[str]:
-    """Command prefix that ends the program when this process is killed, if available."""
+    """Returns a command prefix that ends the program when this process ends, if available."""
     setpriv = shutil.which("setpriv") if os.name == "posix" else None
     return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []
 
@@ -95,15 +94,15 @@ _INSIDE = "usr/share/games/supertuxkart/data"
 
 
 def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
-    """Downloads the package and makes a full tree of it.
+    """Downloads the package and makes a full tree from it.
 
     Args:
-        target: an empty folder, which becomes the tree's root.
-        work: an empty folder for what is needed meanwhile, on the same disk.
-        progress: receives the progress.
+        target: an empty folder that becomes the root of the tree.
+        work: an empty folder for temporary files, on the same disk.
+        progress: receives progress reports.
 
     Raises:
-        AssetError: there is no apt client, it fails, or the disk has no room.
+        AssetError: apt is missing or fails, or the disk does not have enough space.
     """
     if shutil.which("apt-get") is None or shutil.which("dpkg-deb") is None:
         raise AssetError("this machine has no apt-get and dpkg-deb (it is not Debian or Ubuntu).")
@@ -116,7 +115,7 @@ def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
 
 
 def _download(work: Path, progress: Progress) -> Path:
-    """Uses the machine's own package lists if they work, else new ones."""
+    """Downloads the package, with new package lists if those of the machine do not work."""
     try:
         return _download_with([], work, progress)
     except AssetError as error:
@@ -131,7 +130,10 @@ def _download(work: Path, progress: Progress) -> Path:
 
 
 def _private_options(work: Path) -> list[str]:
-    """Makes apt keep its state in ``work`` and read the machine's sources and keys."""
+    """Returns apt options for a private state in ``work``.
+
+    apt still reads the machine's sources and keys.
+    """
     state, cache = work / "apt-state", work / "apt-cache"
     (state / "lists" / "partial").mkdir(parents=True, exist_ok=True)
     (cache / "archives" / "partial").mkdir(parents=True, exist_ok=True)
@@ -147,7 +149,7 @@ def _private_options(work: Path) -> list[str]:
 
 
 def _apt(program: str, *words: str, **options: Any) -> str:
-    """Runs one of apt's programs."""
+    """Runs one of apt's programs and returns its output."""
     variables = {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
     return _run([program, *words], environment=variables, **options)
 
@@ -177,15 +179,15 @@ def _size_of_packages(work: Path) -> int:
 
 
 def unpack_package(package: Path, target: Path, progress: Progress) -> None:
-    """Unpacks the data folder of a ``.deb`` file and checks it against its own list.
+    """Unpacks the data folder of a ``.deb`` file and checks it against the package's checksums.
 
     Args:
-        package: the file.
-        target: an existing folder that gets ``data``.
-        progress: receives the progress.
+        package: the ``.deb`` file.
+        target: an existing folder in which ``data`` is created.
+        progress: receives progress reports.
 
     Raises:
-        AssetError: the package is broken or holds other content.
+        AssetError: the package is broken or has different content.
     """
     progress.begin(f"unpacking {package.name}")
     file = str(package.absolute())
@@ -203,27 +205,27 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
 
 _ARCHIVE = f"SuperTuxKart-{ENGINE_DATA_VERSION}-src.tar.gz"
 
-#: Room for the archive and what it holds [bytes].
+#: Disk space for the archive and its contents [bytes].
 _NEEDED = 1_800_000_000
 
-#: A download without progress for this long is stopped [s].
+#: Maximum time without progress before a download is stopped [s].
 _PATIENCE = 90.0
 
 _PROGRAM = "import pystk2; pystk2.init(pystk2.GraphicsConfig.none())"
 
 
 def fetch_upstream(work: Path, progress: Progress) -> Path:
-    """Makes ``pystk2`` download its data into its own cache, in a separate process.
+    """Runs the download of ``pystk2`` to its own cache, in a separate process.
 
     Args:
-        work: a folder to run in.
-        progress: receives the progress.
+        work: working directory of the process.
+        progress: receives progress reports.
 
     Returns:
-        The tree's root.
+        The root of the downloaded tree.
 
     Raises:
-        AssetError: it failed, or made no progress for a minute and a half.
+        AssetError: the download failed, or made no progress for 90 s.
     """
     cache = pystk2_cache_folder()
     cache.mkdir(parents=True, exist_ok=True)
@@ -242,7 +244,7 @@ def fetch_upstream(work: Path, progress: Progress) -> Path:
             environment=variables,
         )
     except AssetError:
-        archive.unlink(missing_ok=True)  # pystk2 would try the same broken file again
+        archive.unlink(missing_ok=True)  # otherwise pystk2 would use the same broken file again
         raise
     root = cache / ENGINE_DATA_VERSION
     check_files(root)
@@ -250,7 +252,7 @@ def fetch_upstream(work: Path, progress: Progress) -> Path:
 
 
 class _Watch:
-    """Reports the growing download; raises when it no longer grows."""
+    """Reports the progress of the download, and raises an error when it stops growing."""
 
     def __init__(self, archive: Path, growing: Path, progress: Progress) -> None:
         self._archive, self._growing, self._progress = archive, growing, progress

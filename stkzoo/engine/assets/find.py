@@ -1,4 +1,4 @@
-"""Finding the game's data: the places to look in, in order. Nothing is downloaded here."""
+"""The search for the game's data on this machine. This module downloads nothing."""
 
 from __future__ import annotations
 
@@ -17,44 +17,44 @@ from stkzoo.errors import AssetError
 
 _LOGGER = logging.getLogger(__name__)
 
-#: The engine's own variable: the folder that holds ``data``.
+#: The engine's environment variable for the folder that contains ``data``.
 DATADIR_VARIABLE = "SUPERTUXKART_DATADIR"
 
-#: Environment variable that moves stkzoo's cache.
+#: Environment variable for the folder of stkzoo's cache.
 CACHE_VARIABLE = "STKZOO_CACHE"
 
 
 def cache_folder() -> Path:
-    """The folder that stkzoo owns; it may not exist yet."""
+    """Returns the folder of stkzoo's cache, which may not exist yet."""
     own = os.environ.get(CACHE_VARIABLE)
     folder = Path(own).expanduser() if own else Path(platformdirs.user_cache_dir("stkzoo"))
     return folder.absolute()
 
 
 def own_folder(kind: str) -> Path:
-    """Where stkzoo's data of one kind goes.
+    """Returns the folder in stkzoo's cache for one kind of data.
 
     Args:
-        kind: ``"full"``; ``"headless"`` for the pack; or ``"system"`` for the links into a
-            system install.
+        kind: ``"full"``; ``"headless"`` for the headless pack; or ``"system"`` for the links to a
+            system installation.
     """
     return cache_folder() / kind
 
 
 def pystk2_cache_folder() -> Path:
-    """Where ``pystk2`` keeps its own downloads; may not exist."""
+    """Returns the folder of ``pystk2``'s own downloads, which may not exist."""
     return Path(platformdirs.user_cache_dir("PySuperTuxKart2", "bpiwowar"))
 
 
 @dataclass(frozen=True)
 class PlaceReport:
-    """What one place holds.
+    """The result of a search in one place.
 
     Attributes:
-        source: the place's short name.
-        path: the folder that was looked at.
-        assets: what is there, ``None`` if nothing usable is.
-        problem: why it cannot be used; empty if nothing is there or all is well.
+        source: short name of the place.
+        path: the folder that was searched.
+        assets: the data in the folder; ``None`` if there is no usable data.
+        problem: why the data cannot be used; empty if there is no data or no problem.
     """
 
     source: str
@@ -63,7 +63,7 @@ class PlaceReport:
     problem: str = ""
 
     def measure(self) -> int:
-        """Size of the files that are there [bytes]; reads the whole folder."""
+        """Returns the size of the files in the folder [bytes]. This walks the whole folder."""
         sizes = {}
         for folder, _, names in os.walk(self.path, followlinks=True):
             for entry in (Path(folder, name) for name in names):
@@ -74,7 +74,12 @@ class PlaceReport:
 
 
 def survey() -> Iterator[PlaceReport]:
-    """Looks at every place, in the order of :func:`find_assets`, each when it is its turn."""
+    """Searches every place lazily, in the order of :func:`find_assets`.
+
+    Yields:
+        The result for each place. The place named by ``SUPERTUXKART_DATADIR`` is left out if the
+        variable is not set.
+    """
     if value := os.environ.get(DATADIR_VARIABLE):
         yield _look("environment", Path(value), Path.absolute)
     yield _look("headless pack", own_folder("headless"))
@@ -106,14 +111,15 @@ def _overlaid(data: Path) -> Path:
 def find_assets(*, graphics: bool = False) -> Assets:
     """Finds the game's data on this machine, in a few milliseconds.
 
-    The order is: the folder in ``SUPERTUXKART_DATADIR``, the headless pack and
-    the full data in stkzoo's cache, the cache of ``pystk2``, a system install.
+    The places are searched in this order: the folder in ``SUPERTUXKART_DATADIR``, the headless
+    pack in stkzoo's cache, the full data in stkzoo's cache, the cache of ``pystk2``, and a system
+    installation.
 
     Args:
-        graphics: the game must draw, which a headless pack cannot.
+        graphics: whether the game must draw. A headless pack cannot.
 
     Raises:
-        AssetError: there is none, or what the environment names cannot be used; the
+        AssetError: there is no data, or the data in ``SUPERTUXKART_DATADIR`` cannot be used. The
             message names the command that fixes it.
     """
     what = "the game's full data, which drawing needs," if graphics else "the game's data"

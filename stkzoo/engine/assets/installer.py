@@ -1,4 +1,4 @@
-"""Installing the game's data, building the headless pack, and removing both."""
+"""Installation and removal of the game's data and of the headless pack."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from stkzoo.engine.assets.staging import (
 from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
 from stkzoo.errors import AssetError, unknown_name
 
-#: Where :func:`install` can get the data.
+#: Sources from which :func:`install` can download the data.
 SOURCES = ("auto", "debian", "upstream")
 
 
@@ -36,25 +36,24 @@ def install(
     replace: bool = False,
     progress: Progress | None = None,
 ) -> Assets:
-    """Makes the game's data usable: keeps what is there and downloads the rest.
+    """Installs the game's data: downloads it if it is missing, and builds the headless pack.
 
-    It ends with building the headless pack. Data that ``SUPERTUXKART_DATADIR`` names is
-    used as it is. You may call it from several programs at once and interrupt it at any
-    moment.
+    If ``SUPERTUXKART_DATADIR`` names a folder, its data is used unchanged. Several programs can
+    call this at the same time, and you can interrupt it at any time.
 
     Args:
-        source: ``"debian"``: from the package of Debian and Ubuntu; ``"upstream"``: by
-            the download of ``pystk2``; ``"auto"``: whichever works.
-        archive: unpack the headless pack from this file and download nothing.
-        replace: download and build again what is already there.
-        progress: receives the progress.
+        source: ``"debian"`` for the package of Debian and Ubuntu, ``"upstream"`` for the download
+            of ``pystk2``, or ``"auto"`` for the first of these that works.
+        archive: file with a headless pack to unpack; nothing is downloaded.
+        replace: download and build data again even if it exists.
+        progress: receives progress reports.
 
     Returns:
-        What a headless race will use.
+        The assets that headless races use.
 
     Raises:
-        ConfigError: an unknown ``source``.
-        AssetError: it failed; nothing incomplete is left in place.
+        ConfigError: ``source`` is unknown.
+        AssetError: the installation failed. No incomplete data remains.
     """
     if source not in SOURCES:
         raise unknown_name("source of the game's data", source, SOURCES)
@@ -78,15 +77,15 @@ def pack(
     """Builds the headless pack from the full data on this machine.
 
     Args:
-        output: also write it into this ``.tar.xz`` file.
-        replace: build it again even if it is there.
-        progress: receives the progress.
+        output: also write the pack to this ``.tar.xz`` file.
+        replace: build the pack again even if it exists.
+        progress: receives progress reports.
 
     Returns:
-        ``output``, or the root of the pack.
+        ``output``, or by default the folder of the pack.
 
     Raises:
-        AssetError: there is no full data, or no room.
+        AssetError: there is no full data, or not enough disk space.
     """
     progress = progress or Progress()
     with lock(cache_folder(), progress):
@@ -98,13 +97,16 @@ def pack(
 
 
 def clean(*, progress: Progress | None = None) -> list[Path]:
-    """Removes what stkzoo put into its cache, and nothing else.
+    """Removes the data that stkzoo made from its cache, and nothing else.
+
+    Args:
+        progress: receives progress reports.
 
     Returns:
         The removed folders.
 
     Raises:
-        AssetError: the cache cannot be written.
+        AssetError: the cache is not writable.
     """
     cache = cache_folder()
     if not cache.is_dir():
@@ -151,14 +153,26 @@ def _from_upstream(progress: Progress) -> Assets:
 
 
 def _make(folder: Path, fill: Callable[[Path], object]) -> None:
-    """Makes one of our folders, which appears when it is complete."""
+    """Makes a folder of stkzoo's data, which appears only when it is complete.
+
+    Args:
+        folder: the folder.
+        fill: function that fills a temporary folder with the data.
+        progress: receives progress reports.
+    """
     with fresh_folder(cache_folder()) as tree:
         fill(tree)
         publish(tree, folder)
 
 
 def _ensure_pack(full: Assets | None, replace: bool, progress: Progress) -> None:
-    """Builds the headless pack from the full data, which is looked for if it is not given."""
+    """Builds the headless pack if it does not exist or must be replaced.
+
+    Args:
+        full: the full data; by default, :func:`find_assets` finds it.
+        replace: build the pack again even if it exists.
+        progress: receives progress reports.
+    """
     if not replace:
         with contextlib.suppress(AssetError):
             load_assets(own_folder("headless"), "headless pack")

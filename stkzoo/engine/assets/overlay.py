@@ -1,8 +1,8 @@
-"""Adapting Debian's data for the engine, in place or as a folder of links.
+"""Adaptation of Debian's data to the engine, in place or as a folder of links.
 
-Debian's data differs from what the engine needs in three points: the empty file
-that names the version, the skin ``classic``, and fonts, which are links into other
-packages. Everything that affects a race is byte for byte the same.
+Debian's data differs from what the engine needs in three points: the empty file that names the
+version, the skin ``classic``, and the fonts, which are links to files of other packages. All files
+that affect a race are identical.
 """
 
 from __future__ import annotations
@@ -20,20 +20,23 @@ SYSTEM_FOLDERS = (
     Path("/usr/share/supertuxkart/data"),
 )
 
-#: Versions of the data whose races are those of the engine.
+#: Versions of the data with which races are the same as with the engine's own version.
 _KNOWN_VERSIONS = ("1.4", ENGINE_DATA_VERSION)
 
-#: How the names of the dials' pictures begin.
+#: Prefixes of the file names of the dials' images.
 _DIAL = ("speed", "gauge_")
 
 _SUBSTITUTE_FONTS = ("wqy-microhei.ttf", "SigmarOne.otf")
 
 
 def adapt(data: Path) -> None:
-    """Changes a data folder that belongs to stkzoo so that the engine accepts it.
+    """Changes a data folder so that the engine accepts it.
+
+    Args:
+        data: a data folder that belongs to stkzoo.
 
     Raises:
-        AssetError: it is data of another version, or has no font at all.
+        AssetError: the data is of another version, or has no skin or no font.
     """
     _check_version(data)
     (data / f"supertuxkart.{ENGINE_DATA_VERSION}").touch()
@@ -72,19 +75,19 @@ def _adapt_fonts(fonts: Path) -> None:
 
 
 def system_overlay(data: Path, target: Path) -> Path:
-    """A folder of links to a system install that the engine can use.
+    """Makes a folder of links to a system installation, which the engine can use.
 
-    It is rebuilt when the install has changed.
+    The folder is made again only when the installation has changed.
 
     Args:
-        data: the install's data folder.
-        target: where the overlay is, or is made.
+        data: data folder of the installation.
+        target: folder of the links.
 
     Returns:
-        ``target``, the value for ``SUPERTUXKART_DATADIR``.
+        ``target``, a value for ``SUPERTUXKART_DATADIR``.
 
     Raises:
-        AssetError: the install cannot be used, or the cache cannot be written.
+        AssetError: the installation cannot be used, or ``target`` is not writable.
     """
     origin = f"{data} of {data.stat().st_mtime_ns}"
     if _is_current(target, origin):
@@ -103,14 +106,14 @@ def system_overlay(data: Path, target: Path) -> Path:
 
 
 def link_without_dial(root: Path, target: Path) -> None:
-    """Links a game's data, but with transparent dials.
+    """Makes links to the game's data, with transparent dials.
 
-    In a window the game shows the speed and the nitro of the drawn karts. These are put in place
-    and hardly move by themselves, so the dials would stand near zero.
+    In a window, the game shows dials for the speed and the nitro of the drawn karts. The render
+    process moves these karts directly, so the dials would stay near zero.
 
     Args:
-        root: the game's full data, as for ``SUPERTUXKART_DATADIR``.
-        target: an existing folder to make the links in.
+        root: folder of the game's full data, a value for ``SUPERTUXKART_DATADIR``.
+        target: an existing folder for the links.
     """
     nothing = root / "data/textures/transparence.png"
     for folder in ("data", "data/gui", "data/gui/icons"):
@@ -130,7 +133,7 @@ def _is_current(target: Path, origin: str) -> bool:
 
 
 def _link(data: Path, target: Path) -> None:
-    """Links each entry; ``skins`` and ``ttf`` become folders, because they are adapted."""
+    """Makes a link to each entry. ``skins`` and ``ttf`` become folders, because they change."""
     target.mkdir(parents=True)
     for name in ("skins", "ttf"):
         (target / name).mkdir()

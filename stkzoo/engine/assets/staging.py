@@ -1,4 +1,4 @@
-"""Work on the cache: progress, one writer at a time, folders that appear complete."""
+"""Changes of the cache: progress reports, a lock, and folders that appear only when complete."""
 
 from __future__ import annotations
 
@@ -16,44 +16,48 @@ from stkzoo.errors import AssetError
 
 
 class Progress:
-    """Receives the progress of long work and ignores it; the command line draws bars.
+    """A receiver of progress reports that ignores them; the command line's subclass shows them.
 
-    Work is a sequence of stages. Each begins with :meth:`begin` and ends when the
-    next one begins.
+    Long work is a sequence of stages. A stage starts with :meth:`begin` and ends when the next one
+    starts.
     """
 
     def begin(self, stage: str, total: int | None = None) -> None:
-        """A stage starts.
+        """Reports that a stage starts.
 
         Args:
-            stage: a few words about it.
-            total: amount of work [bytes], ``None`` if unknown.
+            stage: short description of the stage.
+            total: amount of work [bytes]; ``None`` if unknown.
         """
 
     def reach(self, done: int) -> None:
-        """``done`` [bytes] of the stage are finished."""
+        """Reports that ``done`` bytes of the stage are complete."""
 
     def note(self, text: str) -> None:
-        """Something worth a line happened."""
+        """Reports an event as one line of text."""
 
 
 _PREFIX = ".stkzoo-"
 _LOCK = ".stkzoo-lock"
 _LOCK_POLL = 0.2  # [s]
 
-#: Age after which a folder made outside the lock counts as left behind [s].
+#: Age after which a temporary folder made without the lock counts as abandoned [s].
 _STALE = 600.0
 
 
 @contextmanager
 def lock(cache: Path, progress: Progress) -> Iterator[None]:
-    """Locks the cache for one process, and removes what interrupted ones left; others wait.
+    """Locks the cache for one process, and removes the remains of interrupted processes.
 
-    The operating system releases the lock when the process ends, however it ends. A system
-    without such locks locks nothing.
+    Other processes wait for the lock. The operating system releases it when the process ends, even
+    after a crash. On a system without such locks, this locks nothing.
+
+    Args:
+        cache: folder of the cache.
+        progress: receives a note if this process must wait.
 
     Raises:
-        AssetError: the cache cannot be written.
+        AssetError: the cache is not writable.
     """
     try:
         cache.mkdir(parents=True, exist_ok=True)
@@ -76,9 +80,13 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
 
 @contextmanager
 def fresh_folder(parent: Path, kind: str = "staging") -> Iterator[Path]:
-    """An empty folder in ``parent``, removed at the end unless it was published.
+    """Creates a temporary folder and removes it at the end, unless :func:`publish` moved it.
 
-    Its name marks it as unfinished.
+    The folder's name marks it as unfinished.
+
+    Args:
+        parent: the folder in which to create it.
+        kind: part of its name.
     """
     parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-", dir=parent))
@@ -90,14 +98,14 @@ def fresh_folder(parent: Path, kind: str = "staging") -> Iterator[Path]:
 
 
 def publish(staging: Path, target: Path) -> None:
-    """Moves a finished tree into its place, in one rename.
+    """Moves a finished tree to its target with one rename.
 
     Args:
-        staging: a tree with its marker, on the same file system.
-        target: its place; an older tree of stkzoo there is replaced.
+        staging: a tree with its marker, on the same file system as ``target``.
+        target: where the tree goes. An older tree made by stkzoo is replaced.
 
     Raises:
-        AssetError: files that stkzoo did not make are there.
+        AssetError: ``target`` contains files that stkzoo did not make.
     """
     if target.is_dir() and any(target.iterdir()):
         if not (target / MARKER).is_file():
@@ -115,7 +123,7 @@ def publish(staging: Path, target: Path) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Removes a folder if it is there."""
+    """Removes a folder if it exists."""
     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -128,7 +136,12 @@ def _clear_leftovers(cache: Path) -> None:
 
 
 def link_or_copy(path: Path, goal: Path) -> None:
-    """Hard-links a file, or copies it where links are not possible."""
+    """Creates a hard link to a file, or a copy where links are not possible.
+
+    Args:
+        path: the file.
+        goal: path of the link or copy.
+    """
     try:
         os.link(path.resolve(), goal)
     except OSError:
@@ -136,15 +149,15 @@ def link_or_copy(path: Path, goal: Path) -> None:
 
 
 def check_space(folder: Path, needed: int, purpose: str) -> None:
-    """Checks that the disk has room.
+    """Checks that the disk has enough free space.
 
     Args:
-        folder: where the files will go.
-        needed: how much [bytes].
-        purpose: what for, in the words of the message.
+        folder: destination of the files.
+        needed: required space [bytes].
+        purpose: what needs the space, as subject of the error text.
 
     Raises:
-        AssetError: it does not.
+        AssetError: the disk does not have enough space.
     """
     free = shutil.disk_usage(folder).free
     if free < needed:

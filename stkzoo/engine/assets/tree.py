@@ -1,4 +1,4 @@
-"""The game's data in a folder: what the engine needs, and how it is checked."""
+"""The game's data in a folder: its contents and the checks of what the engine needs."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from stkzoo._reading import Unreadable, load_json, read_file
 from stkzoo._schema import typed
 from stkzoo.errors import AssetError
 
-#: The engine starts only where an empty file ``data/supertuxkart.<this>`` lies.
+#: Version of the game's data. The engine requires an empty file ``data/supertuxkart.VERSION``.
 ENGINE_DATA_VERSION = "1.5"
 
-#: Written last into every tree that stkzoo makes, beside ``data``.
+#: File beside ``data`` in every tree that stkzoo makes. It is written last.
 MARKER = "stkzoo-assets.json"
 
 _YES = {"y", "yes", "true", "1"}
@@ -27,10 +27,10 @@ class Assets:
     """A usable set of the game's data.
 
     Attributes:
-        root: the value for ``SUPERTUXKART_DATADIR``: the folder that holds ``data``.
-        source: the place where it was found, such as ``"environment"``.
-        headless: whether pictures, music and sound are placeholders, so that the game
-            can race but not draw.
+        root: the folder that contains ``data``, a value for ``SUPERTUXKART_DATADIR``.
+        source: where the data was found, such as ``"environment"``.
+        headless: whether images, music and sounds are placeholders. With them, the game can run
+            races but cannot draw them.
         tracks: names of the race tracks, sorted.
         karts: names of the kart models, sorted.
     """
@@ -42,18 +42,18 @@ class Assets:
     karts: tuple[str, ...]
 
 
-#: Version of the trees that stkzoo makes.
+#: Version of the layout of trees that stkzoo makes.
 _LAYOUT = 1
-#: Largest size of the marker and of a description [bytes]; the largest of the game has 650 kB.
+#: Maximum size of the marker and of an XML file [bytes]. The game's largest XML file has 650 kB.
 _MAX_MARKER, _MAX_XML = 1 << 20, 8 << 20
 
 
 def write_marker(root: Path, origin: str, *, headless: bool) -> None:
-    """Writes the marker of a finished tree, with its tracks and karts.
+    """Writes the marker of a finished tree, with the names of its tracks and karts.
 
     Args:
         root: the tree.
-        origin: what it was made from.
+        origin: the source of the tree, such as the name of a package.
         headless: as in :class:`Assets`.
 
     Raises:
@@ -67,13 +67,17 @@ def write_marker(root: Path, origin: str, *, headless: bool) -> None:
 
 
 def read_marker(root: Path) -> Assets | None:
-    """What the marker of a tree says, its origin as ``source``.
+    """Reads the marker of a tree.
+
+    Args:
+        root: the tree.
 
     Returns:
-        ``None`` where stkzoo did not make the tree.
+        The assets in the tree, with the marker's origin as ``source``; ``None`` if stkzoo did not
+        make the tree.
 
     Raises:
-        AssetError: the marker is there but not readable.
+        AssetError: the marker cannot be read or is from another version of stkzoo.
     """
     try:
         marker = typed(_Marker, load_json(root / MARKER, _MAX_MARKER))
@@ -91,7 +95,7 @@ def read_marker(root: Path) -> Assets | None:
 
 @dataclass(frozen=True, slots=True)
 class _Marker:
-    """The content of the marker's file; see :class:`Assets`."""
+    """The contents of the marker; see :class:`Assets`."""
 
     layout: int
     origin: str
@@ -101,10 +105,15 @@ class _Marker:
 
 
 def check_shape(root: Path) -> None:
-    """Checks for what makes the engine exit, by names alone (a millisecond or two).
+    """Checks that the files and folders exist without which the engine exits.
+
+    This takes one or two milliseconds, because it does not read the files of the game.
+
+    Args:
+        root: the folder that contains ``data``.
 
     Raises:
-        AssetError: naming the first thing that is missing.
+        AssetError: a file or folder is missing; the message names the first one.
     """
     data = root / "data"
     if not data.is_dir():
@@ -135,13 +144,16 @@ def _check_marked(root: Path) -> None:
 
 
 def read_catalog(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the race tracks and of the kart models in ``root``, each sorted.
+    """Returns the names of the race tracks and of the kart models, each sorted.
 
-    A race track is one whose ``track.xml`` does not call it an arena, a soccer field, a
-    cutscene or internal, which is the engine's own rule.
+    As in the engine, a track is a race track if its ``track.xml`` does not mark it as an arena, a
+    soccer field, a cutscene or internal.
+
+    Args:
+        root: the folder that contains ``data``.
 
     Raises:
-        AssetError: a description cannot be read, or there is none.
+        AssetError: a ``track.xml`` cannot be read, or there are no race tracks or no karts.
     """
     data = root / "data"
     tracks = tuple(sorted(p.parent.name for p in data.glob("tracks/*/track.xml") if _is_race(p)))
@@ -157,7 +169,10 @@ def _is_race(description: Path) -> bool:
 
 
 def parse_xml(path: Path) -> ET.Element:
-    """The root element of one of the game's files.
+    """Returns the root element of one of the game's XML files.
+
+    Args:
+        path: the file.
 
     Raises:
         AssetError: the file is missing or broken.
@@ -169,10 +184,13 @@ def parse_xml(path: Path) -> ET.Element:
 
 
 def check_files(root: Path) -> None:
-    """Reads the description of every race track and kart (a second at most).
+    """Checks the files of every race track and kart. This takes at most one second.
+
+    Args:
+        root: the folder that contains ``data``.
 
     Raises:
-        AssetError: naming the first file that is missing, empty or broken.
+        AssetError: a file is missing, empty or broken; the message names the first one.
     """
     check_shape(root)
     tracks, karts = read_catalog(root)
@@ -189,10 +207,14 @@ def check_files(root: Path) -> None:
 
 
 def load_assets(root: Path, source: str) -> Assets:
-    """The assets in ``root``, checked by :func:`check_shape`.
+    """Returns the assets in a folder, checked by :func:`check_shape`.
+
+    Args:
+        root: the folder that contains ``data``.
+        source: value for :attr:`Assets.source`.
 
     Raises:
-        AssetError: the engine could not use them.
+        AssetError: the engine cannot use them.
     """
     check_shape(root)
     marker = read_marker(root)
@@ -207,6 +229,6 @@ def load_assets(root: Path, source: str) -> Assets:
 @lru_cache(maxsize=16)
 def _catalog_once(
     root: Path,
-    stamps: tuple[int, ...],  # noqa: ARG001 - part of the cache's key
+    stamps: tuple[int, ...],  # noqa: ARG001 - part of the cache key
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return read_catalog(root)

@@ -1,7 +1,7 @@
-"""What karts drive on and run into, read from the track's own meshes.
+"""The ground and walls of a track, read from its meshes.
 
-The road of an observation is the driving line with a width. The real track differs: walls
-block it, ground continues beside it, grass slows karts, zippers accelerate them.
+Observations describe the road as a driving line with a width. The real track differs: walls block
+it, ground continues beside it, grass slows karts and zippers accelerate them.
 """
 
 from stkzoo.engine.ground.columns import Ground, Spots, ground_of

@@ -1,4 +1,4 @@
-"""The ground near the driving lines, column by column."""
+"""The ground near a track's driving lines, stored in vertical columns."""
 
 from __future__ import annotations
 
@@ -19,31 +19,32 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
-#: Width of a column [m], and how many levels one above the other it can have.
+#: Width of a column [m], and maximum number of ground levels in it.
 _CELL, _LEVELS = 0.5, 4
-#: Columns this near to a driving line are kept, from so far below it to so far above [m].
+#: Maximum horizontal distance of a column from a driving line, and maximum depth below and height
+#: above the line [m].
 _REACH, _BELOW, _ABOVE = 14.0, 10.0, 6.0
-#: Of two levels less far apart than this [m] the wheels touch the upper one.
+#: Minimum distance between two levels [m]. Of two closer levels, wheels touch only the upper one.
 _APART = 0.5
-#: Faces flatter than this are driven on; steeper than the other one can be run into [vertical share
-#: of the normal].
+#: Limits on the absolute vertical component of a face's unit normal: karts can drive on a face
+#: above the first, and can collide with a face below the second.
 _FLAT, _STEEP = 0.35, 0.8
-#: A kart runs into what is so high above its ground [m].
+#: Heights above the ground at which karts collide with faces [m].
 _HEIGHTS = (0.45, 0.8)
-#: Walls are looked for from each column's middle this way, that way and across.
+#: Horizontal directions (x, z) in which walls are searched from the centre of a column.
 _ACROSS = np.array([[1.0, 0.0], [0.0, 1.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
-#: So many pairs of a face and a column are looked at together.
+#: Number of pairs of a face and a column that are processed together.
 _CHUNK = 400_000
 
 
 @dataclass(frozen=True, slots=True)
 class Spots:
-    """What is at places in the world, ``(...)`` each.
+    """The ground at places in the world, as arrays of shape ``(...)``.
 
     Attributes:
         kind: uint8, numbers of :class:`~stkzoo.names.GroundKind`.
-        height: float32 [m], world frame; NaN for nothing.
-        speed: float32: the share of their greatest speed that karts keep there.
+        height: float32: height in the world frame [m]; NaN where there is no ground.
+        speed: float32: maximum speed there as a fraction of a kart's top speed.
     """
 
     kind: npt.NDArray[np.uint8]
@@ -52,11 +53,11 @@ class Spots:
 
 
 class Ground:
-    """What is near a track's driving lines.
+    """The ground and walls near a track's driving lines.
 
     Args:
-        faces: all that is solid.
-        line: ``(N, 3)`` points of the driving lines, not more than a metre apart [m], world frame.
+        faces: the solid faces of the track.
+        line: ``(N, 3)`` points of the driving lines [m], world frame, at most one metre apart.
     """
 
     def __init__(self, faces: Faces, line: npt.NDArray[np.floating]) -> None:
@@ -72,14 +73,14 @@ class Ground:
         self._raise_walls(corners, normals, np.flatnonzero(flatness < _STEEP))
 
     def at(self, places: npt.NDArray[np.floating], reach: float = 3.0) -> Spots:
-        """Looks up what is at places.
+        """Returns the ground at places.
 
         Args:
             places: ``(..., 3)`` [m], world frame.
-            reach: ground farther above or below than this is ignored [m].
+            reach: ground this far above or below a place, or farther, is ignored [m].
 
         Raises:
-            ConfigError: the places have another shape, or are not finite.
+            ConfigError: the places have a wrong shape or are not finite.
         """
         spots: FloatArray = np.asarray(places, np.float64)
         if spots.shape[-1:] != (3,) or not np.isfinite(spots).all():
@@ -105,7 +106,7 @@ class Ground:
         )
 
     def _lay(self, faces: Faces, corners: FloatArray, flat: IntArray) -> None:
-        """Puts the faces that can be driven on into the columns."""
+        """Adds the faces that karts can drive on to the columns."""
         near, found, at_heights = self._near, [], []
         for who, rows, columns in near.pairs(corners, flat, 0.0):
             heights = _heights(corners[who], near.middles(rows, columns))
@@ -133,7 +134,7 @@ class Ground:
         self._kinds[at] = kinds
 
     def _raise_walls(self, corners: FloatArray, normals: FloatArray, steep: IntArray) -> None:
-        """Marks the levels on which karts run into a face."""
+        """Marks the levels on which karts collide with a face."""
         near = self._near
         low, high = corners[..., 1].min(1), corners[..., 1].max(1)
         for who, rows, columns in near.pairs(corners, steep, _CELL / 2):
@@ -156,7 +157,7 @@ class _Near:
     """The columns near the driving lines.
 
     Attributes:
-        shape: how many rows (along x) and columns (along z) there are.
+        shape: number of rows (along x) and columns (along z).
     """
 
     def __init__(self, line: FloatArray) -> None:
@@ -177,19 +178,19 @@ class _Near:
         self._count[1:, 1:] = np.isfinite(self._lowest).cumsum(0).cumsum(1)
 
     def cells(self, places: FloatArray) -> tuple[IntArray, IntArray, BoolArray]:
-        """In which columns places ``(..., 3)`` are, and whether they are in one at all."""
+        """Returns rows, columns and whether they exist, for places ``(..., 3)`` [m]."""
         exact = np.floor((places[..., [0, 2]] - self._corner) / _CELL)
         cell = np.clip(exact, 0, np.array(self.shape) - 1).astype(np.intp)
         is_inside = (cell == exact).all(-1)
         return cell[..., 0], cell[..., 1], is_inside
 
     def middles(self, rows: IntArray, columns: IntArray) -> FloatArray:
-        """Where columns are, ``(P, 2)``: x and z [m]."""
+        """Returns the centres of columns, ``(P, 2)``: x and z [m], world frame."""
         middles: FloatArray = self._corner + (np.stack([rows, columns], axis=1) + 0.5) * _CELL
         return middles
 
     def is_level(self, rows: IntArray, columns: IntArray, heights: FloatArray) -> BoolArray:
-        """Whether heights are near those of the lines."""
+        """Returns whether heights [m] are near those of the driving lines."""
         is_level: BoolArray = heights > self._lowest[rows, columns] - _BELOW
         is_level &= heights < self._highest[rows, columns] + _ABOVE
         return is_level
@@ -197,12 +198,15 @@ class _Near:
     def pairs(
         self, corners: FloatArray, who: IntArray, margin: float
     ) -> Iterator[tuple[IntArray, IntArray, IntArray]]:
-        """Faces and columns over whose middles they may be, in chunks: face, row, column.
+        """Yields candidate pairs of a face and a column whose centre it may cover, in chunks.
 
         Args:
-            corners: ``(F, 3, 3)`` of all faces.
+            corners: ``(F, 3, 3)`` corners of all faces [m].
             who: indices of the faces to use.
-            margin: also columns at most this far away [m].
+            margin: maximum distance between a column's centre and a face's bounding box [m].
+
+        Yields:
+            Indices of the faces, rows and columns of the pairs.
         """
         flat = corners[who][:, :, [0, 2]]
         low, high = ((part - self._corner) / _CELL for part in (flat.min(1), flat.max(1)))
@@ -231,7 +235,7 @@ class _Near:
 
 
 def _normals(corners: FloatArray) -> FloatArray:
-    """Of length 1; of faces without an area NaN."""
+    """Returns the unit normals of faces; NaN for faces without an area."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     with np.errstate(invalid="ignore", divide="ignore"):
         unit: FloatArray = normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -239,7 +243,10 @@ def _normals(corners: FloatArray) -> FloatArray:
 
 
 def _heights(corners: FloatArray, middles: FloatArray) -> FloatArray:
-    """Of faces ``(P, 3, 3)`` over places ``(P, 2)``, ``(P,)`` [m]; NaN where they are not."""
+    """Returns the heights ``(P,)`` of faces ``(P, 3, 3)`` at places ``(P, 2)`` [m].
+
+    The height is NaN where the face does not cover the place.
+    """
     a, b, c = (corners[:, n][:, [0, 2]] for n in range(3))
     one, other, place = b - a, c - a, middles - a
     area = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
@@ -256,7 +263,7 @@ def _heights(corners: FloatArray, middles: FloatArray) -> FloatArray:
 def _crosses(
     corners: FloatArray, normals: FloatArray, middles: FloatArray, heights: FloatArray
 ) -> BoolArray:
-    """Which faces ``(P, 3, 3)`` stand in the columns ``(P, 2)`` at heights ``(P,)``."""
+    """Returns whether faces ``(P, 3, 3)`` cross the columns ``(P, 2)`` at heights ``(P,)`` [m]."""
     middle = np.stack([middles[:, 0], heights, middles[:, 1]], axis=1)
     gap = ((corners[:, 0] - middle) * normals).sum(1)
     found = np.zeros(len(corners), bool)
@@ -271,7 +278,7 @@ def _crosses(
 
 
 def _is_in(corners: FloatArray, normals: FloatArray, spots: FloatArray) -> BoolArray:
-    """Which spots of faces' planes lie in the faces themselves."""
+    """Returns whether points in the planes of faces are inside the faces."""
     is_in = np.ones(len(spots), bool)
     for n in range(3):
         edge = corners[:, (n + 1) % 3] - corners[:, n]
@@ -279,18 +286,20 @@ def _is_in(corners: FloatArray, normals: FloatArray, spots: FloatArray) -> BoolA
     return is_in
 
 
-#: Points of the driving lines are so far apart [m].
+#: Maximum distance between two points of a driving line [m].
 _SPACING = 1.0
 
 
 @lru_cache(maxsize=64)
 def ground_of(track: TrackMap, name: str, root: Path, *, reverse: bool = False) -> Ground:
-    """The ground near a track's driving lines, cached; the first call takes 1 to 7 s.
+    """Returns the ground near a track's driving lines.
+
+    The result is cached; the first call for a track takes 1 to 7 s.
 
     Args:
-        track: the track's segments.
-        name: the track's name.
-        root: the game's data, :attr:`~stkzoo.engine.assets.Assets.root`.
+        track: the segments of the track.
+        name: name of the track.
+        root: folder of the game's data, :attr:`~stkzoo.engine.assets.Assets.root`.
         reverse: whether the race is in reverse.
 
     Raises:
@@ -300,7 +309,7 @@ def ground_of(track: TrackMap, name: str, root: Path, *, reverse: bool = False) 
 
 
 def _line(track: TrackMap) -> npt.NDArray[np.float64]:
-    """Points of all segments, ``(N, 3)`` [m]."""
+    """Returns points on the centre lines of all segments, ``(N, 3)`` [m]."""
     pieces = []
     for start, end in track.path_nodes.astype(np.float64):
         count = max(int(np.linalg.norm(end - start) / _SPACING) + 1, 2)

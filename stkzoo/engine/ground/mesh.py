@@ -1,8 +1,8 @@
-"""Reading the game's meshes: files ``.spm``.
+"""A reader of the game's meshes, ``.spm`` files.
 
-A file is: ``SP``; a byte with the version (its upper five bits, 1) and the kind (1: with joints);
-a byte of flags (1: normals, 2: colours, 4: tangents); a box, six floats; the materials, two texture
-names each; and the parts. All is little-endian.
+A file contains, in little-endian order: ``SP``; a byte with the version (upper five bits, 1) and
+the kind (lower three bits, 1: with joints); a byte of flags (1: normals, 2: colours, 4: tangents);
+a bounding box of six floats; the materials, with two texture names each; and the parts.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from stkzoo.errors import AssetError
 _VERSION, _WITH_JOINTS = 1, 1
 _NORMALS, _COLOURS, _TANGENTS = 1, 2, 4
 _BOX = 24
-#: This byte in front of a colour stands for white; any other one is followed by three.
+#: First byte of a colour that is white and has no further bytes. Other colours have three more.
 _WHITE = 128
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """The part of a mesh with one material.
+    """A part of a mesh, with one material.
 
     Attributes:
         texture: file name of the material's first texture; empty if it has none.
         vertices: ``(N, 3)`` float32 [m].
-        triangles: ``(M, 3)`` indices of vertices.
+        triangles: ``(M, 3)`` indices into ``vertices``.
     """
 
     texture: str
@@ -39,7 +39,7 @@ class Part:
 
 
 class _MeshReader:
-    """Bytes, and how far they have been read."""
+    """Reads values from bytes, one after another."""
 
     def __init__(self, data: bytes) -> None:
         self.data, self.at = data, 0
@@ -61,10 +61,13 @@ class _MeshReader:
 
 
 def read_mesh(path: str | Path) -> list[Part]:
-    """Reads a mesh.
+    """Reads the parts of a mesh.
+
+    Args:
+        path: the ``.spm`` file.
 
     Raises:
-        AssetError: the file is missing or broken, or of another version.
+        AssetError: the file is missing, broken or of another version.
     """
     try:
         return _parts(_MeshReader(Path(path).read_bytes()))
@@ -106,7 +109,7 @@ def _part(file: _MeshReader, textures: list[tuple[str, str]], flags: int, has_jo
 def _starts(
     file: _MeshReader, count: int, before: int, after: int, *, with_colours: bool
 ) -> npt.NDArray[np.intp]:
-    """Where the vertices begin; those with a colour other than white are longer."""
+    """Returns the byte offsets of vertices. Vertices that are not white are longer than others."""
     if not with_colours:
         begin, size = file.at, before + after
         file.at += count * size

@@ -1,4 +1,4 @@
-"""The solid parts of a track: its meshes, at the places that its scene gives them."""
+"""The solid faces of a track: its meshes, placed as its scene describes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stkzoo.engine.ground.mesh import Part, read_mesh
 
 FloatArray = npt.NDArray[np.float64]
 
-#: Objects that karts drive through, or that move.
+#: Kinds of interaction for objects that karts drive through, or that move.
 _NOT_SOLID = ("ghost", "none", "explode")
 _SOLID_OBJECTS = ("static", "physics-only", "physicsonly")
 _YES = "Y"
@@ -22,13 +22,13 @@ _YES = "Y"
 
 @dataclass(frozen=True, slots=True)
 class Faces:
-    """Triangles, F of them.
+    """``F`` triangles.
 
     Attributes:
         corners: ``(F, 3, 3)`` float32 [m], world frame.
-        speed: ``(F,)`` the share of their greatest speed that karts keep on them.
-        is_reset: ``(F,)`` whether the game puts karts that touch them back on the road.
-        is_zipper: ``(F,)`` whether they accelerate karts.
+        speed: ``(F,)`` float32: maximum speed on a face as a fraction of a kart's top speed.
+        is_reset: ``(F,)`` bool: whether the game puts karts that touch a face back on the road.
+        is_zipper: ``(F,)`` bool: whether a face accelerates karts.
     """
 
     corners: npt.NDArray[np.float32]
@@ -37,22 +37,22 @@ class Faces:
     is_zipper: npt.NDArray[np.bool_]
 
 
-#: What karts meet on a material, as in :class:`Faces`.
+#: Properties of a material, as in :class:`Faces`.
 _MATERIAL = np.dtype([("speed", "f4"), ("is_reset", "?"), ("is_zipper", "?")])
 _PLAIN = (1.0, False, False)
 
-#: Materials by their texture's name in lower case: values of :data:`_MATERIAL`, ``None`` for one
-#: that is not solid.
+#: Materials by the lower-case name of their texture: values of :data:`_MATERIAL`, or ``None`` for a
+#: material that is not solid.
 _Materials = dict[str, tuple[float, bool, bool] | None]
 
 
 def read_scenery(data: Path, track: str, *, reverse: bool = False) -> Faces:
-    """The solid faces of a track at the start of a race.
+    """Returns the solid faces of a track at the start of a race.
 
     Args:
-        data: the game's folder ``data``.
-        track: its name.
-        reverse: whether the race is in reverse; some objects exist in one direction only.
+        data: the ``data`` folder of the game.
+        track: name of the track.
+        reverse: whether the race is in reverse. Some objects exist in one direction only.
 
     Raises:
         AssetError: a file is missing or broken.
@@ -66,11 +66,11 @@ def read_scenery(data: Path, track: str, *, reverse: bool = False) -> Faces:
 
 
 class _SceneReader:
-    """Gathers faces from a scene and the libraries that it names."""
+    """Collects the faces of a scene and of the library objects that it names."""
 
     def __init__(self, data: Path, reverse: bool) -> None:
         self._data, self._reverse = data, reverse
-        self._meshes: dict[Path, list[Part]] = {}  # one mesh may have many places
+        self._meshes: dict[Path, list[Part]] = {}  # a cache; a scene can use a mesh many times
         self._corners: list[FloatArray] = []
         self._of: list[tuple[float, bool, bool]] = []
 
@@ -82,7 +82,15 @@ class _SceneReader:
         materials: _Materials,
         scene: ET.Element,
     ) -> None:
-        """Adds the objects below a node."""
+        """Adds the objects below a node.
+
+        Args:
+            node: the node.
+            folder: folder of the node's models.
+            place: ``(4, 4)`` matrix from the node to the world frame.
+            materials: materials of the models.
+            scene: root of the node's file, which defines its level-of-detail groups.
+        """
         for entry in node:
             if not self._is_there(entry):
                 continue
@@ -119,7 +127,10 @@ class _SceneReader:
                 self._of.append(material)
 
     def _is_there(self, entry: ET.Element) -> bool:
-        """Whether its condition, one of the game's functions, holds in a race here."""
+        """Returns whether an object exists in this race.
+
+        The object's attribute ``if`` names a condition function of the game.
+        """
         condition = entry.get("if", "")
         if condition.endswith("EasterEgg"):
             return False
@@ -140,7 +151,7 @@ def _is_solid(entry: ET.Element) -> bool:
 
 
 def _model(entry: ET.Element, scene: ET.Element) -> str:
-    """The file of what stands there; empty for none that is solid."""
+    """Returns the file name of an object's model; empty if it has no solid model."""
     if entry.get("lod_instance") == "true":
         name = entry.get("lod_group")
         for group in scene.iter("group"):
@@ -152,7 +163,11 @@ def _model(entry: ET.Element, scene: ET.Element) -> str:
 
 
 def _matrix(entry: ET.Element) -> FloatArray:
-    """Where something stands: turned about x, then y, then z by ``hpr`` [degrees], ``(4, 4)``."""
+    """Returns the ``(4, 4)`` matrix that places an object.
+
+    It scales by ``scale``, rotates about x, then y, then z by ``hpr`` [degrees], and moves to
+    ``xyz`` [m].
+    """
     turns = [_turn(axis, angle) for axis, angle in enumerate(np.radians(_three(entry, "hpr", 0)))]
     matrix = np.eye(4)
     matrix[:3, :3] = turns[2] @ turns[1] @ turns[0] @ np.diag(_three(entry, "scale", 1))

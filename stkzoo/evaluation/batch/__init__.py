@@ -1,7 +1,7 @@
 """Batches of races: plans, orders, and runs that resume after an interruption.
 
-Benchmarks, tournaments and demonstrations are built on this package; what users need of it is
-exported by :mod:`stkzoo.evaluation`.
+Benchmarks, tournaments and demonstrations are built on this package. :mod:`stkzoo.evaluation`
+exports its public names.
 """
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""The agents of a batch, each with a label of its own and a digest of its files."""
+"""The agents of a batch, each with a unique label and digests of its files."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from stkzoo.errors import ConfigError
 from stkzoo.race.remote.drivers import ServedAgent
 from stkzoo.race.settings import RaceSettings
 
-#: Separates a driver's source from its name.
+#: Separator between a driver's source and its name.
 NAME_MARK = "@:"
 _MOST_FILES = 1000
 _MOST_CHARACTERS = 40
 _DIGEST_SIZE = 8
-#: What running an agent may write beside its code.
+#: Folders and file name suffixes that a running agent may write beside its code.
 _IGNORED_FOLDERS, _IGNORED_ENDINGS = ("__pycache__",), (".pyc", ".log")
 
 
 @dataclass(frozen=True, slots=True)
 class Entrant:
-    """An agent that takes part.
+    """An agent of a batch.
 
     Attributes:
-        label: its name, unique in the batch.
-        source: its driver name or path, for :func:`~stkzoo.race.find_driver`.
-        files: a digest of each of its files, by path.
-        served: where it is served; ``None`` for one that runs here.
+        label: name of the agent, unique in the batch.
+        source: driver name or path for :func:`~stkzoo.race.find_driver`.
+        files: digests of its files by path.
+        served: the agent on a server; ``None`` for an agent that runs here.
     """
 
     label: Annotated[str, Within(1)]
@@ -47,20 +47,24 @@ class Entrant:
 
     @classmethod
     def of(cls, label: str, source: str) -> Entrant:
-        """An agent with the present state of its files."""
+        """Returns an agent with digests of its current files."""
         return cls(label, source, fingerprint(source))
 
     def now(self) -> Entrant:
-        """The agent with the present state of its files."""
+        """Returns the agent with digests of its current files."""
         return self if self.served else Entrant.of(self.label, self.source)
 
     @property
     def text(self) -> str:
-        """The driver's text for a race."""
+        """The driver's text for a race: source and label."""
         return f"{self.source}{NAME_MARK}{self.label}"
 
     def changed_files(self, now: Entrant) -> list[str]:
-        """Those of its files that differ now; new files do not count."""
+        """Returns the paths of files that have changed or are missing now; ignores new files.
+
+        Args:
+            now: the agent with its current files. For another agent, the result is empty.
+        """
         if self.text != now.text:
             return []
         return [name for name, digest in self.files.items() if now.files.get(name) != digest]
@@ -72,19 +76,20 @@ def find_entrants(
     served: Sequence[ServedAgent] = (),
     taken: Collection[str] = (),
 ) -> tuple[Entrant, ...]:
-    """The agents that texts name, each with a unique label.
+    """Finds agents and gives each a unique label.
 
-    An agent's label is the name after ``@:``, else its ``player_name``, else its file's name. Where
-    two agents share one, the later gets a number: ``Ada``, ``Ada-2``.
+    The label is the name after ``@:``. Without one, it is the agent's ``player_name``; without
+    that, the name of its file. If a label is already used, a number is appended: ``Ada-2``.
 
     Args:
         agents: texts for :func:`~stkzoo.race.find_driver`.
-        settings: of the races.
-        served: agents of servers, which come after the others.
-        taken: labels of other agents of the batch.
+        settings: settings of the races.
+        served: agents on servers, which come after the others.
+        taken: labels of other agents in the batch.
 
     Raises:
-        ConfigError: there is no such agent, two were given the same name, or there is no sandbox.
+        ConfigError: an agent does not exist, two agents were given the same name, or the sandbox
+            is not available.
     """
     labels = [*taken]
     entrants = []
@@ -103,10 +108,16 @@ def find_entrants(
 
 
 def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: str = "") -> str:
-    """A label that is not taken yet.
+    """Returns a label that is not used yet.
+
+    Args:
+        name: the preferred label.
+        taken: labels in use.
+        is_fixed: whether the label must not get a number.
+        text: the agent's text, for the error.
 
     Raises:
-        ConfigError: it is taken, and fixed.
+        ConfigError: the label is fixed and already used.
     """
     name = " ".join(printable(name).replace(NAME_MARK, " ").split())
     label = name = name[:_MOST_CHARACTERS].strip() or "unnamed"
@@ -123,7 +134,7 @@ def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: 
 
 
 def _lasting(source: str) -> str:
-    """The source in a form that works from every folder."""
+    """Returns a source that does not depend on the current directory."""
     path = Path(source).expanduser()
     return str(path.resolve()) if source not in driver_names() and path.exists() else source
 
@@ -134,13 +145,14 @@ def _short(source: str) -> str:
 
 
 def fingerprint(source: str) -> dict[str, str]:
-    """A digest of each file of an agent, by its path in the agent's folder.
+    """Returns digests of an agent's files, by path.
 
-    Hidden files, logs, compiled modules and everything after the first thousand files are left
-    out. Drivers that come with stkzoo have no files: their version is stkzoo's.
+    Paths begin with the name of the agent's folder or file. Hidden files, logs, compiled modules
+    and all files after the first 1,000 are left out. Drivers that come with stkzoo have no files;
+    stkzoo's version identifies them.
 
     Args:
-        source: as for :func:`~stkzoo.race.find_driver`, without ``@:Name``.
+        source: text for :func:`~stkzoo.race.find_driver`, without ``@:Name``.
     """
     home = None if source in driver_names() else _home(source)
     if home is None:

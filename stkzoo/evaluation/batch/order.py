@@ -1,4 +1,4 @@
-"""One race of a batch, as a worker process runs it."""
+"""Orders: the description of one race of a batch, which a worker process runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
-#: The folder of the races in a batch's folder.
+#: Name of the folder of races in a batch's folder.
 RACES = "races"
 
 
@@ -25,11 +25,11 @@ class RaceOrder:
     """A race to run. Its drivers have fixed start positions: the first driver starts in front.
 
     Attributes:
-        number: counts the races of the batch, from 0.
+        number: number of the race in the batch, from 0.
         drivers: texts for :func:`~stkzoo.race.find_driver`, one per kart.
-        settings: of the race, with its track and seed.
+        settings: settings of the race, with its track and seed.
         wait_for: see :func:`~stkzoo.race.run_race`.
-        absent: drivers, by index, that do not start: they fail, and their karts stand still.
+        absent: indices of drivers that do not start. They fail, and their karts stand still.
     """
 
     number: int
@@ -39,10 +39,10 @@ class RaceOrder:
     absent: tuple[int, ...] = field(default=(), kw_only=True)
 
     def run(self, folder: Path) -> RaceResult:  # noqa: ARG002 - orders may write more files
-        """Runs the race, in a worker process.
+        """Runs the race. A worker process calls this.
 
         Args:
-            folder: of the batch.
+            folder: folder of the batch.
         """
         return run_race(
             self.without_absent(self.drivers),
@@ -52,24 +52,34 @@ class RaceOrder:
         )
 
     def suspects(self) -> tuple[int, ...]:
-        """The drivers, by index, whose own code runs here and may have ended the race's process."""
+        """Returns the indices of drivers whose code may have ended the process of the race.
+
+        These are the drivers from files.
+        """
         return tuple(
             number for number, text in enumerate(self.drivers) if find_driver(text).is_from_files
         )
 
     def isolated(self) -> RaceOrder:
-        """The same race, with each agent isolated as far as this system allows."""
+        """Returns the same race with each agent in its own process, sandboxed if possible."""
         return replace(self, settings=replace(self.settings, inline=False, sandbox="auto"))
 
     def without_absent(self, drivers: Sequence[str | Driver]) -> list[str | Driver]:
-        """Drivers of the race in which those that are absent do not start."""
+        """Returns the drivers; those that are absent fail when they start.
+
+        Args:
+            drivers: the drivers of the race.
+        """
         return [
             _absent(driver) if number in self.absent else driver
             for number, driver in enumerate(drivers)
         ]
 
     def load(self, folder: Path) -> RaceResult | None:
-        """The stored result; ``None`` if the race has not been run.
+        """Returns the stored result; ``None`` if the race has not been run.
+
+        Args:
+            folder: folder of the batch.
 
         Raises:
             ConfigError: the file is damaged or belongs to another race.
@@ -88,7 +98,14 @@ class RaceOrder:
         return result
 
     def store(self, folder: Path, text: str) -> RaceResult:
-        """Stores the result, atomically.
+        """Stores the result of the race, atomically.
+
+        Args:
+            folder: folder of the batch.
+            text: the result as JSON.
+
+        Returns:
+            The result.
 
         Raises:
             ConfigError: the file cannot be written.
@@ -97,7 +114,12 @@ class RaceOrder:
         return RaceResult.from_json(text)
 
     def file(self, folder: Path, ending: str = ".json") -> Path:
-        """The file of the race's result, or another one beside it."""
+        """Returns the file of the race's result, or of other data about the race beside it.
+
+        Args:
+            folder: folder of the batch.
+            ending: suffix of the file.
+        """
         return folder / RACES / f"{self.number:05d}{ending}"
 
     def _matches(self, result: RaceResult) -> bool:
@@ -122,7 +144,11 @@ def _refuse(request: DriverRequest) -> NoReturn:
 
 
 def load_orders(orders: Sequence[RaceOrder], folder: Path) -> dict[int, RaceResult]:
-    """The stored results of a batch, by number.
+    """Returns the stored results of a batch, by number of the race.
+
+    Args:
+        orders: all races of the batch.
+        folder: folder of the batch.
 
     Raises:
         ConfigError: a file is damaged or belongs to another race.

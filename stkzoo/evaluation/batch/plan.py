@@ -1,4 +1,4 @@
-"""What the plans of all batches share: fields, races, comparison with another plan, checks."""
+"""The base class of all plans of batches, and checks of their arguments."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 
-#: The files of the plan and of the result in a batch's folder.
+#: Names of the files of the plan and of the result in a batch's folder.
 PLAN_FILE, RESULT_FILE = "plan.json", "result.json"
 _MAX_SHOWN = 80
-#: Most races of a batch.
+#: Maximum number of races of a batch.
 MAX_RACES = 100_000
-#: The largest size of the file of a batch's result [bytes].
+#: Maximum size of the result file of a batch [bytes].
 MAX_RESULT_BYTES = 64 << 20
 Result = TypeVar("Result")
 Plan = TypeVar("Plan", bound="BatchPlan[Any]")
@@ -32,25 +32,25 @@ Plan = TypeVar("Plan", bound="BatchPlan[Any]")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchPlan(Document, Generic[Result]):
-    """A whole batch, from which its races follow.
+    """The plan of a batch. It determines the races.
 
-    The ``version`` of a plan's file grows when a plan would lead to other races.
+    The ``version`` of a plan's file increases when the same plan would lead to different races.
 
     Attributes:
         tracks: the tracks.
-        settings: of every race.
-        versions: of the software.
+        settings: settings of every race.
+        versions: versions of the software.
     """
 
     origin: ClassVar[str] = f"a {PLAN_FILE} in the --output of one"
-    #: What such a batch is called, and the command that resumes one in ``{folder}``.
+    #: Name of this kind of batch, and the command that resumes one in ``{folder}``.
     noun: ClassVar[str]
     resume_command: ClassVar[str]
-    #: Fields of :class:`~stkzoo.race.RaceSettings` that the plan sets for each race.
+    #: Fields of :class:`~stkzoo.race.RaceSettings` that the plan itself sets for each race.
     decided: ClassVar[tuple[str, ...]] = ()
-    #: The file of a result that is a :class:`Document`.
+    #: Name of the result file, for results that are a :class:`Document`.
     result_file: ClassVar[str] = RESULT_FILE
-    #: Whether there is a result of some races, which :meth:`draw` can plot.
+    #: Whether a part of the races has a result, which :meth:`draw` can plot.
     is_gradual: ClassVar[bool] = True
 
     tracks: Annotated[tuple[str, ...], Within(1, 1000)]
@@ -59,49 +59,63 @@ class BatchPlan(Document, Generic[Result]):
 
     @abstractmethod
     def orders(self) -> Sequence[RaceOrder]:
-        """All races, ready to run."""
+        """Returns the orders of all races."""
 
     @abstractmethod
     def summarize(self, results: Mapping[int, RaceResult], folder: Path, /) -> Result:
-        """The result of the races that have been run.
+        """Returns the result of the races that have been run.
 
         Args:
-            results: of the races, by number.
-            folder: of the batch.
+            results: results of races by number.
+            folder: folder of the batch.
         """
 
     def draw(self, result: Result, path: Path) -> None:
-        """Plots the result into a file."""
+        """Plots the result to a file."""
         raise NotImplementedError
 
     def report(self, result: Result, results: Mapping[int, RaceResult], folder: Path) -> None:
-        """Writes more files about the result into the batch's folder."""
+        """Writes additional files about the result to the batch's folder."""
 
     def require_libraries(self, plot: bool) -> None:
         """Checks that the libraries for the result and its plot are installed.
 
+        Args:
+            plot: whether the result is plotted.
+
         Raises:
-            ConfigError: one is not.
+            ConfigError: a library is missing.
         """
         if plot and self.is_gradual:
             require_matplotlib(self.noun, "or leave the plot out (--no-plot)")
 
     @property
     def agents(self) -> tuple[Entrant, ...]:
-        """The agents that take part."""
+        """The agents of the batch."""
         return ()
 
     def continued(self: Plan, other: Plan) -> Plan:  # noqa: ARG002 - some plans can grow
-        """The plan to run in a folder that has this one, when another one is asked for."""
+        """Returns the plan to run in the folder of this plan when another plan is requested.
+
+        Args:
+            other: the requested plan.
+        """
         return self
 
     def shown_like(self: Plan, other: Plan) -> Plan:
-        """This plan, which shows what agents print if another plan does."""
+        """Returns this plan with the ``show_output`` setting of another plan."""
         settings = replace(self.settings, show_output=other.settings.show_output)
         return replace(self, settings=settings)
 
     def differences(self: Plan, other: Plan) -> list[str]:
-        """What differs in another plan of the same kind, as sentences."""
+        """Describes how another plan of the same kind differs.
+
+        Args:
+            other: the other plan.
+
+        Returns:
+            One sentence per difference.
+        """
         found = describe_differences(self._comparable(), other._comparable())
         for mine, theirs in zip(self.agents, other.agents, strict=False):
             if changed := mine.changed_files(theirs):
@@ -109,7 +123,7 @@ class BatchPlan(Document, Generic[Result]):
         return found
 
     def _comparable(self) -> dict[str, Any]:
-        """The values that decide the races, by name."""
+        """Returns the values that determine the races, by name."""
         values = self.to_dict()
         versions, settings = values.pop("versions"), values.pop("settings")
         for name in ("agent", "entrants"):
@@ -123,14 +137,15 @@ class BatchPlan(Document, Generic[Result]):
     def choose_settings(
         cls, settings: RaceSettings | None, changes: Mapping[str, Any]
     ) -> RaceSettings:
-        """The settings of all races of a batch.
+        """Returns the settings of all races of a batch.
 
         Args:
-            settings: the user's settings.
+            settings: settings of the user.
             changes: fields that replace those of ``settings``.
 
         Raises:
-            ConfigError: a change names no field that a user may set, or a value is invalid.
+            ConfigError: a change names a field that does not exist or that users cannot set, or a
+                value is invalid.
         """
         chosen = RaceSettings.changed(settings, changes, cls.decided)
         if chosen.error_handling == "raise":
@@ -144,7 +159,12 @@ class BatchPlan(Document, Generic[Result]):
 
 
 def describe_differences(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> list[str]:
-    """What differs between two plans' values by name, as sentences."""
+    """Returns one sentence for each difference between two mappings.
+
+    Args:
+        mine: the previous values by name.
+        theirs: the new values by name.
+    """
     return [
         f"{name} is {_shown(theirs.get(name))} and was {_shown(mine.get(name))}"
         for name in sorted(set(mine) | set(theirs))
@@ -158,10 +178,14 @@ def _shown(value: object) -> str:
 
 
 def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[str, ...]:
-    """The tracks that names and splits stand for, each once.
+    """Returns the names of tracks, each once, in place of the names of splits.
+
+    Args:
+        tracks: names of tracks, or ``"train"``, ``"test"`` or ``"all"``.
+        settings: settings of the races.
 
     Raises:
-        ConfigError: there is no such track, or the settings are invalid.
+        ConfigError: a track does not exist, or the settings are invalid.
         AssetError: the game's data is missing.
     """
     names = [tracks] if isinstance(tracks, str) else list(tracks)
@@ -177,10 +201,13 @@ def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[st
 
 
 def check_directions(reverse: Sequence[bool]) -> tuple[bool, ...]:
-    """The directions to race in: ``False`` is forward, ``True`` is reversed.
+    """Returns the checked directions of races.
+
+    Args:
+        reverse: the directions: ``False`` for forward, ``True`` for reversed.
 
     Raises:
-        ConfigError: there is none, or one is no direction or listed twice.
+        ConfigError: there is no direction, or a value is not a direction or occurs twice.
     """
     found = tuple(reverse) if isinstance(reverse, Sequence) else (reverse,)
     if not found or len(set(found)) < len(found) or not set(found) <= {False, True}:

@@ -1,4 +1,4 @@
-"""Runs races in several worker processes at a time: both ends."""
+"""A pool of worker processes that run races: its client and the program of a worker."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from stkzoo.drivers.sandbox import SHARED_CORES
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
 
-#: Most races that are run without some agents to find out who ends the process of one.
+#: Maximum number of trial races without some agents, to find agents that end the process of a race.
 _MAX_TRIALS = 32
 _END_TIMEOUT = 5.0  # [s]
 _WAIT_INTERVAL = 0.5  # [s]
@@ -40,8 +40,8 @@ class OrderOutcome:
 
     Attributes:
         order: the order.
-        result: its result as JSON; empty if it could not be run.
-        error: why it could not be run.
+        result: result of the race as JSON; empty if the race could not be run.
+        error: why the race could not be run; empty if it was run.
     """
 
     order: RaceOrder
@@ -52,13 +52,15 @@ class OrderOutcome:
 def run_in_parallel(
     orders: Sequence[RaceOrder], folder: Path, jobs: int, race_timeout: float
 ) -> Generator[OrderOutcome, None, None]:
-    """Runs races and yields each as soon as it is over; closing it ends those that run.
+    """Runs races in parallel and yields each outcome as soon as its race ends.
+
+    Closing the generator ends the running races.
 
     Args:
         orders: the races.
-        folder: of the batch.
-        jobs: races at a time.
-        race_timeout: for one race [s]; its process is ended then.
+        folder: folder of the batch.
+        jobs: maximum number of races at the same time.
+        race_timeout: time limit of a race [s], after which its process is killed.
     """
     count = min(jobs, len(orders))
     workers = [_Worker(folder, race_timeout, is_alone=count == 1) for _ in range(count)]
@@ -67,7 +69,7 @@ def run_in_parallel(
         idle.put(worker)
 
     def run(order: RaceOrder) -> OrderOutcome:
-        own = idle.get()  # there is one for each thread
+        own = idle.get()  # does not wait, because each running thread has a worker
         try:
             return own.run(order)
         finally:
@@ -76,7 +78,7 @@ def run_in_parallel(
     threads = ThreadPoolExecutor(jobs)
     try:
         waiting = {threads.submit(run, order) for order in orders}
-        while waiting:  # the timeout lets Ctrl-C through
+        while waiting:  # the timeout lets Ctrl-C interrupt the wait
             done, waiting = wait(waiting, _WAIT_INTERVAL, FIRST_COMPLETED)
             for future in done:
                 yield future.result()
@@ -85,11 +87,11 @@ def run_in_parallel(
         for worker in workers:
             worker.close()
         threads.shutdown()
-        remove_stale_directories()  # of races that were ended
+        remove_stale_directories()  # killed races leave directories
 
 
 class _Worker:
-    """Runs races one after another in a process of its own, and in a new one if that dies."""
+    """Runs races one after another in a worker process, and starts another if the process ends."""
 
     def __init__(self, folder: Path, race_timeout: float, *, is_alone: bool) -> None:
         self._is_alone = is_alone
@@ -99,13 +101,14 @@ class _Worker:
         self._is_closed = self._was_late = False
 
     def run(self, order: RaceOrder) -> OrderOutcome:
-        """Runs a race, again if its process dies, and then without those who may have ended it.
+        """Runs a race. If its process ends, repeats the race to find the agents that ended it.
 
-        The second time, each agent is isolated as far as possible. If the race ends only then, or
-        not even then, it is run without some agents: those whose absence lets it end fail in it.
-        Without this rule, an agent could void the races that it is going to lose. If the absence
-        of any of several agents lets it end, an agent may have behaved to put the blame on
-        another one; then the race with isolated agents counts.
+        The first repetition isolates each agent as far as possible; it is left out after a
+        timeout. If some agents may have ended the process, the race is then repeated without some
+        of them. Agents whose absence lets the race finish count as failed. Without this rule, an
+        agent could void a race that it is about to lose. If the race finishes with isolated
+        agents, and also in the absence of any one of several agents, an agent may have tried to
+        put the blame on another. In this case, the race with isolated agents counts.
         """
         outcome, is_over = self._run_once(order)
         if is_over:
@@ -125,19 +128,22 @@ class _Worker:
             chosen = replace(order, absent=absent)
         if chosen is None:
             return outcome
-        final, is_over = self._run_once(chosen)  # the last run writes the race's other files
+        final, is_over = self._run_once(chosen)  # the last run must write the race's other files
         return replace(final, order=order) if is_over else outcome
 
     def _culprits(
         self, order: RaceOrder, suspects: tuple[int, ...], sizes: range, *, is_unique: bool
     ) -> tuple[int, ...] | None:
-        """The fewest agents whose absence lets a race end; ``None`` if none are found.
+        """Returns the smallest group of agents whose absence lets a race finish.
 
         Args:
             order: the race.
-            suspects: the agents that may end its process.
-            sizes: how many of them are absent at a time.
-            is_unique: whether to find none if the race also ends with all, or without others.
+            suspects: indices of the agents that may have ended the process.
+            sizes: sizes of the groups to try.
+            is_unique: whether the group must be the only one of its size, and not empty.
+
+        Returns:
+            Indices of the agents; ``None`` if there is no such group.
         """
         left = _MAX_TRIALS
         for size in sizes:
@@ -159,7 +165,7 @@ class _Worker:
         _logger.warning("race %d: %s; it is repeated; suspects: %s", order.number, reason, names)
 
     def _run_once(self, order: RaceOrder) -> tuple[OrderOutcome, bool]:
-        """The outcome, and whether the process has survived the race."""
+        """Runs a race once, and returns its outcome and whether its process is still running."""
         self._was_late = False
         kind = type(order)
         line = {"module": kind.__module__, "class": kind.__name__, "order": asdict(order)}
@@ -176,7 +182,7 @@ class _Worker:
             process.stdin.write(text + b"\n")
             process.stdin.flush()
             return OrderOutcome(order, **json.loads(process.stdout.readline())), True
-        except (OSError, ValueError):  # its output is closed, or cut off
+        except (OSError, ValueError):  # the output is closed or incomplete
             self._was_late = watch.finished.is_set()
         finally:
             watch.cancel()
@@ -187,7 +193,7 @@ class _Worker:
         return OrderOutcome(order, error=error), False
 
     def close(self) -> None:
-        """Ends the process, also during a race."""
+        """Ends the process, even during a race."""
         with self._lock:
             self._is_closed = True
         if running := self._running:
@@ -195,22 +201,28 @@ class _Worker:
 
 
 def _start(*, is_alone: bool) -> tuple[subprocess.Popen[bytes], OutputTail]:
-    cores = {} if is_alone else {SHARED_CORES: "1"}  # races at a time would take the same ones
+    cores = {} if is_alone else {SHARED_CORES: "1"}  # parallel races would pin the same cores
     paths = [path for path in sys.path if path]
     process = subprocess.Popen(  # noqa: S603 - our own program
         [sys.executable, "-c", _WORKER],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        # Modules that this program finds are found there too.
+        # The worker must find the same modules as this program.
         env={**os.environ, **cores, "PYTHONPATH": os.pathsep.join(paths)},
-        start_new_session=True,  # Ctrl-C is for this program, which ends its workers
+        start_new_session=True,  # Ctrl-C must reach only this program, which ends its workers
     )
     return process, OutputTail(process.stderr)
 
 
 def _end(process: subprocess.Popen[bytes], said: OutputTail, patience: float = 0.0) -> str:
-    """Ends a process, after some time to end by itself [s]; says how it ended."""
+    """Ends a process and returns a description of how it ended.
+
+    Args:
+        process: the process.
+        said: its error output.
+        patience: time for the process to end by itself [s].
+    """
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(patience)
     process.kill()
@@ -219,7 +231,7 @@ def _end(process: subprocess.Popen[bytes], said: OutputTail, patience: float = 0
     said.close()
     for stream in (process.stdin, process.stdout):
         if stream is not None:
-            with contextlib.suppress(OSError):  # what was not sent yet
+            with contextlib.suppress(OSError):  # close() flushes data that was not sent
                 stream.close()
     text = said.text()
     return f"its process ended with code {process.returncode}" + (
@@ -230,12 +242,12 @@ def _end(process: subprocess.Popen[bytes], said: OutputTail, patience: float = 0
 def serve() -> None:
     """Runs races in a worker process, one after another.
 
-    It reads one JSON line per race from standard input and writes one line with the outcome to
-    standard output. It exits as soon as its input is closed, even during a race, so it never
-    outlives the program that started it.
+    The worker reads one JSON line per race from standard input, and writes one line with the
+    outcome to standard output. It exits as soon as its input is closed, even during a race, so it
+    never outlives the program that started it.
     """
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # agents' prints must not mix with the answers
+    os.dup2(2, 1)  # output of agents must not mix with the answers
     lines: SimpleQueue[dict[str, Any]] = SimpleQueue()
     threading.Thread(target=_read, args=(lines,), daemon=True).start()
     while True:

@@ -1,7 +1,7 @@
-"""Runs a batch in its folder, and resumes it.
+"""Runs and resumes a batch in its folder.
 
-The folder has the plan and one file per race. Each file is flushed to the disk and moved into
-place in one step, so a race is stored whole or not at all, however the program ends.
+The folder contains the plan and one file per race. Each file is flushed to the disk and moved into
+place atomically, so a race is stored completely or not at all, even if the program crashes.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ AnyDocument = TypeVar("AnyDocument", bound=Document)
 
 @dataclass(frozen=True, slots=True)
 class BatchProgress:
-    """How far a batch has come.
+    """The progress of a batch.
 
     Attributes:
-        done: races that are stored.
-        total: all races.
-        last: the race that has just finished; ``None`` at the beginning, and for one that could
-            not be run.
-        error: why it could not be run.
+        done: number of stored races.
+        total: number of all races.
+        last: result of the race that has just finished; ``None`` at the beginning, and for a race
+            that could not be run.
+        error: why the race could not be run; empty otherwise.
     """
 
     done: int
@@ -46,13 +46,13 @@ class BatchProgress:
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """How a batch is run; changes nothing in its results.
+    """Options for running a batch. They do not affect its results.
 
     Attributes:
-        jobs: races at a time; ``None`` for as many as there are processors.
-        race_timeout: for one race [s].
-        on_race: is called after every race.
-        plot: draw the result.
+        jobs: maximum number of races at the same time; ``None`` for the number of CPU cores.
+        race_timeout: time limit of a race [s].
+        on_race: function called at the beginning and after every race.
+        plot: whether to plot the result.
     """
 
     jobs: int | None = None
@@ -67,17 +67,21 @@ class RunOptions:
 
     @classmethod
     def split(cls, options: Mapping[str, Any]) -> tuple[RunOptions, dict[str, Any]]:
-        """The options of a run that some keyword arguments have, and the other arguments."""
+        """Splits keyword arguments into run options and other arguments.
+
+        Args:
+            options: the keyword arguments.
+        """
         own = {entry.name for entry in fields(cls)} & set(options)
         others = {name: value for name, value in options.items() if name not in own}
         return cls(**{name: options[name] for name in own}), others
 
 
 class BatchError(StkzooError, Generic[Result]):
-    """Some races could not be run; the others are stored.
+    """Some races of a batch could not be run. The other races are stored.
 
     Attributes:
-        result: the result of the others; ``None`` where one needs all races.
+        result: result of the other races; ``None`` if a result requires all races.
     """
 
     def __init__(self, message: str, result: Result | None = None) -> None:
@@ -86,7 +90,13 @@ class BatchError(StkzooError, Generic[Result]):
 
     @classmethod
     def of(cls, errors: Mapping[int, str], total: int, result: Result | None) -> BatchError[Result]:
-        """The error for some of ``total`` races, with why each of them could not be run."""
+        """Returns the error for a batch.
+
+        Args:
+            errors: why races could not be run, by number.
+            total: number of all races.
+            result: result of the other races.
+        """
         first = list(errors.items())[:_MAX_ERRORS_SHOWN]
         lines = "".join(f"\nrace {number}: {error}" for number, error in first)
         more = f"\n... and {len(errors) - len(first)} more" if len(errors) > len(first) else ""
@@ -103,14 +113,14 @@ def run_batch(
     """Runs the races of a batch that are not stored yet, and writes the result and its plot.
 
     Args:
-        plan: the batch.
-        output: its folder; it is created if needed. No other program can use it meanwhile.
-        options: how to run it.
+        plan: plan of the batch.
+        output: folder of the batch, which is created if needed. It is locked during the run.
+        options: options of the run.
 
     Raises:
-        ConfigError: the folder cannot be used, another program runs this batch, the folder has
+        ConfigError: the folder cannot be used, another program runs a batch in it, it contains
             another batch or a damaged race, or a library is missing.
-        BatchError: some races could not be run; it has the result of the others.
+        BatchError: some races could not be run; the error has the result of the others.
     """
     folder = Path(output)
     plan.require_libraries(options.plot)
@@ -137,15 +147,15 @@ def load_batch(
     result_type: type[AnyDocument],
     path: str | os.PathLike[str],
 ) -> AnyDocument:
-    """The result of a batch so far, without running anything.
+    """Returns the current result of a batch without running any race.
 
     Args:
-        plan_type: of its plan.
-        result_type: of its result.
-        path: its folder, or the file of its result.
+        plan_type: type of the plan.
+        result_type: type of the result.
+        path: folder of the batch, or its result file.
 
     Raises:
-        ConfigError: there is none, it is damaged, or a library is missing.
+        ConfigError: there is no result, a file is damaged, or a library is missing.
     """
     place = Path(path)
     if (place / PLAN_FILE).exists():
@@ -157,13 +167,17 @@ def load_batch(
 def _run_orders(
     orders: Sequence[RaceOrder], folder: Path, options: RunOptions
 ) -> tuple[dict[int, RaceResult], dict[int, str]]:
-    """The results of all races that have been run, by number, and why others could not be run."""
+    """Runs the races that are not stored yet.
+
+    Returns:
+        The results of all races that have been run, and why others could not be run, by number.
+    """
     report = options.on_race or (lambda _: None)
     results, errors = load_orders(orders, folder), {}
     report(BatchProgress(len(results), len(orders)))
     left = [order for order in orders if order.number not in results]
     running = run_in_parallel(left, folder, options.jobs or cpu_count(), options.race_timeout)
-    with closing(running) as outcomes:  # an error here ends the races that run
+    with closing(running) as outcomes:  # after an error, close() ends the running races
         for outcome in outcomes:
             number, last = outcome.order.number, None
             if outcome.error:
@@ -190,13 +204,21 @@ def _locked(folder: Path, noun: str) -> Iterator[None]:
                 "another folder"
             )
         for place in (folder, folder / RACES):
-            for part in place.glob(PART_FILES):  # left by a program that was killed while it wrote
+            for part in place.glob(PART_FILES):  # a killed program leaves incomplete files
                 part.unlink(missing_ok=True)
         yield
 
 
 def _keep_plan(plan: Plan, folder: Path) -> Plan:
-    """Writes the plan, or returns the one in the folder if it leads to the same races."""
+    """Returns the plan to run, and stores it in the folder if it is not stored yet.
+
+    Args:
+        plan: the requested plan.
+        folder: folder of the batch.
+
+    Raises:
+        ConfigError: the folder contains a plan for other races.
+    """
     file = folder / PLAN_FILE
     started = type(plan).load(file) if file.exists() else None
     kept = started.continued(plan).shown_like(plan) if started else plan

@@ -1,3 +1,3 @@
-"""Benchmarks: the same races for every agent, and figures with intervals."""
+"""Benchmarks: the same races for every agent, and metrics with intervals."""
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""The finish times of the game's AI on every track: the unit of the benchmark's times."""
+"""The finish times of the game's AI on every track, to which benchmarks compare an agent's."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class AiTime:
     """The AI's finish times on one track, in one direction, at one difficulty.
 
     Attributes:
-        track: the track's name.
+        track: name of the track.
         direction: ``"forward"`` or ``"reversed"``.
-        difficulty: level of the AI.
-        median: of all karts; a kart that did not finish counts as slowest [s].
-        best: the shortest [s].
-        worst: the longest of a kart that finished [s].
-        karts: how many karts drove.
-        finished: how many of them finished.
+        difficulty: level of the AI, 0 to 3.
+        median: median of all karts [s]; karts that did not finish count as slowest.
+        best: shortest finish time [s].
+        worst: longest finish time [s].
+        karts: number of karts.
+        finished: number of karts that finished.
     """
 
     track: str
@@ -56,7 +56,15 @@ class AiTime:
 
     @classmethod
     def of(cls, race: RaceKey, times: Sequence[float | None]) -> AiTime | None:
-        """The figures of some finish times; ``None`` if most karts did not finish."""
+        """Returns the statistics of finish times.
+
+        Args:
+            race: track, ``reverse`` and difficulty.
+            times: finish time of each kart [s]; ``None`` for a kart that did not finish.
+
+        Returns:
+            The statistics; ``None`` if the median is unknown because too few karts finished.
+        """
         track, reverse, difficulty = race
         finished = [time for time in times if time is not None]
         median = statistics.median([math.inf if time is None else time for time in times])
@@ -76,11 +84,11 @@ class AiTime:
 
 @dataclass(frozen=True)
 class AiTimes(Document):
-    """The AI's times.
+    """The AI's finish times on several tracks.
 
     Attributes:
-        versions: of the software that measured them.
-        times: of each track, direction and difficulty.
+        versions: versions of the software with which they were measured.
+        times: the times for each track, direction and difficulty.
     """
 
     # docs/schemas/ai-times.schema.json
@@ -93,15 +101,20 @@ class AiTimes(Document):
 
     @cached_property
     def by_race(self) -> dict[RaceKey, AiTime]:
-        """The times by track, ``reverse`` and difficulty."""
+        """The times, by track, ``reverse`` and difficulty."""
         is_reversed = {direction_name(reverse): reverse for reverse in (False, True)}
         return {(t.track, is_reversed[t.direction], t.difficulty): t for t in self.times}
 
     def of(self, track: str, reverse: bool, difficulty: int) -> AiTime:
-        """The times on one track.
+        """Returns the times on one track.
+
+        Args:
+            track: name of the track.
+            reverse: the direction.
+            difficulty: level of the AI.
 
         Raises:
-            ConfigError: they have not been measured.
+            ConfigError: these times have not been measured.
         """
         try:
             return self.by_race[track, reverse, difficulty]
@@ -114,7 +127,7 @@ class AiTimes(Document):
 
     @classmethod
     def from_races(cls, results: Iterable[RaceResult]) -> AiTimes:
-        """The times in races in which the AI drove all karts."""
+        """Returns the times from the results of races in which the AI drove all karts."""
         times: dict[RaceKey, list[float | None]] = {}
         for result in results:
             of_race = times.setdefault((result.track, result.reverse, result.difficulty), [])
@@ -124,11 +137,11 @@ class AiTimes(Document):
 
 
 def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:
-    """The AI's times.
+    """Loads the AI's finish times.
 
     Args:
-        path: a file that ``stkzoo benchmark --baseline`` wrote; by default the one that comes
-            with stkzoo.
+        path: a file from ``stkzoo benchmark --baseline``; by default, the file that comes with
+            stkzoo.
 
     Raises:
         ConfigError: the file cannot be read.
@@ -138,10 +151,10 @@ def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AiTimesPlan(BatchPlan[AiTimes]):
-    """Races of the game's AI against itself in both directions.
+    """The plan of races in which the game's AI drives all karts, in both directions.
 
     Attributes:
-        seeds: races of five karts per time.
+        seeds: number of races with five karts for each track, direction and difficulty.
         difficulties: levels of the AI.
     """
 
@@ -160,7 +173,7 @@ class AiTimesPlan(BatchPlan[AiTimes]):
             check_whole("difficulty", difficulty, 0, 3)
 
     def orders(self) -> list[RaceOrder]:
-        """All races, ready to run."""
+        """Returns the orders of all races."""
         kinds = itertools.product(self.difficulties, self.tracks, (False, True), range(self.seeds))
         return [
             RaceOrder(
@@ -171,14 +184,14 @@ class AiTimesPlan(BatchPlan[AiTimes]):
                     reverse=reverse,
                     difficulty=difficulty,
                     seed=race_seed(track, reverse, "A" * _KARTS, FRONT, index),
-                    max_paths=1,  # the AI reads no observation
+                    max_paths=1,  # the AI does not use observations
                 ),
             )
             for number, (difficulty, track, reverse, index) in enumerate(kinds)
         ]
 
     def summarize(self, results: Mapping[int, RaceResult], _: Path) -> AiTimes:
-        """The times."""
+        """Returns the times of the races that have been run."""
         return AiTimes.from_races(results[number] for number in sorted(results))
 
 
@@ -188,22 +201,23 @@ def plan_ai_times(
     seeds: int = 5,
     difficulties: Sequence[int] = (3, 2, 1, 0),
 ) -> AiTimesPlan:
-    """Plans the races of :func:`measure_ai_times`."""
+    """Plans the races of :func:`measure_ai_times`, which describes the arguments."""
     found = find_tracks(tracks, RaceSettings())
     return AiTimesPlan(tracks=found, seeds=seeds, difficulties=tuple(difficulties))
 
 
 def measure_ai_times(output: str | os.PathLike[str], **options: Any) -> AiTimes:
-    """Races the game's AI against itself in both directions, or resumes that.
+    """Measures the finish times of the game's AI in both directions, or resumes a measurement.
 
     Args:
-        output: a folder of its own, for every race and finally ``ai_times.json``.
+        output: folder for the result of every race and ``ai_times.json``.
         options: ``tracks`` are names, or ``"train"``, ``"test"`` or ``"all"`` (the default).
-            ``seeds`` is the number of races of five karts per time, and ``difficulties`` are the
-            levels of the AI. The others are as in :class:`~stkzoo.evaluation.RunOptions`.
+            ``seeds`` is the number of races with five karts for each track, direction and
+            difficulty, and ``difficulties`` are the levels of the AI. Other options are arguments
+            of :class:`~stkzoo.evaluation.RunOptions`.
 
     Raises:
-        ConfigError: an argument is invalid, or ``output`` has something else.
+        ConfigError: an argument is invalid, or ``output`` contains another batch.
         AssetError: the game's data is missing.
         BatchError: some races could not be run.
     """

@@ -1,4 +1,4 @@
-"""A benchmark: its plan, checked before the first race, its result, and two of them compared."""
+"""The plan of a benchmark, its result, and the comparison of two results."""
 
 from __future__ import annotations
 
@@ -44,24 +44,24 @@ from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
 
-#: A race ends after this multiple of the AI's median time.
+#: Time limit of a race, as a multiple of the AI's median time.
 _LIMIT = 3.0
 _MAX_SEEDS = 10_000
-_STEP, _COUNTDOWN = 0.1, 20  # [s], and steps before the race's clock runs
+_STEP, _COUNTDOWN = 0.1, 20  # step size [s], and number of steps before the race clock starts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
-    """A whole benchmark, from which its races follow.
+    """The plan of a benchmark. It determines the races.
 
     Attributes:
         agent: the agent to measure.
         split: the tracks as the user named them.
-        directions: ``False`` is forward, ``True`` is reversed.
-        forms: names of :class:`~stkzoo.evaluation.BenchmarkForm`.
-        seeds: races of each kind.
-        limit: the multiple of the AI's median time after which a race ends.
-        ai_times: that time [s], by track and ``"forward"`` or ``"reversed"``.
+        directions: ``False`` for forward, ``True`` for reversed.
+        forms: names of race forms (:class:`~stkzoo.evaluation.BenchmarkForm`).
+        seeds: number of races for each track, direction, form and end of the grid.
+        limit: time limit of a race, as a multiple of the AI's median time.
+        ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``.
     """
 
     kind: ClassVar[str] = "benchmark-plan"
@@ -96,18 +96,18 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         return (self.agent,)
 
     def races(self) -> tuple[BenchmarkRace, ...]:
-        """All races."""
+        """Returns all races of the benchmark."""
         return make_races(self.tracks, self.directions, self._forms(), self.seeds)
 
     def _forms(self) -> tuple[BenchmarkForm, ...]:
         return tuple(map(BenchmarkForm.of, self.forms))
 
     def ai_time(self, track: str, reverse: bool) -> float:
-        """The AI's median time there [s]."""
+        """Returns the AI's median time on a track in a direction [s]."""
         return self.ai_times[track][direction_name(reverse)]
 
     def orders(self) -> list[RaceOrder]:
-        """All races, ready to run."""
+        """Returns the orders of all races."""
         return [self._order(race) for race in self.races()]
 
     def _order(self, race: BenchmarkRace) -> RaceOrder:
@@ -127,7 +127,11 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         )
 
     def summarize(self, results: Mapping[int, RaceResult], _: Path) -> BenchmarkResult:
-        """The result of the races that have been run."""
+        """Returns the result of the races that have been run.
+
+        Args:
+            results: results of races by number.
+        """
         outcomes = (
             RaceOutcome.of(
                 race, results[race.number], self.ai_time(race.track, race.reverse), self.limit
@@ -138,7 +142,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         return BenchmarkResult(self, tuple(outcomes), *shared_protections(results.values()))
 
     def draw(self, result: BenchmarkResult, path: Path) -> None:
-        """Plots the result into a file."""
+        """Plots the result to a file."""
         plot_benchmark(result, path)
 
     def _comparable(self) -> dict[str, Any]:
@@ -148,7 +152,14 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         return values | self._conditions() | {"directions": directions}
 
     def differing_conditions(self, other: BenchmarkPlan) -> list[str]:
-        """The conditions that make two agents' results incomparable, as sentences."""
+        """Describes the conditions whose difference makes two results incomparable.
+
+        Args:
+            other: the plan of the other result.
+
+        Returns:
+            One sentence per difference.
+        """
         mine, theirs = self._conditions(), other._conditions()
         shared = set(mine) & set(theirs)
         return describe_differences(
@@ -183,21 +194,21 @@ def plan_benchmark(
     """Plans a benchmark.
 
     Args:
-        agent: the agent to measure: a driver's name, a path of a folder or zip, or a module; append
-            ``@:Name`` to rename it.
+        agent: the agent to measure: the name of a driver, the path of a folder or zip, or a module;
+            append ``@:Name`` to rename it.
         split: ``"test"``, ``"train"``, ``"all"``, or names of tracks.
         difficulty: level of the game's AI, 0 to 3.
-        forms: race forms: ``"PAAAA"`` is one kart of the agent and four of the AI.
-        seeds: races of each kind: form, end of the grid, track and direction.
-        reverse: the directions: ``False`` is forward, ``True`` is reversed.
-        ai_times: a file with the AI's times; by default those that come with stkzoo.
-        settings: of every race; the benchmark sets the fields in
-            ``BenchmarkPlan.decided`` itself.
+        forms: race forms; ``"PAAAA"`` means one kart of the agent and four of the AI.
+        seeds: number of races for each track, direction, form and end of the grid.
+        reverse: the directions: ``False`` for forward, ``True`` for reversed.
+        ai_times: a file with the AI's times; by default, the file that comes with stkzoo.
+        settings: settings of every race. The benchmark itself sets the fields in
+            ``BenchmarkPlan.decided``.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
             ``settings``.
 
     Raises:
-        ConfigError: an argument is invalid, or there is no such agent or track.
+        ConfigError: an argument is invalid, or the agent or a track does not exist.
         AssetError: the game's data is missing.
     """
     chosen = replace(
@@ -241,8 +252,8 @@ class BenchmarkResult(Document):
     Attributes:
         plan: the benchmark.
         races: the races that have been run.
-        sandboxes: of the agents from files in these races.
-        protections: what was withheld or limited in all of them
+        sandboxes: sandboxes of the agents from files in these races.
+        protections: protections that applied in all races with agents from files
             (:func:`stkzoo.drivers.sandbox.protections`).
     """
 
@@ -269,7 +280,7 @@ class BenchmarkResult(Document):
 
     @property
     def label(self) -> str:
-        """The agent's name."""
+        """Name of the agent."""
         return self.plan.agent.label
 
     @property
@@ -279,24 +290,28 @@ class BenchmarkResult(Document):
 
     @property
     def errors(self) -> int:
-        """How often the agent failed."""
+        """Total number of failures of the agent."""
         return sum(kart.errors for race in self.races for kart in race.karts)
 
     @cached_property
     def groups(self) -> tuple[RaceGroup, ...]:
-        """The figures, over all races and over parts of them."""
+        """The metrics of all races and of groups of races."""
         return group_races(self.races)
 
     def group(self, by: str = "all", name: str = "") -> RaceGroup:
-        """The figures of some races.
+        """Returns the metrics of a group of races.
+
+        Args:
+            by: what the races have in common, as in :attr:`RaceGroup.by`.
+            name: name of the group, as in :attr:`RaceGroup.name`.
 
         Raises:
-            KeyError: there are no such races.
+            KeyError: there is no such group.
         """
         return find_group(self.groups, by, name)
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as JSON values."""
+        """Returns the result as JSON values."""
         return {
             "agent": self.label,
             "is_complete": self.is_complete,
@@ -307,18 +322,17 @@ class BenchmarkResult(Document):
 
 
 def run_benchmark(agent: str, *, output: str | os.PathLike[str], **options: Any) -> BenchmarkResult:
-    """Measures an agent, or resumes that if it was started in ``output``.
+    """Runs a benchmark of an agent, or resumes it if it was started in ``output``.
 
     Args:
         agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_benchmark`.
-        output: a folder of its own, for every race's result and finally ``result.json`` and
-            ``benchmark.png``.
+        output: folder for the result of each race, ``result.json`` and ``benchmark.png``.
         options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
             :class:`~stkzoo.evaluation.RunOptions`; all others as for
             :func:`~stkzoo.evaluation.plan_benchmark`.
 
     Raises:
-        ConfigError: an argument is invalid, a library is missing, or ``output`` has another
+        ConfigError: an argument is invalid, a library is missing, or ``output`` contains another
             benchmark.
         AssetError: the game's data is missing.
         BatchError: some races could not be run.
@@ -328,26 +342,26 @@ def run_benchmark(agent: str, *, output: str | os.PathLike[str], **options: Any)
 
 
 def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
-    """The result of a benchmark so far, without running anything.
+    """Returns the current result of a benchmark without running any race.
 
     Args:
-        path: its folder, or a ``result.json``.
+        path: folder of the benchmark, or a ``result.json``.
 
     Raises:
-        ConfigError: there is none, or it is damaged.
+        ConfigError: there is no result, or a file is damaged.
     """
     return load_batch(BenchmarkPlan, BenchmarkResult, path)
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison(Document):
-    """The differences between two agents.
+    """The differences between the results of two agents.
 
     Attributes:
-        first: the first agent's name.
-        second: the second's.
-        differences: over all races and over parts of them; their figures are the first agent's
-            minus the second's.
+        first: name of the first agent.
+        second: name of the second agent.
+        differences: differences over all races and over groups of races: metrics of the first
+            agent minus those of the second.
     """
 
     kind: ClassVar[str] = "benchmark-comparison"
@@ -358,27 +372,35 @@ class Comparison(Document):
     differences: tuple[RaceGroup, ...]
 
     def difference(self, by: str = "all", name: str = "") -> RaceGroup:
-        """The differences in some races.
+        """Returns the differences in a group of races.
+
+        Args:
+            by: what the races have in common, as in :attr:`RaceGroup.by`.
+            name: name of the group, as in :attr:`RaceGroup.name`.
 
         Raises:
-            KeyError: there are no such races.
+            KeyError: there is no such group.
         """
         return find_group(self.differences, by, name)
 
     def to_dict(self) -> dict[str, Any]:
-        """The comparison as JSON values."""
+        """Returns the comparison as JSON values."""
         interval = {"kind": "bootstrap over pairs of races", "confidence": CONFIDENCE}
         return {"interval": interval, **Document.to_dict(self)}
 
 
 def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
-    """The differences between two agents in the races that both have driven.
+    """Compares two agents in the races that both have driven.
 
-    Each race is compared with the other agent's race of the same track, direction, form, end of
-    the grid and seed, so the conditions of a race cancel out.
+    Each race is paired with the other agent's race with the same track, direction, form, end of
+    the grid and seed, so the effects of these conditions cancel out.
+
+    Args:
+        first: result of the first agent.
+        second: result of the second agent.
 
     Raises:
-        ConfigError: they raced under different conditions, or have no race in common.
+        ConfigError: the agents raced under different conditions, or have no race in common.
     """
     differing = first.plan.differing_conditions(second.plan)
     if differing:

@@ -1,4 +1,4 @@
-"""Plots benchmarks: the time ratio on every track, and the win rates."""
+"""Plots of benchmarks: the time ratio on every track, and the win rates."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from stkzoo.evaluation.plotting import (
 if TYPE_CHECKING:
     from stkzoo.evaluation.benchmark.plan import BenchmarkResult
 
-#: The part of a row's height over which the agents are spread.
+#: Fraction of a row's height over which the agents are spread.
 _SPREAD = 0.5
 
 
 def plot_benchmark(
     results: BenchmarkResult | Sequence[BenchmarkResult], path: str | os.PathLike[str]
 ) -> None:
-    """Plots one or more results into a file, atomically.
+    """Plots one or more results to a file, which is written atomically.
 
     Args:
-        results: of one agent or of several.
-        path: the file; its ending selects the format, such as ``.png`` or ``.svg``.
+        results: result of one agent, or results of several agents.
+        path: the file; its suffix selects the format, such as ``.png`` or ``.svg``.
 
     Raises:
         ConfigError: matplotlib is not installed, or the file cannot be written.

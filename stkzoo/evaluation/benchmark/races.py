@@ -1,4 +1,4 @@
-"""The races of the benchmark, their outcomes for the agent, and figures over groups of them."""
+"""The races of a benchmark, their outcomes for the agent, and metrics over groups of races."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import Estimate, estimate_mean
 from stkzoo.race.result import AgentResult, RaceResult
 
-#: The race forms of the protocol.
+#: The race forms of the benchmark protocol.
 FORMS = ("PAAAA", "PPAAA", "P")
 _FORM = re.compile(r"(P+)(A*)")
 _MAX_KARTS = 20
@@ -25,12 +25,12 @@ FRONT, BACK = "front", "back"
 
 @dataclass(frozen=True, slots=True)
 class BenchmarkForm:
-    """How many karts the agent and the game's AI drive in a race.
+    """A race form: the numbers of karts that the agent and the game's AI drive.
 
     Attributes:
-        name: ``"PPAAA"`` is two karts of the agent and three of the AI.
-        agents: karts of the agent.
-        rivals: karts of the AI.
+        name: name of the form; ``"PPAAA"`` means two karts of the agent and three of the AI.
+        agents: number of karts of the agent.
+        rivals: number of karts of the AI.
     """
 
     name: str
@@ -39,10 +39,13 @@ class BenchmarkForm:
 
     @classmethod
     def of(cls, name: str) -> BenchmarkForm:
-        """The form with a name.
+        """Returns the form with a name.
+
+        Args:
+            name: one or more letters P, then any number of letters A; at most 20 letters.
 
         Raises:
-            ConfigError: the name is not one or more P followed by any number of A.
+            ConfigError: the name is invalid.
         """
         found = _FORM.fullmatch(name) if isinstance(name, str) else None
         if found is None or len(name) > _MAX_KARTS:
@@ -54,16 +57,20 @@ class BenchmarkForm:
 
     @property
     def ends(self) -> tuple[str, ...]:
-        """The ends of the grid from which the agent starts; one without rivals."""
+        """The ends of the grid from which the agent starts; only the front without rivals."""
         return (FRONT, BACK) if self.rivals else (FRONT,)
 
     @property
     def chance(self) -> float:
-        """The share of races that the agent would win if all were equally good."""
+        """Fraction of races that the agent would win if all drivers were equally good."""
         return self.agents / (self.agents + self.rivals)
 
     def places(self, end: str) -> tuple[int, ...]:
-        """The agent's places on the grid, 0 is in front."""
+        """Returns the agent's places on the grid; 0 is the front.
+
+        Args:
+            end: the end of the grid from which the agent starts.
+        """
         first = 0 if end == FRONT else self.rivals
         return tuple(range(first, first + self.agents))
 
@@ -73,13 +80,13 @@ class BenchmarkRace:
     """One race of a benchmark.
 
     Attributes:
-        number: counts the races, from 0.
-        track: the track's name.
-        reverse: driven in reverse direction.
-        form: name of the form, such as ``"PPAAA"``.
+        number: number of the race, from 0.
+        track: name of the track.
+        reverse: whether the race is in reverse.
+        form: name of the race form, such as ``"PPAAA"``.
         end: the end of the grid from which the agent starts: ``"front"`` or ``"back"``.
-        index: counts the races that differ only in their seeds, from 0.
-        seed: of all random choices in the race; the same for every agent.
+        index: number of the race among those that differ only in their seeds, from 0.
+        seed: seed of all random choices in the race; the same for every agent.
     """
 
     number: Count
@@ -92,41 +99,49 @@ class BenchmarkRace:
 
     @property
     def lineup(self) -> BenchmarkForm:
-        """How many karts the agent and the AI drive."""
+        """The race form."""
         return BenchmarkForm.of(self.form)
 
     @property
     def kind(self) -> tuple[str, bool, str, str]:
-        """What the races have in common that differ only in their seeds."""
+        """Track, ``reverse``, form and end. Races that differ only in their seeds share these."""
         return self.track, self.reverse, self.form, self.end
 
     @property
     def key(self) -> tuple[str, bool, str, str, int]:
-        """The description of the race, equal in all benchmarks."""
+        """:attr:`kind` and index, which identify the race in all benchmarks."""
         return *self.kind, self.index
 
 
 def race_seed(track: str, reverse: bool, form: str, end: str, index: int) -> int:
-    """The seed of a race: a digest of its description, independent of the agent."""
+    """Returns the seed of a race: a digest of its key, independent of the agent.
+
+    Args:
+        track: name of the track.
+        reverse: whether the race is in reverse.
+        form: name of the race form.
+        end: the end of the grid from which the agent starts.
+        index: number of the race among those that differ only in their seeds.
+    """
     text = "/".join((track, direction_name(reverse), form, end, str(index)))
     return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=_SEED_BYTES).digest(), "big")
 
 
 def direction_name(reverse: bool) -> str:
-    """``"forward"`` or ``"reversed"``."""
+    """Returns the name of a direction: ``"forward"`` or ``"reversed"``."""
     return "reversed" if reverse else "forward"
 
 
 def make_races(
     tracks: Sequence[str], directions: Sequence[bool], forms: Sequence[BenchmarkForm], seeds: int
 ) -> tuple[BenchmarkRace, ...]:
-    """All races, ordered by seed first, so that an interrupted benchmark is balanced.
+    """Returns all races, ordered by index first, so that an interrupted benchmark is balanced.
 
     Args:
         tracks: the tracks.
-        directions: ``False`` is forward, ``True`` is reversed.
-        forms: karts of the agent and the AI.
-        seeds: races of each kind.
+        directions: ``False`` for forward, ``True`` for reversed.
+        forms: the race forms.
+        seeds: number of races for each track, direction, form and end of the grid.
     """
     kinds = [
         (track, reverse, form.name, end)
@@ -144,10 +159,10 @@ class KartOutcome:
     """The outcome of one kart of the agent.
 
     Attributes:
-        time: its finish time [s]; ``None`` if it did not finish.
-        rank: its rank; karts of the agent that did not finish have the last ranks.
-        rescues: how often it was put back on the road; ``None`` if not counted.
-        errors: how often the agent failed.
+        time: finish time [s]; ``None`` if the kart did not finish.
+        rank: rank; karts of the agent that did not finish have the last ranks.
+        rescues: number of times the kart was put back on the road; ``None`` if not counted.
+        errors: number of failures of the agent.
     """
 
     time: Positive | None
@@ -158,13 +173,13 @@ class KartOutcome:
 
 @dataclass(frozen=True, slots=True)
 class RaceOutcome(BenchmarkRace):
-    """One race, and its outcome for the agent.
+    """One race and its outcome for the agent.
 
     Attributes:
-        status: why it ended.
-        time_ratio: the karts' mean finish time as a multiple of the AI's. A kart that did not
-            finish counts with the limit after which the race ended.
-        karts: the agent's, in the order of the grid.
+        status: why the race ended.
+        time_ratio: mean finish time of the agent's karts as a multiple of the AI's median time,
+            at most the time limit. A kart that did not finish counts with the time limit.
+        karts: outcomes of the agent's karts in grid order.
     """
 
     status: str
@@ -179,13 +194,13 @@ class RaceOutcome(BenchmarkRace):
     def of(
         cls, race: BenchmarkRace, result: RaceResult, ai_time: float, limit: float
     ) -> RaceOutcome:
-        """The agent's part of a race's result.
+        """Returns the outcome of a race for the agent.
 
         Args:
             race: the race.
-            result: its result.
-            ai_time: the AI's median time there [s].
-            limit: the multiple of it after which the race ends.
+            result: result of the race.
+            ai_time: the AI's median time on the track [s].
+            limit: time limit of the race, as a multiple of ``ai_time``.
         """
         places = race.lineup.places(race.end)
         own = [row for row in result.agents if row.start_position - 1 in places]
@@ -198,24 +213,24 @@ class RaceOutcome(BenchmarkRace):
 
     @property
     def is_won(self) -> float | None:
-        """1 if a kart of the agent won, else 0; ``None`` without rivals."""
+        """1 if a kart of the agent won, otherwise 0; ``None`` without rivals."""
         if not self.lineup.rivals:
             return None
         return float(any(kart.rank == 1 and kart.time is not None for kart in self.karts))
 
     @property
     def rank(self) -> float | None:
-        """The karts' mean rank; ``None`` without rivals."""
+        """Mean rank of the agent's karts; ``None`` without rivals."""
         return _mean([kart.rank for kart in self.karts]) if self.lineup.rivals else None
 
     @property
     def unfinished(self) -> float:
-        """The share of karts that did not finish."""
+        """Fraction of the agent's karts that did not finish."""
         return _mean([kart.time is None for kart in self.karts])
 
     @property
     def rescues(self) -> float | None:
-        """How often each kart was put back on the road; ``None`` if not counted."""
+        """Mean number of rescues of the agent's karts; ``None`` if not counted for all of them."""
         counts = [kart.rescues for kart in self.karts if kart.rescues is not None]
         return _mean(counts) if len(counts) == len(self.karts) else None
 
@@ -231,12 +246,12 @@ def _mean(values: Sequence[float]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class FigureKind:
-    """A kind of figure.
+    """A metric of a race.
 
     Attributes:
-        name: its name.
-        of: its value in one race; ``None`` where undefined.
-        bounds: the least and greatest possible value, for shares and counts.
+        name: name of the metric.
+        of: function that returns its value in one race, or ``None`` if it is undefined.
+        bounds: lowest and highest possible value, for fractions and counts.
     """
 
     name: str
@@ -264,16 +279,17 @@ _GROUPINGS: dict[str, Callable[[BenchmarkRace], str]] = {
 
 @dataclass(frozen=True, slots=True)
 class RaceGroup:
-    """A group of races and its figures.
+    """A group of races and its metrics.
 
     Attributes:
-        by: what they have in common: ``"all"``, ``"form"``, ``"direction"``, ``"end"``,
+        by: what the races have in common: ``"all"``, ``"form"``, ``"direction"``, ``"end"``,
             ``"track"`` or ``"track and direction"``.
-        name: which of these; empty for all.
-        races: how many.
-        chance: the share that the agent would win if all drivers were equally good; ``None``
-            without rivals.
-        figures: by name of :data:`FIGURES`; ``None`` for a figure that no race has.
+        name: name of the group, such as that of the track; empty for all races.
+        races: number of races.
+        chance: fraction of races that the agent would win if all drivers were equally good;
+            ``None`` without rivals.
+        figures: estimates of the metrics by name, as in :data:`FIGURES`; ``None`` for a metric
+            that no race has.
     """
 
     by: str
@@ -286,7 +302,12 @@ class RaceGroup:
 def group_races(
     outcomes: Sequence[RaceOutcome], kinds: Sequence[FigureKind] = FIGURES
 ) -> tuple[RaceGroup, ...]:
-    """The figures over all races and over parts of them, in display order."""
+    """Returns the metrics of all races and of groups of races, in display order.
+
+    Args:
+        outcomes: the races.
+        kinds: the metrics.
+    """
     groups: dict[tuple[str, str], list[RaceOutcome]] = {}
     for by, name_of in _GROUPINGS.items():
         for outcome in outcomes:
@@ -307,9 +328,14 @@ def _group(
 
 
 def find_group(groups: Sequence[RaceGroup], by: str, name: str) -> RaceGroup:
-    """The figures of some races.
+    """Returns one of several groups.
+
+    Args:
+        groups: the groups.
+        by: what the races have in common.
+        name: name of the group.
 
     Raises:
-        KeyError: there are no such races.
+        KeyError: there is no such group.
     """
     return {(group.by, group.name): group for group in groups}[by, name]

@@ -1,3 +1,3 @@
-"""Demonstrations: recorded observations and actions of drivers, as a data set to learn from."""
+"""Demonstrations: data sets of recorded observations and actions of drivers."""
 
 __all__: list[str] = []

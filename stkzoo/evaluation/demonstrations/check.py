@@ -1,4 +1,4 @@
-"""Replays demonstrations: the same controls must lead to the same observations."""
+"""A check that replays demonstrations: the same controls must lead to the same observations."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from stkzoo.race.runner import run_race
 
 @dataclass(frozen=True, slots=True)
 class DemoCheck:
-    """The outcome of replaying a race of a data set.
+    """The outcome of the check of one race.
 
     Attributes:
-        race: its number.
-        steps: steps compared, of all karts.
-        first_difference: the first step of any kart after which an observation differs, 0 on the
-            grid; ``None`` if all are bit-identical.
+        race: number of the race.
+        steps: total number of compared steps of all karts.
+        first_difference: number of the first step after which any kart's observation differs, 0
+            for the observation on the grid; ``None`` if all are bit-identical.
     """
 
     race: int
@@ -37,15 +37,15 @@ class DemoCheck:
 
 
 def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
-    """Replays the recorded controls of one race on the engine, and compares the observations.
+    """Replays the recorded controls of one race in the game, and compares the observations.
 
     Args:
         demos: the data set.
-        race: number of the race in it.
+        race: number of the race in the data set.
 
     Raises:
         ConfigError: there is no such race, or the game's AI drove it. The AI decides twelve times
-            per step and gets boosts that agents do not, so its races are not replayable.
+            per step and gets boosts that agents do not get, so its races cannot be replayed.
     """
     plan = DemoPlan.from_dict(demos.plan)
     numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
@@ -80,7 +80,7 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
 
 
 def _first_difference(mine: Columns, theirs: Columns) -> int | None:
-    """The first moment in which the observations of two episodes differ."""
+    """Returns the index of the first observation in which two episodes differ, or ``None``."""
     names = [name for name in mine if not is_by_step(name)]
     lengths = len(mine[names[0]]), len(theirs[names[0]])
     count = min(lengths)

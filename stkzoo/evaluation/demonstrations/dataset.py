@@ -1,14 +1,14 @@
-"""A data set of demonstrations and its file.
+"""Data sets of demonstrations and their files.
 
-The file is a plain ``.npz`` without pickles. For ``E`` episodes (one kart in one race) of ``N``
-steps in all it has
+The file is an ``.npz`` file without pickles. An episode is the drive of one kart in one race. For
+``E`` episodes with ``N`` steps in total, the file contains these arrays:
 
-- ``observations`` ``(N + E, ...)``: of every moment, including the last;
-- ``actions`` ``(N, ...)``: the view's action after the observation of the same number;
-- ``controls`` ``(N, 7)`` float32: the same as the game's own controls;
+- ``observations`` ``(N + E, ...)``: observations, including the last one of each episode;
+- ``actions`` ``(N, ...)``: actions of the view, each taken after the observation of its step;
+- ``controls`` ``(N, 7)`` float32: the same actions as controls of the game;
 - ``rewards`` ``(N,)`` float64;
-- ``lengths`` ``(E,)``: steps of each episode;
-- ``about``: a JSON text: agent, view, tracks, seeds, versions, and facts of each episode.
+- ``lengths`` ``(E,)``: number of steps of each episode;
+- ``about``: JSON text with agent, view, tracks, seeds, versions, and facts about each episode.
 
 Dict observations and actions have one array per entry, such as ``observations/continuous``.
 """
@@ -33,7 +33,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race.document import check_document
 
 _KIND, _VERSION = "demonstrations", 1
-#: Largest size of the arrays together, of ``about`` [bytes], and of an episode [steps].
+#: Maximum total size of the arrays [bytes], size of ``about`` [bytes] and length of an episode.
 _MAX_BYTES, _MAX_ABOUT, _MAX_LENGTH = 8 << 30, 64 << 20, 10_000_000
 _BY_STEP = ("actions", "controls", "rewards")
 
@@ -41,10 +41,14 @@ Columns = dict[str, npt.NDArray[Any]]
 
 
 def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
-    """The inverse of ``columns_of``: the array ``name``, or the dict of all ``name/key``.
+    """Returns an array, or the nested dict of all arrays below a name; inverse of ``columns_of``.
+
+    Args:
+        name: name of the array, or prefix ``name`` of arrays ``name/key``.
+        columns: arrays by name.
 
     Raises:
-        KeyError: there is neither.
+        KeyError: there is no such array or prefix.
     """
     if name in columns:
         return columns[name]
@@ -57,17 +61,17 @@ def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeFacts:
-    """The kart and race of an episode, and how it ended.
+    """The kart, race and outcome of an episode.
 
     Attributes:
         race: number of the race in the data set.
-        agent: id of the kart in it.
-        track: where it drove.
-        reverse: whether in reverse direction.
-        seed: of the race.
-        start_position: its place on the grid, 1 is in front.
-        finish_time: since the start [s]; ``None`` if it did not finish.
-        rank: its place at the end.
+        agent: id of the agent in the race.
+        track: name of the track.
+        reverse: whether the race was in reverse.
+        seed: seed of the race.
+        start_position: place of the kart on the grid; 1 is the front.
+        finish_time: finish time [s]; ``None`` if the kart did not finish.
+        rank: final rank of the kart.
     """
 
     race: Count
@@ -82,12 +86,14 @@ class EpisodeFacts:
 
 @dataclass(frozen=True, slots=True)
 class DemoEpisode:
-    """One kart's drive of ``T`` steps; arrays, or dicts of arrays, with time in front.
+    """The drive of one kart in ``T`` steps.
+
+    Its data are arrays or dicts of arrays, whose first axis is time.
 
     Attributes:
-        facts: its kart and race.
-        observations: ``(T + 1, ...)``.
-        actions: ``(T, ...)``, in the view: number ``t`` follows observation ``t``.
+        facts: kart, race and outcome.
+        observations: ``(T + 1, ...)``: observations in the view.
+        actions: ``(T, ...)``: actions in the view; action ``t`` follows observation ``t``.
         controls: ``(T, 7)`` float32: acceleration, steer, brake, drift, fire, nitro, rescue.
         rewards: ``(T,)`` float64.
     """
@@ -103,20 +109,20 @@ class DemoEpisode:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the kart finished: the episode is terminated, else truncated."""
+        """Whether the kart finished. If so, the episode is terminated, otherwise truncated."""
         return self.facts.finish_time is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Demonstrations:
-    """Recorded episodes.
+    """A data set of recorded episodes.
 
     Attributes:
-        plan: how they were recorded: ``agent``, ``view``, ``tracks``, ``directions``,
+        plan: how the episodes were recorded: ``agent``, ``view``, ``tracks``, ``directions``,
             ``seeds``, ``settings``, ``versions`` and more.
-        facts: of every episode.
-        lengths: steps of every episode, ``(E,)``.
-        columns: the file's other arrays by name.
+        facts: facts about each episode.
+        lengths: ``(E,)`` int64: number of steps of each episode.
+        columns: the other arrays of the file by name.
     """
 
     plan: Mapping[str, Any]
@@ -143,7 +149,11 @@ class Demonstrations:
         )
 
     def episode_columns(self, number: int) -> Columns:
-        """The part of each column that belongs to an episode."""
+        """Returns the part of each column that belongs to an episode.
+
+        Args:
+            number: number of the episode.
+        """
         begin = int(self.lengths[:number].sum())
         end = begin + int(self.lengths[number])
         return {
@@ -155,16 +165,19 @@ class Demonstrations:
 
     @property
     def view(self) -> str:
-        """The view's name."""
+        """Name of the view."""
         return str(self.plan["view"])
 
     @property
     def num_steps(self) -> int:
-        """Steps of all episodes together."""
+        """Total number of steps of all episodes."""
         return int(self.lengths.sum())
 
     def pairs(self) -> tuple[Any, Any]:
-        """Observations and the actions that followed, ``(N, ...)`` each, of all episodes."""
+        """Returns the observations of all episodes and the actions taken after them.
+
+        Both have the shape ``(N, ...)``. The last observation of each episode is left out.
+        """
         last = np.cumsum(self.lengths + 1) - 1
         seen = {
             name: np.delete(column, last, axis=0)
@@ -174,13 +187,13 @@ class Demonstrations:
         return tree_of("observations", seen), tree_of("actions", self.columns)
 
     def to_dict(self) -> dict[str, Any]:
-        """The file's ``about``, as JSON values."""
+        """Returns the file's ``about`` as JSON values."""
         head = {"type": _KIND, "schema_version": _VERSION}
         return {**head, **self.plan, "episodes": [asdict(facts) for facts in self.facts]}
 
 
 def join(parts: Sequence[Demonstrations]) -> Demonstrations:
-    """Joins data sets with the same plan, in order."""
+    """Returns the concatenation of data sets with the same plan."""
     names = list(parts[0].columns)
     return Demonstrations(
         parts[0].plan,
@@ -191,7 +204,11 @@ def join(parts: Sequence[Demonstrations]) -> Demonstrations:
 
 
 def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
-    """Writes a data set, atomically.
+    """Writes a data set to a file, atomically.
+
+    Args:
+        demos: the data set.
+        path: the ``.npz`` file.
 
     Raises:
         ConfigError: the file cannot be written.
@@ -206,13 +223,13 @@ def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> 
 
 
 def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
-    """Reads a data set.
+    """Loads a data set.
 
     Args:
-        path: a file that ``stkzoo demos`` wrote, or :func:`save_demonstrations`.
+        path: a file written by ``stkzoo demos`` or :func:`save_demonstrations`.
 
     Raises:
-        ConfigError: the file is missing, damaged or something else.
+        ConfigError: the file is missing, damaged or of another kind.
     """
     if not Path(path).is_file():
         raise ConfigError(
@@ -225,7 +242,7 @@ def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
 
 @dataclass(frozen=True, slots=True)
 class _About:
-    """What must be in the file's ``about``."""
+    """The required values of the file's ``about``."""
 
     view: Annotated[str, Within(1)]
     episodes: tuple[EpisodeFacts, ...]
@@ -246,10 +263,10 @@ def _read(arrays: Columns) -> Demonstrations:
 
 
 def _check(demos: Demonstrations) -> None:
-    """Checks the lengths of all arrays.
+    """Checks the lengths and shapes of all arrays.
 
     Raises:
-        Unreadable: one is wrong or missing.
+        Unreadable: an array is missing or has a wrong shape or value.
     """
     lengths, names = demos.lengths, {name.partition("/")[0] for name in demos.columns}
     if lengths.shape != (len(demos),) or ((lengths < 1) | (lengths > _MAX_LENGTH)).any():
@@ -267,5 +284,5 @@ def _check(demos: Demonstrations) -> None:
 
 
 def is_by_step(name: str) -> bool:
-    """Whether a column has a row for each step; observations have one more for each episode."""
+    """Returns whether a column has one row per step. Observations have one more per episode."""
     return name.partition("/")[0] in _BY_STEP

@@ -29,15 +29,15 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
 
     Args:
         demos: the data set.
-        dataset_id: such as ``"supertuxkart/heuristic-v0"``. The variable
-            ``MINARI_DATASETS_PATH`` sets the folder of Minari's data sets.
+        dataset_id: id of the new data set, such as ``"supertuxkart/heuristic-v0"``. The
+            environment variable ``MINARI_DATASETS_PATH`` sets the folder of Minari's data sets.
 
     Returns:
-        The ``minari.MinariDataset``. The metadata of each episode has its facts, such as
+        The ``minari.MinariDataset``. The metadata of each episode includes its facts, such as
         ``track`` and ``finish_time``.
 
     Raises:
-        ConfigError: Minari is not installed, or rejects the name, which may be in use.
+        ConfigError: Minari is not installed, or rejects the id, for example because it is in use.
     """
     minari = require_minari()
     view = DemoView(demos.view)
@@ -56,7 +56,7 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
     spaces = {"observation_space": view.observation_space, "action_space": view.action_space}
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that no environment is named
+            warnings.simplefilter("ignore", UserWarning)  # Minari warns without an environment id
             dataset = minari.create_dataset_from_buffers(dataset_id, buffers, **spaces, **about)
     except (ValueError, AttributeError, AssertionError) as error:
         raise ConfigError(

@@ -1,7 +1,7 @@
-"""A data set to record: its plan, checked before the first race, and its recording.
+"""The plan of a data set, which is checked before the first race, and its recording.
 
-While races run they are stored in a folder beside the data set. When all are there, they are joined
-into the data set, and the folder is removed.
+During recording, each race is stored in a folder beside the data set. When all races are recorded,
+they are joined into the data set, and the folder is removed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
 _ENDING, _PARTS = ".npz", ".parts"
-#: Default number of reads of the AI's controls per step; the AI decides 12 times.
+#: Default number of times per step that the AI's controls are read. The AI decides 12 times.
 _SUBSTEPS_OF_AI = 4
 _SUBSTEPS = (1, 2, 3, 4, 6, 12)
 _MAX_KARTS = 20
@@ -42,10 +42,10 @@ _MAX_KARTS = 20
 
 @dataclass(frozen=True, slots=True)
 class DemoOrder(RaceOrder):
-    """One race to record; its episodes are stored beside its result.
+    """One race to record. Its episodes are stored beside its result.
 
     Attributes:
-        view: the view to record in.
+        view: name of the view to record in.
         substeps: see :class:`~stkzoo.evaluation.demonstrations.recorder.DemoRecorder`.
     """
 
@@ -53,7 +53,11 @@ class DemoOrder(RaceOrder):
     substeps: int = 1
 
     def run(self, folder: Path) -> RaceResult:
-        """Runs and records the race, and stores its episodes."""
+        """Runs and records the race, and stores its episodes.
+
+        Args:
+            folder: folder of the batch.
+        """
         karts = self.wait_for or ()
         recorder = DemoRecorder(len(karts), DemoView(self.view), self.substeps, self.number)
         result = run_race(
@@ -69,11 +73,15 @@ class DemoOrder(RaceOrder):
         return result
 
     def suspects(self) -> tuple[int, ...]:
-        """None: a race without an agent is not the race to record."""
+        """Returns no suspects, because a race without one of its agents is not worth recording."""
         return ()
 
     def load(self, folder: Path) -> RaceResult | None:
-        """The stored result; ``None`` if the race has not been recorded."""
+        """Returns the stored result; ``None`` if the race has not been recorded.
+
+        Args:
+            folder: folder of the batch.
+        """
         return RaceOrder.load(self, folder) if self.file(folder, _ENDING).exists() else None
 
     def _settings_in_substeps(self) -> RaceSettings:
@@ -86,16 +94,16 @@ class DemoOrder(RaceOrder):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoPlan(BatchPlan[Demonstrations]):
-    """A whole data set, from which its races follow.
+    """The plan of a data set. It determines the races to record.
 
     Attributes:
         agent: the driver to record.
-        karts: karts it drives in each race.
-        rivals: the other drivers.
-        view: the view to record in.
-        directions: ``False`` is forward, ``True`` is reversed.
-        seeds: of the races of each track and direction.
-        substeps: parts in which a step is driven; see
+        karts: number of karts that the driver drives in each race.
+        rivals: drivers of the other karts.
+        view: name of the view to record in.
+        directions: ``False`` for forward, ``True`` for reversed.
+        seeds: seeds of the races on each track in each direction.
+        substeps: number of parts of a step; see
             :class:`~stkzoo.evaluation.demonstrations.recorder.DemoRecorder`.
     """
 
@@ -127,7 +135,7 @@ class DemoPlan(BatchPlan[Demonstrations]):
         return (self.agent,)
 
     def orders(self) -> list[DemoOrder]:
-        """All races, ready to run."""
+        """Returns the orders of all races."""
         drivers = (self.agent.source,) * self.karts + self.rivals
         races = itertools.product(self.tracks, self.directions, self.seeds)
         return [
@@ -143,7 +151,12 @@ class DemoPlan(BatchPlan[Demonstrations]):
         ]
 
     def summarize(self, results: Mapping[int, RaceResult], folder: Path) -> Demonstrations:  # noqa: ARG002
-        """Joins the episodes of all races into the data set, which lies beside the folder."""
+        """Joins the episodes of all races, and writes the data set beside the batch's folder.
+
+        Args:
+            results: results of all races by number.
+            folder: folder of the batch.
+        """
         parts = [load_demonstrations(order.file(folder, _ENDING)) for order in self.orders()]
         demos = replace(join(parts), plan=json.loads(json.dumps(self.to_dict())))
         save_demonstrations(demos, str(folder).removesuffix(_PARTS))
@@ -166,22 +179,25 @@ def plan_demonstrations(
     """Plans a data set.
 
     Args:
-        agent: the driver to record: ``"ai"`` for the game's AI, a driver's name, a path of a folder
-            or zip, a module.
-        view: the view to record in, whatever the driver sees itself: a view of fixed size.
+        agent: the driver to record: ``"ai"`` for the game's AI, the name of a driver, the path of
+            a folder or zip, or a module.
+        view: name of the view to record in, which must have a fixed size. The driver itself can
+            use another view.
         tracks: ``"train"``, ``"test"``, ``"all"``, or names of tracks.
-        reverse: the directions: ``False`` is forward, ``True`` is reversed.
-        seeds: of the races of each track and direction, or their number, counted from 0.
-        karts: karts that it drives in each race; all of them are recorded.
-        rivals: the drivers of the other karts, one each.
-        substeps: how often the controls of the game's AI are read in a step: 1, 2, 3, 4, 6 or
-            12; by default 4 for the AI, and 1 for all others, which decide once.
-        settings: of every race; the plan sets the fields in ``DemoPlan.decided`` itself.
+        reverse: the directions: ``False`` for forward, ``True`` for reversed.
+        seeds: seeds of the races on each track in each direction; or the number of seeds, which
+            start at 0.
+        karts: number of karts that the driver drives in each race; all of them are recorded.
+        rivals: drivers of the other karts, one for each kart.
+        substeps: number of times per step that the controls of the game's AI are read: 1, 2, 3, 4,
+            6 or 12. The default is 4 if the AI drives all karts, otherwise 1, because other
+            drivers decide once per step.
+        settings: settings of every race. The plan itself sets the fields in ``DemoPlan.decided``.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
             ``settings``.
 
     Raises:
-        ConfigError: an argument is invalid, or there is no such agent or track.
+        ConfigError: an argument is invalid, or the agent or a track does not exist.
         AssetError: the game's data is missing.
     """
     chosen = replace(DemoPlan.choose_settings(settings, changes), error_handling="raise")
@@ -217,7 +233,7 @@ def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
 
 
 def _substeps(substeps: int | None, are_game_ai: Sequence[bool]) -> int:
-    """Checks the number; agents decide once per step, so theirs is 1."""
+    """Returns the checked number of substeps. Other drivers than the AI only support 1."""
     if substeps is None:
         return _SUBSTEPS_OF_AI if all(are_game_ai) else 1
     if substeps not in _SUBSTEPS:
@@ -233,18 +249,19 @@ def _substeps(substeps: int | None, are_game_ai: Sequence[bool]) -> int:
 def record_demonstrations(
     agent: str = "heuristic", *, output: str | os.PathLike[str], **options: Any
 ) -> Demonstrations:
-    """Records a driver's races as a data set, or resumes that.
+    """Records races of a driver as a data set, or resumes an interrupted recording.
 
     Args:
         agent: the driver; see :func:`~stkzoo.evaluation.plan_demonstrations`.
-        output: the data set's file, whose name ends in ``.npz``. While races run they are stored
-            in a folder beside it, ``output.parts``; the same call resumes after an interruption.
+        output: file of the data set, whose name ends in ``.npz``. During recording, races are
+            stored in a folder beside it, whose name has the additional suffix ``.parts``. The
+            same call resumes after an interruption.
         options: ``jobs``, ``race_timeout`` and ``on_race``, as in
             :class:`~stkzoo.evaluation.RunOptions`; all others as for
             :func:`~stkzoo.evaluation.plan_demonstrations`.
 
     Raises:
-        ConfigError: an argument is invalid, or ``output`` has other demonstrations.
+        ConfigError: an argument is invalid, or ``output`` contains other demonstrations.
         AssetError: the game's data is missing.
         BatchError: some races could not be recorded.
     """
@@ -255,7 +272,13 @@ def record_demonstrations(
 def record_plan(
     plan: DemoPlan, output: str | os.PathLike[str], options: RunOptions
 ) -> Demonstrations:
-    """Records a planned data set; see :func:`record_demonstrations`."""
+    """Records a planned data set; see :func:`record_demonstrations`.
+
+    Args:
+        plan: the plan.
+        output: file of the data set.
+        options: options of the run.
+    """
     target = Path(output)
     if target.suffix != _ENDING:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Records some karts of a race."""
+"""A recorder of demonstrations, which listens to a race."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ from stkzoo.race.result import RaceResult
 from stkzoo.views import VIEWS, extras_for
 from stkzoo.views.agent_chain import AgentChain
 
-#: Time from one observation to the next [s].
+#: Time between two observations [s].
 STEP = 0.1
-#: Buttons that count as pressed if pressed at any moment of a step; the others need half of it.
+#: Buttons that count as pressed if they were pressed in any part of a step. Other buttons must be
+#: pressed in at least half of the parts.
 _PULSES = np.array([name in ("fire", "nitro", "rescue") for name in CONTROLS])
 _ANALOGUE = np.array([name in ("acceleration", "steer") for name in CONTROLS])
 _PROGRESS = "reward/advance"
@@ -35,13 +36,13 @@ Controls = npt.NDArray[np.float32]
 
 
 class DemoView:
-    """The view that a demonstration is recorded in: its observations and actions.
+    """The view in which a demonstration is recorded.
 
     Args:
-        name: of a view of fixed size, made of stkzoo's own wrappers.
+        name: name of a view with a fixed size, made of stkzoo's own wrappers.
 
     Raises:
-        ConfigError: there is no such view, or recording does not support it.
+        ConfigError: the view does not exist, or recording does not support it.
     """
 
     def __init__(self, name: str) -> None:
@@ -66,23 +67,30 @@ class DemoView:
         self.action_space = self._seeing.action_space
 
     def observe(self, observation: Mapping[str, Any]) -> Any:
-        """The view's observation of a ``full`` observation."""
+        """Converts an observation in the view ``full`` to this view."""
         return self._seeing.observe({key: observation[key] for key in self._keys})
 
     def action(self, observation: Mapping[str, Any], controls: Controls) -> Any:
-        """The view's action nearest to some controls ``(7,)``; any observation will do."""
+        """Returns the action in this view that is nearest to controls ``(7,)``.
+
+        Args:
+            observation: an observation in the view ``full``. It does not affect the result.
+            controls: controls of the game.
+        """
         return self._acting.observe({**observation, "action": action_of(controls)})["action"]
 
 
 class DemoRecorder(RaceListener):
-    """Records the observations and actions of some agents.
+    """A race listener that records the observations and actions of agents.
 
     Args:
-        agents: the number of agents; the first ones of the race are recorded.
+        agents: number of agents to record, beginning with the first agent of the race.
         view: the view to record in.
-        substeps: a step is driven in this many equal parts, and the controls of the game's AI are
-            read after each. The AI decides many times per step; its action is the mean of its
-            steering and throttle, and every button that it pressed.
+        substeps: number of equal parts of a step. The controls of the game's AI are read after
+            each part, because the AI decides several times per step. Its recorded action has the
+            mean of its steering and acceleration. It has the buttons fire, nitro and rescue if
+            they were pressed in any part, and other buttons if pressed in at least half of the
+            parts.
         race: number of the race in the data set.
     """
 
@@ -101,7 +109,7 @@ class DemoRecorder(RaceListener):
         self._karts = {agent: _Kart(self._view, race.observations[agent]) for agent in agents}
 
     def stepped(self, race: RaceProgress) -> None:
-        """Records the actions, and the observations at a step's end."""
+        """Records the actions, and the observations at the end of a step."""
         is_whole = race.steps % self._substeps == 0
         for agent, kart in self._karts.items():
             if kart.is_over:
@@ -136,7 +144,7 @@ class DemoRecorder(RaceListener):
             self._parts.append(Demonstrations({}, (facts,), lengths, kart.columns(self._view)))
 
     def episodes(self, plan: Mapping[str, Any]) -> Demonstrations | None:
-        """The recorded episodes; ``None`` if no agent took a step.
+        """Returns the recorded episodes; ``None`` if no agent took a step.
 
         Args:
             plan: see :class:`Demonstrations`.
@@ -145,18 +153,26 @@ class DemoRecorder(RaceListener):
 
 
 class _Kart:
-    """The episode of one kart so far: its parts of steps, and the number of them at each end."""
+    """The episode of one kart during recording.
+
+    Controls and rewards have one entry per part of a step. ``ends`` has the number of parts at the
+    end of each step.
+    """
 
     def __init__(self, view: DemoView, observation: Any) -> None:
         self._first = observation
         self.observations = [view.observe(observation)]
         self.controls: list[Controls] = []
-        self.rewards: list[tuple[float, float]] = []  # in all, and for progress
+        self.rewards: list[tuple[float, float]] = []  # total, and its part for progress
         self.ends: list[int] = []
         self.is_over = False
 
     def columns(self, view: DemoView) -> Columns:
-        """The episode as arrays: progress is summed over a step, other rewards are its end's."""
+        """Returns the episode as arrays.
+
+        The reward of a step is its progress reward, summed over its parts, plus the other rewards
+        of its last part.
+        """
         steps = list(zip([0, *self.ends[:-1]], self.ends, strict=True))
         controls = [_together(np.stack(self.controls[begin:end])) for begin, end in steps]
         rewards, progress = np.array(self.rewards).T
@@ -172,7 +188,7 @@ class _Kart:
 
 
 def _together(parts: Controls) -> Controls:
-    """Merges the controls ``(n, 7)`` of a step's parts into ``(7,)``."""
+    """Merges the controls ``(n, 7)`` of the parts of a step into ``(7,)``."""
     means = parts.mean(axis=0)
     pressed = np.where(_PULSES, parts.any(axis=0), means >= 0.5)
     together: Controls = np.where(_ANALOGUE, means, pressed).astype(np.float32)

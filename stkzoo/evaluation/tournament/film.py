@@ -1,4 +1,4 @@
-"""Map films of races: where each kart was, twice a second."""
+"""Map films of races: the location of each kart, about twice per second."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from stkzoo.render.palette import race_palette
 
 _INTERVAL = 0.5  # [s]
 _MAX_MOMENTS = 600
-_SIZE = 800  # pixels of the longer side
-_SPEED = 4.0
-#: What a film in a file of its own needs, which a report's style sheet has for the others.
+_SIZE = 800  # longer side of the image [pixels]
+_SPEED = 4.0  # game time per time of the film
+#: Attributes for a film in its own file. In a report, the style sheet sets them.
 _OWN_FILE = ' xmlns="http://www.w3.org/2000/svg"'
 _OWN_ROAD = ' fill="none" stroke="#b3bdcb" stroke-linecap="round"'
 _LOOP = 'begin="0s" repeatCount="indefinite"'
 
-#: A place on an axis [m].
+#: A coordinate [m].
 _Metres = Annotated[float, Within(-1e6, 1e6)]
 
 
 @dataclass(frozen=True, slots=True)
 class MapFilm(Document):
-    """Where the karts of a race were. All places are x and z in the world frame [m].
+    """The locations of karts during a race, as x and z in the world frame [m].
 
     Attributes:
-        track: its name.
-        interval: game time from one moment to the next [s].
+        track: name of the track.
+        interval: game time between two moments [s].
         width: median width of the road [m].
         road: start and end of each segment of the centre line: x, z, x, z.
-        karts: of each agent by label, x and z of each moment, one after the other.
+        karts: by label of the agent, x and z of its kart at each moment, in one sequence.
     """
 
     kind: ClassVar[str] = "map-film"
@@ -57,13 +57,13 @@ class MapFilm(Document):
             raise ConfigError("the karts of the film have different moments, or half a place")
 
     def to_json(self) -> str:
-        """The film as JSON, in one line."""
+        """Returns the film as one line of JSON."""
         values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
         return json.dumps(values, separators=(",", ":"), allow_nan=False)
 
 
 class FilmRecorder(RaceListener):
-    """Records the film of the race that it listens to."""
+    """A race listener that records a film."""
 
     def __init__(self) -> None:
         self._places: list[list[list[float]]] = []
@@ -91,7 +91,7 @@ class FilmRecorder(RaceListener):
             self._add(race)
 
     def film(self) -> MapFilm:
-        """The film so far."""
+        """Returns the film recorded so far. Call it after the race has started."""
         film = self._film
         assert film is not None  # noqa: S101 - the race has started
         ways = np.array(self._places).transpose(1, 0, 2).reshape(len(film.karts), -1)
@@ -109,22 +109,22 @@ def _rounded(places: npt.NDArray[np.float32]) -> list[list[float]]:
 
 
 def draw_film(film: MapFilm, name: str, *, is_looped: bool = False) -> tuple[str, dict[str, str]]:
-    """Draws a film as an SVG picture that plays when you click it.
+    """Draws a film as an SVG image that plays on a click.
 
     Args:
         film: the film.
-        name: the picture's id in its page.
-        is_looped: whether it is a file of its own that plays by itself, again and again.
+        name: id of the SVG element in its page.
+        is_looped: whether the film is a separate file that plays automatically in a loop.
 
     Returns:
-        The picture, and the colour of each agent by label.
+        The SVG, and the colour of each agent by label.
     """
     road = np.array(film.road).reshape(-1, 2, 2)
     low, high = road.min((0, 1)) - film.width, road.max((0, 1)) + film.width
     scale = _SIZE / float((high - low).max())
 
     def pixels(places: Any) -> npt.NDArray[np.int64]:
-        """Pixels of places; north is up."""
+        """Converts locations to pixels, with z pointing up."""
         moved = (np.array(places).reshape(-1, 2) - low) * scale
         return np.rint([moved[:, 0], (high - low)[1] * scale - moved[:, 1]]).astype(np.int64)
 
@@ -151,7 +151,7 @@ def draw_film(film: MapFilm, name: str, *, is_looped: bool = False) -> tuple[str
 
 
 def _moving(way: npt.NDArray[np.int64], colour: str, timing: str, interval: float) -> str:
-    """A dot that moves along pixels ``(2, moments)``."""
+    """Returns the SVG of a dot that moves along pixels ``(2, moments)``."""
     seconds = max((way.shape[1] - 1) * interval / _SPEED, 0.1)
     moves = "".join(
         f'<animate attributeName="{axis}" values="{";".join(map(str, values))}" '

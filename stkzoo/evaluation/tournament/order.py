@@ -1,4 +1,4 @@
-"""One race of a tournament: agents of servers take part, and it leaves a replay and a film."""
+"""One race of a tournament, which can include agents on servers and stores a replay and a film."""
 
 from __future__ import annotations
 
@@ -22,15 +22,19 @@ class TournamentOrder(RaceOrder):
     """One race of a tournament.
 
     Attributes:
-        served: for each driver the agent of a server, or ``None``.
-        access: how to reach the servers.
+        served: for each driver, its agent on a server; ``None`` for a driver that runs here.
+        access: how to connect to the servers.
     """
 
     served: tuple[ServedAgent | None, ...] = ()
     access: ServerAccess | None = None
 
     def run(self, folder: Path) -> RaceResult:
-        """Runs the race, in a worker process, and stores its replay and its film."""
+        """Runs the race in a worker process, and stores its replay and film.
+
+        Args:
+            folder: folder of the tournament.
+        """
         replay, film = replay_file(folder, self.number), film_file(folder, self.number)
         for file in (replay, film):
             file.parent.mkdir(exist_ok=True)
@@ -46,7 +50,7 @@ class TournamentOrder(RaceOrder):
         return result
 
     def suspects(self) -> tuple[int, ...]:
-        """See :class:`RaceOrder`; agents of servers run elsewhere."""
+        """See :meth:`RaceOrder.suspects`. Agents on servers run elsewhere, so they are excluded."""
         here = replace(
             self,
             drivers=tuple(
@@ -57,7 +61,7 @@ class TournamentOrder(RaceOrder):
         return RaceOrder.suspects(here)
 
     def _all_drivers(self, resources: ExitStack) -> list[str | Driver]:
-        """The drivers, connected as long as ``resources`` lasts."""
+        """Returns the drivers. Connections to servers are closed with ``resources``."""
         remote = [agent for agent in self.served if agent]
         if not remote:
             return [*self.drivers]
@@ -70,10 +74,10 @@ class TournamentOrder(RaceOrder):
 
 
 def replay_file(folder: Path, number: int) -> Path:
-    """The file of a race's replay in the tournament's folder."""
+    """Returns the file of a race's replay in the tournament's folder."""
     return folder / "replays" / f"{number:05d}.stkz"
 
 
 def film_file(folder: Path, number: int) -> Path:
-    """The file of a race's film in the tournament's folder."""
+    """Returns the file of a race's film in the tournament's folder."""
     return folder / "films" / f"{number:05d}.json"

@@ -1,4 +1,4 @@
-"""A tournament: its plan, checked before the first race, and its result."""
+"""The plan of a tournament, which is checked before the first race, and its result."""
 
 from __future__ import annotations
 
@@ -46,15 +46,15 @@ _MAX_SEED = 2**62
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TournamentPlan(BatchPlan["TournamentResult"]):
-    """A whole tournament, from which its schedule follows.
+    """The plan of a tournament. It determines the schedule.
 
     Attributes:
         entrants: the agents.
-        races: number of races of the first agents.
-        per_race: agents per race.
-        seed: of the schedule; race ``i`` has the seed ``seed + i``.
-        additions: number of agents that joined later, each time; they are the last entrants.
-        access: how to reach the agents that servers have.
+        races: number of races among the initial agents.
+        per_race: number of agents per race.
+        seed: seed of the schedule; race ``i`` has the seed ``seed + i``.
+        additions: number of agents in each later addition; these agents are the last entrants.
+        access: how to connect to the servers of agents.
     """
 
     kind: ClassVar[str] = "tournament-plan"
@@ -84,7 +84,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
 
     @property
     def num_races(self) -> int:
-        """Number of all races, with those of agents that joined later."""
+        """Total number of races, including those of agents that joined later."""
         return self.races + sum(map(self._races_for, self.additions))
 
     @property
@@ -92,12 +92,12 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         return len(self.entrants) - sum(self.additions)
 
     def _races_for(self, newcomers: int) -> int:
-        """Races in which newcomers get as many starts as each of the first agents has."""
+        """Returns the number of races that give newcomers as many starts as each initial agent."""
         starts = math.ceil(self.races * self.per_race / self._num_first)
         return math.ceil(starts * newcomers / newcomer_seats(newcomers, self.per_race))
 
     def schedule(self) -> tuple[ScheduledRace, ...]:
-        """All races."""
+        """Returns all races, in order."""
         known = self._num_first
         races = make_schedule(known, self.tracks, self.races, self.per_race, self.seed)
         for count in self.additions:
@@ -106,7 +106,11 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         return races
 
     def continued(self, other: TournamentPlan) -> TournamentPlan:
-        """This tournament with the agents that another plan has besides this one's."""
+        """Returns this plan, extended by the agents that only another plan has.
+
+        Args:
+            other: the other plan. It must include all agents of this plan; otherwise none is added.
+        """
         own, asked = ({entry.text for entry in plan.entrants} for plan in (self, other))
         new = tuple(entry for entry in other.entrants if entry.text not in own)
         kept = replace(self, access=other.access or self.access)
@@ -115,7 +119,14 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         return replace(kept, entrants=(*self.entrants, *new), additions=(*self.additions, len(new)))
 
     def differences(self, other: TournamentPlan) -> list[str]:
-        """What differs in another plan, as sentences; the order of later agents does not count."""
+        """Describes how another plan differs. The order of agents does not matter after additions.
+
+        Args:
+            other: the other plan.
+
+        Returns:
+            One sentence per difference.
+        """
         if self.additions:
             place = {entry.text: number for number, entry in enumerate(self.entrants)}
             last = len(place)
@@ -128,7 +139,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         return {name: values[name] for name in values if name not in ("additions", "access")}
 
     def orders(self) -> list[TournamentOrder]:
-        """All races, ready to run."""
+        """Returns the orders of all races."""
         return [
             TournamentOrder(
                 race.number,
@@ -142,7 +153,11 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         ]
 
     def summarize(self, results: Mapping[int, RaceResult], _: Path) -> TournamentResult:
-        """The standings after the races that have been run."""
+        """Returns the result after the races that have been run.
+
+        Args:
+            results: results of races by number.
+        """
         races = tuple(RaceSummary.of(number, results[number]) for number in sorted(results))
         number_of = {entrant.label: number for number, entrant in enumerate(self.entrants)}
         orders = [[number_of[label] for label in race.order] for race in races]
@@ -168,13 +183,13 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         )
 
     def draw(self, result: TournamentResult, path: Path) -> None:
-        """Plots the result into a file."""
+        """Plots the result to a file."""
         plot_tournament(result, path)
 
     def report(
         self, result: TournamentResult, results: Mapping[int, RaceResult], folder: Path
     ) -> None:
-        """Writes the report's page and tables."""
+        """Writes the page and tables of the report."""
         TournamentReport(folder, result, results).write(folder)
 
     def require_libraries(self, plot: bool) -> None:
@@ -199,17 +214,17 @@ def plan_tournament(
     Args:
         agents: names of drivers, paths of folders and zips, or modules; append ``@:Name`` to
             rename one.
-        servers: servers whose agents take part too.
-        tracks: names, or ``"train"``, ``"test"`` or ``"all"``.
+        servers: servers whose agents also take part.
+        tracks: names of tracks, or ``"train"``, ``"test"`` or ``"all"``.
         races: number of races.
-        per_race: agents per race; by default 4, or all if there are fewer.
-        seed: of the schedule; race ``i`` has the seed ``seed + i``.
-        settings: of every race.
+        per_race: number of agents per race; by default 4, or all if there are fewer.
+        seed: seed of the schedule; race ``i`` has the seed ``seed + i``.
+        settings: settings of every race.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
             ``settings``.
 
     Raises:
-        ConfigError: an argument is invalid, or there is no such agent or track.
+        ConfigError: an argument is invalid, or an agent or track does not exist.
         RemoteError: a server does not answer.
         AssetError: the game's data is missing.
     """
@@ -233,7 +248,7 @@ def plan_tournament(
 
 
 def _ask(servers: ServerAccess | None) -> tuple[list[ServedAgent], ServerAccess | None]:
-    """The agents of servers, and how to reach them again."""
+    """Returns the agents of servers, and the access without addresses, which the agents store."""
     if servers is None:
         return [], None
     with servers.connect() as group:
@@ -246,12 +261,12 @@ class TournamentResult(Document):
 
     Attributes:
         plan: the tournament.
-        standings: one per agent, best first.
-        ahead: ``ahead[i][j]``: in how many races the agent of ``standings[i]`` finished ahead
-            of that of ``standings[j]``.
+        standings: standings of the agents, best first.
+        ahead: ``ahead[i][j]`` is the number of races in which the agent of ``standings[i]``
+            finished ahead of the agent of ``standings[j]``.
         races: the races that have been run.
-        sandboxes: of the agents from files in these races.
-        protections: what was withheld or limited in all of them
+        sandboxes: sandboxes of the agents from files in these races.
+        protections: protections that applied in all races with agents from files
             (:func:`stkzoo.drivers.sandbox.protections`).
     """
 
@@ -282,16 +297,24 @@ class TournamentResult(Document):
 
     @property
     def errors(self) -> int:
-        """How often agents failed."""
+        """Total number of failures of agents."""
         return sum(row.errors for row in self.standings)
 
     def payoff(self, one: int, two: int) -> float | None:
-        """The share of their races in which one agent of ``standings`` beat another."""
+        """Returns the fraction of their shared races in which one agent beat another.
+
+        Args:
+            one: index of the first agent in ``standings``.
+            two: index of the second agent in ``standings``.
+
+        Returns:
+            The fraction of races that the first agent won; ``None`` if they share no race.
+        """
         won, lost = self.ahead[one][two], self.ahead[two][one]
         return won / (won + lost) if won + lost else None
 
     def to_dict(self) -> dict[str, Any]:
-        """The result as JSON values."""
+        """Returns the result as JSON values."""
         everybody = range(len(self.standings))
         rating_model = {
             "name": "plackett-luce",
@@ -311,18 +334,19 @@ def run_tournament(
 ) -> TournamentResult:
     """Runs a tournament, or resumes it if it was started in ``output``.
 
-    Agents that were not in it before get races of their own; no race is repeated.
+    When a tournament resumes with additional agents, it gets additional races for them. No race is
+    repeated.
 
     Args:
         agents: the agents; see :func:`~stkzoo.evaluation.plan_tournament`.
-        output: a folder of its own, for every race's result and finally ``result.json`` and
-            ``tournament.png``.
+        output: folder of the tournament. It stores the result of each race, ``result.json``,
+            ``tournament.png`` and the report.
         options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
             :class:`~stkzoo.evaluation.RunOptions`; all others as for
             :func:`~stkzoo.evaluation.plan_tournament`.
 
     Raises:
-        ConfigError: an argument is invalid, a library is missing, or ``output`` has another
+        ConfigError: an argument is invalid, a library is missing, or ``output`` contains another
             tournament.
         AssetError: the game's data is missing.
         BatchError: some races could not be run.
@@ -332,11 +356,11 @@ def run_tournament(
 
 
 def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> TournamentResult:
-    """Resumes the tournament that was started in a folder.
+    """Resumes a tournament.
 
     Args:
         folder: the ``output`` of :func:`run_tournament`.
-        options: as in :class:`~stkzoo.evaluation.RunOptions`.
+        options: arguments of :class:`~stkzoo.evaluation.RunOptions`.
 
     Raises: as :func:`run_tournament`.
     """
@@ -348,12 +372,16 @@ def resumed_plan(
     agents: Sequence[str] = (),
     servers: ServerAccess | None = None,
 ) -> TournamentPlan:
-    """The plan of the tournament in a folder, with the present software and agents' files.
+    """Returns the plan of a tournament with the current versions of software and agents' files.
 
     Args:
-        folder: of the tournament.
-        agents: agents that join it.
-        servers: servers whose agents join it.
+        folder: folder of the tournament.
+        agents: agents that join the tournament.
+        servers: servers whose agents join the tournament.
+
+    Raises:
+        ConfigError: there is no plan, or an agent is invalid.
+        RemoteError: a server does not answer.
     """
     plan = TournamentPlan.load(Path(folder) / PLAN_FILE)
     entrants = tuple(entry.now() for entry in plan.entrants)
@@ -368,10 +396,13 @@ def resumed_plan(
 
 
 def load_races(folder: Path) -> tuple[TournamentResult, dict[int, RaceResult]]:
-    """The result of a tournament so far, and its races by number.
+    """Returns the current result of a tournament, and the results of its races by number.
+
+    Args:
+        folder: folder of the tournament.
 
     Raises:
-        ConfigError: there is no tournament, or a race is damaged.
+        ConfigError: there is no tournament, or the file of a race is damaged.
     """
     plan = TournamentPlan.load(folder / PLAN_FILE)
     races = load_orders(plan.orders(), folder)
@@ -379,12 +410,12 @@ def load_races(folder: Path) -> tuple[TournamentResult, dict[int, RaceResult]]:
 
 
 def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:
-    """The result of a tournament so far, without running anything.
+    """Returns the current result of a tournament without running any race.
 
     Args:
-        path: its folder, or a ``result.json``.
+        path: folder of the tournament, or a ``result.json``.
 
     Raises:
-        ConfigError: there is none, it is damaged, or a library is missing.
+        ConfigError: there is no result, a file is damaged, or a library is missing.
     """
     return load_batch(TournamentPlan, TournamentResult, path)

@@ -1,4 +1,4 @@
-"""Plots a tournament: ratings with intervals, and who beats whom."""
+"""Plots of a tournament: ratings with intervals, and head-to-head results."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 
 def plot_tournament(result: TournamentResult, path: str | os.PathLike[str]) -> None:
-    """Plots a tournament into a file, atomically.
+    """Plots a tournament to a file, which is written atomically.
 
     Args:
-        result: the tournament.
-        path: the file; its ending selects the format, such as ``.png`` or ``.svg``.
+        result: result of the tournament.
+        path: the file; its suffix selects the format, such as ``.png`` or ``.svg``.
 
     Raises:
         ConfigError: matplotlib is not installed, or the file cannot be written.

@@ -1,7 +1,7 @@
 """The report of a tournament: one page without scripts, and tables as CSV.
 
-The page loads nothing, and its content security policy forbids scripts and requests. Agents choose
-their names and errors, so every text of theirs goes through :func:`html.escape`.
+The page loads no other files, and its content security policy forbids scripts and requests. Agents
+control their names and error texts, so :func:`html.escape` is applied to all of them.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _FILMS = 6
 _MAX_TRACE = 4000  # characters
 _KINDS = {"start": "could not be loaded", "timeout": "took too long", "error": "raised an error"}
-#: A spreadsheet would run a cell that begins with one of these.
+#: Prefixes with which a spreadsheet interprets a cell as a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 @dataclass(frozen=True)
 class TournamentReport:
-    """A tournament's page and tables.
+    """The page and tables of a tournament.
 
     Attributes:
-        folder: of the tournament.
-        result: the tournament.
-        races: results of its races, by number.
-        is_public: leave out error messages, tracebacks, addresses, paths and replays.
+        folder: folder of the tournament.
+        result: result of the tournament.
+        races: results of its races by number.
+        is_public: whether to leave out error messages, tracebacks, addresses, paths and replays.
         title: heading of the page.
-        films: numbers of the races to film; ``None`` for those of the best agents.
+        films: numbers of the races with a film; ``None`` for races of the best agents.
     """
 
     folder: Path
@@ -58,7 +58,11 @@ class TournamentReport:
         self._places.update({row.label: row.place for row in self.result.standings})
 
     def write(self, place: Path, page: str = "report.html") -> None:
-        """Writes the page, ``standings.csv`` and ``races.csv`` into a folder.
+        """Writes the page, ``standings.csv`` and ``races.csv`` to a folder.
+
+        Args:
+            place: the folder.
+            page: file name of the page.
 
         Raises:
             ConfigError: a file cannot be written.
@@ -70,7 +74,7 @@ class TournamentReport:
     # ------------------------------------------------------------------ tables
 
     def standings_csv(self) -> str:
-        """The standings: one line for each agent."""
+        """Returns the standings as CSV, with one line per agent."""
         names = ("place", "label", "races", "wins", "mean_rank", "finished", "retired", "mean_time")
         head = ("place", "agent", *names[2:], "rating", "low", "high", "reason")
         rows = [
@@ -83,7 +87,7 @@ class TournamentReport:
         return _csv([head, *rows])
 
     def races_csv(self) -> str:
-        """All races: one line for each agent of each race."""
+        """Returns all races as CSV, with one line per agent and race."""
         names = ("start_position", "rank", "status", "finish_time", "distance", "num_errors")
         head = ("race", "track", "seed", "agent", *names, "error")
         rows = [
@@ -100,7 +104,7 @@ class TournamentReport:
     # ------------------------------------------------------------------ the page
 
     def page(self) -> str:
-        """The page as HTML."""
+        """Returns the page as HTML."""
         style = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
         parts = (self._standings(), self._matrix(), self._films(), self._agents())
         return (
@@ -267,7 +271,7 @@ class TournamentReport:
         return f' <a href="{file.relative_to(self.folder).as_posix()}">replay</a>'
 
     def _error_of(self, row: AgentResult) -> str:
-        """An agent's first failure in a race, in one line; empty if there was none."""
+        """Returns an agent's first failure in a race as one line; empty without failures."""
         if not row.errors:
             return ""
         first = row.errors[0]
@@ -295,7 +299,7 @@ def _csv(rows: Iterable[Sequence[object]]) -> str:
 
 
 def _cells(row: Sequence[object]) -> list[object]:
-    """A line in which no text is a spreadsheet's formula."""
+    """Returns a row in which a quote precedes texts that a spreadsheet would run as formulas."""
     return [f"'{v}" if isinstance(v, str) and v.startswith(_FORMULA) else v for v in row]
 
 
@@ -309,19 +313,19 @@ def write_report(
     """Writes the report of a tournament, which may still be running.
 
     Args:
-        folder: of the tournament.
-        publish: a folder for the page, as ``index.html``, and the tables, without error messages,
-            tracebacks, addresses, paths and replays; ``None`` for ``report.html`` with all of it
-            in the tournament's folder.
+        folder: folder of the tournament.
+        publish: a folder for a public report: ``index.html`` and the tables, without error
+            messages, tracebacks, addresses, paths and replays. With ``None``, the full report is
+            written to ``report.html`` and the tables in the tournament's folder.
         title: heading of the page.
-        films: numbers of the races to film; by default those of the best agents.
+        films: numbers of the races with a film; by default, races of the best agents.
 
     Returns:
-        The page.
+        The path of the page.
 
     Raises:
-        ConfigError: there is no tournament, a race is damaged or no race ended, or a file cannot
-            be written.
+        ConfigError: there is no tournament, no race has ended, the file of a race is damaged, or
+            a file cannot be written.
     """
     from stkzoo.errors import ConfigError
     from stkzoo.evaluation.tournament.plan import load_races

@@ -1,4 +1,4 @@
-"""A schedule of races that is as balanced as the numbers allow."""
+"""Balanced schedules of races."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-#: A race or a group of an agent's races, and by node and place the other end of that edge.
+#: A node of the graph in :func:`_grids`: a race, or a group of races of one agent.
 Node = tuple[str, int]
+#: The other end of each coloured edge, by node and place.
 Ends = dict[tuple[Node, int], Node]
-#: Swaps tried to even out who meets whom, a place in a race; and at most.
+#: Number of attempted swaps to balance meetings of agents, per seat in a race; and the maximum.
 _TRIES, _MOST_TRIES = 60, 200_000
 
 
@@ -20,10 +21,10 @@ class ScheduledRace:
     """One race of a tournament.
 
     Attributes:
-        number: counts the races, from 0.
-        track: the track's name.
-        seed: of all random choices in the race.
-        grid: the agents' numbers, in the order of the grid.
+        number: number of the race, from 0.
+        track: name of the track.
+        seed: seed of all random choices in the race.
+        grid: numbers of the agents in grid order.
     """
 
     number: int
@@ -35,19 +36,19 @@ class ScheduledRace:
 def make_schedule(
     num_agents: int, tracks: Sequence[str], num_races: int, per_race: int, seed: int = 0
 ) -> tuple[ScheduledRace, ...]:
-    """A schedule that favours no agent.
+    """Returns a schedule that favours no agent.
 
-    Of these counts no two differ by more than one: the races of each track; the races of
-    each agent, altogether and on each track; the races of one agent from each grid place.
-    Exchanging agents between races evens out how often two agents meet. No two races
-    have the same seed.
+    The following counts differ by at most one: the number of races on each track; the number of
+    races of each agent, in total and on each track; and the number of races of an agent from each
+    grid place. Agents are swapped between races, so that pairs of agents meet about equally often.
+    Every race has a different seed.
 
     Args:
         num_agents: number of agents.
         tracks: the tracks, each named once.
         num_races: number of races.
-        per_race: agents per race, at most ``num_agents``.
-        seed: the same arguments give the same schedule.
+        per_race: number of agents per race, at most ``num_agents``.
+        seed: seed of the schedule. The same arguments return the same schedule.
     """
     chance = random.Random(seed)
     order = list(tracks)
@@ -55,7 +56,7 @@ def make_schedule(
     counts = [len(range(first, num_races, len(order))) for first in range(len(order))]
     blocks = _deal(num_agents, counts, per_race, chance)
     _even_out_meetings(blocks, chance)
-    # One race of each track in turn, so that a part of the tournament is balanced too.
+    # Tracks alternate, so that an unfinished tournament is also balanced.
     turns = itertools.zip_longest(*blocks)
     races = [
         (track, agents)
@@ -73,17 +74,17 @@ def make_schedule(
 def extend_schedule(
     races: Sequence[ScheduledRace], num_agents: int, num_newcomers: int, count: int, seed: int = 0
 ) -> tuple[ScheduledRace, ...]:
-    """More races, in which newcomers meet the agents of the races so far.
+    """Returns additional races, in which newcomers meet the existing agents.
 
-    Each race has up to half newcomers. Newcomers have equally often a seat, up to one race, on each
-    track; so have the other agents.
+    At most half of the agents in a race are newcomers. On each track, the numbers of races of
+    newcomers differ by at most one; the same holds for the existing agents.
 
     Args:
-        races: the races so far; the new ones follow with their numbers and seeds.
-        num_agents: number of agents so far.
-        num_newcomers: number of new agents, whose numbers follow.
+        races: the existing races. Numbers and seeds of the new races follow theirs.
+        num_agents: number of existing agents.
+        num_newcomers: number of new agents. Their numbers follow those of the existing agents.
         count: number of new races.
-        seed: the same arguments give the same schedule.
+        seed: seed of the schedule. The same arguments return the same schedule.
     """
     per_race = len(races[0].grid)
     tracks = list(dict.fromkeys(race.track for race in races))
@@ -102,17 +103,17 @@ def extend_schedule(
 
 
 def newcomer_seats(num_newcomers: int, per_race: int) -> int:
-    """Newcomers in each race of :func:`extend_schedule`."""
+    """Returns the number of newcomers in each race of :func:`extend_schedule`."""
     return min(num_newcomers, per_race // 2)
 
 
 def _deal(
     num_agents: int, counts: Sequence[int], per_race: int, chance: random.Random
 ) -> list[list[list[int]]]:
-    """The agents of each race of each track, dealt in turn like cards.
+    """Returns the agents of each race of each track, dealt in turn like cards.
 
-    Any number of races in a row have each agent equally often, up to one; so do the races
-    of a track, and all of them.
+    In any sequence of consecutive races, the numbers of races of the agents differ by at most one.
+    This includes the races of one track, and all races.
     """
     agents = list(range(num_agents))
     chance.shuffle(agents)
@@ -121,7 +122,7 @@ def _deal(
 
 
 def _even_out_meetings(blocks: Sequence[list[list[int]]], chance: random.Random) -> None:
-    """Exchanges agents between races of one track as long as meetings get more even."""
+    """Swaps agents between races of one track where this balances meetings of agents."""
     meetings: Counter[tuple[int, int]] = Counter()
     for race in itertools.chain.from_iterable(blocks):
         meetings.update(_pair(a, b) for a, b in itertools.combinations(race, 2))
@@ -144,7 +145,7 @@ def _exchange_if_better(
     come = [_pair(other, a) for a in mates] + [_pair(mine, a) for a in others]
     change: Counter[tuple[int, int]] = Counter(come)
     change.subtract(gone)
-    # The change of the sum of squares of all counts.
+    # The swap must not increase the sum of squares of all counts.
     if sum(delta * (2 * meetings[pair] + delta) for pair, delta in change.items()) <= 0:
         meetings.update(change)
         first[first.index(mine)], second[second.index(other)] = other, mine
@@ -157,12 +158,12 @@ def _pair(one: int, two: int) -> tuple[int, int]:
 def _grids(
     num_agents: int, races: Sequence[tuple[str, list[int]]], chance: random.Random
 ) -> list[tuple[int, ...]]:
-    """Each race's agents in an order such that all have all places equally often.
+    """Returns the agents of each race in grid order, with each agent equally often at each place.
 
-    Each agent's races, those of one track together, are cut into groups of as many as
-    there are places; within a group no place comes twice. That is the colouring of the edges
-    of a graph between races and groups with the places as colours, which König's theorem
-    says there is, and which his exchange of two colours along a path finds.
+    The races of each agent, sorted by track, are split into groups with as many races as there are
+    places. Within a group, each place occurs at most once. This is an edge colouring of the
+    bipartite graph of races and groups, with places as colours. König's theorem says that it
+    exists; exchanging two colours along an alternating path finds it.
     """
     size = len(races[0][1]) if races else 0
     group_of: dict[tuple[int, int], int] = {}
@@ -185,7 +186,7 @@ def _grids(
 
 
 def _colour(race: Node, group: Node, ends: Ends, size: int, chance: random.Random) -> None:
-    """Gives one more edge a place that is free at both of its ends."""
+    """Assigns to another edge a place that is free at both ends, after an exchange if needed."""
     free_here = [place for place in range(size) if (race, place) not in ends]
     free_there = [place for place in range(size) if (group, place) not in ends]
     both = [place for place in free_here if place in free_there]
@@ -198,7 +199,7 @@ def _colour(race: Node, group: Node, ends: Ends, size: int, chance: random.Rando
 
 
 def _exchange_places(start: Node, first: int, second: int, ends: Ends) -> None:
-    """Exchanges two places along the path that leaves a node by ``first``."""
+    """Exchanges two places along the alternating path that leaves a node by ``first``."""
     path, node, places = [], start, itertools.cycle((first, second))
     while (node, place := next(places)) in ends:
         other = ends[node, place]

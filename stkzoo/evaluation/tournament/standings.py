@@ -1,4 +1,4 @@
-"""The standings of a tournament: what each race and each agent came to."""
+"""The standings of a tournament: summaries of its races and the results of each agent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,15 @@ _MAX_REASON = 200
 
 @dataclass(frozen=True, slots=True)
 class RaceSummary:
-    """One race: number, track, seed, status, and the agents in finishing order."""
+    """The summary of one race.
+
+    Attributes:
+        number: number of the race.
+        track: name of the track.
+        seed: seed of the race.
+        status: why the race ended.
+        order: labels of the agents in finishing order.
+    """
 
     number: Count
     track: str
@@ -28,7 +36,12 @@ class RaceSummary:
 
     @classmethod
     def of(cls, number: int, result: RaceResult) -> RaceSummary:
-        """The summary of a race. Agents that were removed because they failed are last."""
+        """Returns the summary of a race. Agents that were removed after a failure come last.
+
+        Args:
+            number: number of the race.
+            result: result of the race.
+        """
         rows = sorted(result.agents, key=lambda row: (row.status == "retired", row.rank))
         order = tuple(row.driver for row in rows)
         return cls(number, result.track, result.seed, result.status, order)
@@ -39,19 +52,19 @@ class Standing:
     """The results of one agent.
 
     Attributes:
-        place: by rating, 1 is best.
-        label: its name.
-        source: its driver name or path.
-        rating: its rating, with an interval.
-        races: races it was in.
-        wins: races it won.
-        mean_rank: its mean rank in them; ``None`` without races.
-        finished: races it finished.
-        retired: races it was removed from because it failed.
-        errors: how often it failed.
-        mean_time: mean time of the races it finished [s]; ``None`` without.
-        track_ranks: its mean rank on each track it raced on.
-        reason: its most frequent failure, in one line; empty without failures.
+        place: place by rating; 1 is best.
+        label: name of the agent.
+        source: driver name or path of the agent.
+        rating: rating with an interval.
+        races: number of races.
+        wins: number of races won.
+        mean_rank: mean rank; ``None`` without races.
+        finished: number of races finished.
+        retired: number of races from which the agent was removed after a failure.
+        errors: number of failures.
+        mean_time: mean finish time [s]; ``None`` if the agent finished no race.
+        track_ranks: mean rank on each track.
+        reason: the most frequent failure as one line; empty without failures.
     """
 
     place: Whole
@@ -77,14 +90,14 @@ class Standing:
         races: Sequence[RaceSummary],
         results: Mapping[int, RaceResult],
     ) -> Standing:
-        """The results of an agent in some races.
+        """Returns the results of an agent.
 
         Args:
             entrant: the agent.
-            place: by rating.
-            rating: its rating.
+            place: place by rating.
+            rating: rating of the agent.
             races: all races.
-            results: of these, by number.
+            results: results of all races by number.
         """
         own = [race for race in races if entrant.label in race.order]
         ranks = [race.order.index(entrant.label) + 1 for race in own]
@@ -112,7 +125,7 @@ class Standing:
 
 
 def _reason(rows: Sequence[AgentResult]) -> str:
-    """The most frequent first failure of an agent, in one line."""
+    """Returns an agent's most frequent first failure in a race as one line; empty if none."""
     firsts = (" ".join(row.errors[0].message.split()) for row in rows if row.errors)
     most = Counter(text[:_MAX_REASON] for text in firsts).most_common(1)
     return most[0][0] if most else ""
