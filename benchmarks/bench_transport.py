@@ -6,11 +6,12 @@
 The same race runs in process and in the default worker, a few steps each in turn. The figures per
 step are:
 
-- ``step``: time of the worker's step minus that of the in-process step; - ``outside the engine``:
-the same without the time inside ``pystk2.Race.step``, whose noise exceeds the measured difference;
-this is the cost of the transport; - ``pipes alone``: the lower bound, measured right afterwards:
-two processes that send the same number of bytes back and forth over pipes, while the other process
-is busy for as long as the engine.
+- ``step``: time of the worker's step minus that of the in-process step;
+- ``outside the engine``: the same without the time inside ``pystk2.Race.step``, whose noise exceeds
+  the measured difference; this is the cost of the transport;
+- ``pipes alone``: the lower bound, measured right afterwards: two processes that send the same
+  number of bytes back and forth over pipes, while the other process is busy for as long as the
+  engine.
 
 ``--cores 1`` pins program and game to one core, so that no wake-up crosses cores.
 """

@@ -102,7 +102,7 @@ class EngineError(StkzooError):
     """
 
     def __init__(self, message: str, log: str = "") -> None:
-        text = f"{message}\nThe game's last lines:\n{log}" if log else message
+        text = f"{message}\nLast output of the game:\n{log}" if log else message
         super().__init__(text)
         self.message = message
         self.log = log

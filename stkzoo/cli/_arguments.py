@@ -119,7 +119,7 @@ def directions_option(*default: str) -> Any:
     Args:
         *default: names of the default directions.
     """
-    return option(default, choices=list(DIRECTIONS), help="ways to drive the tracks")
+    return option(default, choices=list(DIRECTIONS), help="directions to drive the tracks")
 
 
 def chosen_directions(arguments: argparse.Namespace) -> list[bool]:

@@ -23,7 +23,7 @@ _SPEEDS = {"1": 1.0, "2": 2.0, "4": 4.0, "max": None}
 def add_replay_options(parser: CommandParser) -> None:
     """Adds the option ``--replay``."""
     parser.group("output").add_argument(
-        "--replay", metavar="FILE", help="record the race into FILE (.stkz), for stkzoo replay"
+        "--replay", metavar="FILE", help="record the race to FILE (.stkz), for stkzoo replay"
     )
 
 

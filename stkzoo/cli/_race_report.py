@@ -79,7 +79,7 @@ class RaceBar(RaceListener):
         is_won = leader >= race.race_length
         self._bars.update(
             self._task,
-            description="the others come in" if is_won else "the leader",
+            description="waiting for the others" if is_won else "the leader",
             total=race.race_length,
             completed=leader,
             way=f"{leader:4.0f} of {race.race_length:.0f} m, "
@@ -100,7 +100,7 @@ def show_race(result: RaceResult) -> None:
     show_table(columns, map(_race_cells, result.agents), left=_TEXT_COLUMNS, styles=styles)
     reason = _ENDINGS.get(result.status, result.status)
     say(
-        f"Over after {result.steps} steps, in {result.race_time:.1f} s of game time"
+        f"Ended after {result.steps} steps, in {result.race_time:.1f} s of game time"
         f"{f' ({reason})' if reason else ''}; it took {result.wall_time:.1f} s."
     )
     for row in result.agents:

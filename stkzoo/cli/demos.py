@@ -145,7 +145,7 @@ def _finish(arguments: argparse.Namespace, demos: Demonstrations, file: Path) ->
         return 0
     found = check_demonstrations(demos)
     if found.is_exact:
-        print(f"driven again, the first race is the same: {found.steps:,} steps, to the last bit")
+        print(f"the first race, driven again, is identical: {found.steps:,} steps")
         return 0
     step = found.first_difference
     print(f"stkzoo: driven again, the first race differs from step {step} on", file=sys.stderr)

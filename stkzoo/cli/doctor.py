@@ -71,7 +71,11 @@ def _write_table(findings: list[Finding], ready: bool) -> None:
         styles.append(None if finding.ok else "red" if finding.required else "yellow")
     columns = ("", "check", "found", "remedy")
     show_table(columns, rows, left=columns, styles=styles)
-    say("A headless race can run here." if ready else "No race can run here yet: see above.")
+    say(
+        "A headless race can run here."
+        if ready
+        else "Headless races cannot run here yet; see above."
+    )
 
 
 @dataclass(frozen=True)

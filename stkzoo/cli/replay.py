@@ -108,14 +108,14 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
     if playback.first_difference is None:
         print(
             f"stkzoo: all {playback.steps} steps are as recorded, but not the result in the file; "
-            f"somebody has changed it: {'; '.join(playback.result_differences)}",
+            f"the file was changed: {'; '.join(playback.result_differences)}",
             file=sys.stderr,
         )
         return
     step = playback.first_difference
     where = f"after step {step}" if step else "on the grid already"
     print(
-        f"stkzoo: the race is another one: {where} a kart is not where it was (the recorded race "
+        f"stkzoo: the race differs: {where} a kart is not where it was (the recorded race "
         f"has {replay.steps} steps). The game's data or the machine may be another; versions "
         f"then: {_versions(replay)}",
         file=sys.stderr,

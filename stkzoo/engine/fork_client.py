@@ -102,7 +102,8 @@ class ForkServerClient:
         except TimeoutError:
             _retire(self)
             raise EngineTimeout(
-                f"the game's fork server gave no answer in {START_TIMEOUT:.0f} s and was ended",
+                f"the game's fork server did not answer within {START_TIMEOUT:.0f} s and was "
+                "stopped",
                 tail(self._log),
             ) from None
         except (EOFError, ConnectionError):

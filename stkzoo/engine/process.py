@@ -128,7 +128,8 @@ class RaceProcess:
             if error["type"] == ConfigError.__name__:
                 raise ConfigError(error["message"])
             raise EngineError(
-                f"the game refused: {error['type']}: {error['message']}\n{error['traceback']}",
+                f"the game reported an error: {error['type']}: {error['message']}\n"
+                f"{error['traceback']}",
                 tail(self.log),
             )
         return frames

@@ -196,7 +196,9 @@ class ProcessSession:
         if is_lost and isinstance(error, (EOFError, OSError)):
             raise EngineCrashed(f"{self.what} {LOST_CONNECTION}; {self.remedy}", log) from None
         if isinstance(error, TimeoutError):
-            message = f"{self.what} gave no answer in {seconds:g} s and was ended; {self.remedy}"
+            message = (
+                f"{self.what} did not answer within {seconds:g} s and was stopped; {self.remedy}"
+            )
             raise EngineTimeout(message, log) from None
         if isinstance(error, (EOFError, OSError)):
             raise EngineCrashed(f"{self.what} {how}; {self.remedy}", log) from None
@@ -347,7 +349,7 @@ def _quiet_output() -> Iterator[None]:
     except EngineError:
         raise
     except Exception as error:
-        raise EngineError(f"the game refused: {error!r}", tail(log)) from error
+        raise EngineError(f"the game reported an error: {error!r}", tail(log)) from error
     finally:
         _flush_c_streams()  # otherwise the game's output appears when this program ends
         for stream, original in originals.items():

@@ -6,10 +6,11 @@ value of each term.
 
 The ``reward`` argument of an environment accepts:
 
-- a name of a built-in reward, such as ``"placement"``; - a mapping that changes the default reward:
-``{"time": 5.0}`` changes a weight, ``{"place": 0}`` removes a term, and ``{"drift": my_term}`` adds
-your own term; - a :class:`Reward` that you define from scratch; - a mapping from agents to any of
-these.
+- a name of a built-in reward, such as ``"placement"``;
+- a mapping that changes the default reward: ``{"time": 5.0}`` changes a weight, ``{"place": 0}``
+  removes a term, and ``{"drift": my_term}`` adds your own term;
+- a :class:`Reward` that you define from scratch;
+- a mapping from agents to any of these.
 
 The default is ``"race"``; the Gymnasium ids of pystk2-gymnasium default to ``"reference"``.
 """

@@ -63,7 +63,8 @@ class CompiledWrapper(RecordedWrapper):
     A wrapper class that lists this class among its direct bases guarantees that
 
     - ``observation`` and ``action`` depend only on their input and the constructor's arguments, and
-    modify neither, unless ``has_memory`` is true; - :meth:`compile_into` describes them completely;
+      modify neither, unless ``has_memory`` is true;
+    - :meth:`compile_into` describes them completely;
     - ``reset`` and ``step`` are Gymnasium's own, and rewards are unchanged.
 
     Subclasses do not inherit the guarantee, because they may break it. A subclass that keeps it

@@ -188,7 +188,7 @@ class TestFinding:
 
     def test_environment_naming_the_data_folder_itself_is_explained(self, headless, monkeypatch):
         monkeypatch.setenv("SUPERTUXKART_DATADIR", str(headless / "data"))
-        with pytest.raises(AssetError, match="the folder above it is meant"):
+        with pytest.raises(AssetError, match="use its parent folder"):
             find_assets()
 
     def test_environment_naming_a_headless_pack_cannot_draw(self, headless, monkeypatch):
@@ -595,7 +595,7 @@ class TestArchive:
     def test_missing_track_is_told(self, archive, cache):
         name = "data/tracks/alps/track.xml"
         rebuild(archive, lambda members: [m for m in members if m[0].name != name])
-        self.refused(archive, "has lost 'tracks/alps/track.xml'", cache)
+        self.refused(archive, "'tracks/alps/track.xml' is missing from", cache)
 
     def test_member_that_comes_twice_is_told(self, archive, cache):
         rebuild(archive, lambda members: [*members, members[-1]])

@@ -99,7 +99,7 @@ def test_a_stopped_game_times_out_and_is_ended(root):
     session.start(SETUP)
     pid = session.pid
     os.kill(pid, signal.SIGSTOP)
-    with pytest.raises(EngineTimeout, match=r"no answer in 0\.3 s"):
+    with pytest.raises(EngineTimeout, match=r"did not answer within 0\.3 s"):
         session.step(full_throttle())
     assert wait_until(lambda: not process_exists(pid))
     assert len(trajectory(session)) > 0

@@ -304,7 +304,7 @@ def test_an_agent_that_ends_the_process_of_its_races_loses_them(tmp_path, settin
     row = next(row for row in result.standings if row.label == killer.stem)
     assert (row.races, row.retired, row.wins) == (2, 2, 0)
     if {"inline", "sandbox"} & {*settings}:
-        assert row.reason == "it ended the process of this race whenever it took part"
+        assert row.reason == "its code ended the race's process"
     assert sum(row.errors for row in result.standings if row.label != killer.stem) == 0
 
 

@@ -117,7 +117,7 @@ def check_shape(root: Path) -> None:
     """
     data = root / "data"
     if not data.is_dir():
-        hint = " (it is a data folder itself: the folder above it is meant)"
+        hint = " (this is a data folder: use its parent folder)"
         above = (root / "stk_config.xml").is_file()
         raise AssetError(f"{root} holds no folder 'data'{hint if above else ''}.")
     for name in ("stk_config.xml", f"supertuxkart.{ENGINE_DATA_VERSION}"):
@@ -140,7 +140,7 @@ def _check_marked(root: Path) -> None:
     files += [f"karts/{name}/kart.xml" for name in marker.karts]
     for name in files:
         if not (root / "data" / name).is_file():
-            raise AssetError(f"{root} has lost {name!r} since it was made.")
+            raise AssetError(f"{name!r} is missing from {root}.")
 
 
 def read_catalog(root: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:

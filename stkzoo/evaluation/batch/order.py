@@ -140,7 +140,7 @@ def _absent(driver: str | Driver) -> Driver:
 
 
 def _refuse(request: DriverRequest) -> NoReturn:
-    raise AgentError("it ended the process of this race whenever it took part", request.agent)
+    raise AgentError("its code ended the race's process", request.agent)
 
 
 def load_orders(orders: Sequence[RaceOrder], folder: Path) -> dict[int, RaceResult]:

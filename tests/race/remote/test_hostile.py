@@ -54,7 +54,7 @@ def test_a_message_that_is_too_large_ends_the_connection_only():
     ("frames", "text"),
     [
         ([b"H"], "received 1 frames"),
-        ([b"H", b"a", b"b", b"c"], "3 frames came"),
+        ([b"H", b"a", b"b", b"c"], "received 3 frames"),
         ([b"H", b"\x01"], "a int came, expected a dict"),
         ([b"H", pack(protocol=99)], f"speaks protocol 99, this one {VERSION}"),
         ([b"H", pack(protocol=np.zeros(3))], "protocol is array"),

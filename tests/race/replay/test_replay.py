@@ -193,7 +193,7 @@ def test_a_result_that_the_race_did_not_come_to_is_told(small, capsys):
     assert expected in playback.result_differences
     assert [row.rank for row in playback.result.agents] == [1, 2]
     assert main(["replay", str(small)]) == 1
-    assert "somebody has changed it" in capsys.readouterr().err
+    assert "the file was changed" in capsys.readouterr().err
 
 
 def test_a_replay_that_differs_can_be_played_to_its_end(small):
