@@ -29,7 +29,7 @@ from gymnasium import spaces
 from stkzoo._installation import install_command
 from stkzoo._os import atomic_write, write_text
 from stkzoo.env.vec.env import RaceVectorEnv, seeds_of_races
-from stkzoo.env.vec.steps import SlotSteps
+from stkzoo.env.vec.steps import InfoDicts, InfoTables, SlotSteps
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views import VIEWS
 
@@ -205,9 +205,12 @@ class RaceVecEnv(VecEnv):
         steps = self.races.wait_slots()
         done = steps.terminations | steps.truncations | ~steps.active
         tracks = [self.races.tracks[number] for number in steps.tracks]
-        infos: list[Any] = [SlotInfo(steps, slot, track) for slot, track in enumerate(tracks)]
+        added = {track: {"track": track, "active": True} for track in {*tracks}}
+        infos: list[Any] = [
+            SlotInfo(steps.infos, slot, added[track]) for slot, track in enumerate(tracks)
+        ]
         for slot in np.flatnonzero(done).tolist():
-            if steps.infos.of_slot(slot):  # the slot's race has started again
+            if steps.infos.keys_of(slot):  # the slot's race has started again
                 self.reset_infos[slot] = self._first_info(steps, slot)
             infos[slot] = self._ended(steps, slot, tracks[slot])
         return self._batch(steps.observations), steps.rewards.astype(np.float32), done, infos
@@ -250,7 +253,8 @@ class RaceVecEnv(VecEnv):
 
     def _first_info(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
         """Returns the info of a slot after a reset."""
-        return {**steps.infos.of_slot(slot), "track": self.races.tracks[steps.tracks[slot]]}
+        track = self.races.tracks[steps.tracks[slot]]
+        return SlotInfo(steps.infos, slot, {"track": track}).copy()
 
     def _ended(self, steps: SlotSteps, slot: int, track: str) -> dict[str, Any]:
         """Returns the info of a slot whose episode ended in this step, or which is idle."""
@@ -274,43 +278,48 @@ class RaceVecEnv(VecEnv):
 
 
 class SlotInfo(Mapping[str, Any]):
-    """Info of a slot whose episode goes on: values are read from the step's arrays on demand.
+    """Info of a slot at one moment: values are read from the step's arrays on demand.
 
     ``copy()`` returns a dict.
+
+    Args:
+        infos: infos of all slots.
+        slot: number of the slot.
+        added: further entries, which take precedence.
     """
 
-    __slots__ = ("_slot", "_steps", "_track")
+    __slots__ = ("_added", "_infos", "_keys", "_slot")
 
-    def __init__(self, steps: SlotSteps, slot: int, track: str) -> None:
-        self._steps, self._slot, self._track = steps, slot, track
+    def __init__(self, infos: InfoTables | InfoDicts, slot: int, added: Mapping[str, Any]) -> None:
+        self._infos, self._slot, self._added = infos, slot, added
+        self._keys = infos.keys_of(slot)
 
     def __getitem__(self, key: str) -> Any:
-        if key == "active":
-            return True
-        return self._track if key == "track" else self._steps.infos.value(self._slot, key)
+        if key in self._added:
+            return self._added[key]
+        return self._infos.value(self._slot, key)
 
     def __contains__(self, key: object) -> bool:
-        return key in ("active", "track") or self._steps.infos.has(self._slot, key)
+        return key in self._keys or key in self._added
 
     def get(self, key: str, default: Any = None) -> Any:
-        """Returns the value of a key, or the default."""
-        if key not in self:
-            return default
-        return self[key]
+        """Returns the value of a key, or the default. Learners ask every slot in every step."""
+        if key in self._keys or key in self._added:
+            return self[key]
+        return default
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.copy())
+        return iter(dict.fromkeys((*self._keys, *self._added)))
 
     def __len__(self) -> int:
-        return len(self.copy())
+        return len({*self._keys, *self._added})
 
     def __repr__(self) -> str:
         return repr(self.copy())
 
     def copy(self) -> dict[str, Any]:
         """Returns the info as a new dict."""
-        info = self._steps.infos.of_slot(self._slot)
-        return {**info, "track": self._track, "active": True}
+        return {key: self[key] for key in self}
 
 
 def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.NDArray[Any]]:

@@ -28,6 +28,7 @@ class _Group:
         agents: all agents of the group.
         rows: their positions among the agents of the call.
         observer: makes their observations.
+        row_observer: the same, if it writes into rows of a batch.
         reader: converts their actions to controls.
         acting: agents whose actions the reader takes directly.
         acting_rows: positions of ``acting``.
@@ -40,6 +41,7 @@ class _Group:
     agents: tuple[str, ...]
     rows: IntArray
     observer: Observer
+    row_observer: RowObserver | None
     reader: ActionReader
     acting: tuple[str, ...]
     acting_rows: IntArray
@@ -260,8 +262,9 @@ class AgentChains:
         """
         roster, karts = self._roster(agents), source.karts(agents)
         for group in roster.groups:
-            if isinstance(group.observer, RowObserver):
-                group.observer.observe_into(source, karts[group.rows], rows[group.rows], batch)
+            if group.row_observer is not None:
+                own = karts[group.rows], rows[group.rows]
+                group.row_observer.observe_into(source, *own, batch)
 
     def reset(
         self,
@@ -387,6 +390,7 @@ class AgentChains:
             agents=own,
             rows=np.array(rows, np.intp),
             observer=observer,
+            row_observer=observer if isinstance(observer, RowObserver) else None,
             reader=reader,
             acting=tuple(agents[row] for row in acting),
             acting_rows=np.array(acting, np.intp),

@@ -7,7 +7,7 @@ agents, which are stacked (:class:`StackedObservations`, :class:`InfoDicts`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -185,15 +185,10 @@ class InfoTables:
                 columns[key], columns[f"_{key}"] = values, mask
         return columns
 
-    def of_slot(self, slot: int) -> dict[str, Any]:
-        """Returns the info of a slot; empty if it is idle."""
+    def keys_of(self, slot: int) -> Collection[str]:
+        """Returns the keys of a slot's info; none if it is idle."""
         table = self._table_of(slot)
-        return {key: self.value(slot, key) for key in table.rows} if table else {}
-
-    def has(self, slot: int, key: object) -> bool:
-        """Whether a slot's info has a key."""
-        table = self._table_of(slot)
-        return table is not None and key in table.rows
+        return () if table is None else table.rows
 
     def value(self, slot: int, key: str) -> Any:
         """Returns one value of a slot's info; raises ``KeyError`` if there is none."""
@@ -249,13 +244,9 @@ class InfoDicts:
             columns[f"_{key}"] = mask
         return columns
 
-    def of_slot(self, slot: int) -> dict[str, Any]:
-        """Returns the info of a slot; empty if it is idle."""
+    def keys_of(self, slot: int) -> Collection[str]:
+        """Returns the keys of a slot's info; none if it is idle."""
         return self._dicts[slot]
-
-    def has(self, slot: int, key: object) -> bool:
-        """Whether a slot's info has a key."""
-        return key in self._dicts[slot]
 
     def value(self, slot: int, key: str) -> Any:
         """Returns one value of a slot's info; raises ``KeyError`` if there is none."""
