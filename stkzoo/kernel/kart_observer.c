@@ -527,7 +527,7 @@ static int flat_into(const KartObserver *observer, Scene *scene, Indices who, In
     else if (numbers && !is_joined) {
         choices = column_of(batch, "discrete", as_written_choices, num_choices, rows);
     }
-    if (has_mask && choices) {
+    if (has_mask && numbers && choices) {
         marks = column_of(batch, "action_mask", as_written_bytes, num_marks, rows);
     }
     int status = numbers && choices && (marks || !has_mask) ? 0 : -1;
