@@ -17,7 +17,7 @@ from __future__ import annotations
 import copy
 import os
 import time
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from gymnasium import spaces
 from stkzoo._installation import install_command
 from stkzoo._os import atomic_write, write_text
 from stkzoo.env.vec.env import RaceVectorEnv, seeds_of_races
-from stkzoo.env.vec.slots import SlotSteps
+from stkzoo.env.vec.steps import InfoDicts, InfoTables, SlotSteps
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views import VIEWS
 
@@ -94,10 +94,10 @@ class RaceVecEnv(VecEnv):
     ``rollout_buffer_class=ActiveDictRolloutBuffer`` to the algorithm (or
     :class:`ActiveRolloutBuffer` with ``flat_observations``). Idle steps still count as timesteps.
 
-    **Infos** are one dict per slot: the agent's own entries, ``active`` and ``track``. At the end
-    of an episode they also hold ``terminal_observation``, ``TimeLimit.truncated`` and ``episode``
-    (return ``r``, length ``l``, and time ``t`` since construction [s]). Stable-Baselines3 logs its
-    means from ``episode``, without a ``VecMonitor``.
+    **Infos** are one mapping per slot, whose ``copy()`` is a dict: the agent's own entries,
+    ``active`` and ``track``. At the end of an episode they also hold ``terminal_observation``,
+    ``TimeLimit.truncated`` and ``episode`` (return ``r``, length ``l``, and time ``t`` since
+    construction [s]). Stable-Baselines3 logs its means from ``episode``, without a ``VecMonitor``.
 
     Args:
         num_races: number of races.
@@ -181,7 +181,7 @@ class RaceVecEnv(VecEnv):
         """
         options = [dict(given) for given in self._options[:: self.races.num_agents]]
         steps = self.races.reset_slots(self._race_seeds, options)
-        self.reset_infos = _infos(steps)
+        self.reset_infos = [self._first_info(steps, slot) for slot in range(self.num_envs)]
         self._race_seeds = [None] * self.races.num_races
         self._reset_options()
         return self._batch(steps.observations)
@@ -204,11 +204,15 @@ class RaceVecEnv(VecEnv):
         """
         steps = self.races.wait_slots()
         done = steps.terminations | steps.truncations | ~steps.active
-        infos = [{**info, "active": True} for info in _infos(steps)]
+        tracks = [self.races.tracks[number] for number in steps.tracks]
+        added = {track: {"track": track, "active": True} for track in {*tracks}}
+        infos: list[Any] = [
+            SlotInfo(steps.infos, slot, added[track]) for slot, track in enumerate(tracks)
+        ]
         for slot in np.flatnonzero(done).tolist():
-            if steps.infos[slot]:  # the slot's race has started again
-                self.reset_infos[slot] = {**steps.infos[slot], "track": steps.tracks[slot]}
-            infos[slot] = self._ended(steps, slot)
+            if steps.infos.keys_of(slot):  # the slot's race has started again
+                self.reset_infos[slot] = self._first_info(steps, slot)
+            infos[slot] = self._ended(steps, slot, tracks[slot])
         return self._batch(steps.observations), steps.rewards.astype(np.float32), done, infos
 
     def close(self) -> None:
@@ -247,13 +251,18 @@ class RaceVecEnv(VecEnv):
     def _race(self, slot: int) -> Any:
         return self.races.races[slot // self.races.num_agents]
 
-    def _ended(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
+    def _first_info(self, steps: SlotSteps, slot: int) -> dict[str, Any]:
+        """Returns the info of a slot after a reset."""
+        track = self.races.tracks[steps.tracks[slot]]
+        return SlotInfo(steps.infos, slot, {"track": track}).copy()
+
+    def _ended(self, steps: SlotSteps, slot: int, track: str) -> dict[str, Any]:
         """Returns the info of a slot whose episode ended in this step, or which is idle."""
         last, info = steps.finals.get(slot) or (copy.deepcopy(self.races.idle_observation), {})
         age = round(time.monotonic() - self._born, 6)
         episode = {"episode": {**info["episode"], "t": age}} if "episode" in info else {}
         return {
-            "track": steps.tracks[slot],
+            "track": track,
             **info,
             **episode,
             "active": bool(steps.active[slot]),
@@ -261,18 +270,56 @@ class RaceVecEnv(VecEnv):
             "TimeLimit.truncated": bool(steps.truncations[slot]),
         }
 
-    def _batch(self, observations: Sequence[Any]) -> Any:
-        batch = self.races.batch(observations)
+    def _batch(self, batch: Any) -> Any:
         if not self._is_flat:
             return batch
         flat = np.concatenate(_flat_parts(self._space, batch, self.num_envs), axis=1)
         return flat.astype(self.observation_space.dtype, copy=False)
 
 
-def _infos(steps: SlotSteps) -> list[dict[str, Any]]:
-    """Returns each slot's info, with the track of its race added."""
-    pairs = zip(steps.infos, steps.tracks, strict=True)
-    return [{**info, "track": track} for info, track in pairs]
+class SlotInfo(Mapping[str, Any]):
+    """Info of a slot at one moment: values are read from the step's arrays on demand.
+
+    ``copy()`` returns a dict.
+
+    Args:
+        infos: infos of all slots.
+        slot: number of the slot.
+        added: further entries, which take precedence.
+    """
+
+    __slots__ = ("_added", "_infos", "_keys", "_slot")
+
+    def __init__(self, infos: InfoTables | InfoDicts, slot: int, added: Mapping[str, Any]) -> None:
+        self._infos, self._slot, self._added = infos, slot, added
+        self._keys = infos.keys_of(slot)
+
+    def __getitem__(self, key: str) -> Any:
+        if key in self._added:
+            return self._added[key]
+        return self._infos.value(self._slot, key)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._keys or key in self._added
+
+    def get(self, key: str, default: Any = None) -> Any:
+        """Returns the value of a key, or the default. Learners ask every slot in every step."""
+        if key in self._keys or key in self._added:
+            return self[key]
+        return default
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*self._keys, *self._added)))
+
+    def __len__(self) -> int:
+        return len({*self._keys, *self._added})
+
+    def __repr__(self) -> str:
+        return repr(self.copy())
+
+    def copy(self) -> dict[str, Any]:
+        """Returns the info as a new dict."""
+        return {key: self[key] for key in self}
 
 
 def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.NDArray[Any]]:

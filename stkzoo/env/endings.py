@@ -13,6 +13,8 @@ from stkzoo.mdp.events import STREAKS
 
 #: Rewards, terminations and truncations, each by agent.
 Ends = tuple[dict[str, float], dict[str, bool], dict[str, bool]]
+#: Rewards, terminations and truncations, each an array with one number per slot.
+EndArrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
 
 
 class Endings:

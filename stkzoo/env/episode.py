@@ -17,7 +17,7 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import decode_track
-from stkzoo.env.endings import Endings, Ends, endings_of
+from stkzoo.env.endings import EndArrays, Endings, Ends, endings_of
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
@@ -31,6 +31,9 @@ from stkzoo.wrappers.racing import ground_table
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+
+#: Keys of infos whose values are whole numbers.
+WHOLE_INFOS = frozenset({"position", "lap", "episode/length"})
 
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
@@ -155,10 +158,38 @@ class Episode:
         Returns:
             Their rewards, terminations and truncations.
         """
+        before, is_over = self._move_to(snapshot)
+        return self._record.score(before, snapshot, agents, is_over)
+
+    def advance_into(
+        self, snapshot: Snapshot, agents: Sequence[str], slots: IntArray, ends: EndArrays
+    ) -> None:
+        """Does the same as :meth:`advance` and writes the results into arrays.
+
+        Args:
+            snapshot: see :meth:`advance`.
+            agents: see :meth:`advance`.
+            slots: slot of each agent.
+            ends: rewards, terminations and truncations of all slots.
+        """
+        before, is_over = self._move_to(snapshot)
+        self._record.score_into(before, snapshot, agents, is_over, slots, ends)
+
+    def _move_to(self, snapshot: Snapshot) -> tuple[Snapshot, bool]:
+        """Returns the snapshot before, and whether the time limit is reached."""
         before, self.snapshot = self.snapshot, snapshot
         self._num_steps += 1
         is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
-        return self._record.score(before, snapshot, agents, is_over)
+        return before, is_over
+
+    @property
+    def info_keys(self) -> tuple[str, ...]:
+        """Keys of every info, in order."""
+        return self._record.info_keys
+
+    def infos_into(self, agents: Sequence[str], slots: IntArray, table: FloatArray) -> None:
+        """Writes the infos of some agents into a table; see :meth:`EpisodeRecord.infos_into`."""
+        self._record.infos_into(self.snapshot, agents, self._num_steps, slots, table)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Returns new infos of some agents; see :meth:`EpisodeRecord.infos`."""
@@ -238,6 +269,9 @@ class EpisodeRecord:
         events: event counter, needed for ``shows_events`` and ``endings``.
         endings: optional ends of episodes.
         shows_events: whether events are available in infos and to rewards.
+
+    Attributes:
+        info_keys: keys of every info, in order.
     """
 
     def __init__(
@@ -259,7 +293,7 @@ class EpisodeRecord:
         columns = [*(f"reward/{name}" for name in names), *(f"event/{name}" for name in shown)]
         self._last = np.zeros((len(rewards), len(columns)))
         self._sums = np.zeros_like(self._last)
-        self._keys = (
+        self.info_keys = (
             *("position", "distance", "lap", "finish_time"),
             *columns,
             *(f"episode/{column}" for column in columns),
@@ -281,17 +315,41 @@ class EpisodeRecord:
         Returns:
             Their rewards, terminations and truncations.
         """
-        if self._events is not None:
-            self._events.count(before, after)
-        own = [group for group in self._groups if group.reward.kernel_terms is None]
-        if own:
-            step = Transition(before, after, self._race_length, self._shown_events)
-            self._score_in_python(own, step)
+        self._prepare(before, after)
         ends = self._scorer_of(agents).score(before.data, after.data, is_over)
         if self._endings is not None and self._events is not None:
             karts = self._karts[[self._rows[agent] for agent in agents]]
             self._endings.end(ends, agents, karts, after, self._events.seconds)
         return ends
+
+    def score_into(
+        self,
+        before: Snapshot,
+        after: Snapshot,
+        agents: Sequence[str],
+        is_over: bool,
+        slots: IntArray,
+        ends: EndArrays,
+    ) -> None:
+        """Does the same as :meth:`score` and writes the results into arrays.
+
+        Args:
+            before: see :meth:`score`.
+            after: see :meth:`score`.
+            agents: see :meth:`score`.
+            is_over: see :meth:`score`.
+            slots: slot of each agent.
+            ends: rewards, terminations and truncations of all slots.
+        """
+        if self._endings is not None:
+            rewards, terminations, truncations = self.score(before, after, agents, is_over)
+            ends[0][slots] = list(rewards.values())
+            ends[1][slots] = list(terminations.values())
+            ends[2][slots] = list(truncations.values())
+            return
+        self._prepare(before, after)
+        scorer = self._scorer_of(agents)
+        scorer.score_into(before.data, after.data, is_over, slots, *ends)
 
     def infos(
         self, snapshot: Snapshot, agents: Sequence[str], length: int
@@ -317,12 +375,38 @@ class EpisodeRecord:
                 infos[agent]["ended_by"] = reason
         return infos
 
+    def infos_into(
+        self,
+        snapshot: Snapshot,
+        agents: Sequence[str],
+        length: int,
+        slots: IntArray,
+        table: FloatArray,
+    ) -> None:
+        """Does the same as :meth:`infos`, for agents that are still racing, as a table.
+
+        Args:
+            snapshot: see :meth:`infos`.
+            agents: see :meth:`infos`.
+            length: see :meth:`infos`.
+            slots: slot of each agent.
+            table: ``(K, S)`` float64 with a row for each of :attr:`info_keys` and a column for each
+                slot; changed in place.
+        """
+        self._scorer_of(agents).infos_into(snapshot.data, length, slots, table)
+
     @property
     def _shown_events(self) -> FloatArray | None:
         return self._events.counts if self._events is not None and self._shows_events else None
 
-    def _score_in_python(self, groups: Sequence[_RewardGroup], step: Transition) -> None:
-        """Writes the terms of rewards that the kernel does not implement."""
+    def _prepare(self, before: Snapshot, after: Snapshot) -> None:
+        """Counts events and writes the terms of rewards that the kernel does not implement."""
+        if self._events is not None:
+            self._events.count(before, after)
+        groups = [group for group in self._groups if group.reward.kernel_terms is None]
+        if not groups:
+            return
+        step = Transition(before, after, self._race_length, self._shown_events)
         for group in groups:
             values = group.reward(step).values()
             for column, value in zip(group.columns, values, strict=True):
@@ -343,7 +427,7 @@ class EpisodeRecord:
             racing = [where[row] for row in group.rows.tolist() if row in where]
             if terms is not None:
                 rewards.append((*terms, group.columns, np.array(racing, np.intp)))
-        numbers = self._last, self._sums, self._keys, self._race_length
+        numbers = self._last, self._sums, self.info_keys, self._race_length
         events = self._shown_events
         if events is None:
             events = np.zeros((int(self._karts.max()) + 1, 0))

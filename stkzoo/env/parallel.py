@@ -316,9 +316,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ActionError: an action is missing or invalid.
             ApiOrderError: called before the first ``reset``, or while a step is running.
         """
-        episode = self._running("step")
-        if self._asked is episode:
-            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
+        episode = self._idle_episode()
         rows = episode.player_rows(self.agents)
         return self._chains.decode(actions, self.agents, rows, episode.num_players, episode)
 
@@ -344,10 +342,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             return self._finish_step()
 
     def _finish_step(self) -> StepParts:
-        episode, self._asked = self._asked, None
-        if episode is None or episode is not self._episode:
-            raise ApiOrderError("step_wait() without step_async(); call step_async() first")
-        agents = self.agents
+        episode, agents = self._awaited_episode(), self.agents
         if not agents:
             return {}, {}, {}, {}, {}
         snapshot = self._session.step_wait()
@@ -514,6 +509,20 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         if self._episode is None:
             raise ApiOrderError(f"{method}() before reset(); call reset() first")
         return self._episode
+
+    def _idle_episode(self) -> Episode:
+        """Returns the running episode; raises if it is already stepping."""
+        episode = self._running("step")
+        if self._asked is episode:
+            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
+        return episode
+
+    def _awaited_episode(self) -> Episode:
+        """Returns the episode that is stepping, whose step the caller finishes."""
+        episode, self._asked = self._asked, None
+        if episode is None or episode is not self._episode:
+            raise ApiOrderError("step_wait() without step_async(); call step_async() first")
+        return episode
 
     def _agents_of_ai(self) -> set[str]:
         pairs = zip(self.possible_agents, self.specs, strict=True)

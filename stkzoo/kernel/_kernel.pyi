@@ -52,6 +52,16 @@ class KartObserver:
         data: bytes,
         who: npt.NDArray[np.intp],
     ) -> list[Any]: ...
+    def observe_into(
+        self,
+        track: TrackGraph,
+        num_paths: int,
+        kart_types: tuple[str, ...],
+        data: bytes,
+        who: npt.NDArray[np.intp],
+        rows: npt.NDArray[np.intp],
+        batch: Any,
+    ) -> None: ...
 
 class RacingObserver:
     def __new__(
@@ -62,7 +72,11 @@ class RacingObserver:
         lengths: tuple[float, float, float, float, float, float],
     ) -> RacingObserver: ...
     def observe(
-        self, data: bytes, who: npt.NDArray[np.intp], out: npt.NDArray[np.float32]
+        self,
+        data: bytes,
+        who: npt.NDArray[np.intp],
+        out: npt.NDArray[np.float32],
+        rows: npt.NDArray[np.intp] = ...,
     ) -> None: ...
 
 class ActionReader:
@@ -73,6 +87,14 @@ class ActionReader:
         self,
         actions: Any,
         agents: tuple[str, ...],
+        rows: npt.NDArray[np.intp],
+        controls: npt.NDArray[np.float32],
+    ) -> bool: ...
+    def read_batch(
+        self,
+        batch: Any,
+        count: int,
+        slots: npt.NDArray[np.intp],
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
     ) -> bool: ...
@@ -123,7 +145,24 @@ class StepScorer:
     def score(
         self, before: bytes, after: bytes, is_over: bool
     ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]: ...
+    def score_into(
+        self,
+        before: bytes,
+        after: bytes,
+        is_over: bool,
+        slots: npt.NDArray[np.intp],
+        rewards: npt.NDArray[np.float64],
+        terminations: npt.NDArray[np.bool_],
+        truncations: npt.NDArray[np.bool_],
+    ) -> None: ...
     def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]: ...
+    def infos_into(
+        self,
+        data: bytes,
+        length: int,
+        slots: npt.NDArray[np.intp],
+        table: npt.NDArray[np.float64],
+    ) -> None: ...
 
 def layouts() -> list[tuple[str, int]] | None: ...
 def measure_message(

@@ -142,6 +142,79 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
     Py_RETURN_TRUE;
 }
 
+/* Whether an object is an array with a row of this leaf's numbers for each of `count` slots. */
+static int is_column(const Leaf *leaf, PyObject *object, npy_intp count)
+{
+    PyArrayObject *array = (PyArrayObject *)object;
+    return PyArray_Check(object) && PyArray_IS_C_CONTIGUOUS(array) && PyArray_ISBEHAVED_RO(array) &&
+           PyArray_NDIM(array) > 0 && PyArray_DIM(array, 0) == count &&
+           PyArray_SIZE(array) == count * leaf->count &&
+           (leaf->count == 1 || PyArray_NDIM(array) == 2);
+}
+
+/* The column of leaf i; NULL if the batch lacks it or it has another form. */
+static PyArrayObject *column_of(const ActionReader *self, PyObject *batch, Py_ssize_t i,
+                                npy_intp count)
+{
+    PyObject *column = batch;
+    if (PyTuple_GET_SIZE(self->names) > 0) {
+        column = PyDict_GetItemWithError(batch, PyTuple_GET_ITEM(self->names, i));
+    }
+    return column && is_column(self->leaves + i, column, count) ? (PyArrayObject *)column : NULL;
+}
+
+static int read_column(const ActionReader *self, const Leaf *leaf, PyArrayObject *column,
+                       Indices slots, Indices rows, float *controls)
+{
+    for (npy_intp i = 0; i < slots.size; i++) {
+        float *row = controls + rows.data[i] * self->num_columns;
+        for (npy_intp n = 0; n < leaf->count; n++) {
+            double value;
+            if (!number_at(column, slots.data[i] * leaf->count + n, &value) ||
+                !put(leaf->entries + n, value, row)) {
+                return 0;
+            }
+        }
+    }
+    return 1;
+}
+
+/* read_batch(batch, count, slots, rows, controls): the action of slots[i], from arrays with a row
+   for each of `count` slots, into row rows[i]; whether all were in a usual form and could be read.
+   The batch is one array, or a dict of arrays. */
+static PyObject *reader_read_batch(PyObject *object, PyObject *args)
+{
+    const ActionReader *self = (ActionReader *)object;
+    PyObject *batch;
+    Py_ssize_t count;
+    Indices slots, rows;
+    Floats controls;
+    if (!PyArg_ParseTuple(args, "OnO&O&O&", &batch, &count, as_indices, &slots, as_indices, &rows,
+                          as_written_floats, &controls)) {
+        return NULL;
+    }
+    if (slots.size != rows.size) {
+        return PyErr_Format(PyExc_ValueError, "%zd slots for %zd rows", slots.size, rows.size);
+    }
+    if (!are_below(slots, count) || !are_below(rows, controls.size / self->num_columns)) {
+        return PyErr_Format(PyExc_IndexError, "there is no slot or row of that number");
+    }
+    const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names);
+    if (num_names && (!PyDict_Check(batch) || PyDict_GET_SIZE(batch) != num_names)) Py_RETURN_FALSE;
+    for (npy_intp i = 0; i < rows.size; i++) {
+        memset(controls.data + rows.data[i] * self->num_columns, 0,
+               (size_t)self->num_columns * sizeof *controls.data);
+    }
+    for (Py_ssize_t i = 0; i < (num_names ? num_names : 1); i++) {
+        PyArrayObject *column = column_of(self, batch, i, count);
+        if (PyErr_Occurred()) return NULL;
+        if (!column || !read_column(self, self->leaves + i, column, slots, rows, controls.data)) {
+            Py_RETURN_FALSE;
+        }
+    }
+    Py_RETURN_TRUE;
+}
+
 /* One entry from (low, high, is_whole, column, table or None). */
 static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 {
@@ -200,4 +273,6 @@ static int reader_set_up(ActionReader *self, PyObject *args, PyObject *Py_UNUSED
 
 KERNEL_TYPE(ActionReader, reader, "How actions of one space become controls.",
             {"read", reader_read, METH_VARARGS,
-             "Actions into rows of controls; whether all could be read."})
+             "Actions into rows of controls; whether all could be read."},
+            {"read_batch", reader_read_batch, METH_VARARGS,
+             "Rows of a batch of actions into rows of controls; whether all could be read."})

@@ -340,12 +340,9 @@ static PyObject *choice_rows(const Scene *scene)
     return tuple;
 }
 
-static PyObject *mask(npy_intp rows, npy_intp real)
+static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
 {
-    void *data;
-    PyObject *array = new_array(1, &rows, NPY_INT8, &data);
-    for (npy_intp i = 0; array && i < rows; i++) ((npy_int8 *)data)[i] = i < real;
-    return array;
+    for (npy_intp i = 0; i < scene->rows[key->group]; i++) out[i] = i < scene->real[key->group];
 }
 
 static PyObject *one_number(float number)
@@ -379,7 +376,10 @@ static PyObject *value_of(const KartObserver *observer, const Scene *scene, Entr
     case NAME:
         return Py_XNewRef(PyTuple_GetItem(scene->kart_types, scene->me - scene->moment.karts));
     case CONTROL: return control_of(scene->me);
-    case MASK: return mask(shape[0], scene->real[key->group]);
+    case MASK:
+        array = new_array(1, shape, NPY_INT8, &data);
+        if (array) write_mask(scene, key, data);
+        return array;
     case CHOICE:
         if (is_own) return PyLong_FromLongLong(choice_of(scene, key));
         if (observer->sizes[key->group] < 0) return choice_rows(scene);
@@ -423,18 +423,14 @@ static void write_flat(const KartObserver *observer, const Scene *scene, float *
 }
 
 /* 1 for actions that can do something, 0 for those that need nitro or a powerup in vain. */
-static PyObject *action_mask(const KartObserver *observer, const Kart *me)
+static void write_action_mask(const KartObserver *observer, const Kart *me, npy_int8 *out)
 {
-    npy_intp count = observer->nitro.size;
-    void *data;
-    PyObject *array = new_array(1, &count, NPY_INT8, &data);
     const int no_nitro = !(me->energy > 0), no_powerup = me->powerup_type == 0;
-    for (npy_intp i = 0; array && i < count; i++) {
+    for (npy_intp i = 0; i < observer->nitro.size; i++) {
         const int is_vain =
             (no_nitro && observer->nitro.data[i]) || (no_powerup && observer->fire.data[i]);
-        ((npy_int8 *)data)[i] = !is_vain;
+        out[i] = !is_vain;
     }
-    return array;
 }
 
 /* Choices as one place for each of their values, 1 where it holds. */
@@ -450,21 +446,30 @@ static int write_ones(Indices joined, const npy_int64 *choices, float *ones)
     return 0;
 }
 
+/* The vectors of a flat view: numbers, then ones if the choices are joined to them; choices; and the
+   mask, if there is one. */
+static int write_vectors(const KartObserver *observer, const Scene *scene, float *numbers,
+                         npy_int64 *choices, npy_int8 *mask)
+{
+    write_flat(observer, scene, numbers, choices);
+    if (observer->nitro.data) write_action_mask(observer, scene->me, mask);
+    if (!observer->joined.data) return 0;
+    return write_ones(observer->joined, choices, numbers + observer->num_continuous);
+}
+
 /* The observation of a flat view; in a dict, if it is more than one vector, in the order of the
    space's keys. */
 static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
 {
     const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
-    npy_intp sizes[] = {observer->num_continuous + observer->num_ones, observer->num_discrete};
-    void *numbers = NULL, *choices = NULL;
+    npy_intp sizes[] = {observer->num_continuous + observer->num_ones, observer->num_discrete,
+                        observer->nitro.size};
+    void *numbers = NULL, *choices = NULL, *marks = NULL;
     PyObject *continuous = new_array(1, sizes, NPY_FLOAT32, &numbers), *seen = NULL;
     PyObject *discrete = new_array(1, sizes + 1, NPY_INT64, &choices);
-    PyObject *mask = has_mask ? action_mask(observer, scene->me) : NULL;
+    PyObject *mask = has_mask ? new_array(1, sizes + 2, NPY_INT8, &marks) : NULL;
     int status = continuous && discrete && (mask || !has_mask) ? 0 : -1;
-    if (!status) write_flat(observer, scene, numbers, choices);
-    if (!status && is_joined) {
-        status = write_ones(observer->joined, choices, (float *)numbers + observer->num_continuous);
-    }
+    if (!status) status = write_vectors(observer, scene, numbers, choices, marks);
     if (!status && is_joined && !has_mask) {
         seen = Py_NewRef(continuous);
     } else if (!status) { /* a format says how many of what follows it there are */
@@ -479,7 +484,157 @@ static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
     return seen;
 }
 
+/* ---------------------------------------------------------------- as rows of a batch */
+
+/* The data of a batch's array under a name, of the converter's type, if it has `width` numbers for
+   each slot and all rows; NULL with an exception set otherwise. Without a name: of the batch. */
+static void *column_of(PyObject *batch, const char *name, int (*converter)(PyObject *, void *),
+                       npy_intp width, Indices rows)
+{
+    struct { void *data; npy_intp size; } numbers; /* as Floats, Choices and Bytes are */
+    if (name && !PyDict_Check(batch)) {
+        return PyErr_Format(PyExc_TypeError, "a batch of this view is a dict of arrays");
+    }
+    PyObject *array = name ? PyDict_GetItemString(batch, name) : batch;
+    if (!array) return PyErr_Format(PyExc_ValueError, "the batch has no %s", name);
+    if (!converter(array, &numbers)) return NULL;
+    const int has_slots = PyArray_NDIM((PyArrayObject *)array) > 0;
+    const npy_intp count = has_slots ? PyArray_DIM((PyArrayObject *)array, 0) : 0;
+    if (numbers.size != count * width) {
+        return PyErr_Format(PyExc_ValueError, "the batch has another number of %s",
+                            name ? name : "numbers");
+    }
+    if (!are_below(rows, count)) {
+        return PyErr_Format(PyExc_IndexError, "there is no row of that number");
+    }
+    static char nothing; /* for what has no numbers */
+    return numbers.data ? numbers.data : &nothing;
+}
+
+/* The observations of a flat view. */
+static int flat_into(const KartObserver *observer, Scene *scene, Indices who, Indices rows,
+                     PyObject *batch)
+{
+    const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
+    const npy_intp width = observer->num_continuous + observer->num_ones;
+    const npy_intp num_choices = observer->num_discrete, num_marks = observer->nitro.size;
+    const char *first = !is_joined ? "continuous" : has_mask ? "observation" : NULL;
+    npy_int64 *own = is_joined ? PyMem_Calloc((size_t)num_choices, sizeof *own) : NULL;
+    npy_int8 *marks = NULL;
+    float *numbers = column_of(batch, first, as_written_floats, width, rows);
+    npy_int64 *choices = own;
+    if (is_joined && !own) PyErr_NoMemory();
+    else if (numbers && !is_joined) {
+        choices = column_of(batch, "discrete", as_written_choices, num_choices, rows);
+    }
+    if (has_mask && numbers && choices) {
+        marks = column_of(batch, "action_mask", as_written_bytes, num_marks, rows);
+    }
+    int status = numbers && choices && (marks || !has_mask) ? 0 : -1;
+    for (npy_intp i = 0; !status && i < who.size; i++) {
+        const npy_intp row = rows.data[i];
+        status = look(observer, scene, who.data[i]);
+        if (status) break;
+        status = write_vectors(observer, scene, numbers + row * width,
+                               is_joined ? own : choices + row * num_choices,
+                               has_mask ? marks + row * num_marks : NULL);
+    }
+    PyMem_Free(own);
+    return status;
+}
+
+/* The arrays' data of a view that is a dict, by entry; NULL for names. */
+static int find_columns(KartObserver *observer, const Scene *scene, Indices rows, PyObject *batch,
+                        void **columns)
+{
+    for (int i = 0; i < observer->num_entries; i++) {
+        const Key *key = observer->entries[i].key;
+        const int is_own = key->group == OWN;
+        if ((!is_own && observer->sizes[key->group] < 0) || key->kind == CONTROL) {
+            PyErr_Format(PyExc_ValueError, "%s has no row in a batch", key->name);
+            return -1;
+        }
+        columns[i] = NULL;
+        if (key->kind == NAME) continue;
+        columns[i] = column_of(batch, key->name,
+                               key->kind == CHOICE ? as_written_choices
+                               : key->kind == MASK ? as_written_bytes
+                                                   : as_written_floats,
+                               scene->rows[key->group] * key->width, rows);
+        if (!columns[i]) return -1;
+    }
+    return 0;
+}
+
+static void write_entry(const Scene *scene, const Key *key, void *column, npy_intp row)
+{
+    const npy_intp place = row * scene->rows[key->group] * key->width;
+    switch (key->kind) {
+    case NAME: return;
+    case CHOICE: write_choices(scene, key, (npy_int64 *)column + place); return;
+    case MASK: write_mask(scene, key, (npy_int8 *)column + place); return;
+    default: write_numbers(scene, key, (float *)column + place);
+    }
+}
+
+/* The names of a batch, after its numbers: this may run code that changes the batch. */
+static int names_into(const KartObserver *observer, const Scene *scene, Indices who, Indices rows,
+                      PyObject *batch)
+{
+    int status = 0;
+    for (int i = 0; !status && i < observer->num_entries; i++) {
+        if (observer->entries[i].key->kind != NAME) continue;
+        PyObject *list = Py_XNewRef(PyDict_GetItemWithError(batch, observer->entries[i].name));
+        if (!list || !PyList_Check(list)) status = refuse("the names of a batch are a list");
+        for (npy_intp n = 0; !status && n < who.size; n++) {
+            PyObject *name = Py_XNewRef(PyTuple_GetItem(scene->kart_types, who.data[n]));
+            status = name ? PyList_SetItem(list, rows.data[n], name) : -1;
+        }
+        Py_XDECREF(list);
+    }
+    return status;
+}
+
+/* The observations of a view that is a dict. */
+static int dicts_into(KartObserver *observer, Scene *scene, Indices who, Indices rows,
+                      PyObject *batch)
+{
+    void *columns[NUM_KEYS];
+    if (!PyDict_Check(batch)) return refuse("a batch of this view is a dict of arrays");
+    if (find_columns(observer, scene, rows, batch, columns) < 0) return -1;
+    for (npy_intp i = 0; i < who.size; i++) {
+        if (look(observer, scene, who.data[i]) < 0) return -1;
+        for (int n = 0; n < observer->num_entries; n++) {
+            write_entry(scene, observer->entries[n].key, columns[n], rows.data[i]);
+        }
+    }
+    return names_into(observer, scene, who, rows, batch);
+}
+
 /* ---------------------------------------------------------------- the type */
+
+/* Completes a scene whose arguments were read; -1 with an exception set if it is impossible. */
+static int set_scene(const KartObserver *observer, Scene *scene)
+{
+    if (scene->num_paths < 0 || scene->num_paths > scene->track->num_nodes) {
+        PyErr_Format(PyExc_ValueError, "%zd of %zd segments", scene->num_paths,
+                     scene->track->num_nodes);
+        return -1;
+    }
+    const Header *header = scene->records[HEADER] = scene->moment.header;
+    const npy_intp there[] = {header->num_items, header->num_kart - 1, scene->num_paths, 1};
+    for (int group = 0; group < 4; group++) {
+        const npy_intp size = observer->sizes[group];
+        scene->rows[group] = size < 0 ? there[group] : size;
+        scene->real[group] = size < 0 || there[group] < size ? there[group] : size;
+    }
+    scene->is_polar = observer->is_polar;
+    scene->records[SCENE] = scene;
+    Near *room = PyMem_Malloc((size_t)(header->num_items + header->num_kart) * sizeof *room);
+    if (!room) PyErr_NoMemory();
+    scene->nearest[ITEMS] = room, scene->nearest[KARTS] = room + header->num_items;
+    return room ? 0 : -1;
+}
 
 /* observe(track, num_paths, kart_types, data, who): one observation for each kart of `who`, in a
    list. */
@@ -490,26 +645,12 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
     Indices who;
     if (!PyArg_ParseTuple(args, "O!nO!O&O&", &TrackGraphType, &scene.track, &scene.num_paths,
                           &PyTuple_Type, &scene.kart_types, as_moment, &scene.moment, as_indices,
-                          &who)) {
+                          &who) ||
+        set_scene(observer, &scene) < 0) {
         return NULL;
     }
-    if (scene.num_paths < 0 || scene.num_paths > scene.track->num_nodes) {
-        return PyErr_Format(PyExc_ValueError, "%zd of %zd segments", scene.num_paths,
-                            scene.track->num_nodes);
-    }
-    const Header *header = scene.records[HEADER] = scene.moment.header;
-    const npy_intp there[] = {header->num_items, header->num_kart - 1, scene.num_paths, 1};
-    for (int group = 0; group < 4; group++) {
-        const npy_intp size = observer->sizes[group];
-        scene.rows[group] = size < 0 ? there[group] : size;
-        scene.real[group] = size < 0 || there[group] < size ? there[group] : size;
-    }
-    scene.is_polar = observer->is_polar;
-    scene.records[SCENE] = &scene;
-    if (!observer->is_flat && grow(observer, who.size) < 0) return NULL;
-    Near *room = PyMem_Malloc((size_t)(header->num_items + header->num_kart) * sizeof *room);
-    scene.nearest[ITEMS] = room, scene.nearest[KARTS] = room + header->num_items;
-    PyObject *list = room ? PyList_New(who.size) : PyErr_NoMemory();
+    const int is_ready = observer->is_flat || grow(observer, who.size) == 0;
+    PyObject *list = is_ready ? PyList_New(who.size) : NULL;
     for (npy_intp i = 0; list && i < who.size; i++) {
         PyObject *seen = look(observer, &scene, who.data[i]) < 0 ? NULL
                          : observer->is_flat ? as_vectors(observer, &scene)
@@ -517,8 +658,31 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
         if (!seen) Py_CLEAR(list);
         else PyList_SET_ITEM(list, i, seen);
     }
-    PyMem_Free(room);
+    PyMem_Free(scene.nearest[ITEMS]);
     return list;
+}
+
+/* observe_into(track, num_paths, kart_types, data, who, rows, batch): the same into row rows[i] of
+   the arrays of a batch, a dict by entry; one array if the view is one vector. Names are a list. */
+static PyObject *observer_observe_into(PyObject *self, PyObject *args)
+{
+    KartObserver *observer = (KartObserver *)self;
+    Scene scene;
+    Indices who, rows;
+    PyObject *batch;
+    if (!PyArg_ParseTuple(args, "O!nO!O&O&O&O", &TrackGraphType, &scene.track, &scene.num_paths,
+                          &PyTuple_Type, &scene.kart_types, as_moment, &scene.moment, as_indices,
+                          &who, as_indices, &rows, &batch)) {
+        return NULL;
+    }
+    if (who.size != rows.size) {
+        return PyErr_Format(PyExc_ValueError, "%zd karts for %zd rows", who.size, rows.size);
+    }
+    if (set_scene(observer, &scene) < 0) return NULL;
+    const int status = observer->is_flat ? flat_into(observer, &scene, who, rows, batch)
+                                         : dicts_into(observer, &scene, who, rows, batch);
+    PyMem_Free(scene.nearest[ITEMS]);
+    return status < 0 ? NULL : Py_NewRef(Py_None);
 }
 
 static int add_entry(KartObserver *observer, PyObject *name)
@@ -588,4 +752,6 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
 }
 
 KERNEL_TYPE(KartObserver, observer, "What is shown to agents of one observer.",
-            {"observe", observer_observe, METH_VARARGS, "One observation for each kart, in a list."})
+            {"observe", observer_observe, METH_VARARGS, "One observation for each kart, in a list."},
+            {"observe_into", observer_observe_into, METH_VARARGS,
+             "Observations into rows of a batch."})

@@ -54,6 +54,7 @@ typedef struct { float *data; npy_intp size; } Floats;
 typedef struct { double *data; npy_intp size; } Doubles;
 typedef struct { npy_intp *data; npy_intp size; } Indices;
 typedef struct { npy_int32 *data; npy_intp size; } Integers;
+typedef struct { npy_int64 *data; npy_intp size; } Choices;
 typedef struct { npy_int8 *data; npy_intp size; } Bytes;
 typedef struct { npy_bool *data; npy_intp size; } Flags;
 
@@ -64,8 +65,11 @@ int as_doubles(PyObject *object, void *doubles);
 int as_written_doubles(PyObject *object, void *doubles);
 int as_indices(PyObject *object, void *indices);
 int as_integers(PyObject *object, void *integers);
+int as_written_choices(PyObject *object, void *choices);
 int as_bytes(PyObject *object, void *bytes);
+int as_written_bytes(PyObject *object, void *bytes);
 int as_flags(PyObject *object, void *flags);
+int as_written_flags(PyObject *object, void *flags);
 int as_moment(PyObject *object, void *moment); /* the bytes of a Snapshot, taken apart */
 
 /* Whether all indices are from 0 to below a limit. */

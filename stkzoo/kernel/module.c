@@ -40,8 +40,11 @@ CONVERTER(as_doubles, NPY_FLOAT64, 0)
 CONVERTER(as_written_doubles, NPY_FLOAT64, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_indices, NPY_INTP, 0)
 CONVERTER(as_integers, NPY_INT32, 0)
+CONVERTER(as_written_choices, NPY_INT64, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_bytes, NPY_INT8, 0)
+CONVERTER(as_written_bytes, NPY_INT8, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_flags, NPY_BOOL, 0)
+CONVERTER(as_written_flags, NPY_BOOL, NPY_ARRAY_WRITEABLE)
 
 int as_moment(PyObject *object, void *out)
 {

@@ -186,26 +186,37 @@ static void put_items(Pen *pen, const Moment *moment)
 
 /* ---------------------------------------------------------------- the type */
 
-/* observe(data, who, out): the view of each kart of `who`, a row of `out` each. */
+/* observe(data, who, out, rows): the view of each kart of `who`, into row rows[i] of `out`; without
+   rows, `out` has one for each kart. */
 static PyObject *racing_observe(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
     Moment moment;
-    Indices who;
+    Indices who, rows = {NULL, 0};
     Floats out;
-    if (!PyArg_ParseTuple(args, "O&O&O&", as_moment, &moment, as_indices, &who, as_written_floats,
-                          &out)) {
+    if (!PyArg_ParseTuple(args, "O&O&O&|O&", as_moment, &moment, as_indices, &who,
+                          as_written_floats, &out, as_indices, &rows)) {
         return NULL;
     }
-    if (out.size != who.size * view->size) {
+    const int has_rows = PyTuple_GET_SIZE(args) > 3;
+    if (!has_rows && out.size != who.size * view->size) {
         return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers", who.size * view->size);
+    }
+    if (has_rows && (rows.size != who.size || out.size % view->size)) {
+        return PyErr_Format(PyExc_ValueError, "%zd karts for %zd rows of %zd numbers", who.size,
+                            rows.size, view->size);
+    }
+    if (has_rows && !are_below(rows, out.size / view->size)) {
+        return PyErr_Format(PyExc_IndexError, "there is no row of that number");
     }
     for (npy_intp i = 0; i < who.size; i++) {
         if (who.data[i] < 0 || who.data[i] >= moment.header->num_kart) {
             return PyErr_Format(PyExc_IndexError, "kart %zd of %d", who.data[i],
                                 moment.header->num_kart);
         }
-        Pen pen = {.view = view, .me = moment.karts + who.data[i], .out = out.data + i * view->size};
+        const npy_intp row = has_rows ? rows.data[i] : i;
+        Pen pen = {
+            .view = view, .me = moment.karts + who.data[i], .out = out.data + row * view->size};
         if (pen.me->node < 0 || pen.me->node >= view->num_nodes) {
             return PyErr_Format(PyExc_IndexError, "there is no segment %d", pen.me->node);
         }

@@ -20,6 +20,7 @@ typedef struct {
     OBJECT_HEAD
     PyObject *agents, *keys; /* tuples */
     PyObject *blank_info;    /* with all keys */
+    double *info;            /* (6 + 2 C,) values of one info */
     Indices karts, rows;     /* each agent's kart, and its row of the arrays below */
     Doubles last, sums;      /* (R, C): a step's terms, then events, and the episode's, of all agents */
     Doubles events;          /* (K, E): of the step, of all karts */
@@ -111,25 +112,37 @@ static int put(PyObject *dict, PyObject *key, PyObject *value)
     return status;
 }
 
-static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kart, PyObject *length)
+/* Writes the values of an agent's info; value i to out[i * step]. */
+static void write_info(const StepScorer *self, npy_intp agent, const Kart *kart, double length,
+                       double *out, npy_intp step)
 {
     const npy_intp width = self->num_columns;
     const double *last = row_of(self, self->last, agent), *sums = row_of(self, self->sums, agent);
-    PyObject *const *key = &PyTuple_GET_ITEM(self->keys, 0);
-    PyObject *dict = PyDict_Copy(self->blank_info); /* quicker than a new one that grows */
-    const long laps = kart->finished_laps > 0 ? kart->finished_laps : 0;
     double total = 0;
-    int status = dict ? put(dict, *key++, PyLong_FromLong(kart->position)) : -1;
-    status = status ? status : put(dict, *key++, PyFloat_FromDouble(driven(kart)));
-    status = status ? status : put(dict, *key++, PyLong_FromLong(laps));
-    status = status ? status : put(dict, *key++, PyFloat_FromDouble(kart->finish_time));
-    for (npy_intp c = 0; !status && c < 2 * width; c++) {
-        if (c >= width && c < width + self->num_terms) total += sums[c - width];
-        status = put(dict, *key++, PyFloat_FromDouble(c < width ? last[c] : sums[c - width]));
+    const double own[] = {kart->position, driven(kart),
+                          kart->finished_laps > 0 ? kart->finished_laps : 0, kart->finish_time};
+    for (int i = 0; i < 4; i++, out += step) *out = own[i];
+    for (npy_intp c = 0; c < width; c++, out += step) *out = last[c];
+    for (npy_intp c = 0; c < width; c++, out += step) {
+        if (c < self->num_terms) total += sums[c];
+        *out = sums[c];
     }
-    status = status ? status : put(dict, *key++, PyFloat_FromDouble(total));
-    status = status ? status : put(dict, *key++, Py_NewRef(length));
-    if (status) Py_CLEAR(dict);
+    out[0] = total;
+    out[step] = length;
+}
+
+static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kart, PyObject *length)
+{
+    PyObject *dict = PyDict_Copy(self->blank_info); /* quicker than a new one that grows */
+    const npy_intp count = PyTuple_GET_SIZE(self->keys);
+    write_info(self, agent, kart, 0, self->info, 1);
+    for (npy_intp i = 0; dict && i < count; i++) {
+        const int is_whole = i == 0 || i == 2; /* position and lap */
+        PyObject *value = i == count - 1 ? Py_NewRef(length)
+                          : is_whole     ? PyLong_FromDouble(self->info[i])
+                                         : PyFloat_FromDouble(self->info[i]);
+        if (put(dict, PyTuple_GET_ITEM(self->keys, i), value)) Py_CLEAR(dict);
+    }
     return dict;
 }
 
@@ -167,6 +180,23 @@ static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, i
     return parts;
 }
 
+/* Computes the step's terms and adds them to the sums; 0 with an exception set if the snapshots are
+   of another race. */
+static int advance(StepScorer *self, const Moment *before, const Moment *after)
+{
+    if (!is_of_this_race(self, before) || !is_of_this_race(self, after)) return 0;
+    for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
+        score(self, self->rewards + i, before, after);
+    }
+    for (npy_intp agent = 0; agent < self->karts.size; agent++) {
+        memcpy(row_of(self, self->last, agent) + self->num_terms,
+               self->events.data + self->karts.data[agent] * self->num_events,
+               (size_t)self->num_events * sizeof(double));
+    }
+    add_up(self);
+    return 1;
+}
+
 /* score(before, after, is_over): rewards, terminations and truncations of the step between the
    bytes of two snapshots, each a dict by agent; whether time is up. */
 static PyObject *scorer_score(PyObject *object, PyObject *args)
@@ -175,19 +205,53 @@ static PyObject *scorer_score(PyObject *object, PyObject *args)
     Moment before, after;
     int is_over;
     if (!PyArg_ParseTuple(args, "O&O&p", as_moment, &before, as_moment, &after, &is_over) ||
-        !is_of_this_race(self, &before) || !is_of_this_race(self, &after)) {
+        !advance(self, &before, &after)) {
         return NULL;
     }
-    for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
-        score(self, self->rewards + i, &before, &after);
-    }
-    for (npy_intp agent = 0; agent < self->karts.size; agent++) {
-        memcpy(row_of(self, self->last, agent) + self->num_terms,
-               self->events.data + self->karts.data[agent] * self->num_events,
-               (size_t)self->num_events * sizeof(double));
-    }
-    add_up(self);
     return ends_and_rewards(self, &after, is_over);
+}
+
+/* Whether there is one of `count` slots for each agent; otherwise an exception is set. */
+static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
+{
+    if (slots.size != self->karts.size) {
+        PyErr_Format(PyExc_ValueError, "%zd slots for %zd agents", slots.size, self->karts.size);
+        return 0;
+    }
+    if (!are_below(slots, count)) {
+        PyErr_Format(PyExc_IndexError, "there is no slot of that number");
+        return 0;
+    }
+    return 1;
+}
+
+/* score_into(before, after, is_over, slots, rewards, terminations, truncations): the same into
+   arrays with one number for each slot; agent i has slots[i]. */
+static PyObject *scorer_score_into(PyObject *object, PyObject *args)
+{
+    StepScorer *self = (StepScorer *)object;
+    Moment before, after;
+    int is_over;
+    Indices slots;
+    Doubles rewards;
+    Flags ended, cut;
+    if (!PyArg_ParseTuple(args, "O&O&pO&O&O&O&", as_moment, &before, as_moment, &after, &is_over,
+                          as_indices, &slots, as_written_doubles, &rewards, as_written_flags,
+                          &ended, as_written_flags, &cut)) {
+        return NULL;
+    }
+    if (ended.size != rewards.size || cut.size != rewards.size) {
+        return PyErr_Format(PyExc_ValueError, "the arrays differ in length");
+    }
+    if (!are_slots(self, slots, rewards.size) || !advance(self, &before, &after)) return NULL;
+    for (npy_intp agent = 0; agent < slots.size; agent++) {
+        const npy_intp slot = slots.data[agent];
+        const npy_bool has_ended = after.karts[self->karts.data[agent]].has_finished_race > 0;
+        rewards.data[slot] = total_of(self, agent);
+        ended.data[slot] = has_ended;
+        cut.data[slot] = is_over && !has_ended;
+    }
+    Py_RETURN_NONE;
 }
 
 /* infos(data, length): the infos at a snapshot, a dict by agent; how many steps the episode has. */
@@ -206,6 +270,32 @@ static PyObject *scorer_infos(PyObject *object, PyObject *args)
         if (put(infos, name, info_of(self, agent, kart, length)) < 0) Py_CLEAR(infos);
     }
     return infos;
+}
+
+/* infos_into(data, length, slots, table): the same into a table with a row for each key and a column
+   for each slot; agent i has slots[i]. */
+static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
+{
+    const StepScorer *self = (StepScorer *)object;
+    Moment now;
+    double length;
+    Indices slots;
+    Doubles table;
+    if (!PyArg_ParseTuple(args, "O&dO&O&", as_moment, &now, &length, as_indices, &slots,
+                          as_written_doubles, &table) ||
+        !is_of_this_race(self, &now)) {
+        return NULL;
+    }
+    const npy_intp num_keys = PyTuple_GET_SIZE(self->keys), count = table.size / num_keys;
+    if (table.size % num_keys) {
+        return PyErr_Format(PyExc_ValueError, "a table must have %zd rows", num_keys);
+    }
+    if (!are_slots(self, slots, count)) return NULL;
+    for (npy_intp agent = 0; agent < slots.size; agent++) {
+        const Kart *kart = now.karts + self->karts.data[agent];
+        write_info(self, agent, kart, length, table.data + slots.data[agent], count);
+    }
+    Py_RETURN_NONE;
 }
 
 /* ---------------------------------------------------------------- the type */
@@ -261,7 +351,8 @@ static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(k
                           &self->events) ||
         set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 4),
                  (PyArrayObject *)PyTuple_GET_ITEM(args, 8)) < 0 ||
-        !(self->blank_info = keep(self, PyDict_New()))) {
+        !(self->blank_info = keep(self, PyDict_New())) ||
+        !(self->info = room_for(self, PyTuple_GET_SIZE(self->keys), sizeof *self->info))) {
         return -1;
     }
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(self->keys); i++) {
@@ -278,4 +369,6 @@ static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(k
 
 KERNEL_TYPE(StepScorer, scorer, "What a race's steps mean for some agents.",
             {"score", scorer_score, METH_VARARGS, "Rewards and ends."},
-            {"infos", scorer_infos, METH_VARARGS, "Infos by agent."})
+            {"score_into", scorer_score_into, METH_VARARGS, "Rewards and ends, into arrays."},
+            {"infos", scorer_infos, METH_VARARGS, "Infos by agent."},
+            {"infos_into", scorer_infos_into, METH_VARARGS, "Infos, into a table."})

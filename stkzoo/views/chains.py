@@ -13,7 +13,7 @@ from gymnasium import spaces
 from stkzoo.errors import ActionError, AgentException, shortened
 from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.agent_chain import WrapperMemory
-from stkzoo.views.plan import ObservationSource, Observer, ViewPlan
+from stkzoo.views.plan import ObservationSource, Observer, RowObserver, ViewPlan
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
 IntArray = npt.NDArray[np.intp]
@@ -28,6 +28,7 @@ class _Group:
         agents: all agents of the group.
         rows: their positions among the agents of the call.
         observer: makes their observations.
+        row_observer: the same, if it writes into rows of a batch.
         reader: converts their actions to controls.
         acting: agents whose actions the reader takes directly.
         acting_rows: positions of ``acting``.
@@ -40,6 +41,7 @@ class _Group:
     agents: tuple[str, ...]
     rows: IntArray
     observer: Observer
+    row_observer: RowObserver | None
     reader: ActionReader
     acting: tuple[str, ...]
     acting_rows: IntArray
@@ -88,6 +90,7 @@ class AgentChains:
     Attributes:
         observation_spaces: each agent's observation space, after its wrappers.
         action_spaces: each agent's action space, before its wrappers.
+        has_rows: whether the kernel runs all wrappers and :meth:`observe_into` is available.
 
     Args:
         observation_spaces: each agent's space in the ``full`` view.
@@ -125,6 +128,8 @@ class AgentChains:
         self._present: _Roster | None = None
         self.observation_spaces = self._walker.observation_spaces
         self.action_spaces = self._walker.action_spaces
+        is_compiled = all(chain.is_empty for chain in self._chains.values())
+        self.has_rows = is_compiled and all(plan.has_rows for plan in self._plans.values())
 
     def decode(
         self,
@@ -173,12 +178,59 @@ class AgentChains:
             base = self._walker.begin_step(asked, roster.walked)
             for group in roster.groups:
                 group.reader.read(base, group.walking, rows[group.walking_rows], controls)
+        self._drive_cars(roster, rows, controls, source)
+        return controls
+
+    def decode_batch(
+        self,
+        batch: Any,
+        slots: IntArray,
+        num_slots: int,
+        agents: Sequence[str],
+        rows: IntArray,
+        num_rows: int,
+        source: ObservationSource,
+    ) -> FloatArray | None:
+        """Converts a batch of actions to base actions, if no wrapper runs in Python.
+
+        Args:
+            batch: an array with one row per slot, or a dict of such arrays.
+            slots: slot of each agent.
+            num_slots: number of slots in the batch.
+            agents: see :meth:`decode`.
+            rows: see :meth:`decode`.
+            num_rows: see :meth:`decode`.
+            source: see :meth:`decode`.
+
+        Returns:
+            See :meth:`decode`. ``None`` if an action is invalid or in an unusual form, which
+                :meth:`decode` converts or rejects.
+        """
+        roster = self._roster(agents)
+        if roster.walked:
+            return None
+        controls = np.zeros((num_rows, len(self._columns)), np.float32)
+        for group in roster.groups:
+            acting = group.acting_rows
+            own = slots[acting], rows[acting]
+            if not group.reader.read_batch(batch, num_slots, *own, controls):
+                return None
+        self._drive_cars(roster, rows, controls, source)
+        return controls
+
+    def _drive_cars(
+        self,
+        roster: _Roster,
+        rows: IntArray,
+        controls: FloatArray,
+        source: ObservationSource | None,
+    ) -> None:
+        """Converts actions in physical units, which are in ``controls``, to controls."""
         for group in roster.groups:
             if group.car is not None and source is not None:
-                karts, data = source.karts(agents)[group.rows], source.snapshot.data
-                own = rows[group.rows]
+                karts = source.karts(roster.agents)[group.rows]
+                own, data = rows[group.rows], source.snapshot.data
                 group.car.drive(controls, own, data, karts, self._cars, group.numbers)
-        return controls
 
     def observe(self, agents: Sequence[str], source: ObservationSource) -> dict[str, Any]:
         """Returns the agents' observations before the Python wrappers.
@@ -196,6 +248,23 @@ class AgentChains:
             seen = group.observer.observe(source, karts[group.rows])
             observations.update(zip(group.agents, seen, strict=True))
         return observations
+
+    def observe_into(
+        self, agents: Sequence[str], source: ObservationSource, rows: IntArray, batch: Any
+    ) -> None:
+        """Writes the agents' observations into rows of a batch; see :attr:`has_rows`.
+
+        Args:
+            agents: the agents.
+            source: the race at this moment.
+            rows: row of each agent.
+            batch: an array with one row per slot, or a dict of arrays and lists by entry.
+        """
+        roster, karts = self._roster(agents), source.karts(agents)
+        for group in roster.groups:
+            if group.row_observer is not None:
+                own = karts[group.rows], rows[group.rows]
+                group.row_observer.observe_into(source, *own, batch)
 
     def reset(
         self,
@@ -310,7 +379,7 @@ class AgentChains:
         own = tuple(agents[row] for row in rows)
         identity, plan = self._identities[own[0]], self._plans[own[0]]
         if identity not in self._made:
-            observer = plan.observer or _RecordsObserver(plan)
+            observer = plan.observer or _observer_of(plan)
             made = observer, plan.new_reader(), plan.new_controller()
             self._made[identity] = made
         observer, reader, car = self._made[identity]
@@ -321,6 +390,7 @@ class AgentChains:
             agents=own,
             rows=np.array(rows, np.intp),
             observer=observer,
+            row_observer=observer if isinstance(observer, RowObserver) else None,
             reader=reader,
             acting=tuple(agents[row] for row in acting),
             acting_rows=np.array(acting, np.intp),
@@ -351,18 +421,37 @@ class AgentChains:
             )
 
 
+def _observer_of(plan: ViewPlan) -> Observer:
+    return _GroundObserver(plan) if plan.sees_ground else _RecordsObserver(plan)
+
+
 class _RecordsObserver:
-    """Makes observations from the game's records, with the ground if they include it."""
+    """Makes observations from the game's records."""
 
     def __init__(self, plan: ViewPlan) -> None:
         self._observer = plan.new_observer()
-        self._names = plan.names if plan.sees_ground else ()
 
     def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
         """See :class:`Observer`."""
-        observations = self._observer.observe(*source.course, source.snapshot.data, karts)
-        if not self._names:
-            return observations
+        return self._observer.observe(*source.course, source.snapshot.data, karts)
+
+    def observe_into(
+        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
+    ) -> None:
+        """See :class:`RowObserver`."""
+        data = source.snapshot.data
+        self._observer.observe_into(*source.course, data, karts, rows, batch)
+
+
+class _GroundObserver:
+    """Makes observations from the game's records and the ground."""
+
+    def __init__(self, plan: ViewPlan) -> None:
+        self._records, self._names = _RecordsObserver(plan), plan.names
+
+    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
+        """See :class:`Observer`."""
+        observations = self._records.observe(source, karts)
         ahead = source.ground_ahead(karts)
         for row, own in enumerate(observations):
             seen = own | {key: values[row] for key, values in ahead.items()}

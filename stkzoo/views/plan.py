@@ -8,7 +8,7 @@ observations directly from the game's records, and controls directly from their 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +56,23 @@ class Observer(Protocol):
 
     def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
         """Returns the karts' observations in Gymnasium's form."""
+
+
+@runtime_checkable
+class RowObserver(Observer, Protocol):
+    """An observer that also writes into rows of a batch."""
+
+    def observe_into(
+        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
+    ) -> None:
+        """Writes the karts' observations into rows of a batch.
+
+        Args:
+            source: the race at this moment.
+            karts: ``(A,)`` indices of the karts.
+            rows: ``(A,)`` row of each kart.
+            batch: an array with one row per slot, or a dict of arrays and lists by entry.
+        """
 
 
 class ViewPlan:
@@ -108,6 +125,18 @@ class ViewPlan:
         """Whether observations are those of the ``full`` view without additions."""
         changed = self.sizes or self.is_polar or self.is_flat or self.observer
         return not (changed or self.has_action or self.sees_ground)
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether the kernel writes observations into rows of a batch.
+
+        This needs observations of a fixed size without the ground and the game AI's ``action``.
+        """
+        if self.observer is not None:
+            return isinstance(self.observer, RowObserver)
+        groups = {name.partition("_")[0] for name in self.names}
+        is_fixed = groups & {"items", "karts", "paths"} <= self.sizes.keys()
+        return is_fixed and not (self.has_action or self.sees_ground)
 
     @property
     def has_choices(self) -> bool:

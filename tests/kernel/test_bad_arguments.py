@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import struct
 from types import SimpleNamespace
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from stkzoo import kernel, race_v0
+from stkzoo import RaceVectorEnv, kernel, race_v0
 from stkzoo.drivers import codec
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, KART_DTYPE
 from stkzoo.engine.track import decode_track
@@ -97,6 +98,11 @@ def drive_races():
             env.reset(seed=1)
             for _ in range(3):
                 env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+    for view in VIEWS[1:]:
+        options = {"num_kart": 3, "track": "lighthouse", "view": view, "events": True}
+        with contextlib.closing(RaceVectorEnv(1, **options, prefetch=False)) as envs:
+            envs.reset(seed=1)
+            envs.step(envs.action_space.sample())
 
 
 def stepper_arguments():
@@ -212,6 +218,20 @@ def own(value):
     if type(value) in (tuple, list):
         return type(value)(map(own, value))
     return {key: own(part) for key, part in value.items()} if isinstance(value, dict) else value
+
+
+#: Methods that write into arrays of the caller.
+ROWS = {
+    "ActionReader": "read_batch",
+    "KartObserver": "observe_into",
+    "RacingObserver": "observe",
+    "StepScorer": "score_into infos_into",
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_races_call_what_writes_into_arrays(cases, name):
+    assert {*ROWS[name].split()} <= {method for _, _, method, _ in cases[name]}
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stkzoo import kernel, race_v0
+from stkzoo import RaceVectorEnv, kernel, race_v0
 from stkzoo.config import AgentSpec
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap, decode_track
@@ -88,6 +88,8 @@ MOVING = [
 ]
 
 CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only, *MOVING]
+#: Chains whose observations vary in size.
+LISTS = ["full", "ground", polar_lists, flat_actions_only, MOVING[0]]
 
 
 def assert_close(ours, theirs, path=""):
@@ -96,7 +98,7 @@ def assert_close(ours, theirs, path=""):
         assert list(ours) == list(theirs), path
         for key, value in ours.items():
             assert_close(value, theirs[key], f"{path}/{key}")
-    elif isinstance(ours, tuple):
+    elif isinstance(ours, (tuple, list)):
         assert len(ours) == len(theirs), path
         for number, (own, other) in enumerate(zip(ours, theirs, strict=True)):
             assert_close(own, other, f"{path}[{number}]")
@@ -205,6 +207,39 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
         assert_close(step[0], observations)
         assert list(step[1:]) == rest
     without.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("view", "track"),
+    [
+        (view, track)
+        for view, track in zip(CHAINS, itertools.cycle(TRACKS), strict=False)
+        if view not in LISTS
+    ],
+    ids=lambda view: getattr(view, "__name__", str(view)),
+)
+def test_rows_are_the_same_with_and_without_the_kernel(view, track, numpy_only):
+    settings = {"num_kart": 4, "agents": 3, "track": track, "view": view, "max_cycles": 8}
+    settings |= {"events": True, "prefetch": False}
+
+    def trace():
+        with contextlib.closing(RaceVectorEnv(2, **settings)) as envs:
+            assert envs._has_rows
+            results = [envs.reset(seed=3)]
+            envs.action_space.seed(3)
+            actions = (envs.action_space.sample() for _ in range(12))
+            return [*results, *map(envs.step, actions)]
+
+    with_kernel = trace()
+    numpy_only()
+    for ours, theirs in zip(with_kernel, trace(), strict=True):
+        assert_close(ours[0], theirs[0])
+        for own, other in zip(ours[1:], theirs[1:], strict=True):
+            if isinstance(own, dict):
+                finals = [list(infos.pop("final_obs", ())) for infos in (own, other)]
+                assert_close(*finals)
+            np.testing.assert_equal(own, other)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.15])
@@ -466,6 +501,28 @@ def bare_spaces(view):
     return kart_observation_space(extras=[view] if view == "ground" else []), kart_action_space()
 
 
+def test_a_batch_of_actions_is_read_as_in_numpy():
+    random = np.random.default_rng(0)
+    table = random.normal(size=(4, 2)).astype(np.float32)
+    leaves = (
+        ((-1.0, 1.0, False, 0, None),),
+        ((0.0, 3.0, True, 1, table), (0.0, 1.0, True, 3, None)),
+    )
+    readers = [made(("a", "b"), leaves, 4) for made in (ActionReader, action_reader.ActionReader)]
+    slots, rows, num_taken = np.array([4, 0, 2]), np.array([1, 0, 3]), 0
+    for _ in range(500):
+        good = {"a": random.uniform(-1, 1, (5, 1)), "b": random.integers(0, 2, (5, 2))}
+        batch = fuzzed(random, good) if random.random() < 0.5 else good
+        ours, theirs = np.ones((2, 5, 4), np.float32)
+        is_read = readers[0].read_batch(batch, 5, slots, rows, ours)
+        if is_read:
+            num_taken += 1
+            assert readers[1].read_batch(batch, 5, slots, rows, theirs), batch
+            assert ours.tolist() == theirs.tolist()
+            assert (ours[[2, 4]] == 1).all()
+    assert 250 < num_taken < 500
+
+
 def track_of(successors, length=20.0, count=None):
     begins = np.cumsum([0, *map(len, successors)]).astype(np.intp)
     ends = np.array([node for nodes in successors for node in nodes], np.intp)
@@ -535,6 +592,111 @@ def test_the_kernel_checks_what_it_is_given():
         track_of([[0]]).ahead(1)
 
 
+KARTS = Snapshot.of(
+    np.zeros((), HEADER_DTYPE), np.zeros(2, KART_DTYPE), np.zeros(2, ITEM_DTYPE)
+).data
+FIRST, TWO = np.zeros(1, np.intp), np.arange(2)
+
+
+def observe_into(observer, where, batch, who=TWO):
+    observer.observe_into(track_of([[0]]), 1, ("tux", "gnu"), KARTS, who, where, batch)
+
+
+def test_an_observer_checks_a_batch():
+    observer = KartObserver(("kart_type", "energy", "items_type", "items_mask"), items=3)
+    batch = {"kart_type": [""] * 4, "energy": np.ones((4, 1), np.float32)}
+    batch |= {"items_type": np.ones((4, 3), np.int64), "items_mask": np.ones((4, 3), np.int8)}
+    observe_into(observer, np.array([3, 1]), batch)
+    assert batch["kart_type"] == ["", "gnu", "", "tux"]
+    assert batch["energy"][:, 0].tolist() == [1, 0, 1, 0]
+    assert batch["items_mask"][[0, 3]].tolist() == [[1, 1, 1], [1, 1, 0]]
+    for where in (np.array([4, 1]), np.array([-1, 1])):
+        with pytest.raises(IndexError, match="no row"):
+            observe_into(observer, where, batch)
+    with pytest.raises(IndexError, match="kart 2 of 2"):
+        observe_into(observer, TWO, batch, TWO + 1)
+    with pytest.raises(ValueError, match="1 karts for 2 rows"):
+        observe_into(observer, TWO, batch, FIRST)
+    fixed = np.ones((4, 1), np.float32)
+    fixed.flags.writeable = False
+    for wrong, message in (
+        ({"energy": fixed}, "writeable"),
+        ({"energy": np.ones((4, 2), np.float32)}, "another number of energy"),
+        ({"energy": np.ones((), np.float32)}, "another number of energy"),
+        ({"energy": np.ones((4, 1))}, "float32"),
+        ({"items_type": np.ones((4, 3), np.float32)}, "int64"),
+        ({"items_mask": np.ones((4, 3), np.int8)[::-1]}, "contiguous"),
+        ({"kart_type": ()}, "names"),
+        ({"kart_type": [""]}, "range"),
+    ):
+        with pytest.raises((ValueError, TypeError, IndexError), match=message):
+            observe_into(observer, np.array([3, 1]), batch | wrong)
+    for batch_ in ({}, None, np.ones((4, 1), np.float32)):
+        with pytest.raises((ValueError, TypeError), match="batch"):
+            observe_into(KartObserver(("energy",)), TWO, batch_)
+
+
+@pytest.mark.parametrize("name", ["items_type", "paths_start", "action"])
+@pytest.mark.parametrize("made", [KartObserver, KartObserverTwin])
+def test_what_varies_in_size_has_no_rows(made, name):
+    with pytest.raises(ValueError, match=f"{name} has no row"):
+        made((name,)).observe_into(track_of([[0]]), 1, ("tux",), KARTS, FIRST, FIRST, {name: []})
+
+
+def test_a_flat_observer_checks_a_batch():
+    names, none = ("energy", "jumping"), np.zeros(3, np.bool_)
+    flat = KartObserver(names, 0, 0, 0, flat=True, nitro=~none, fire=none)
+    batch = {"continuous": np.ones((2, 1), np.float32), "discrete": np.ones((2, 1), np.int64)}
+    batch["action_mask"] = np.ones((2, 3), np.int8)
+    observe_into(flat, TWO, batch)
+    assert not any(part.any() for part in batch.values())
+    for key in batch:
+        with pytest.raises(ValueError, match=f"no {key}"):
+            observe_into(flat, TWO, {name: part for name, part in batch.items() if name != key})
+        with pytest.raises(IndexError, match="no row"):
+            observe_into(flat, TWO, batch | {key: batch[key][:1]})
+    joined = KartObserver(names, 0, 0, 0, flat=True, joined=np.array([2]))
+    vectors = np.ones((2, 3), np.float32)
+    observe_into(joined, TWO, vectors)
+    assert vectors.tolist() == [[0, 1, 0]] * 2
+    for wrong in (vectors[:, 1:].copy(), batch, None, vectors.astype(np.float64)):
+        with pytest.raises((ValueError, TypeError)):
+            observe_into(joined, TWO, wrong)
+    with pytest.raises(IndexError, match="choice 0"):
+        observe_into(
+            KartObserver(names, 0, 0, 0, flat=True, joined=FIRST), TWO, vectors[:, :1].copy()
+        )
+
+
+def test_racing_rows_are_checked():
+    road = road_of(np.random.default_rng(0))
+    racing = RacingObserver((road.lines, road.starts, road.along), *KERNEL_TABLES)
+    views = np.full((3, SIZE), 9, np.float32)
+    racing.observe(KARTS, TWO, views, np.array([2, 0]))
+    assert (views == 9).all(axis=1).tolist() == [False, True, False]
+    with pytest.raises(ValueError, match="2 karts for 1 rows"):
+        racing.observe(KARTS, TWO, views, FIRST)
+    with pytest.raises(ValueError, match="rows of 165 numbers"):
+        racing.observe(KARTS, TWO, views[:, 1:].copy(), TWO)
+    for where in (np.array([0, 3]), np.array([-1, 0])):
+        with pytest.raises(IndexError, match="no row"):
+            racing.observe(KARTS, TWO, views, where)
+
+
+def test_a_reader_checks_a_batch():
+    reader = ActionReader((), (((0.0, 1.0, True, 0, None),),), 1)
+    actions, controls = np.ones(3, np.int64), np.zeros((2, 1), np.float32)
+    assert reader.read_batch(actions, 3, TWO, TWO, controls)
+    assert not reader.read_batch(actions, 4, TWO, TWO, controls)
+    assert not reader.read_batch(np.array(1), 1, FIRST, FIRST, controls)
+    assert not reader.read_batch([1, 1, 1], 3, TWO, TWO, controls)
+    with pytest.raises(ValueError, match="2 slots for 1 rows"):
+        reader.read_batch(actions, 3, TWO, FIRST, controls)
+    for slots, where in ((TWO, TWO + 1), (TWO - 1, TWO), (TWO + 2, TWO)):
+        with pytest.raises(IndexError, match="slot or row"):
+            reader.read_batch(actions, 3, slots, where, controls)
+
+
 def test_a_counter_checks_what_it_is_given():
     nodes = np.zeros((1, 2, 3), np.float32)
     memory, counts = np.zeros((1, 9)), np.zeros((1, 10))
@@ -594,6 +756,30 @@ def test_a_scorer_refuses_snapshots_of_another_race():
         scorer_of().score(one, none, False)
     with pytest.raises(ValueError, match="no snapshot"):
         scorer_of().infos(b"", 1)
+
+
+def test_a_scorer_checks_arrays():
+    scorer, rewards = scorer_of(), np.ones(3)
+    ended, cut, table = np.ones(3, np.bool_), np.ones(3, np.bool_), np.ones((8, 3))
+    scorer.score_into(KARTS, KARTS, True, FIRST + 1, rewards, ended, cut)
+    assert (rewards.tolist(), ended.tolist()) == ([1, 0, 1], [True, False, True])
+    scorer.infos_into(KARTS, 5, FIRST + 1, table)
+    assert table.T.tolist() == [[1.0] * 8, [0.0] * 7 + [5.0], [1.0] * 8]
+    with pytest.raises(ValueError, match="differ in length"):
+        scorer.score_into(KARTS, KARTS, True, FIRST, rewards, ended[1:].copy(), cut)
+    with pytest.raises(ValueError, match="2 slots for 1 agents"):
+        scorer.score_into(KARTS, KARTS, True, TWO, rewards, ended, cut)
+    with pytest.raises(ValueError, match="2 slots for 1 agents"):
+        scorer.infos_into(KARTS, 5, TWO, table)
+    with pytest.raises(ValueError, match="8 rows"):
+        scorer.infos_into(KARTS, 5, FIRST, table[1:].copy())
+    for slots in (FIRST + 3, FIRST - 1):
+        with pytest.raises(IndexError, match="no slot"):
+            scorer.score_into(KARTS, KARTS, True, slots, rewards, ended, cut)
+        with pytest.raises(IndexError, match="no slot"):
+            scorer.infos_into(KARTS, 5, slots, table)
+    with pytest.raises(TypeError):
+        scorer.score_into(KARTS, KARTS, True, FIRST, rewards, ended.astype(np.int8), cut)
 
 
 def twin_of(track):

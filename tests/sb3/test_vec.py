@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -17,7 +19,8 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from stkzoo import AgentSpec, ConfigError, RaceVectorEnv
+from stkzoo import AgentSpec, ConfigError, RaceVectorEnv, Start
+from stkzoo.env.vec.batch_race import BatchRace
 from stkzoo.sb3 import ActiveDictRolloutBuffer, ActiveRolloutBuffer, RaceVecEnv
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
@@ -360,3 +363,76 @@ def test_nothing_but_this_module_imports_stable_baselines3():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     ).stdout
     assert not {"stable_baselines3", "torch"} & set(loaded.split())
+
+
+# ---------------------------------------------------------------------- infos
+
+
+def play_both(envs, num_steps):
+    """The results of some steps; infos as dicts, without the time since construction."""
+    envs.seed(1)
+    envs.action_space.seed(5)
+    trace = [(envs.reset(), [dict(info) for info in envs.reset_infos])]
+    for _ in range(num_steps):
+        actions = np.array([envs.action_space.sample() for _ in range(envs.num_envs)])
+        observations, rewards, done, infos = envs.step(actions)
+        infos = [dict(info) for info in infos]
+        for info in infos:
+            if "episode" in info:
+                info["episode"] = {key: info["episode"][key] for key in "rl"}
+        first = [dict(info) for info in envs.reset_infos]
+        trace.append((observations, rewards, done, infos, first))
+    envs.close()
+    return trace
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize("view", ["racing", "masked_discrete", "flattened_multidiscrete"])
+def test_it_gives_what_agents_get(view, flat, monkeypatch):
+    starts = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
+    options = {"track": "lighthouse", "max_cycles": 9, "start": starts, "view": view}
+    with_rows = play_both(make(**options, flat_observations=flat), 22)
+    monkeypatch.setattr(BatchRace, "has_rows", False)
+    agent_by_agent = play_both(make(**options, flat_observations=flat), 22)
+    assert identical(with_rows, agent_by_agent)
+    active = [info["active"] for step in with_rows[1:] for info in step[3]]
+    assert 0 < sum(active) < len(active)
+
+
+def identical(one, other):
+    """Whether two results are equal in types and to the bit."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, dict):
+        return list(one) == list(other) and all(identical(one[key], other[key]) for key in one)
+    if isinstance(one, (list, tuple)):
+        return len(one) == len(other) and all(map(identical, one, other))
+    if isinstance(one, np.ndarray):
+        return one.dtype == other.dtype and one.tobytes() == other.tobytes()
+    return one == other
+
+
+def test_the_info_of_a_slot_is_a_mapping():
+    envs = make(max_cycles=3)
+    envs.reset()
+    info = envs.step(np.full(4, 700))[3][3]
+    values = info.copy()
+    assert type(values) is dict
+    assert info == values == dict(info) == {**info}
+    assert list(info) == list(values)
+    assert len(info) == len(values)
+    assert repr(info) == repr(values)
+    assert (info["episode/length"], info["track"], info["active"]) == (1, "olivermath", True)
+    assert type(info["position"]) is int
+    assert type(info["distance"]) is float
+    assert info.get("episode") is None
+    assert info.get("episode", 7) == 7
+    assert info.get("lap") == values["lap"]
+    assert "terminal_observation" not in info
+    with pytest.raises(KeyError, match="episode"):
+        info["episode"]
+    assert pickle.loads(pickle.dumps(info)) == copy.deepcopy(info) == values
+    envs.step(np.full(4, 700))
+    assert info.copy() == values
+    envs.close()

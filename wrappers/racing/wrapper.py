@@ -102,12 +102,26 @@ class _RacingObserver:
 
     def observe(self, source: ObservationSource, karts: npt.NDArray[np.intp]) -> list[Any]:
         """See :class:`~stkzoo.views.plan.Observer`."""
-        track, (_, num_paths, _) = source.track_map, source.course
-        if num_paths < min(MAX_SEGMENTS, track.num_nodes):
-            # These karts observe fewer segments than the vector needs.
+        if _is_short(source):
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
             return [racing_features(*surroundings_of(one))[0] for one in seen]
-        return list(racing_view_of(track).observe([source.snapshot], [0], [karts]))
+        return list(racing_view_of(source.track_map).observe([source.snapshot], [0], [karts]))
+
+    def observe_into(
+        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
+    ) -> None:
+        """See :class:`~stkzoo.views.plan.RowObserver`."""
+        if _is_short(source):
+            batch[rows] = self.observe(source, karts)
+        else:
+            view = racing_view_of(source.track_map)
+            view.observe_into(source.snapshot, 0, karts, rows, batch)
+
+
+def _is_short(source: ObservationSource) -> bool:
+    """Whether karts observe fewer segments than the vector needs."""
+    _, num_paths, _ = source.course
+    return bool(num_paths < min(MAX_SEGMENTS, source.track_map.num_nodes))
 
 
 class BatchedRacingView:
@@ -146,6 +160,20 @@ class BatchedRacingView:
         for snapshot, road, who, part in zip(snapshots, roads, karts, parts, strict=True):
             self._observers[road].observe(snapshot.data, np.ascontiguousarray(who, np.intp), part)
         return views
+
+    def observe_into(
+        self, snapshot: Snapshot, road: int, karts: IntArray, rows: IntArray, views: FloatArray
+    ) -> None:
+        """Writes the views of some karts of one race into rows of an array.
+
+        Args:
+            snapshot: current snapshot of the race.
+            road: number of its track.
+            karts: ``(A,)`` indices of the karts.
+            rows: ``(A,)`` row of each kart.
+            views: ``(N, SIZE)`` float32, which this changes.
+        """
+        self._observers[road].observe(snapshot.data, karts, views, rows)
 
     def surroundings(
         self,

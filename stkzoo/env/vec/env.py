@@ -9,15 +9,24 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space, concatenate, create_empty_array, iterate
+from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._os import cpu_count
 from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.parallel import drive_opponents
-from stkzoo.env.vec.ahead import AheadRace
-from stkzoo.env.vec.slots import BoolArray, RaceSlots, SlotSteps
+from stkzoo.env.vec.actions import ActionBatch
+from stkzoo.env.vec.batch_race import BatchRace
+from stkzoo.env.vec.slots import CompiledSlots, RaceSlots, WalkedSlots
+from stkzoo.env.vec.steps import (
+    BoolArray,
+    InfoDicts,
+    InfoTables,
+    RowObservations,
+    SlotSteps,
+    StackedObservations,
+)
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
 from stkzoo.views.actions import read_action
 
@@ -104,7 +113,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             from stkzoo.env.opponents import OpponentChoice
 
             options["opponents"] = OpponentChoice.of(options["opponents"])  # one for all races
-        self.races = tuple(AheadRace(view=view, **options) for _ in range(num_races))
+        self.races = tuple(BatchRace(view=view, **options) for _ in range(num_races))
         first, self.num_races = self.races[0], num_races
         self.num_agents = len(first.possible_agents)
         self.num_envs = num_races * self.num_agents
@@ -114,7 +123,14 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.idle_observation = create_zero_array(self.single_observation_space)
         self.tracks = tuple(sorted(find_assets().tracks))
-        self._rows = [RaceSlots(race, number) for number, race in enumerate(self.races)]
+        self._track_numbers = {name: number for number, name in enumerate(self.tracks)}
+        self._has_rows = all(race.has_rows for race in self.races)
+        form = RowObservations if self._has_rows else StackedObservations
+        self._observations: RowObservations | StackedObservations = form(
+            self.single_observation_space, self.idle_observation, self.num_envs
+        )
+        slots = CompiledSlots if self._has_rows else WalkedSlots
+        self._rows: list[RaceSlots] = [slots(race, n) for n, race in enumerate(self.races)]
         self._names = [f"{a} of race {n}" for n in range(num_races) for a in first.possible_agents]
         self._is_player = np.array([not spec.use_ai for spec in first.specs] * num_races)
 
@@ -160,7 +176,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
                 "a race at once; leave it out"
             )
         steps = self.reset_slots(seed, [options] * self.num_races)
-        return self.batch(steps.observations), self._infos(steps)
+        return steps.observations, self._infos(steps)
 
     def reset_slots(
         self,
@@ -188,13 +204,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         seeds = seeds_of_races(seed, self.num_races)
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.prepare(own_seed, own)
-        steps = SlotSteps.idle(self.idle_observation, self.num_envs)
+        steps = self._new_steps()
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.reset(steps, own_seed, own)
         steps.active |= self.racing
         self._prefetch(self._rows)
-        self._name_tracks(steps)
-        return steps
+        return self._completed(steps)
 
     def set_options(
         self, options: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
@@ -266,25 +281,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             self._request_steps(actions)
 
     def _request_steps(self, actions: Any) -> None:
-        try:
-            singles = list(iterate(self.action_space, actions))
-        except (TypeError, KeyError, ValueError) as error:
-            raise ActionError(
-                f"the actions are {actions!r}, expected a batch for {self.num_envs} slots in the "
-                f"form of {self.action_space}",
-                self.races[0].possible_agents[0],
-            ) from error
         self._require_open("step")
-        if len(singles) != self.num_envs:
-            raise ActionError(
-                f"{len(singles)} actions came for {self.num_envs} slots ({self.num_races} races "
-                f"of {self.num_agents} agents); send one for each, idle ones too",
-                self._names[0],
-            )
+        batch = ActionBatch(actions, self.action_space, self._names)
         try:
-            controls = [row.decode(singles[row.slots]) for row in self._rows]
+            controls = [row.decode(batch) for row in self._rows]
         except ActionError:
-            self._name_the_race(singles)
+            self._name_the_race(batch.singles)
             raise
         drive_opponents(self.races, controls)
         for row, own in zip(self._rows, controls, strict=True):
@@ -299,7 +301,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         """
         steps = self.wait_slots()
         return (
-            self.batch(steps.observations),
+            steps.observations,
             steps.rewards,
             steps.terminations,
             steps.truncations,
@@ -317,7 +319,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             return self._finish_steps()
 
     def _finish_steps(self) -> SlotSteps:
-        steps = SlotSteps.idle(self.idle_observation, self.num_envs)
+        steps = self._new_steps()
         for row in self._rows:
             row.step_wait(steps)
             if row.is_over:  # starts while this call waits for the other races
@@ -326,14 +328,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         for row in over:
             row.reset(steps)
         self._prefetch(over)
-        self._name_tracks(steps)
-        return steps
-
-    def batch(self, observations: Sequence[Any]) -> Any:
-        """Stacks the observations of all slots into a new array or dict of arrays."""
-        space = self.single_observation_space
-        empty: Any = create_empty_array(space, len(observations))
-        return concatenate(space, observations, empty)
+        return self._completed(steps)
 
     def close_extras(self, **_: Any) -> None:
         """Stops the game processes; called by :meth:`close`."""
@@ -355,44 +350,33 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         if self.closed:
             raise ApiOrderError(f"{method}() after close(); make a new environment")
 
+    def _new_steps(self) -> SlotSteps:
+        count = self.num_envs
+        infos = InfoTables(count) if self._has_rows else InfoDicts(count, self._add_info)
+        return SlotSteps.idle(self._observations.new(), infos, count)
+
+    def _completed(self, steps: SlotSteps) -> SlotSteps:
+        """Adds what concerns all races to the steps of all slots."""
+        idle = np.flatnonzero(~self.racing)
+        steps.observations = self._observations.finish(steps.observations, idle)
+        for row in self._rows:
+            steps.tracks[row.slots] = self._track_numbers[row.track]
+        return steps
+
     def _infos(self, steps: SlotSteps) -> dict[str, Any]:
-        infos = self._columns(steps.infos)
+        infos = steps.infos.columns()
         for slot, (observation, info) in steps.finals.items():
-            final = {**info, "track": self.tracks.index(info["track"])}
+            final = {**info, "track": self._track_numbers[info["track"]]}
             infos = self._add_info(infos, {"final_obs": observation, "final_info": final}, slot)
         return {
             **infos,
             **self._flag("active", steps.active),
             **self._flag("crashed", steps.crashed),
-            **self._flag("track", np.array([self.tracks.index(name) for name in steps.tracks])),
+            **self._flag("track", steps.tracks),
         }
-
-    def _name_tracks(self, steps: SlotSteps) -> None:
-        for row in self._rows:
-            steps.tracks[row.slots] = [row.track] * self.num_agents
 
     def _flag(self, name: str, values: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         return {name: values, f"_{name}": np.ones(self.num_envs, np.bool_)}
-
-    def _columns(self, infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Converts infos by slot to arrays by key; a faster ``_add_info`` for all slots."""
-        slots = [slot for slot, info in enumerate(infos) if info]
-        keys = list(infos[slots[0]]) if slots else []
-        is_table = all(list(infos[slot]) == keys for slot in slots)
-        table = np.array([list(infos[slot].values()) for slot in slots] if is_table else [])
-        columns: dict[str, Any] = {}
-        if table.ndim != 2 or table.dtype.kind not in "biuf":
-            for slot, info in enumerate(infos):
-                columns = self._add_info(columns, dict(info), slot)
-            return columns
-        numbers = np.zeros((len(keys), self.num_envs), table.dtype)
-        masks = np.zeros((len(keys), self.num_envs), np.bool_)
-        numbers[:, slots], masks[:, slots] = table.T, True
-        values = infos[slots[0]].values()
-        for key, value, row, mask in zip(keys, values, numbers, masks, strict=True):
-            columns[key] = row.astype(np.asarray(value).dtype, copy=False)
-            columns[f"_{key}"] = mask
-        return columns
 
 
 def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> list[int | None]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.env.vec.ahead import AheadRace
+from stkzoo.env.vec.actions import ActionBatch
+from stkzoo.env.vec.batch_race import BatchRace
+from stkzoo.env.vec.steps import BoolArray, InfoDicts, SlotSteps
 from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
 
 logger = logging.getLogger(__name__)
@@ -18,51 +20,10 @@ logger = logging.getLogger(__name__)
 #: Maximum number of attempts to start a race when the game crashes at the start.
 _MAX_STARTS = 3
 
-BoolArray = npt.NDArray[np.bool_]
+Started = tuple[dict[str, Any], dict[str, dict[str, Any]]]
 
 
-@dataclass(slots=True)
-class SlotSteps:
-    """One step of ``S`` slots.
-
-    Attributes:
-        observations: next observation of each slot: after the end of a race, the first observation
-            of the next one; for an idle slot, zeros.
-        rewards: ``(S,)`` float64, 0 for idle slots.
-        terminations: ``(S,)`` bool, whether the slot's agent finished in this step.
-        truncations: ``(S,)`` bool, whether the slot's agent was truncated in this step.
-        active: ``(S,)`` bool, whether the slot's agent acted in this step.
-        infos: info of each slot, for the same moment as its observation; empty for idle slots.
-        finals: last observation and info of the slots that ended in this step, by slot.
-        crashed: ``(S,)`` bool, whether the slot's game crashed in this step.
-        tracks: track of each slot, for the same moment as its observation.
-    """
-
-    observations: list[Any]
-    rewards: npt.NDArray[np.float64]
-    terminations: BoolArray
-    truncations: BoolArray
-    active: BoolArray
-    infos: list[dict[str, Any]]
-    finals: dict[int, tuple[Any, dict[str, Any]]]
-    crashed: BoolArray
-    tracks: list[str]
-
-    @classmethod
-    def idle(cls, idle_obs: Any, count: int) -> SlotSteps:
-        """Returns a step in which all slots are idle."""
-        flags = ("terminations", "truncations", "active", "crashed")
-        return cls(
-            observations=[idle_obs] * count,
-            rewards=np.zeros(count),
-            infos=[{} for _ in range(count)],
-            finals={},
-            tracks=[""] * count,
-            **{name: np.zeros(count, np.bool_) for name in flags},
-        )
-
-
-class RaceSlots:
+class RaceSlots(ABC):
     """The slots of one race.
 
     Args:
@@ -77,7 +38,7 @@ class RaceSlots:
         track: track of the current race.
     """
 
-    def __init__(self, race: AheadRace, number: int) -> None:
+    def __init__(self, race: BatchRace, number: int) -> None:
         self.race = race
         self.num_crashes = 0
         self.options: Mapping[str, Any] = {}
@@ -86,21 +47,20 @@ class RaceSlots:
         self._agents = race.possible_agents
         count = len(self._agents)
         self.slots = slice(number * count, (number + 1) * count)
-        self._last: dict[str, tuple[Any, dict[str, Any]]] = {}  # by agent, observation and info
+        self._is_racing: BoolArray = np.zeros(count, np.bool_)
         self._returns = np.zeros(count)
         self._num_steps = 0
         self._failure: EngineError | None = None
 
     @property
     def racing(self) -> BoolArray:
-        """``(S,)`` bool, whether each slot's agent is still racing."""
-        racing = self.race.agents
-        return np.array([agent in racing for agent in self._agents], np.bool_)
+        """``(A,)`` bool, whether each slot's agent is still racing."""
+        return np.array(self._is_racing)
 
     @property
     def is_over(self) -> bool:
         """Whether all agents' episodes have ended, so that a :meth:`reset` is due."""
-        return not self._last
+        return not self._is_racing.any()
 
     def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Starts the race for the next :meth:`reset` with the same arguments ahead of time."""
@@ -123,19 +83,17 @@ class RaceSlots:
             EngineError: the game crashed several times in a row.
         """
         options = {**self.options, **(options or {})}
-        observations, infos = self._start(seed, options, _MAX_STARTS)
+        first = self._start(seed, options, _MAX_STARTS)
         self.track = race.track if (race := self.race.race) else ""
-        self._last = {agent: (observations[agent], infos[agent]) for agent in observations}
+        self._is_racing[:] = [agent in first[0] for agent in self._agents]
         self._returns[:] = 0.0
         self._num_steps = 0
         self._failure = None
-        for slot, agent in enumerate(self._agents, self.slots.start):
-            if agent in observations:
-                steps.observations[slot], steps.infos[slot] = self._last[agent]
+        self._show_first(steps, *first)
 
-    def decode(self, actions: Sequence[Any]) -> npt.NDArray[np.float32]:
+    @abstractmethod
+    def decode(self, actions: ActionBatch) -> npt.NDArray[np.float32]:
         """Checks one action per slot and returns the controls; ignores actions of idle slots."""
-        return self.race.decode(dict(zip(self._agents, actions, strict=True)))
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
         """Starts a step in the game; :meth:`step_wait` handles its crash."""
@@ -146,27 +104,50 @@ class RaceSlots:
 
     def step_wait(self, steps: SlotSteps) -> None:
         """Waits for the step and writes its results into those of all slots."""
-        steps.active[self.slots] = self.racing
+        steps.active[self.slots] = self._is_racing
         try:
             if self._failure is not None:
                 raise self._failure
-            result = self.race.step_wait()
+            self._advance(steps)
         except (EngineCrashed, EngineTimeout) as error:
             self._report(error, "its slots are cut short and it is replaced")
-            self._num_steps += 1
-            self._cut_short(steps)
-        else:
-            self._num_steps += 1
-            self._take_in(steps, *result)
+            steps.crashed[self.slots] = True
+            steps.truncations[self.slots] = self._is_racing
+        self._num_steps += 1
+        self._returns += steps.rewards[self.slots]
+        ended = steps.terminations[self.slots] | steps.truncations[self.slots]
+        if ended.any():
+            self._end(steps, np.flatnonzero(ended).tolist())
 
     def close(self) -> None:
         """Closes the race's environment."""
-        self._last = {}
+        self._is_racing[:] = False
         self.race.close()
 
-    def _start(
-        self, seed: int | None, options: Mapping[str, Any], attempts: int
-    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    @abstractmethod
+    def _show_first(self, steps: SlotSteps, *first: Any) -> None:
+        """Writes the first observations and infos of a race, which :meth:`reset` has started."""
+
+    @abstractmethod
+    def _advance(self, steps: SlotSteps) -> None:
+        """Waits for the step and writes what it gives to the agents that acted.
+
+        Observations and infos are those of the agents that are still racing.
+        """
+
+    @abstractmethod
+    def _last(self, agents: Sequence[str]) -> list[tuple[Any, dict[str, Any]]]:
+        """Returns the last observation and info of agents that ended in this step."""
+
+    def _end(self, steps: SlotSteps, rows: list[int]) -> None:
+        self._is_racing[rows] = False
+        last = self._last([self._agents[row] for row in rows])
+        for row, (observation, info) in zip(rows, last, strict=True):
+            episode = {"r": float(self._returns[row]), "l": self._num_steps}
+            info = {**info, "episode": episode, "track": self.track}
+            steps.finals[self.slots.start + row] = observation, info
+
+    def _start(self, seed: int | None, options: Mapping[str, Any], attempts: int) -> Started:
         try:
             return self.race.reset(seed=seed, options=options)
         except (EngineCrashed, EngineTimeout) as error:
@@ -179,38 +160,77 @@ class RaceSlots:
         self.num_crashes += 1
         logger.warning("race %d: %s (%s)", self._number, error.message, consequence)
 
-    def _take_in(
-        self,
-        steps: SlotSteps,
-        observations: Mapping[str, Any],
-        rewards: Mapping[str, float],
-        terminations: Mapping[str, bool],
-        truncations: Mapping[str, bool],
-        infos: Mapping[str, dict[str, Any]],
-    ) -> None:
-        for row, agent in enumerate(self._agents):
-            if agent not in observations:
-                continue
-            slot = self.slots.start + row
+
+class CompiledSlots(RaceSlots):
+    """Slots whose rows in the arrays of all slots are read and written by the kernel."""
+
+    def __init__(self, race: BatchRace, number: int) -> None:
+        super().__init__(race, number)
+        self._racing_slots = np.zeros(0, np.intp)
+
+    def decode(self, actions: ActionBatch) -> npt.NDArray[np.float32]:
+        """See :class:`RaceSlots`."""
+        slots, count = self._racing_slots, actions.num_slots
+        controls = self.race.decode_batch(actions.batch, slots, count)
+        return actions.decode_singly(self.race, self.slots) if controls is None else controls
+
+    def _show_first(self, steps: SlotSteps, *_: Any) -> None:
+        self._find_slots()
+        self.race.show_in(steps, self._racing_slots)
+
+    def _advance(self, steps: SlotSteps) -> None:
+        self.race.step_into(steps, self._racing_slots)
+        if len(self.race.agents) < len(self._racing_slots):
+            self._find_slots()
+        if self.race.agents:
+            self.race.show_in(steps, self._racing_slots)
+
+    def _last(self, agents: Sequence[str]) -> list[tuple[Any, dict[str, Any]]]:
+        observations, infos = self.race.observe(agents), self.race.infos(agents)
+        return [(observations[agent], infos[agent]) for agent in agents]
+
+    def _find_slots(self) -> None:
+        """Finds the slot of each racing agent."""
+        rows = [self._agents.index(agent) for agent in self.race.agents]
+        self._racing_slots = np.array(rows, np.intp) + self.slots.start
+
+
+class WalkedSlots(RaceSlots):
+    """Slots of agents with wrappers in Python: their values are made one by one."""
+
+    def __init__(self, race: BatchRace, number: int) -> None:
+        super().__init__(race, number)
+        self._latest: dict[str, tuple[Any, dict[str, Any]]] = {}  # observation and info by agent
+
+    def decode(self, actions: ActionBatch) -> npt.NDArray[np.float32]:
+        """See :class:`RaceSlots`."""
+        return actions.decode_singly(self.race, self.slots)
+
+    def _show_first(self, steps: SlotSteps, *first: Any) -> None:
+        observations, infos = first
+        self._latest = {agent: (observations[agent], infos[agent]) for agent in observations}
+        self._show(steps)
+
+    def _advance(self, steps: SlotSteps) -> None:
+        observations, rewards, terminations, truncations, infos = self.race.step_wait()
+        for agent in observations:
+            slot = self._slot(agent)
             steps.rewards[slot] = rewards[agent]
-            self._returns[row] += rewards[agent]
             steps.terminations[slot] = terminations[agent]
             steps.truncations[slot] = truncations[agent]
-            self._last[agent] = observations[agent], infos[agent]
-            if terminations[agent] or truncations[agent]:
-                steps.finals[slot] = self._final(row)
-            else:
-                steps.observations[slot], steps.infos[slot] = self._last[agent]
+            self._latest[agent] = observations[agent], infos[agent]
+        self._show(steps)
 
-    def _cut_short(self, steps: SlotSteps) -> None:
-        """Truncates the agents of a crashed race at their last observation."""
-        steps.crashed[self.slots] = True
-        steps.truncations[self.slots] = steps.active[self.slots]
-        for row in np.flatnonzero(steps.active[self.slots]).tolist():
-            steps.finals[self.slots.start + row] = self._final(row)
+    def _show(self, steps: SlotSteps) -> None:
+        """Writes the latest observations and infos of the racing agents."""
+        for agent in self.race.agents:
+            slot = self._slot(agent)
+            steps.observations[slot], info = self._latest[agent]
+            if isinstance(steps.infos, InfoDicts):
+                steps.infos.set(slot, info)
 
-    def _final(self, row: int) -> tuple[Any, dict[str, Any]]:
-        """Returns the last observation and info of a slot whose episode ends in this step."""
-        observation, info = self._last.pop(self._agents[row])
-        episode = {"r": float(self._returns[row]), "l": self._num_steps}
-        return observation, {**info, "episode": episode, "track": self.track}
+    def _last(self, agents: Sequence[str]) -> list[tuple[Any, dict[str, Any]]]:
+        return [self._latest.pop(agent) for agent in agents]
+
+    def _slot(self, agent: str) -> int:
+        return self.slots.start + self._agents.index(agent)

@@ -58,6 +58,43 @@ class ActionReader:
             for agent, row in zip(agents, rows.tolist(), strict=True)
         )
 
+    def read_batch(
+        self,
+        batch: Any,
+        count: int,
+        slots: npt.NDArray[np.intp],
+        rows: npt.NDArray[np.intp],
+        controls: npt.NDArray[np.float32],
+    ) -> bool:
+        """Reads the actions of some slots into rows of the controls.
+
+        Args:
+            batch: an array with a row for each slot, or a dict of such arrays.
+            count: number of slots.
+            slots: slot of each action to read.
+            rows: row of each action in ``controls``.
+            controls: ``(P, C)`` float32, which this changes.
+
+        Returns:
+            Whether all were in their space and in a usual form.
+        """
+        if len(slots) != len(rows):
+            raise ValueError(f"{len(slots)} slots for {len(rows)} rows")
+        columns = batch if self._names else {"": batch}
+        names = self._names or ("",)
+        if not isinstance(columns, dict) or columns.keys() != {*names}:
+            return False
+        if not all(
+            _is_column(leaf, columns[name], count)
+            for name, leaf in zip(names, self._leaves, strict=True)
+        ):
+            return False
+        for slot, row in zip(slots.tolist(), rows.tolist(), strict=True):
+            action = {name: columns[name][slot] for name in names}
+            if not self._read_action(action if self._names else action[""], controls[row]):
+                return False
+        return True
+
     def _read_action(self, action: Any, row: npt.NDArray[np.float32]) -> bool:
         row[:] = 0.0
         if not self._names:
@@ -82,6 +119,13 @@ def _checked(entry: Entry, num_columns: int) -> Entry:
     if not 0 <= column <= num_columns - width:
         raise ValueError("an entry leads beyond the last column")
     return low, high, is_whole, column, table
+
+
+def _is_column(leaf: tuple[Entry, ...], value: Any, count: int) -> bool:
+    """Whether a value is an array with a row of the leaf's numbers for each slot."""
+    if not isinstance(value, np.ndarray) or value.ndim == 0 or len(value) != count:
+        return False
+    return value.size == count * len(leaf) and (value.ndim == 2 or len(leaf) == 1)
 
 
 def _read_leaf(leaf: tuple[Entry, ...], value: Any, row: npt.NDArray[np.float32]) -> bool:

@@ -83,6 +83,59 @@ class KartObserver:
             data: the bytes of the moment's snapshot.
             who: ``(A,)`` indices of the karts.
         """
+        made = self._batch(track, num_paths, kart_types, data, who)
+        lists = {group for group, size in self._sizes.items() if size < 0}
+        return _singles(made, set() if self._is_flat else lists)
+
+    def observe_into(
+        self,
+        track: TrackGraph,
+        num_paths: int,
+        kart_types: tuple[str, ...],
+        data: bytes,
+        who: IntArray,
+        rows: IntArray,
+        batch: Any,
+    ) -> None:
+        """Writes the observations into rows of a batch.
+
+        Args:
+            track: see :meth:`observe`.
+            num_paths: see :meth:`observe`.
+            kart_types: see :meth:`observe`.
+            data: see :meth:`observe`.
+            who: see :meth:`observe`.
+            rows: row of each kart.
+            batch: arrays by entry, with a list for names; one array if the view is one vector.
+
+        Raises:
+            ValueError: the view has no fixed size, or the arguments do not fit together.
+        """
+        if len(who) != len(rows):
+            raise ValueError(f"{len(who)} karts for {len(rows)} rows")
+        for name in () if self._is_flat else self._names:
+            if name == "action" or self._sizes.get(name.partition("_")[0], 0) < 0:
+                raise ValueError(f"{name} has no row in a batch")
+        made = self._batch(track, num_paths, kart_types, data, who)
+        if not isinstance(made, dict):
+            batch[rows] = made
+            return
+        for name, values in made.items():
+            if isinstance(batch[name], list):
+                for row, value in zip(rows.tolist(), values.tolist(), strict=True):
+                    batch[name][row] = value
+            else:
+                batch[name][rows] = values
+
+    def _batch(
+        self,
+        track: TrackGraph,
+        num_paths: int,
+        kart_types: tuple[str, ...],
+        data: bytes,
+        who: IntArray,
+    ) -> Any:
+        """The observations of some karts, with an axis for them in front."""
         snapshot = Snapshot(data)
         if not 0 <= num_paths <= len(track.path_nodes):
             raise ValueError(f"{num_paths} of {len(track.path_nodes)} segments")
@@ -100,10 +153,7 @@ class KartObserver:
         if self._is_polar:
             batch.update({key: to_polar(batch[key]) for key in _POLAR})
         own = {name: batch[name] for name in self._names}
-        if not self._is_flat:
-            lists = {group for group, size in self._sizes.items() if size < 0}
-            return _singles(own, lists)
-        return _singles(self._vectors(own, batch), set())
+        return self._vectors(own, batch) if self._is_flat else own
 
     def _vectors(self, own: Batch, batch: Batch) -> Any:
         parts = [(np.reshape(part, (len(part), -1)), part.dtype) for part in own.values()]

@@ -39,7 +39,14 @@ class RacingObserver:
             raise ValueError("the road's arrays do not fit together")
         self._road = road
 
-    def observe(self, data: bytes, who: npt.NDArray[np.intp], out: FloatArray) -> None:
-        """Writes the view of each kart of ``who`` into a row of ``out``."""
+    def observe(
+        self,
+        data: bytes,
+        who: npt.NDArray[np.intp],
+        out: FloatArray,
+        rows: npt.NDArray[np.intp] | None = None,
+    ) -> None:
+        """Writes the view of each kart of ``who`` into its row of ``out``, by default in order."""
         first = np.zeros(1, np.intp)
-        out[:] = racing_features(*surroundings_in(self._road, [Snapshot(data)], first, [who]))
+        where = slice(None) if rows is None else rows
+        out[where] = racing_features(*surroundings_in(self._road, [Snapshot(data)], first, [who]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Iterator
 from functools import reduce
 from typing import Any
 
@@ -15,6 +16,7 @@ from stkzoo.mdp.transition import Transition
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
 
 
 class StepScorer:
@@ -69,6 +71,42 @@ class StepScorer:
             after: the bytes of the next one.
             is_over: whether time is up.
         """
+        totals, finished = self._advance(before, after)
+        cut_short = finished < bool(is_over)
+        rewards, terminations, truncations = (
+            dict(zip(self._agents, values.tolist(), strict=True))
+            for values in (totals, finished, cut_short)
+        )
+        return rewards, terminations, truncations
+
+    def score_into(
+        self,
+        before: bytes,
+        after: bytes,
+        is_over: bool,
+        slots: IntArray,
+        rewards: FloatArray,
+        terminations: BoolArray,
+        truncations: BoolArray,
+    ) -> None:
+        """Writes what :meth:`score` returns into arrays with one number for each slot.
+
+        Args:
+            before: see :meth:`score`.
+            after: see :meth:`score`.
+            is_over: see :meth:`score`.
+            slots: slot of each agent.
+            rewards: ``(S,)`` float64; this and the next two are changed.
+            terminations: ``(S,)`` bool.
+            truncations: ``(S,)`` bool.
+        """
+        self._check_slots(slots)
+        totals, finished = self._advance(before, after)
+        rewards[slots], terminations[slots] = totals, finished
+        truncations[slots] = finished < bool(is_over)
+
+    def _advance(self, before: bytes, after: bytes) -> tuple[FloatArray, BoolArray]:
+        """Adds a step to the record; returns the agents' rewards and who has finished."""
         step = Transition(Snapshot(before), Snapshot(after), self._race_length)
         for terms, weights, columns, who in self._rewards:
             rows, karts = self._rows[who], self._karts[who]
@@ -78,29 +116,46 @@ class StepScorer:
         self._last[self._rows, self._num_terms :] = self._events[self._karts]
         self._last[self._absent] = 0.0
         self._sums += self._last
-        totals = self._last[:, : self._num_terms].sum(axis=1)[self._rows].tolist()
-        finished = (step.after.karts["has_finished_race"][self._karts] > 0).tolist()
-        cut_short = [bool(is_over) and not ended for ended in finished]
-        rewards, terminations, truncations = (
-            dict(zip(self._agents, values, strict=True)) for values in (totals, finished, cut_short)
-        )
-        return rewards, terminations, truncations
+        totals = self._last[:, : self._num_terms].sum(axis=1)[self._rows]
+        return totals, step.after.karts["has_finished_race"][self._karts] > 0
+
+    def _check_slots(self, slots: IntArray) -> None:
+        if len(slots) != len(self._karts):
+            raise ValueError(f"{len(slots)} slots for {len(self._karts)} agents")
 
     def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]:
         """The infos at a moment, after so many steps."""
-        karts = Snapshot(data).karts
-        infos = {}
-        for agent, row, number in zip(self._agents, self._rows, self._karts, strict=True):
-            kart, sums = karts[number], self._sums[row].tolist()
-            values = [
-                int(kart["position"]),
-                max(float(kart["overall_distance"]), 0.0),
-                max(int(kart["finished_laps"]), 0),
-                float(kart["finish_time"]),
-                *self._last[row].tolist(),
-                *sums,
-                reduce(operator.add, sums[: self._num_terms], 0.0),
-                length,
-            ]
-            infos[agent] = dict(zip(self._keys, values, strict=True))
-        return infos
+        values = (self._values(data, row, kart) for row, kart in self._places())
+        return {
+            agent: dict(zip(self._keys, [*own, length], strict=True))
+            for agent, own in zip(self._agents, values, strict=True)
+        }
+
+    def infos_into(self, data: bytes, length: int, slots: IntArray, table: FloatArray) -> None:
+        """Writes what :meth:`infos` returns into a table.
+
+        Args:
+            data: see :meth:`infos`.
+            length: see :meth:`infos`.
+            slots: slot of each agent.
+            table: with a row for each key and a column for each slot; this changes it.
+        """
+        self._check_slots(slots)
+        for slot, (row, kart) in zip(slots, self._places(), strict=True):
+            table[:, slot] = [*self._values(data, row, kart), length]
+
+    def _places(self) -> Iterator[tuple[int, int]]:
+        return zip(self._rows.tolist(), self._karts.tolist(), strict=True)
+
+    def _values(self, data: bytes, row: int, number: int) -> list[float]:
+        """The values of an agent's info without the last, the length."""
+        kart, sums = Snapshot(data).karts[number], self._sums[row].tolist()
+        return [
+            int(kart["position"]),
+            max(float(kart["overall_distance"]), 0.0),
+            max(int(kart["finished_laps"]), 0),
+            float(kart["finish_time"]),
+            *self._last[row].tolist(),
+            *sums,
+            reduce(operator.add, sums[: self._num_terms], 0.0),
+        ]

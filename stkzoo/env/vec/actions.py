@@ -1,0 +1,67 @@
+"""A batch of actions for all slots."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector.utils import iterate
+
+from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.errors import ActionError
+
+
+class ActionBatch:
+    """The actions of one step.
+
+    Args:
+        batch: the actions as they came.
+        space: action space of all slots.
+        names: agent and race of each slot, for error messages.
+
+    Attributes:
+        batch: the actions as they came.
+        num_slots: number of slots.
+    """
+
+    def __init__(self, batch: Any, space: spaces.Space[Any], names: list[str]) -> None:
+        self.batch, self.num_slots = batch, len(names)
+        self._space, self._names = space, names
+
+    @cached_property
+    def singles(self) -> list[Any]:
+        """One action per slot.
+
+        Raises:
+            ActionError: the batch has another form, or another number of slots.
+        """
+        try:
+            singles = list(iterate(self._space, self.batch))
+        except (TypeError, LookupError, ValueError) as error:
+            raise ActionError(
+                f"the actions are {self.batch!r}, expected a batch for {self.num_slots} slots in "
+                f"the form of {self._space}",
+                self._names[0],
+            ) from error
+        if len(singles) != self.num_slots:
+            raise ActionError(
+                f"{len(singles)} actions came for {self.num_slots} slots ({self._names[0]} to "
+                f"{self._names[-1]}); send one for each, idle ones too",
+                self._names[0],
+            )
+        return singles
+
+    def decode_singly(self, race: RaceParallelEnv, slots: slice) -> npt.NDArray[np.float32]:
+        """Converts the actions of a race agent by agent.
+
+        Args:
+            race: the race.
+            slots: its slots, in the order of its agents.
+
+        Raises:
+            ActionError: an action is invalid.
+        """
+        return race.decode(dict(zip(race.possible_agents, self.singles[slots], strict=True)))
