@@ -108,6 +108,7 @@ class RaceVecEnv(VecEnv):
             :func:`gymnasium.spaces.flatten`, for ``"MlpPolicy"``. By default, observations keep the
             form of the view, for ``"MultiInputPolicy"``.
         prefetch: see :class:`~stkzoo.env.vec.env.RaceVectorEnv`.
+        num_starts: likewise.
         **options: options of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
 
     Attributes:
@@ -127,9 +128,12 @@ class RaceVecEnv(VecEnv):
         view: Any = "flattened_discrete",
         flat_observations: bool = False,
         prefetch: bool | None = None,
+        num_starts: int | None = None,
         **options: Any,
     ) -> None:
-        self.races = RaceVectorEnv(num_races, view=view, prefetch=prefetch, **options)
+        self.races = RaceVectorEnv(
+            num_races, view=view, prefetch=prefetch, num_starts=num_starts, **options
+        )
         actions = self.races.single_action_space
         if not isinstance(
             actions, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)

@@ -13,6 +13,7 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.grid import draw_race
 from stkzoo.env.options import random_stream
 from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.vec.starts import RepeatedStarts
 from stkzoo.errors import ConfigError, EngineError, StkzooError
 
 logger = logging.getLogger(__name__)
@@ -25,6 +26,9 @@ class AheadRace(RaceParallelEnv):
 
     Args:
         **options: options of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+
+    Attributes:
+        starts: starts to copy; ``None`` starts every race in the game.
 
     Raises:
         ConfigError: an option is invalid, or not supported in a vector environment.
@@ -39,6 +43,7 @@ class AheadRace(RaceParallelEnv):
                     "race_v0.parallel_env"
                 )
         super().__init__(**options)
+        self.starts: RepeatedStarts | None = None
         self._next: tuple[RaceSetup, WorkerSession] | None = None
 
     def check_options(self, options: Mapping[str, Any]) -> None:
@@ -53,11 +58,11 @@ class AheadRace(RaceParallelEnv):
         """Starts the race for the next :meth:`reset` with the same arguments, and returns at once.
 
         The results of ``reset`` do not depend on this call. If it fails, ``reset`` starts the race
-        itself and reports the error if that fails too.
+        itself and reports the error if that fails too. With ``starts``, it does nothing.
         """
         options = {} if options is None else options
         now = self.options.changed(options)
-        if "state" in options:
+        if "state" in options or self.starts is not None:
             return
         random = copy.deepcopy(self.np_random) if seed is None else random_stream(seed)
         now, _, specs = self._draw_opponents(now, options, random)
@@ -66,8 +71,7 @@ class AheadRace(RaceParallelEnv):
         if self._next and self._next[0] == setup:
             return
         self._forget_next()
-        arguments: dict[str, Any] = self._ezpickle_kwargs
-        session = WorkerSession(self._assets.root, timeout=float(arguments["engine_timeout"]))
+        session = self._new_session()
         try:
             session.start_async(setup)
         except EngineError as error:
@@ -83,6 +87,8 @@ class AheadRace(RaceParallelEnv):
 
     def _begin(self, setup: RaceSetup) -> RaceStart:
         """Returns the race that was started ahead if the setup matches, otherwise starts one."""
+        if self.starts is not None and isinstance(self._session, WorkerSession):
+            return self.starts.begin(setup, self._session, self._new_session)
         if self._next is None:
             return super()._begin(setup)
         asked, session = self._next
@@ -97,6 +103,10 @@ class AheadRace(RaceParallelEnv):
                 return begun
         self._forget_next()
         return super()._begin(setup)
+
+    def _new_session(self) -> WorkerSession:
+        arguments: dict[str, Any] = self._ezpickle_kwargs
+        return WorkerSession(self._assets.root, timeout=float(arguments["engine_timeout"]))
 
     def _forget_next(self) -> None:
         if self._next is not None:

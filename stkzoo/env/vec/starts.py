@@ -1,0 +1,97 @@
+"""A small set of races that return: each is started once, and copied from then on."""
+
+from __future__ import annotations
+
+import logging
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from stkzoo.engine.fork_client import can_fork
+from stkzoo.engine.race import RaceStart
+from stkzoo.engine.session import WorkerSession
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.errors import ConfigError, EngineError
+
+logger = logging.getLogger(__name__)
+
+
+class RepeatedStarts:
+    """Draws the seeds of races from a small set, and keeps the races' starts to copy them.
+
+    A start waits in its own process. A copy of it gives the same race as a new start.
+
+    Args:
+        count: number of seeds in the set, and maximum number of starts to keep.
+
+    Raises:
+        ConfigError: races cannot be copied on this system.
+    """
+
+    def __init__(self, count: int) -> None:
+        if not can_fork():
+            raise ConfigError(
+                "num_starts needs races that can be copied, which is possible only on Linux "
+                "without STKZOO_START_METHOD=spawn; leave num_starts out"
+            )
+        self._count = count
+        self._kept: OrderedDict[RaceSetup, tuple[WorkerSession, RaceStart]] = OrderedDict()
+        self.reseed([])
+
+    def reseed(self, seeds: Sequence[int | None]) -> None:
+        """Draws another set of seeds.
+
+        Args:
+            seeds: determine the set and the order of its seeds; without a number, it is random.
+        """
+        self._random = np.random.default_rng([s for s in seeds if s is not None] or None)
+        self._first = int(self._random.integers(2**31))
+
+    def draw_seed(self) -> int:
+        """Returns the seed of the next race."""
+        return self._first + int(self._random.integers(self._count))
+
+    def begin(
+        self, setup: RaceSetup, session: WorkerSession, new_session: Callable[[], WorkerSession]
+    ) -> RaceStart:
+        """Ends a session's race and begins another one in it.
+
+        Args:
+            setup: setup of the race.
+            session: the session.
+            new_session: makes a session in which a start can wait.
+
+        Raises:
+            ConfigError: the setup is invalid.
+            EngineError: the game does not start.
+        """
+        if setup in self._kept:
+            self._kept.move_to_end(setup)
+            waiting, start = self._kept[setup]
+            try:
+                session.resume(waiting)
+            except EngineError as error:
+                logger.info("a start that waited was lost: %s", error)
+                self._forget(setup)
+            else:
+                return start
+        waiting = new_session()
+        try:
+            start = waiting.start(setup)
+            session.resume(waiting)
+        except BaseException:
+            waiting.close()
+            raise
+        self._kept[setup] = waiting, start
+        if len(self._kept) > self._count:
+            self._forget(next(iter(self._kept)))
+        return start
+
+    def close(self) -> None:
+        """Ends the processes of all starts."""
+        while self._kept:
+            self._forget(next(iter(self._kept)))
+
+    def _forget(self, setup: RaceSetup) -> None:
+        self._kept.pop(setup)[0].close()

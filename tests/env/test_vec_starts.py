@@ -1,0 +1,134 @@
+"""Races that repeat a few starts."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from stkzoo import RaceVectorEnv
+from stkzoo.errors import ConfigError
+from tests.support.processes import process_exists, wait_until
+
+RACE = {"num_kart": 2, "agents": 2, "track": "lighthouse", "view": "racing", "max_cycles": 5}
+
+
+def make(num_starts=2, **options):
+    return RaceVectorEnv(2, num_starts=num_starts, **RACE | options)
+
+
+def drive(envs, seed, steps=30):
+    """Returns all observations and rewards of a run that goes through several races."""
+    observations, _ = envs.reset(seed=seed)
+    envs.action_space.seed(0)
+    seen = [observations]
+    for _ in range(steps):
+        observations, rewards, *_ = envs.step(envs.action_space.sample())
+        seen += [observations, rewards]
+    return seen
+
+
+def waiting(envs):
+    return [session.pid for session, _ in envs._starts._kept.values()]
+
+
+def engine_seeds(envs):
+    return [race.race.seed for race in envs.races]
+
+
+def test_few_starts_are_kept_and_return():
+    envs = make(num_starts=3)
+    try:
+        envs.reset(seed=1)
+        met = set(engine_seeds(envs))
+        for _ in range(12):
+            for _ in range(5):
+                envs.step(envs.action_space.sample())
+            met |= set(engine_seeds(envs))
+        assert len(met) == 3
+        assert len(waiting(envs)) == 3
+    finally:
+        envs.close()
+
+
+def test_a_copied_start_is_the_race_that_a_new_start_gives():
+    copied, started = make(), make()
+    try:
+        for race in started.races:
+            race.starts = None  # the same seeds, but each race is started
+        for ours, theirs in zip(drive(copied, 3), drive(started, 3), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    finally:
+        copied.close()
+        started.close()
+
+
+def test_the_seed_determines_the_starts():
+    envs = make()
+    try:
+        first, again, other = drive(envs, 1), drive(envs, 1), drive(envs, 2)
+        assert all((a == b).all() for a, b in zip(first, again, strict=True))
+        assert any((a != b).any() for a, b in zip(first, other, strict=True))
+    finally:
+        envs.close()
+
+
+def test_new_options_hold_for_the_next_races_and_old_starts_end():
+    envs = make(num_starts=2)
+    try:
+        drive(envs, 1)
+        before = waiting(envs)
+        envs.set_options({"track": "hacienda"})
+        for _ in range(30):
+            envs.step(envs.action_space.sample())
+        assert {race.race.track for race in envs.races} == {"hacienda"}
+        assert len(waiting(envs)) == 2
+        assert wait_until(lambda: not any(map(process_exists, before)))
+    finally:
+        envs.close()
+
+
+def test_a_start_that_was_killed_is_started_again():
+    envs, other = make(num_starts=1), make(num_starts=1)
+    try:
+        drive(envs, 1)
+        (pid,) = waiting(envs)
+        os.kill(pid, signal.SIGKILL)
+        assert wait_until(lambda: not process_exists(pid))
+        for ours, theirs in zip(drive(envs, 1), drive(other, 1), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        assert envs.num_crashes == 0
+    finally:
+        envs.close()
+        other.close()
+
+
+def test_closing_ends_the_starts():
+    envs = make()
+    drive(envs, 1)
+    pids = waiting(envs)
+    envs.close()
+    assert pids
+    assert wait_until(lambda: not any(map(process_exists, pids)))
+
+
+def test_random_places_repeat_too():
+    envs = make(num_starts=1, start="random")
+    try:
+        drive(envs, 1)
+        assert len(set(engine_seeds(envs))) == 1
+        assert len(waiting(envs)) == 1
+    finally:
+        envs.close()
+
+
+@pytest.mark.parametrize("number", [0, -1, 1.5, "many"])
+def test_wrong_numbers_are_refused(number):
+    with pytest.raises(ConfigError, match="num_starts"):
+        make(num_starts=number)
+
+
+def test_where_races_cannot_be_copied_it_says_so(monkeypatch):
+    monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
+    with pytest.raises(ConfigError, match="only on Linux without STKZOO_START_METHOD=spawn"):
+        make()
