@@ -299,7 +299,7 @@ def _sb3(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         view="racing",
         start="random",
         max_cycles=250,
-        prefetch=True,
+        num_starts=32,
     )
     model = PPO(
         "MlpPolicy",
