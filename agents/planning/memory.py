@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from stkzoo.kernel import PlanMemory
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .kart import (
@@ -72,35 +74,8 @@ class KartSituation:
     is_cautious: BoolArray
 
 
-@dataclass(slots=True)
-class _Fields:
-    """One number per kart each, ``(A,)`` float32; times in steps."""
-
-    speed: FloatArray
-    gain: FloatArray
-    turn: FloatArray
-    drift_turn: FloatArray
-    drift_side: FloatArray
-    drift_steps: FloatArray
-    still_steps: FloatArray
-    crawl_steps: FloatArray
-    free_steps: FloatArray
-    reverses: FloatArray
-    lost_steps: FloatArray
-    since_fire: FloatArray
-    # countdowns
-    hop_steps: FloatArray
-    release_steps: FloatArray
-    boost_steps: FloatArray
-    big_boost_steps: FloatArray
-    nitro_steps: FloatArray
-    caution_steps: FloatArray
-    reverse_steps: FloatArray
-    rescue_steps: FloatArray
-
-
-_NAMES = tuple(entry.name for entry in fields(_Fields))
-#: Columns of the countdowns, which are contiguous.
+_NAMES = PlanMemory._fields
+#: Rows of the countdowns, which are contiguous.
 _CLOCKS = slice(_NAMES.index("hop_steps"), _NAMES.index("rescue_steps") + 1)
 
 
@@ -110,6 +85,9 @@ class DriverMemory:
     Args:
         count: number of karts, A.
         rules: durations, and thresholds for crashes and for standing still.
+
+    Attributes:
+        rows: ``(20, A)`` float32, in the order of :class:`stkzoo.kernel.PlanMemory`.
     """
 
     def __init__(self, count: int, rules: DriverParameters) -> None:
@@ -117,25 +95,25 @@ class DriverMemory:
         self._nitro_steps, self._caution_steps, self._stuck_steps = (
             round(time / STEP) for time in (rules.nitro_wait, rules.caution_time, rules.stuck_time)
         )
-        self._all = np.zeros((len(_NAMES), count), np.float32)
-        self._of = _Fields(*self._all)
+        self.rows = np.zeros((len(_NAMES), count), np.float32)
+        self._of = PlanMemory(*self.rows)
         self._of.since_fire[:] = _LONG_AGO
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._of = _Fields(*self._all)  # a copy needs views of its own array
+        self._of = PlanMemory(*self.rows)  # a copy needs views of its own array
 
     @classmethod
     def joined(cls, memories: Sequence[DriverMemory]) -> DriverMemory:
         """Returns the joint memory of several memories with equal rules."""
         joined = copy.copy(memories[0])
-        joined._all = np.concatenate([memory._all for memory in memories], axis=1)
-        joined._of = _Fields(*joined._all)
+        joined.rows = np.concatenate([memory.rows for memory in memories], axis=1)
+        joined._of = PlanMemory(*joined.rows)
         return joined
 
     def take(self, joined: DriverMemory, rows: slice) -> None:
         """Copies the state of some karts from a joint memory."""
-        self._all[:] = joined._all[:, rows]
+        self.rows[:] = joined.rows[:, rows]
 
     def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
         """Advances the memory by one step.
@@ -144,7 +122,7 @@ class DriverMemory:
             speed: ``(A,)`` forward speed [m/s].
             skeed_factor: ``(A,)`` skid factor.
         """
-        of, clocks = self._of, self._all[_CLOCKS]
+        of, clocks = self._of, self.rows[_CLOCKS]
         np.maximum(clocks - 1, 0, out=clocks)
         of.gain[:] = speed - of.speed
         of.caution_steps[of.gain < -self._rules.crash_drop] = self._caution_steps
@@ -203,15 +181,10 @@ class DriverMemory:
             np.minimum(np.maximum(of.gain / 5.0, -2.0), 2.0),
             of.since_fire / _LONG_AGO,
         )
-        numbers = np.empty((self._all.shape[1], MEMORY_SIZE), np.float32)
+        numbers = np.empty((self.rows.shape[1], MEMORY_SIZE), np.float32)
         for number, column in enumerate(columns):
             numbers[:, number] = column
         return numbers
-
-    @property
-    def may_fire(self) -> BoolArray:
-        """Returns whether enough steps have passed since the last shot, ``(A,)`` bool."""
-        return np.asarray(self._of.since_fire >= self._rules.fire_every)
 
     @property
     def may_boost(self) -> BoolArray:
@@ -267,5 +240,5 @@ class DriverMemory:
 
     def forget(self, rows: IntArray) -> None:
         """Resets some karts."""
-        self._all[:, rows] = 0
+        self.rows[:, rows] = 0
         self._of.since_fire[rows] = _LONG_AGO

@@ -54,6 +54,7 @@ typedef struct { float *data; npy_intp size; } Floats;
 typedef struct { double *data; npy_intp size; } Doubles;
 typedef struct { npy_intp *data; npy_intp size; } Indices;
 typedef struct { npy_int32 *data; npy_intp size; } Integers;
+typedef struct { npy_int64 *data; npy_intp size; } Wholes;
 typedef struct { npy_int8 *data; npy_intp size; } Bytes;
 typedef struct { npy_bool *data; npy_intp size; } Flags;
 
@@ -63,7 +64,10 @@ int as_written_floats(PyObject *object, void *floats);
 int as_doubles(PyObject *object, void *doubles);
 int as_written_doubles(PyObject *object, void *doubles);
 int as_indices(PyObject *object, void *indices);
+int as_written_indices(PyObject *object, void *indices);
 int as_integers(PyObject *object, void *integers);
+int as_wholes(PyObject *object, void *wholes);
+int as_written_wholes(PyObject *object, void *wholes);
 int as_bytes(PyObject *object, void *bytes);
 int as_flags(PyObject *object, void *flags);
 int as_moment(PyObject *object, void *moment); /* the bytes of a Snapshot, taken apart */
@@ -119,7 +123,12 @@ void free_object(PyObject *self);
     };
 
 PyObject *join_rows(PyObject *module, PyObject *rows);
+PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *measure_message(PyObject *module, PyObject *args);
+PyObject *present_plans(PyObject *module, PyObject *args);
+PyObject *stack_vectors(PyObject *module, PyObject *args);
+PyObject *survey_road(PyObject *module, PyObject *args);
+PyObject *trace_roads(PyObject *module, PyObject *args);
 PyObject *weigh_plans(PyObject *module, PyObject *args);
 
 extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
