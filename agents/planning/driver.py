@@ -215,7 +215,7 @@ class PlanDriver:
         """Returns the policy's input without advancing the state."""
         inputs = np.empty((len(around.road), INPUT_SIZE), np.float32)
         racing_features(own, around, inputs)
-        inputs[:, SIZE:_OPTIONS_AT] = self.memory.numbers()
+        self.memory.write(inputs, SIZE)
         return PolicyInput(inputs, self._weigh(own, around, inputs))
 
     def plan(self, own: Mapping[str, Any], around: Surroundings) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.kernel import PlanMemory
+from stkzoo.kernel import PlanMemory, age_memory, write_memory
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .kart import (
@@ -74,11 +74,6 @@ class KartSituation:
     is_cautious: BoolArray
 
 
-_NAMES = PlanMemory._fields
-#: Rows of the countdowns, which are contiguous.
-_CLOCKS = slice(_NAMES.index("hop_steps"), _NAMES.index("rescue_steps") + 1)
-
-
 class DriverMemory:
     """The memory of A karts.
 
@@ -92,10 +87,26 @@ class DriverMemory:
 
     def __init__(self, count: int, rules: DriverParameters) -> None:
         self._rules = rules
-        self._nitro_steps, self._caution_steps, self._stuck_steps = (
+        self._nitro_steps, caution_steps, self._stuck_steps = (
             round(time / STEP) for time in (rules.nitro_wait, rules.caution_time, rules.stuck_time)
         )
-        self.rows = np.zeros((len(_NAMES), count), np.float32)
+        self._numbers = np.array(
+            [
+                STEP,
+                rules.crash_drop,
+                caution_steps,
+                rules.stuck_speed,
+                self._stuck_steps,
+                rules.crawl_speed,
+                rules.free_time,
+                self._nitro_steps,
+                _LONG_AGO,
+                _DRIFT_SHOWS,
+                RELEASE_STEPS,
+                *BOOST_LASTS,
+            ]
+        )
+        self.rows = np.zeros((len(PlanMemory._fields), count), np.float32)
         self._of = PlanMemory(*self.rows)
         self._of.since_fire[:] = _LONG_AGO
 
@@ -122,21 +133,10 @@ class DriverMemory:
             speed: ``(A,)`` forward speed [m/s].
             skeed_factor: ``(A,)`` skid factor.
         """
-        of, clocks = self._of, self.rows[_CLOCKS]
-        np.maximum(clocks - 1, 0, out=clocks)
-        of.gain[:] = speed - of.speed
-        of.caution_steps[of.gain < -self._rules.crash_drop] = self._caution_steps
-        of.speed[:] = speed
-        pace, is_free = np.abs(speed), of.rescue_steps == 0
-        is_still = (pace < self._rules.stuck_speed) & is_free
-        of.still_steps[:] = np.where(is_still, of.still_steps + 1, 0)
-        crawls = (pace < self._rules.crawl_speed) & is_free
-        of.crawl_steps[:] = np.where(crawls, of.crawl_steps + 1, 0)
-        of.free_steps[:] = np.where(is_still, 0, of.free_steps + 1)
-        of.reverses[of.free_steps * STEP > self._rules.free_time] = 0
-        of.since_fire[:] = np.minimum(of.since_fire + 1, _LONG_AGO)
-        is_over = (of.drift_steps >= _DRIFT_SHOWS) & (skeed_factor <= 1.0)
-        of.drift_side[is_over] = of.drift_steps[is_over] = 0
+        speed, skeed_factor = (
+            np.ascontiguousarray(numbers, np.float32) for numbers in (speed, skeed_factor)
+        )
+        age_memory(self._numbers, self.rows, speed, skeed_factor)
 
     def look_around(self, beyond: FloatArray) -> None:
         """Completes the step once the road is known.
@@ -165,26 +165,13 @@ class DriverMemory:
 
     def numbers(self) -> FloatArray:
         """Returns the policy's inputs from the memory, ``(A, MEMORY_SIZE)``."""
-        of = self._of
-        drift = np.minimum(of.drift_steps / 30.0, 2.0)
-        columns = (
-            of.turn,
-            of.drift_turn * (of.drift_side != 0),
-            drift * of.drift_side,
-            drift,
-            of.release_steps / RELEASE_STEPS,
-            of.boost_steps / BOOST_LASTS[0],
-            of.big_boost_steps / BOOST_LASTS[1],
-            of.nitro_steps / max(self._nitro_steps, 1),
-            of.caution_steps / max(self._caution_steps, 1),
-            of.still_steps / self._stuck_steps,
-            np.minimum(np.maximum(of.gain / 5.0, -2.0), 2.0),
-            of.since_fire / _LONG_AGO,
-        )
         numbers = np.empty((self.rows.shape[1], MEMORY_SIZE), np.float32)
-        for number, column in enumerate(columns):
-            numbers[:, number] = column
+        self.write(numbers, 0)
         return numbers
+
+    def write(self, out: FloatArray, first: int) -> None:
+        """Writes :meth:`numbers` into columns of an array ``(A, F)``, from ``first`` on."""
+        write_memory(self._numbers, self.rows, out, first)
 
     @property
     def may_boost(self) -> BoolArray:

@@ -34,6 +34,7 @@ _TWINS = {
     "RacingObserver": "racing_observer",
     "StepScorer": "step_scorer",
     "TrackGraph": "track_graph",
+    "age_memory": "plan_memory",
     "join_rows": "rows",
     "layouts": "rows",
     "look_along": "road_tracer",
@@ -43,6 +44,7 @@ _TWINS = {
     "survey_road": "plan_viewer",
     "trace_roads": "road_tracer",
     "weigh_plans": "plan_weigher",
+    "write_memory": "plan_memory",
 }
 
 __all__ = sorted(["IS_COMPILED", "PlanMemory", "PlanTable", *_TWINS])

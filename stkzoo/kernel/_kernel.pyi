@@ -194,3 +194,15 @@ def look_along(
     out: npt.NDArray[np.float32],
 ) -> None: ...
 def stack_vectors(rows: tuple[Any, ...], blank: float, out: npt.NDArray[np.float32]) -> None: ...
+def age_memory(
+    rules: npt.NDArray[np.float64],
+    memory: npt.NDArray[np.float32],
+    speed: npt.NDArray[np.float32],
+    skeed_factor: npt.NDArray[np.float32],
+) -> None: ...
+def write_memory(
+    rules: npt.NDArray[np.float64],
+    memory: npt.NDArray[np.float32],
+    out: npt.NDArray[np.float32],
+    first: int,
+) -> None: ...

@@ -122,6 +122,7 @@ void free_object(PyObject *self);
         .tp_new = PREFIX##_new, .tp_dealloc = free_object, .tp_methods = PREFIX##_methods,        \
     };
 
+PyObject *age_memory(PyObject *module, PyObject *args);
 PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *measure_message(PyObject *module, PyObject *args);
@@ -130,6 +131,7 @@ PyObject *stack_vectors(PyObject *module, PyObject *args);
 PyObject *survey_road(PyObject *module, PyObject *args);
 PyObject *trace_roads(PyObject *module, PyObject *args);
 PyObject *weigh_plans(PyObject *module, PyObject *args);
+PyObject *write_memory(PyObject *module, PyObject *args);
 
 extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
 

@@ -149,6 +149,7 @@ static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 }
 
 static PyMethodDef methods[] = {
+    {"age_memory", age_memory, METH_VARARGS, "Advances what some drivers remember by one step."},
     {"join_rows", join_rows, METH_O, "The bytes of arrays that are alike."},
     {"layouts", layouts, METH_NOARGS, "Where the fields of the records are."},
     {"look_along", look_along, METH_VARARGS, "Points on the lines of some roads."},
@@ -158,6 +159,7 @@ static PyMethodDef methods[] = {
     {"survey_road", survey_road, METH_VARARGS, "What the plans of some karts depend on."},
     {"trace_roads", trace_roads, METH_VARARGS, "The lines ahead of some karts."},
     {"weigh_plans", weigh_plans, METH_VARARGS, "The best plan of each manoeuvre, for some karts."},
+    {"write_memory", write_memory, METH_VARARGS, "A policy's inputs from what drivers remember."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -4,6 +4,7 @@
    Results agree with numpy's to the last bit where numpy uses fused multiply-adds. */
 
 #include "geometry.h"
+#include "plan_memory.h"
 #include "vectors.h"
 
 enum { MANOEUVRES = 4, BRAKE = 1, OFFSETS = 7, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
@@ -16,13 +17,6 @@ enum {
     LEVEL, BEYOND, REACH, FASTEST, NOWHERE, STEP, MOST_TURNED, RELEASE_STEPS, LONGEST_DRIFT,
     SWITCH, SWITCH_REACH, DANGER, NITRO_SPEED, NITRO_TURN, STRAIGHT_AIM, STRAIGHT_ANGLE,
     FIRE_EVERY, WORTH_SCALE, NEVER, NUM_RULES
-};
-
-/* The rows of a memory, with a number for each kart. */
-enum {
-    SPEED, GAIN, TURN, DRIFT_TURN, DRIFT_SIDE, DRIFT_COUNT, STILL_STEPS, CRAWL_STEPS, FREE_STEPS,
-    REVERSES, LOST_STEPS, SINCE_FIRE, HOP_STEPS, RELEASE_LEFT, BOOST_STEPS, BIG_BOOST_STEPS,
-    NITRO_STEPS, CAUTION_STEPS, REVERSE_STEPS, RESCUE_STEPS, MEMORY_SIZE
 };
 
 /* Where a kart is on the road and whether it may fire, in the order in which it is written. */

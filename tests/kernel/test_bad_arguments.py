@@ -21,6 +21,7 @@ from stkzoo.engine.track import decode_track
 from stkzoo.wrappers.racing import racing_features
 from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests.kernel.test_kernel import USERS
+from tests.kernel.test_plan_memory import age_arguments, write_arguments
 from tests.kernel.test_plan_viewer import present_arguments, scene_arguments
 from tests.kernel.test_plan_weigher import random_arguments
 
@@ -86,6 +87,8 @@ def cases():
     plans = (*random_arguments(0, count=2), np.empty((3, 2, 4), np.float32))
     kept["weigh_plans"] = [(plans, {}, None, ())]
     kept["survey_road"] = [(scene_arguments(0, count=2), {}, None, ())]
+    kept["age_memory"] = [(age_arguments(0, count=2), {}, None, ())]
+    kept["write_memory"] = [(write_arguments(0, count=2), {}, None, ())]
     kept["present_plans"] = [(present_arguments(0, count=2), {}, None, ())]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),

@@ -151,6 +151,7 @@ USERS = {
     "wrappers.racing.surroundings": ["look_along", "stack_vectors"],
     "wrappers.racing.wrapper": ["RacingObserver"],
     "agents.planning.driver": ["present_plans"],
+    "agents.planning.memory": ["age_memory", "write_memory"],
     "agents.planning.worth": ["survey_road", "weigh_plans"],
 }
 

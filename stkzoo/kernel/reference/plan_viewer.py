@@ -117,7 +117,7 @@ def survey_road(
     item_columns[:] = _items(road, items, types, worths, state, item_columns.shape[1], known)
     speed = state.velocity[:, 2]
     assumed = np.maximum(speed, known.slowest)
-    reach = known.aim_distance + known.aim_time * assumed
+    reach = (known.aim_distance + known.aim_time * assumed).astype(np.float32)
     is_jumping = state.jumping > 0
     columns = (
         assumed,
