@@ -544,14 +544,16 @@ def test_the_kernel_checks_what_it_is_given():
     road = road_of(np.random.default_rng(0))
     racing = RacingObserver(((road.lines, road.starts, road.along),), *KERNEL_TABLES)
     view = np.zeros((1, SIZE), "f4")
-    racing.observe(snapshot.data, one, view)
+    racing.observe(snapshot.data, 0, one, view)
     with pytest.raises(ValueError, match="165 numbers"):
-        racing.observe(snapshot.data, one, view[:, 1:].copy())
+        racing.observe(snapshot.data, 0, one, view[:, 1:].copy())
+    with pytest.raises(IndexError, match="no road 1"):
+        racing.observe(snapshot.data, 1, one, view)
     with pytest.raises(IndexError, match="kart 1 of 1"):
-        racing.observe(snapshot.data, one + 1, view)
+        racing.observe(snapshot.data, 0, one + 1, view)
     view.flags.writeable = False
     with pytest.raises(ValueError, match="writeable"):
-        racing.observe(snapshot.data, one, view)
+        racing.observe(snapshot.data, 0, one, view)
     with pytest.raises(ValueError, match="do not fit"):
         RacingObserver(((road.lines[:, 1:].copy(), road.starts[:0], road.along),), *KERNEL_TABLES)
     with pytest.raises(ValueError, match="do not fit"):
