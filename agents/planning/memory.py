@@ -49,29 +49,17 @@ MEMORY_MIRROR = np.array(list(_SIGNS.values()), np.float32)
 
 @dataclass(frozen=True, slots=True)
 class KartSituation:
-    """Ongoing manoeuvres of A karts, ``(A,)`` each; times in steps.
+    """Drifts of A karts, ``(A,)`` each.
 
     Attributes:
-        turn: turn in the last step, positive to the right [fraction of full lock].
-        drift_turn: turn in the last step of a drift [fraction of full lock].
         drift_side: 1 in a drift to the right, -1 to the left, 0 outside drifts.
-        drift_steps: duration of the drift so far.
+        drift_steps: duration of the drift so far [steps].
         may_hop: whether a drift can begin.
-        release_steps: remaining time of the turn after a drift.
-        boost_steps: remaining time of the boost of a short drift.
-        big_boost_steps: remaining time of the boost of a long drift.
-        is_cautious: whether the kart hit an obstacle recently.
     """
 
-    turn: FloatArray
-    drift_turn: FloatArray
     drift_side: IntArray
     drift_steps: IntArray
     may_hop: BoolArray
-    release_steps: IntArray
-    boost_steps: FloatArray
-    big_boost_steps: FloatArray
-    is_cautious: BoolArray
 
 
 class DriverMemory:
@@ -149,18 +137,10 @@ class DriverMemory:
         of.lost_steps[:] = np.where(is_off, of.lost_steps + 1, 0)
 
     def situation(self) -> KartSituation:
-        """Returns the ongoing manoeuvres of the karts."""
+        """Returns the drifts of the karts."""
         of = self._of
         return KartSituation(
-            turn=of.turn.copy(),
-            drift_turn=of.drift_turn.copy(),
-            drift_side=of.drift_side.astype(np.intp),
-            drift_steps=of.drift_steps.astype(np.intp),
-            may_hop=of.hop_steps == 0,
-            release_steps=of.release_steps.astype(np.intp),
-            boost_steps=of.boost_steps.copy(),
-            big_boost_steps=of.big_boost_steps.copy(),
-            is_cautious=of.caution_steps > 0,
+            of.drift_side.astype(np.intp), of.drift_steps.astype(np.intp), of.hop_steps == 0
         )
 
     def numbers(self) -> FloatArray:
