@@ -13,8 +13,11 @@ _PARTS = (
     "game_stepper",
     "kart_observer",
     "messages",
+    "plan_memory",
+    "plan_viewer",
     "plan_weigher",
     "racing_observer",
+    "road_tracer",
     "rows",
     "step_scorer",
     "track_graph",
@@ -25,7 +28,10 @@ setup(
         Extension(
             "stkzoo.kernel._kernel",
             sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
-            depends=["stkzoo/kernel/kernel.h", "stkzoo/kernel/geometry.h"],
+            depends=[
+                f"stkzoo/kernel/{part}.h"
+                for part in ("geometry", "kernel", "plan_memory", "vectors")
+            ],
             include_dirs=[numpy.get_include()],
             # Every result is rounded as numpy rounds it.
             extra_compile_args=[]

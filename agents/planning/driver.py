@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo import Phase, PowerupType
-from stkzoo.mdp import squared
+from stkzoo import Phase
+from stkzoo.kernel import present_plans
 from stkzoo.wrappers.racing import (
     LOOKS,
     MIRROR,
@@ -30,9 +30,9 @@ from .kart import DRIFT_TURN
 from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
 from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
-from .rivals import RIVALS_MIRROR, Rivals, RivalTracker
-from .road import LINE_MARKS, RoadAhead
-from .worth import PlanOptions, PlanScene, weigh
+from .rivals import RIVALS_MIRROR, RivalTracker
+from .road import LINE_MARKS
+from .worth import OwnState, PlanOptions, plan_rules, weigh
 
 #: Steering offsets from the plan [fraction of full lock].
 OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
@@ -46,11 +46,12 @@ HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=T
 #: Distances at which the road is observed [m].
 ALL_LOOKS = np.concatenate([LOOKS, LINE_MARKS])
 
-# The prior's logits.
-_METRE = 2.0  # per metre of worth
-_NEVER = -30.0
-_OFFSET_PRIOR = np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32)
-_BUTTON_PRIOR = np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32)  # the rules' choice
+#: Logits of the prior: of the offsets, and of a button that the rules do not want and of one that
+#: they want.
+_LOGITS = (
+    np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32),
+    np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32),
+)
 
 #: Buttons in the order of the controls.
 _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
@@ -139,8 +140,9 @@ class PlanDriver:
     """
 
     def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
-        self._rules = rules or DriverParameters()
-        self.memory = DriverMemory(count, self._rules)
+        parameters = rules or DriverParameters()
+        self._rules = plan_rules(parameters)
+        self.memory = DriverMemory(count, parameters)
         self._tracker = RivalTracker(count)
         self._options: PlanOptions | None = None
 
@@ -192,7 +194,7 @@ class PlanDriver:
 
     @classmethod
     def _joined(cls, drivers: Sequence[PlanDriver]) -> PlanDriver:
-        joined = cls(0, drivers[0]._rules)
+        joined = cls(0, drivers[0]._rules.parameters)
         joined.memory = DriverMemory.joined([driver.memory for driver in drivers])
         joined._tracker = RivalTracker.joined([driver._tracker for driver in drivers])
         return joined
@@ -211,25 +213,15 @@ class PlanDriver:
 
     def view(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """Returns the policy's input without advancing the state."""
-        road = _road(around)
-        rivals = self._tracker.watch(around.karts, own["velocity"], road)
-        prior = self._weigh(own, around, road, rivals)
-        parts = (
-            racing_features(own, around),
-            self.memory.numbers(),
-            _numbers(self.options),
-            rivals.numbers(road.offset),
-        )
-        return PolicyInput(np.concatenate(parts, axis=1), prior)
+        inputs = np.empty((len(around.road), INPUT_SIZE), np.float32)
+        racing_features(own, around, inputs)
+        self.memory.write(inputs, SIZE)
+        return PolicyInput(inputs, self._weigh(own, around, inputs))
 
     def plan(self, own: Mapping[str, Any], around: Surroundings) -> FloatArray:
         """Advances the state by one step and returns the prior, ``(A, sum(CHOICES))``."""
         self._pass_step(own)
-        road = _road(around)
-        rivals = None
-        if self._rules.bump_cost:
-            rivals = self._tracker.watch(around.karts, own["velocity"], road)
-        prior = self._weigh(own, around, road, rivals)
+        prior = self._weigh(own, around, np.empty((0, 0), np.float32))
         self.memory.look_around(self.options.beyond)
         return prior
 
@@ -239,25 +231,28 @@ class PlanDriver:
         self._tracker.look()
 
     def _weigh(
-        self,
-        own: Mapping[str, Any],
-        around: Surroundings,
-        road: RoadAhead,
-        rivals: Rivals | None,
+        self, own: Mapping[str, Any], around: Surroundings, inputs: FloatArray
     ) -> FloatArray:
-        """Weighs the plans and returns the prior."""
-        scene = PlanScene(
-            speed=np.asarray(own["velocity"][:, 2], np.float32),
-            max_steer_angle=np.reshape(own["max_steer_angle"], -1),
-            is_jumping=np.asarray(own["jumping"]) > 0,
-            has_powerup=np.asarray(own["powerup_type"]) != PowerupType.NOTHING,
-            road=road,
-            items=around.items,
-            item_types=around.item_types,
-            rivals=rivals,
+        """Weighs the plans, writes a policy's inputs, if any, and returns the prior."""
+        state, memory, rules = OwnState.of(own), self.memory.rows, self._rules
+        is_watching = len(inputs) or rules.parameters.bump_cost
+        tracker = self._tracker if is_watching else None
+        angle = np.asarray(own["max_steer_angle"], np.float32)
+        self._options = options = weigh(rules, memory, state, angle, around, tracker)
+        prior = np.empty((len(angle), sum(CHOICES)), np.float32)
+        present_plans(
+            rules.view,
+            _LOGITS,
+            memory,
+            state,
+            options.best,
+            options.scene,
+            options.rivals,
+            prior,
+            inputs,
+            _OPTIONS_AT,
         )
-        self._options = weigh(scene, self.memory.situation(), self._rules)
-        return self._prior(own, around, scene, self._options)
+        return prior
 
     def forget(self, rows: IntArray) -> None:
         """Resets some karts."""
@@ -309,73 +304,16 @@ class PlanDriver:
         controls[:, 6] = calls
         return controls, is_driven
 
-    def _prior(
-        self, own: Mapping[str, Any], around: Surroundings, scene: PlanScene, options: PlanOptions
-    ) -> FloatArray:
-        """Returns the logits of the rules, ``(A, sum(CHOICES))``."""
-        rules, rows = self._rules, np.arange(len(options.worth))
-        best = options.worth.argmax(axis=1)
-        behind = options.worth - options.worth[rows, best][:, None]
-        danger, turn = options.danger[rows, best], options.turn[rows, best]
-        is_safe = (danger < rules.danger) & (best != BRAKE)
-        nitro = (
-            is_safe
-            & self.memory.may_boost
-            & (scene.speed > rules.nitro_speed)
-            & (np.abs(turn) < rules.nitro_turn)
-            & (np.reshape(own["energy"], -1) > 0)
-            & ~scene.is_jumping
-        )
-        is_straight = (np.abs(options.angle) < rules.straight_aim) & (
-            options.straightness < rules.straight_angle
-        )
-        fire = is_safe & is_straight & self.memory.may_fire & self._is_useful(own, around)
-        begin, turns, nitro_head, fire_head = HEADS
-        prior = np.empty((len(rows), sum(CHOICES)), np.float32)
-        prior[:, begin] = np.maximum(_METRE * behind, _NEVER)
-        prior[:, turns] = _OFFSET_PRIOR
-        for head, is_wanted in ((nitro_head, nitro), (fire_head, fire)):
-            prior[:, head] = _BUTTON_PRIOR[is_wanted.astype(np.intp)]
-        return prior
-
-    def _is_useful(self, own: Mapping[str, Any], around: Surroundings) -> BoolArray:
-        """Whether each kart should fire; the switch is not used near items that it would spoil."""
-        items = around.items
-        is_close = (items[..., 2] > 0) & (squared(items) < self._rules.switch_reach**2)
-        is_close &= around.item_types >= 0
-        spoils = (np.asarray(own["powerup_type"]) == PowerupType.SWITCH) & is_close.any(axis=1)
-        useful: BoolArray = (np.asarray(own["powerup_count"]) > 0) & ~spoils
-        return useful
-
 
 def likeliest(logits: FloatArray) -> IntArray:
     """Returns the most likely choices ``(A, 4)`` for logits ``(A, sum(CHOICES))``."""
     return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
 
 
-def _road(around: Surroundings) -> RoadAhead:
-    """Returns the road at :data:`LINE_MARKS`, which come last in the surroundings."""
-    return RoadAhead.of(around.road[:, -len(LINE_MARKS) :])
-
-
 def _action(controls: FloatArray) -> dict[str, Any]:
     """Converts controls ``(7,)`` to an action of the ``full`` view."""
     buttons = {key: int(controls[n]) for n, key in enumerate(_BUTTONS, start=2)}
     return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
-
-
-def _numbers(options: PlanOptions) -> FloatArray:
-    """Returns the policy's inputs from the plans, ``(A, 4 * MANOEUVRES + 3)``."""
-    behind = options.worth - options.worth.max(axis=1, keepdims=True)
-    numbers = np.empty((len(behind), 4 * MANOEUVRES + 3), np.float32)
-    numbers[:, 0:-3:4] = behind > _NEVER / _METRE * 10
-    numbers[:, 1:-3:4] = np.maximum(behind / 10.0, -2.0)
-    numbers[:, 2:-3:4] = options.turn
-    numbers[:, 3:-3:4] = np.minimum(options.danger / 10.0, 2.0)
-    numbers[:, -3] = options.angle
-    numbers[:, -2] = options.offset / 10.0
-    numbers[:, -1] = options.straightness
-    return numbers
 
 
 def steer_of_turn(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatArray:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from stkzoo.kernel import PlanMemory, age_memory, write_memory
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .kart import (
@@ -47,61 +49,17 @@ MEMORY_MIRROR = np.array(list(_SIGNS.values()), np.float32)
 
 @dataclass(frozen=True, slots=True)
 class KartSituation:
-    """Ongoing manoeuvres of A karts, ``(A,)`` each; times in steps.
+    """Drifts of A karts, ``(A,)`` each.
 
     Attributes:
-        turn: turn in the last step, positive to the right [fraction of full lock].
-        drift_turn: turn in the last step of a drift [fraction of full lock].
         drift_side: 1 in a drift to the right, -1 to the left, 0 outside drifts.
-        drift_steps: duration of the drift so far.
+        drift_steps: duration of the drift so far [steps].
         may_hop: whether a drift can begin.
-        release_steps: remaining time of the turn after a drift.
-        boost_steps: remaining time of the boost of a short drift.
-        big_boost_steps: remaining time of the boost of a long drift.
-        is_cautious: whether the kart hit an obstacle recently.
     """
 
-    turn: FloatArray
-    drift_turn: FloatArray
     drift_side: IntArray
     drift_steps: IntArray
     may_hop: BoolArray
-    release_steps: IntArray
-    boost_steps: FloatArray
-    big_boost_steps: FloatArray
-    is_cautious: BoolArray
-
-
-@dataclass(slots=True)
-class _Fields:
-    """One number per kart each, ``(A,)`` float32; times in steps."""
-
-    speed: FloatArray
-    gain: FloatArray
-    turn: FloatArray
-    drift_turn: FloatArray
-    drift_side: FloatArray
-    drift_steps: FloatArray
-    still_steps: FloatArray
-    crawl_steps: FloatArray
-    free_steps: FloatArray
-    reverses: FloatArray
-    lost_steps: FloatArray
-    since_fire: FloatArray
-    # countdowns
-    hop_steps: FloatArray
-    release_steps: FloatArray
-    boost_steps: FloatArray
-    big_boost_steps: FloatArray
-    nitro_steps: FloatArray
-    caution_steps: FloatArray
-    reverse_steps: FloatArray
-    rescue_steps: FloatArray
-
-
-_NAMES = tuple(entry.name for entry in fields(_Fields))
-#: Columns of the countdowns, which are contiguous.
-_CLOCKS = slice(_NAMES.index("hop_steps"), _NAMES.index("rescue_steps") + 1)
 
 
 class DriverMemory:
@@ -110,32 +68,51 @@ class DriverMemory:
     Args:
         count: number of karts, A.
         rules: durations, and thresholds for crashes and for standing still.
+
+    Attributes:
+        rows: ``(20, A)`` float32, in the order of :class:`stkzoo.kernel.PlanMemory`.
     """
 
     def __init__(self, count: int, rules: DriverParameters) -> None:
         self._rules = rules
-        self._nitro_steps, self._caution_steps, self._stuck_steps = (
+        self._nitro_steps, caution_steps, self._stuck_steps = (
             round(time / STEP) for time in (rules.nitro_wait, rules.caution_time, rules.stuck_time)
         )
-        self._all = np.zeros((len(_NAMES), count), np.float32)
-        self._of = _Fields(*self._all)
+        self._numbers = np.array(
+            [
+                STEP,
+                rules.crash_drop,
+                caution_steps,
+                rules.stuck_speed,
+                self._stuck_steps,
+                rules.crawl_speed,
+                rules.free_time,
+                self._nitro_steps,
+                _LONG_AGO,
+                _DRIFT_SHOWS,
+                RELEASE_STEPS,
+                *BOOST_LASTS,
+            ]
+        )
+        self.rows = np.zeros((len(PlanMemory._fields), count), np.float32)
+        self._of = PlanMemory(*self.rows)
         self._of.since_fire[:] = _LONG_AGO
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._of = _Fields(*self._all)  # a copy needs views of its own array
+        self._of = PlanMemory(*self.rows)  # a copy needs views of its own array
 
     @classmethod
     def joined(cls, memories: Sequence[DriverMemory]) -> DriverMemory:
         """Returns the joint memory of several memories with equal rules."""
         joined = copy.copy(memories[0])
-        joined._all = np.concatenate([memory._all for memory in memories], axis=1)
-        joined._of = _Fields(*joined._all)
+        joined.rows = np.concatenate([memory.rows for memory in memories], axis=1)
+        joined._of = PlanMemory(*joined.rows)
         return joined
 
     def take(self, joined: DriverMemory, rows: slice) -> None:
         """Copies the state of some karts from a joint memory."""
-        self._all[:] = joined._all[:, rows]
+        self.rows[:] = joined.rows[:, rows]
 
     def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
         """Advances the memory by one step.
@@ -144,21 +121,10 @@ class DriverMemory:
             speed: ``(A,)`` forward speed [m/s].
             skeed_factor: ``(A,)`` skid factor.
         """
-        of, clocks = self._of, self._all[_CLOCKS]
-        np.maximum(clocks - 1, 0, out=clocks)
-        of.gain[:] = speed - of.speed
-        of.caution_steps[of.gain < -self._rules.crash_drop] = self._caution_steps
-        of.speed[:] = speed
-        pace, is_free = np.abs(speed), of.rescue_steps == 0
-        is_still = (pace < self._rules.stuck_speed) & is_free
-        of.still_steps[:] = np.where(is_still, of.still_steps + 1, 0)
-        crawls = (pace < self._rules.crawl_speed) & is_free
-        of.crawl_steps[:] = np.where(crawls, of.crawl_steps + 1, 0)
-        of.free_steps[:] = np.where(is_still, 0, of.free_steps + 1)
-        of.reverses[of.free_steps * STEP > self._rules.free_time] = 0
-        of.since_fire[:] = np.minimum(of.since_fire + 1, _LONG_AGO)
-        is_over = (of.drift_steps >= _DRIFT_SHOWS) & (skeed_factor <= 1.0)
-        of.drift_side[is_over] = of.drift_steps[is_over] = 0
+        speed, skeed_factor = (
+            np.ascontiguousarray(numbers, np.float32) for numbers in (speed, skeed_factor)
+        )
+        age_memory(self._numbers, self.rows, speed, skeed_factor)
 
     def look_around(self, beyond: FloatArray) -> None:
         """Completes the step once the road is known.
@@ -171,47 +137,21 @@ class DriverMemory:
         of.lost_steps[:] = np.where(is_off, of.lost_steps + 1, 0)
 
     def situation(self) -> KartSituation:
-        """Returns the ongoing manoeuvres of the karts."""
+        """Returns the drifts of the karts."""
         of = self._of
         return KartSituation(
-            turn=of.turn.copy(),
-            drift_turn=of.drift_turn.copy(),
-            drift_side=of.drift_side.astype(np.intp),
-            drift_steps=of.drift_steps.astype(np.intp),
-            may_hop=of.hop_steps == 0,
-            release_steps=of.release_steps.astype(np.intp),
-            boost_steps=of.boost_steps.copy(),
-            big_boost_steps=of.big_boost_steps.copy(),
-            is_cautious=of.caution_steps > 0,
+            of.drift_side.astype(np.intp), of.drift_steps.astype(np.intp), of.hop_steps == 0
         )
 
     def numbers(self) -> FloatArray:
         """Returns the policy's inputs from the memory, ``(A, MEMORY_SIZE)``."""
-        of = self._of
-        drift = np.minimum(of.drift_steps / 30.0, 2.0)
-        columns = (
-            of.turn,
-            of.drift_turn * (of.drift_side != 0),
-            drift * of.drift_side,
-            drift,
-            of.release_steps / RELEASE_STEPS,
-            of.boost_steps / BOOST_LASTS[0],
-            of.big_boost_steps / BOOST_LASTS[1],
-            of.nitro_steps / max(self._nitro_steps, 1),
-            of.caution_steps / max(self._caution_steps, 1),
-            of.still_steps / self._stuck_steps,
-            np.minimum(np.maximum(of.gain / 5.0, -2.0), 2.0),
-            of.since_fire / _LONG_AGO,
-        )
-        numbers = np.empty((self._all.shape[1], MEMORY_SIZE), np.float32)
-        for number, column in enumerate(columns):
-            numbers[:, number] = column
+        numbers = np.empty((self.rows.shape[1], MEMORY_SIZE), np.float32)
+        self.write(numbers, 0)
         return numbers
 
-    @property
-    def may_fire(self) -> BoolArray:
-        """Returns whether enough steps have passed since the last shot, ``(A,)`` bool."""
-        return np.asarray(self._of.since_fire >= self._rules.fire_every)
+    def write(self, out: FloatArray, first: int) -> None:
+        """Writes :meth:`numbers` into columns of an array ``(A, F)``, from ``first`` on."""
+        write_memory(self._numbers, self.rows, out, first)
 
     @property
     def may_boost(self) -> BoolArray:
@@ -267,5 +207,5 @@ class DriverMemory:
 
     def forget(self, rows: IntArray) -> None:
         """Resets some karts."""
-        self._all[:, rows] = 0
+        self.rows[:, rows] = 0
         self._of.since_fire[rows] = _LONG_AGO

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from stkzoo.kernel import PlanTable
 
-from .arrays import FloatArray, IntArray
+from .arrays import FloatArray
 from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
 
 #: Durations of the moments of a plan [s].
@@ -161,7 +161,8 @@ def _in_drift(side: int, steps: int, lanes: Lanes) -> list[PlanTable]:
     return plans
 
 
-_LONGEST = BOOST_STEPS[1]
+#: Drifts of more steps have the same plans.
+LONGEST_DRIFT = BOOST_STEPS[1]
 
 
 @lru_cache(maxsize=8)
@@ -173,7 +174,8 @@ def plan_table(changes: int) -> PlanTable:
     """
     lanes = all_lanes(changes)
     states = [_without_drift(release, lanes) for release in range(RELEASE_STEPS + 1)]
-    states += [_in_drift(side, steps, lanes) for side in (-1, 1) for steps in range(_LONGEST + 1)]
+    drifts = itertools.product((-1, 1), range(LONGEST_DRIFT + 1))
+    states += [_in_drift(side, steps, lanes) for side, steps in drifts]
     most = max(map(len, states))
     rows = [[*plans, *[_NO_PLAN] * (most - len(plans))] for plans in states]
     columns: dict[str, npt.NDArray[Any]] = {}
@@ -183,16 +185,3 @@ def plan_table(changes: int) -> PlanTable:
             column = np.ascontiguousarray(column.swapaxes(1, 2))
         columns[name] = column.astype(_TYPES.get(name, np.float32))
     return PlanTable(spans=SPANS, **columns)
-
-
-def table_rows(drift_side: IntArray, drift_steps: IntArray, release_steps: IntArray) -> IntArray:
-    """Returns the rows of :func:`plan_table` for karts, ``(A,)``.
-
-    Args:
-        drift_side: ``(A,)`` 1 in a drift to the right, -1 to the left, 0 outside drifts.
-        drift_steps: ``(A,)`` duration of the drift [steps].
-        release_steps: ``(A,)`` remaining time of the turn after the last drift [steps].
-    """
-    steps = np.minimum(drift_steps, _LONGEST)
-    drifting = RELEASE_STEPS + 1 + np.where(drift_side > 0, _LONGEST + 1, 0) + steps
-    return np.where(drift_side == 0, np.minimum(release_steps, RELEASE_STEPS), drifting)

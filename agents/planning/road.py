@@ -1,12 +1,8 @@
-"""The road ahead of any number of karts, in coordinates along and across it."""
+"""The marks at which the planner observes the road ahead."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-
-from stkzoo.mdp import squared
 
 from .arrays import FloatArray
 
@@ -14,117 +10,13 @@ from .arrays import FloatArray
 MARK_COUNT, MARK_SPACING = 36, 3.0
 LINE_MARKS = (MARK_SPACING * np.arange(MARK_COUNT + 1)).astype(np.float32)
 
-#: Number of marks that measure a kart's rotation, and the largest rotation [rad]; a larger one is
-#: due to a change of the road.
-_TURN_MARKS, _MOST_TURNED = 9, 0.6
 
+def headings_of(line: FloatArray) -> FloatArray:
+    """Returns the direction of a road after each mark but the last, relative to the kart's [rad].
 
-@dataclass(frozen=True, slots=True)
-class RoadPlaces:
-    """Positions relative to the road, ``(A, I)`` each.
-
-    Attributes:
-        along: distance ahead along the road [m].
-        across: offset from its middle, positive to the right [m].
-        above: height above it [m].
-        half_widths: half of the road's width at that point [m].
-        headings: direction of the road at that point, relative to the kart's, positive to the right
-            [rad].
+    Args:
+        line: ``(A, M + 1, 4)`` marks in the kart's frame, and half widths [m].
     """
-
-    along: FloatArray
-    across: FloatArray
-    above: FloatArray
-    half_widths: FloatArray
-    headings: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class RoadAhead:
-    """The road ahead of A karts.
-
-    Attributes:
-        points: ``(A, 36, 3)`` marks in the kart's frame [m].
-        headings: ``(A, 36)`` direction of the road after each mark, relative to the kart's [rad].
-        curvature: ``(A, 36)`` [1/m].
-        half_widths: ``(A, 36)`` [m].
-        offset: ``(A,)`` offset of the kart from the middle, positive to the right [m].
-        angle: ``(A,)`` direction of the kart relative to the road's [rad].
-    """
-
-    points: FloatArray
-    headings: FloatArray
-    curvature: FloatArray
-    half_widths: FloatArray
-    offset: FloatArray
-    angle: FloatArray
-
-    @classmethod
-    def of(cls, line: FloatArray) -> RoadAhead:
-        """Returns the road of a line ``(A, 37, 4)``: :data:`LINE_MARKS`, and half widths [m]."""
-        points = line[..., :3]
-        steps = points[:, 1:] - points[:, :-1]
-        headings = np.arctan2(steps[..., 0], steps[..., 2])
-        turns = headings[:, 1:] - headings[:, :-1]
-        if (np.abs(turns) >= np.pi).any():
-            headings = np.unwrap(headings, axis=1)
-            turns = headings[:, 1:] - headings[:, :-1]
-        curvature = np.zeros_like(headings)
-        curvature[:, :-1] = turns
-        curvature[:, 1:-1] += turns[:, :-1]
-        curvature[:, 1:-1] /= 2
-        curvature /= MARK_SPACING
-        own = headings[:, 0]
-        x, z = points[:, 0, 0], points[:, 0, 2]
-        offset = z * np.sin(own) - x * np.cos(own)
-        return cls(points[:, :-1], headings, curvature, line[:, :-1, 3], offset, -own)
-
-    def bends(self, lengths: FloatArray) -> FloatArray:
-        """Returns mean curvatures ``(A, 36)`` [1/m] over lengths ``(A,)`` [m] after each mark."""
-        ahead = (lengths / MARK_SPACING).astype(np.intp)
-        ahead = np.minimum(np.maximum(ahead, 1), MARK_COUNT - 1)[:, None]
-        marks = np.arange(MARK_COUNT) + ahead
-        rows = np.arange(len(marks))[:, None]
-        there = self.headings[rows, np.minimum(marks, MARK_COUNT - 1)]
-        return np.where(marks < MARK_COUNT, (there - self.headings) / (ahead * MARK_SPACING), 0)
-
-    def straightness(self, lengths: FloatArray) -> FloatArray:
-        """Returns the largest turn of the road within lengths ``(A,)`` [m] from the kart [rad]."""
-        count = np.maximum((lengths / MARK_SPACING).astype(np.intp), 1)[:, None]
-        turned = np.abs(self.headings - self.headings[:, :1])
-        straightness: FloatArray = np.where(np.arange(MARK_COUNT) < count, turned, 0).max(axis=1)
-        return straightness
-
-    def turned_since(self, before: FloatArray, way: FloatArray) -> FloatArray:
-        """Returns the rotation of karts to the right since an earlier observation, ``(A,)`` [rad].
-
-        The road itself is fixed, so its headings change to the left when a kart turns right.
-
-        Args:
-            before: ``(A, 36)`` earlier :attr:`headings`; not finite if unknown.
-            way: ``(A,)`` distance driven since then [m].
-        """
-        place = np.arange(_TURN_MARKS) + np.minimum(way / MARK_SPACING, 1)[:, None]
-        mark = place.astype(np.intp)
-        share = place - mark
-        rows = np.arange(len(before))[:, None]
-        then = before[rows, mark] * (1 - share) + before[rows, mark + 1] * share
-        turns = np.sort(then - self.headings[:, :_TURN_MARKS], axis=1)
-        turned = turns[:, _TURN_MARKS // 2]  # the median
-        turned = (turned + np.pi) % (2 * np.pi) - np.pi
-        return np.where(np.abs(turned) < _MOST_TURNED, turned, 0).astype(np.float32)
-
-    def place(self, spots: FloatArray) -> RoadPlaces:
-        """Locates spots ``(A, I, 3)`` in the kart's frame [m] relative to the road."""
-        # |point - spot|² without the constant term |spot|²
-        apart = squared(self.points)[:, None] - 2.0 * (spots @ self.points.transpose(0, 2, 1))
-        nearest = apart.argmin(-1)
-        rows = np.arange(len(spots))[:, None]
-        apart = spots - self.points[rows, nearest]
-        x, y, z = apart[..., 0], apart[..., 1], apart[..., 2]
-        heading = self.headings[rows, nearest]
-        sines, cosines = np.sin(heading), np.cos(heading)
-        along = nearest * np.float32(MARK_SPACING) + x * sines + z * cosines
-        marks = (along / MARK_SPACING).astype(np.intp)
-        marks = np.minimum(np.maximum(marks, 0), MARK_COUNT - 1)
-        return RoadPlaces(along, x * cosines - z * sines, y, self.half_widths[rows, marks], heading)
+    steps = line[:, 1:, ::2] - line[:, :-1, ::2]
+    headings: FloatArray = np.arctan2(steps[..., 0], steps[..., 1])
+    return headings

@@ -7,29 +7,30 @@ left, drift right. A policy sees the best plan of each and chooses among them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo import ItemType
-from stkzoo.kernel import weigh_plans
-from stkzoo.mdp import squared
+from stkzoo import ItemType, PowerupType
+from stkzoo.kernel import survey_road, weigh_plans
+from stkzoo.wrappers.racing import Surroundings
 
-from .arrays import BoolArray, FloatArray
-from .kart import BOOST_LASTS, RELEASE_TURN, STEERING_LAG, STEP
-from .memory import KartSituation
+from .arrays import FloatArray
+from .kart import BOOST_LASTS, RELEASE_STEPS, RELEASE_TURN, STEERING_LAG, STEP
 from .parameters import DriverParameters
-from .plans import MANOEUVRES, plan_table, table_rows
-from .rivals import Rivals
-from .road import MARK_COUNT, MARK_SPACING, RoadAhead
+from .plans import LONGEST_DRIFT, MANOEUVRES, plan_table
+from .rivals import FASTEST, MOST_TURNED, NOWHERE, REACH, RIVALS, RivalMoment, RivalTracker
+from .road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
 
 DoubleArray = npt.NDArray[np.float64]
 
 #: Number of items considered.
 _ITEMS = 8
-#: Items farther above or below than this are on another level of the track [m].
+#: Items and karts farther above or below than this are on another level of the track [m].
 _LEVEL = 4.0
 #: Items nearer than the first distance are too close to steer for; farther than the second, they
 #: are ignored [m].
@@ -48,127 +49,200 @@ _CROSSING = 0.5
 
 #: Minimum assumed speed of karts [m/s].
 _SLOWEST = 5.0
+#: Minimum assumed angle of the wheels at full lock [rad].
+_LEAST_LOCK = 0.02
 #: Worth of a manoeuvre without plans.
 NEVER = -1e4
 
+#: Logit of the prior per metre of worth, and its smallest logit.
+_METRE, _LEAST_LOGIT = 2.0, -30.0
 
-@dataclass(frozen=True, slots=True)
-class PlanScene:
-    """Observations of A karts that affect plans.
+
+class OwnState(NamedTuple):
+    """Own state of A karts, for the kernel.
 
     Attributes:
-        speed: ``(A,)`` forward speed [m/s].
-        max_steer_angle: ``(A,)`` [rad].
-        is_jumping: ``(A,)`` bool.
-        has_powerup: ``(A,)`` bool.
-        road: the road ahead.
-        items: ``(A, M, 3)`` in the kart's frame [m].
-        item_types: ``(A, M)`` numbers of :class:`~stkzoo.ItemType`; other numbers are ignored.
-        rivals: the nearest karts; ``None`` to ignore them.
+        velocity: ``(A, 3)`` float32 [m/s].
+        energy: ``(A, 1)`` float32 [s].
+        jumping: ``(A,)`` int64; likewise the others.
+        powerup_type: number of :class:`~stkzoo.PowerupType`.
+        powerup_count: number of shots.
     """
 
-    speed: FloatArray
-    max_steer_angle: FloatArray
-    is_jumping: BoolArray
-    has_powerup: BoolArray
-    road: RoadAhead
-    items: FloatArray
-    item_types: npt.NDArray[np.integer]
-    rivals: Rivals | None
+    velocity: FloatArray
+    energy: FloatArray
+    jumping: npt.NDArray[np.int64]
+    powerup_type: npt.NDArray[np.int64]
+    powerup_count: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, own: Mapping[str, Any]) -> OwnState:
+        """Returns the state in entries of the ``full`` view in batch form."""
+        return cls(
+            np.ascontiguousarray(own["velocity"], np.float32),
+            np.ascontiguousarray(own["energy"], np.float32),
+            *(np.ascontiguousarray(own[key], np.int64) for key in cls._fields[2:]),
+        )
+
+
+class PlanRules:
+    """The parameters of plans, in the forms in which the kernel takes them.
+
+    Attributes:
+        parameters: the parameters.
+        table: the plans.
+        view: the rules of :func:`stkzoo.kernel.survey_road`.
+        worths: ``(2, types)`` worth of item types for karts without and with a powerup [m].
+        costs: the rules of :func:`stkzoo.kernel.weigh_plans`.
+    """
+
+    __slots__ = ("costs", "parameters", "table", "view", "worths")
+
+    def __init__(self, parameters: DriverParameters) -> None:
+        self.parameters = parameters
+        self.table = plan_table(parameters.lane_changes)
+        self.view = _view_rules(parameters)
+        self.worths = _worths(parameters)
+        self.costs = _costs(parameters)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return plan_rules, (self.parameters,)
+
+
+@lru_cache(maxsize=64)
+def plan_rules(parameters: DriverParameters) -> PlanRules:
+    """Returns the rules of some parameters."""
+    return PlanRules(parameters)
 
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """The best plan of each manoeuvre, ``(A, 4)`` each, and the road.
+    """The best plan of each manoeuvre, and where the karts are.
 
     Attributes:
-        worth: worth of the plan [m]; :data:`NEVER` if there is none.
-        turn: current turn, positive to the right [fraction of full lock].
-        danger: cost beyond the edge of the road [m].
-        angle: ``(A,)`` direction of the kart relative to the road's [rad].
-        offset: ``(A,)`` offset from the middle, positive to the right [m].
-        beyond: ``(A,)`` distance beyond the edge of the road, negative on the road [m].
-        straightness: ``(A,)`` largest turn of the road in the near future [rad].
+        best: ``(3, A, 4)``: :attr:`worth`, :attr:`turn` and danger, the cost beyond the edge of the
+            road [m].
+        scene: ``(A, 5)``: :attr:`angle`, :attr:`offset`, :attr:`beyond`, the largest turn of the
+            road in the near future [rad], and whether firing is useful.
+        rivals: ``(A, R, 5)`` the nearest karts, nearest first: whether there is one, distance ahead
+            along the road, offset from its middle [m], speed along the road relative to the
+            observing kart, and across it [m/s].
     """
 
-    worth: FloatArray
-    turn: FloatArray
-    danger: FloatArray
-    angle: FloatArray
-    offset: FloatArray
-    beyond: FloatArray
-    straightness: FloatArray
+    best: FloatArray
+    scene: FloatArray
+    rivals: DoubleArray
+
+    @property
+    def worth(self) -> FloatArray:
+        """``(A, 4)`` worth of the plans [m]; :data:`NEVER` if there is none."""
+        return np.asarray(self.best[0])
+
+    @property
+    def turn(self) -> FloatArray:
+        """``(A, 4)`` current turn, positive to the right [fraction of full lock]."""
+        return np.asarray(self.best[1])
+
+    @property
+    def angle(self) -> FloatArray:
+        """``(A,)`` direction of the kart relative to the road's [rad]."""
+        return self.scene[:, 0]
+
+    @property
+    def offset(self) -> FloatArray:
+        """``(A,)`` offset from the middle of the road, positive to the right [m]."""
+        return self.scene[:, 1]
+
+    @property
+    def beyond(self) -> FloatArray:
+        """``(A,)`` distance beyond the edge of the road, negative on the road [m]."""
+        return self.scene[:, 2]
 
 
-def weigh(scene: PlanScene, now: KartSituation, rules: DriverParameters) -> PlanOptions:
+def weigh(
+    rules: PlanRules,
+    memory: FloatArray,
+    own: OwnState,
+    max_steer_angle: FloatArray,
+    around: Surroundings,
+    tracker: RivalTracker | None,
+) -> PlanOptions:
     """Returns the best plan of each manoeuvre.
 
     Args:
-        scene: observations of the karts.
-        now: their ongoing manoeuvres.
         rules: parameters of the plans.
+        memory: ``(20, A)``, see :class:`stkzoo.kernel.PlanMemory`.
+        own: own state of the karts.
+        max_steer_angle: ``(A, 1)`` [rad].
+        around: their surroundings; the road at :data:`.road.LINE_MARKS` comes last.
+        tracker: observations of nearby karts, which are updated; ``None`` to ignore them.
     """
-    road, count = scene.road, len(scene.speed)
-    speed = np.maximum(scene.speed, _SLOWEST)
-    reach = (rules.aim_distance + rules.aim_time * speed).astype(np.float32)
-    karts = np.empty((count, 11), np.float32)
-    columns = (
-        speed,
-        speed * np.tan(np.maximum(scene.max_steer_angle, 0.02)) / np.float32(rules.wheel_base),
-        reach,
-        now.turn,
-        now.drift_turn,
-        road.offset,
-        road.angle,
-        now.boost_steps,
-        now.big_boost_steps,
-        (scene.speed > rules.drift_speed) & ~scene.is_jumping & now.may_hop,
-        scene.speed > rules.brake_speed,
+    count = len(own.velocity)
+    # numpy's own tangent and arctangent, which differ from the C library's in the last bit
+    tangents = np.tan(np.maximum(max_steer_angle, np.float32(_LEAST_LOCK)))
+    line = np.ascontiguousarray(around.road[:, -len(LINE_MARKS) :])
+    headings = headings_of(line)
+    before, now = _NOTHING, _NOTHING
+    rivals = np.empty((count, 0 if tracker is None else RIVALS, 5))
+    if tracker is not None:
+        spots = np.empty((count, RIVALS, 2), np.float32)
+        before, now = tracker.before, RivalMoment(spots, np.empty((count, 2), np.float32), headings)
+        tracker.now = now
+    rows, karts = np.empty(count, np.intp), np.empty((count, 11), np.float32)
+    road, items = np.empty((count, 3, MARK_COUNT), np.float32), np.empty((count, _ITEMS, 4))
+    scene, best = np.empty((count, 5), np.float32), np.empty((3, count, MANOEUVRES), np.float32)
+    seen = (line, headings, tangents, around.karts, around.items, around.item_types)
+    out = (rows, karts, road, items, rivals, scene)
+    survey_road(rules.view, rules.worths, memory, own, seen, before, now[:2], out)
+    weigh_plans(rules.table, rules.costs, rows, karts, road, items, rivals, best)
+    return PlanOptions(best, scene, rivals)
+
+
+_NOTHING = RivalMoment.unknown(0)
+
+
+def _view_rules(rules: DriverParameters) -> DoubleArray:
+    return np.array(
+        [
+            MARK_SPACING,
+            _SLOWEST,
+            rules.aim_distance,
+            rules.aim_time,
+            rules.wheel_base,
+            rules.drift_speed,
+            rules.brake_speed,
+            rules.margin,
+            rules.caution_room,
+            rules.greatest_room,
+            rules.straight_time,
+            rules.item_radius,
+            rules.bad_item_radius,
+            _NEAREST,
+            _FARTHEST,
+            _LEVEL,
+            _BEYOND,
+            REACH,
+            FASTEST,
+            NOWHERE,
+            STEP,
+            MOST_TURNED,
+            RELEASE_STEPS,
+            LONGEST_DRIFT,
+            PowerupType.SWITCH,
+            rules.switch_reach,
+            rules.danger,
+            rules.nitro_speed,
+            rules.nitro_turn,
+            rules.straight_aim,
+            rules.straight_angle,
+            rules.fire_every,
+            _METRE,
+            _LEAST_LOGIT,
+        ]
     )
-    for column, values in enumerate(columns):
-        karts[:, column] = values
-    widest = np.where(now.is_cautious, rules.caution_room, rules.greatest_room)
-    room = np.minimum(np.maximum(road.half_widths - rules.margin, 0.3), widest[:, None])
-    best = np.empty((3, count, MANOEUVRES), np.float32)
-    weigh_plans(
-        plan_table(rules.lane_changes),
-        rule_columns(rules),
-        table_rows(now.drift_side, now.drift_steps, now.release_steps),
-        karts,
-        road_columns(road, reach, room),
-        _items(scene, rules),
-        np.zeros((count, 0, 5)) if scene.rivals is None else scene.rivals.columns(),
-        best,
-    )
-    worth, turn, danger = best
-    return PlanOptions(
-        worth=worth,
-        turn=turn,
-        danger=danger,
-        angle=road.angle,
-        offset=road.offset,
-        beyond=np.abs(road.offset) - road.half_widths[:, 0],
-        straightness=road.straightness(rules.straight_time * scene.speed),
-    )
 
 
-def road_columns(road: RoadAhead, reach: FloatArray, room: npt.NDArray[np.floating]) -> FloatArray:
-    """Returns the road at its marks, ``(A, 3, 36)``: sideways bend [m], room [m], curvature [1/m].
-
-    Args:
-        road: the road.
-        reach: ``(A,)`` distance at which karts aim [m].
-        room: ``(A, 36)`` largest offset from the middle [m].
-    """
-    columns = np.empty((len(reach), 3, MARK_COUNT), np.float32)
-    columns[:, 0] = road.bends(reach) * (0.5 * reach * reach)[:, None]
-    columns[:, 1], columns[:, 2] = room, road.curvature
-    return columns
-
-
-@lru_cache(maxsize=64)
-def rule_columns(rules: DriverParameters) -> DoubleArray:
-    """Returns the parameters for all karts, in the order of :func:`stkzoo.kernel.weigh_plans`."""
+def _costs(rules: DriverParameters) -> DoubleArray:
     return np.array(
         [
             RELEASE_TURN,
@@ -193,34 +267,8 @@ def rule_columns(rules: DriverParameters) -> DoubleArray:
     )
 
 
-def _items(scene: PlanScene, rules: DriverParameters) -> DoubleArray:
-    """Returns the relevant items ahead, nearest first, ``(A, I, 4)``; missing ones have worth 0.
-
-    The columns are position along the road, position across it, worth, and hit radius [m].
-    """
-    types = np.minimum(np.maximum(scene.item_types, -1), max(ItemType) + 1)  # -1: last entry
-    worth = _worths(rules)[scene.has_powerup.astype(np.intp)[:, None], types]
-    rows = np.arange(len(types))[:, None]
-    squares = squared(scene.items)
-    matters = (worth != 0) & (scene.items[..., 2] > 0) & (squares < (_FARTHEST + 5.0) ** 2)
-    order = np.argsort(np.where(matters, squares, np.inf), axis=1, kind="stable")[:, :_ITEMS]
-    spots = scene.items[rows, order]
-    worth = np.where(matters, worth, 0)[rows, order]
-    at = scene.road.place(spots)
-    is_kept = (at.along > _NEAREST) & (at.along < _FARTHEST) & (np.abs(at.above) < _LEVEL)
-    is_kept &= np.abs(at.across) < at.half_widths + _BEYOND
-    items = np.empty((*worth.shape, 4))
-    items[..., 0], items[..., 1] = at.along, at.across
-    items[..., 2] = np.where(is_kept, worth, 0)
-    radii = np.array([rules.bad_item_radius, rules.item_radius], np.float32)
-    items[..., 3] = radii[(worth > 0).astype(np.intp)]
-    return items
-
-
-@lru_cache(maxsize=64)
 def _worths(rules: DriverParameters) -> FloatArray:
-    """Returns the worth of item types [m] for karts without and with a powerup, ``(2, types)``."""
-    worths = np.zeros((2, max(ItemType) + 3), np.float32)
+    worths = np.zeros((2, max(ItemType) + 1), np.float32)
     worths[:, ItemType.BONUS_BOX] = rules.box_worth, rules.second_box_worth
     worths[:, ItemType.NITRO_BIG] = rules.big_nitro_worth
     worths[:, ItemType.NITRO_SMALL] = rules.small_nitro_worth

@@ -1,9 +1,10 @@
 """The inner loops of a step, once in C and once in numpy.
 
-Every name here but :class:`PlanTable` is a class or function of the compiled extension
-``_kernel``, or its twin in :mod:`stkzoo.kernel.reference`, which does the same in numpy. This
-module alone decides which: the extension, unless it is not built here or ``STKZOO_KERNEL=off`` is
-set. The stub ``_kernel.pyi`` types both, and ``tests/kernel`` runs each name against its twin.
+Every name here but :class:`PlanTable` and :class:`PlanMemory` is a class or function of the
+compiled extension ``_kernel``, or its twin in :mod:`stkzoo.kernel.reference`, which does the same
+in numpy. This module alone decides which: the extension, unless it is not built here or
+``STKZOO_KERNEL=off`` is set. The stub ``_kernel.pyi`` types both, and ``tests/kernel`` runs each
+name against its twin.
 
 Attributes:
     IS_COMPILED: whether the names are those of the extension.
@@ -33,13 +34,20 @@ _TWINS = {
     "RacingObserver": "racing_observer",
     "StepScorer": "step_scorer",
     "TrackGraph": "track_graph",
+    "age_memory": "plan_memory",
     "join_rows": "rows",
     "layouts": "rows",
+    "look_along": "road_tracer",
     "measure_message": "messages",
+    "present_plans": "plan_viewer",
+    "stack_vectors": "road_tracer",
+    "survey_road": "plan_viewer",
+    "trace_roads": "road_tracer",
     "weigh_plans": "plan_weigher",
+    "write_memory": "plan_memory",
 }
 
-__all__ = sorted(["IS_COMPILED", "PlanTable", *_TWINS])
+__all__ = sorted(["IS_COMPILED", "PlanMemory", "PlanTable", *_TWINS])
 
 
 def _extension() -> ModuleType | None:
@@ -81,6 +89,54 @@ class PlanTable(NamedTuple):
     boosts: npt.NDArray[np.intp]
     boost_steps: npt.NDArray[np.float32]
     needs_drift: npt.NDArray[np.bool_]
+
+
+class PlanMemory(NamedTuple):
+    """What the driver of each of ``A`` karts remembers, ``(A,)`` float32 each; times in steps.
+
+    Attributes:
+        speed: forward speed in the last step [m/s].
+        gain: change of speed in that step [m/s].
+        turn: turn in that step, positive to the right [fraction of full lock].
+        drift_turn: turn in the last step of a drift [fraction of full lock].
+        drift_side: 1 in a drift to the right, -1 to the left, 0 outside drifts.
+        drift_steps: duration of the drift so far.
+        still_steps: for how long the kart has stood still.
+        crawl_steps: for how long it has crawled.
+        free_steps: for how long it has not stood still.
+        reverses: how often it has reversed without getting free.
+        lost_steps: for how long it has been far off the road.
+        since_fire: time since the last shot.
+        hop_steps: time until another drift can begin; this and all below count down to 0.
+        release_steps: remaining time of the turn after a drift.
+        boost_steps: remaining time of the boost of a short drift.
+        big_boost_steps: remaining time of the boost of a long drift.
+        nitro_steps: remaining time of a burst of nitro.
+        caution_steps: remaining time of caution after a crash.
+        reverse_steps: remaining time of reversing.
+        rescue_steps: remaining time of a rescue.
+    """
+
+    speed: npt.NDArray[np.float32]
+    gain: npt.NDArray[np.float32]
+    turn: npt.NDArray[np.float32]
+    drift_turn: npt.NDArray[np.float32]
+    drift_side: npt.NDArray[np.float32]
+    drift_steps: npt.NDArray[np.float32]
+    still_steps: npt.NDArray[np.float32]
+    crawl_steps: npt.NDArray[np.float32]
+    free_steps: npt.NDArray[np.float32]
+    reverses: npt.NDArray[np.float32]
+    lost_steps: npt.NDArray[np.float32]
+    since_fire: npt.NDArray[np.float32]
+    hop_steps: npt.NDArray[np.float32]
+    release_steps: npt.NDArray[np.float32]
+    boost_steps: npt.NDArray[np.float32]
+    big_boost_steps: npt.NDArray[np.float32]
+    nitro_steps: npt.NDArray[np.float32]
+    caution_steps: npt.NDArray[np.float32]
+    reverse_steps: npt.NDArray[np.float32]
+    rescue_steps: npt.NDArray[np.float32]
 
 
 _compiled = _extension()

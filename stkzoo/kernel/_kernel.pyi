@@ -66,7 +66,7 @@ class KartObserver:
 class RacingObserver:
     def __new__(
         cls,
-        road: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]],
+        roads: tuple[tuple[npt.NDArray[np.float32], ...], ...],
         tables: tuple[npt.NDArray[np.float32], npt.NDArray[np.int8], npt.NDArray[np.int8]],
         counts: tuple[int, int, int, int, int, int, int],
         lengths: tuple[float, float, float, float, float, float],
@@ -74,9 +74,25 @@ class RacingObserver:
     def observe(
         self,
         data: bytes,
+        road: int,
         who: npt.NDArray[np.intp],
         out: npt.NDArray[np.float32],
         rows: npt.NDArray[np.intp] = ...,
+    ) -> None: ...
+    def look(
+        self,
+        data: bytes,
+        road: int,
+        who: npt.NDArray[np.intp],
+        looks: npt.NDArray[np.float32],
+        out: tuple[npt.NDArray[Any], ...],
+    ) -> None: ...
+    def write(
+        self,
+        numbers: tuple[npt.NDArray[Any], ...],
+        kinds: tuple[npt.NDArray[Any], ...],
+        around: tuple[npt.NDArray[Any], ...],
+        out: npt.NDArray[np.float32],
     ) -> None: ...
 
 class ActionReader:
@@ -178,4 +194,55 @@ def weigh_plans(
     items: npt.NDArray[np.float64],
     rivals: npt.NDArray[np.float64],
     out: npt.NDArray[np.float32],
+) -> None: ...
+def survey_road(
+    rules: npt.NDArray[np.float64],
+    worths: npt.NDArray[np.float32],
+    memory: npt.NDArray[np.float32],
+    own: tuple[npt.NDArray[Any], ...],
+    around: tuple[npt.NDArray[Any], ...],
+    before: tuple[npt.NDArray[Any], ...],
+    now: tuple[npt.NDArray[Any], ...],
+    out: tuple[npt.NDArray[Any], ...],
+) -> None: ...
+def present_plans(
+    rules: npt.NDArray[np.float64],
+    logits: tuple[npt.NDArray[Any], ...],
+    memory: npt.NDArray[np.float32],
+    own: tuple[npt.NDArray[Any], ...],
+    best: npt.NDArray[np.float32],
+    scene: npt.NDArray[np.float32],
+    rivals: npt.NDArray[np.float64],
+    prior: npt.NDArray[np.float32],
+    inputs: npt.NDArray[np.float32],
+    first: int,
+) -> None: ...
+def trace_roads(
+    starts: tuple[Any, ...],
+    ends: tuple[Any, ...],
+    widths: tuple[Any, ...],
+    most: int,
+    rules: npt.NDArray[np.float64],
+    lines: npt.NDArray[np.float32],
+    first: npt.NDArray[np.float32],
+) -> None: ...
+def look_along(
+    lines: npt.NDArray[np.float32],
+    spacing: float,
+    first: npt.NDArray[np.float32],
+    looks: npt.NDArray[np.float32],
+    out: npt.NDArray[np.float32],
+) -> None: ...
+def stack_vectors(rows: tuple[Any, ...], blank: float, out: npt.NDArray[np.float32]) -> None: ...
+def age_memory(
+    rules: npt.NDArray[np.float64],
+    memory: npt.NDArray[np.float32],
+    speed: npt.NDArray[np.float32],
+    skeed_factor: npt.NDArray[np.float32],
+) -> None: ...
+def write_memory(
+    rules: npt.NDArray[np.float64],
+    memory: npt.NDArray[np.float32],
+    out: npt.NDArray[np.float32],
+    first: int,
 ) -> None: ...

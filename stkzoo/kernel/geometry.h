@@ -49,6 +49,24 @@ static inline float length(const float *v)
     return sqrtf(dot(v, v));
 }
 
+/* How far a kart at the origin has come on its segment [m]. */
+static inline float way_passed(const float *start, const float *along)
+{
+    const float squared = dot(along, along);
+    const float share = -dot(start, along) / (squared > 0 ? squared : 1.0f);
+    return (share < 0 ? 0 : share > 1 ? 1 : share) * sqrtf(squared);
+}
+
+/* The point of a line, of at least two, at a place along it; in its four columns. */
+static inline void look_on_line(const float *line, npy_intp num_points, float place, float *point)
+{
+    const npy_intp last = num_points - 2;
+    /* NaN, and places before or beyond the line, must not become an index. */
+    const npy_intp before = place >= (float)last ? last : place > 0 ? (npy_intp)place : 0;
+    const float share = place - (float)before, *first = line + 4 * before;
+    for (int i = 0; i < 4; i++) point[i] = first[i] + (first[4 + i] - first[i]) * share;
+}
+
 /* A thing that is near, in a kart's frame. */
 typedef struct {
     float key;      /* what it is ordered by */

@@ -491,7 +491,7 @@ static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
 static void *column_of(PyObject *batch, const char *name, int (*converter)(PyObject *, void *),
                        npy_intp width, Indices rows)
 {
-    struct { void *data; npy_intp size; } numbers; /* as Floats, Choices and Bytes are */
+    struct { void *data; npy_intp size; } numbers; /* as Floats, Wholes and Bytes are */
     if (name && !PyDict_Check(batch)) {
         return PyErr_Format(PyExc_TypeError, "a batch of this view is a dict of arrays");
     }
@@ -525,7 +525,7 @@ static int flat_into(const KartObserver *observer, Scene *scene, Indices who, In
     npy_int64 *choices = own;
     if (is_joined && !own) PyErr_NoMemory();
     else if (numbers && !is_joined) {
-        choices = column_of(batch, "discrete", as_written_choices, num_choices, rows);
+        choices = column_of(batch, "discrete", as_written_wholes, num_choices, rows);
     }
     if (has_mask && numbers && choices) {
         marks = column_of(batch, "action_mask", as_written_bytes, num_marks, rows);
@@ -557,7 +557,7 @@ static int find_columns(KartObserver *observer, const Scene *scene, Indices rows
         columns[i] = NULL;
         if (key->kind == NAME) continue;
         columns[i] = column_of(batch, key->name,
-                               key->kind == CHOICE ? as_written_choices
+                               key->kind == CHOICE ? as_written_wholes
                                : key->kind == MASK ? as_written_bytes
                                                    : as_written_floats,
                                scene->rows[key->group] * key->width, rows);

@@ -54,7 +54,7 @@ typedef struct { float *data; npy_intp size; } Floats;
 typedef struct { double *data; npy_intp size; } Doubles;
 typedef struct { npy_intp *data; npy_intp size; } Indices;
 typedef struct { npy_int32 *data; npy_intp size; } Integers;
-typedef struct { npy_int64 *data; npy_intp size; } Choices;
+typedef struct { npy_int64 *data; npy_intp size; } Wholes;
 typedef struct { npy_int8 *data; npy_intp size; } Bytes;
 typedef struct { npy_bool *data; npy_intp size; } Flags;
 
@@ -64,8 +64,10 @@ int as_written_floats(PyObject *object, void *floats);
 int as_doubles(PyObject *object, void *doubles);
 int as_written_doubles(PyObject *object, void *doubles);
 int as_indices(PyObject *object, void *indices);
+int as_written_indices(PyObject *object, void *indices);
 int as_integers(PyObject *object, void *integers);
-int as_written_choices(PyObject *object, void *choices);
+int as_wholes(PyObject *object, void *wholes);
+int as_written_wholes(PyObject *object, void *wholes);
 int as_bytes(PyObject *object, void *bytes);
 int as_written_bytes(PyObject *object, void *bytes);
 int as_flags(PyObject *object, void *flags);
@@ -122,9 +124,16 @@ void free_object(PyObject *self);
         .tp_new = PREFIX##_new, .tp_dealloc = free_object, .tp_methods = PREFIX##_methods,        \
     };
 
+PyObject *age_memory(PyObject *module, PyObject *args);
 PyObject *join_rows(PyObject *module, PyObject *rows);
+PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *measure_message(PyObject *module, PyObject *args);
+PyObject *present_plans(PyObject *module, PyObject *args);
+PyObject *stack_vectors(PyObject *module, PyObject *args);
+PyObject *survey_road(PyObject *module, PyObject *args);
+PyObject *trace_roads(PyObject *module, PyObject *args);
 PyObject *weigh_plans(PyObject *module, PyObject *args);
+PyObject *write_memory(PyObject *module, PyObject *args);
 
 extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
 

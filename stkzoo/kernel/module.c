@@ -39,8 +39,10 @@ CONVERTER(as_written_floats, NPY_FLOAT32, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_doubles, NPY_FLOAT64, 0)
 CONVERTER(as_written_doubles, NPY_FLOAT64, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_indices, NPY_INTP, 0)
+CONVERTER(as_written_indices, NPY_INTP, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_wholes, NPY_INT64, 0)
+CONVERTER(as_written_wholes, NPY_INT64, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_integers, NPY_INT32, 0)
-CONVERTER(as_written_choices, NPY_INT64, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_bytes, NPY_INT8, 0)
 CONVERTER(as_written_bytes, NPY_INT8, NPY_ARRAY_WRITEABLE)
 CONVERTER(as_flags, NPY_BOOL, 0)
@@ -149,10 +151,17 @@ static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 }
 
 static PyMethodDef methods[] = {
+    {"age_memory", age_memory, METH_VARARGS, "Advances what some drivers remember by one step."},
     {"join_rows", join_rows, METH_O, "The bytes of arrays that are alike."},
     {"layouts", layouts, METH_NOARGS, "Where the fields of the records are."},
+    {"look_along", look_along, METH_VARARGS, "Points on the lines of some roads."},
     {"measure_message", measure_message, METH_VARARGS, "The memory that decoding a message takes."},
+    {"present_plans", present_plans, METH_VARARGS, "What a policy sees of the plans of some karts."},
+    {"stack_vectors", stack_vectors, METH_VARARGS, "The vectors of some rows, padded."},
+    {"survey_road", survey_road, METH_VARARGS, "What the plans of some karts depend on."},
+    {"trace_roads", trace_roads, METH_VARARGS, "The lines ahead of some karts."},
     {"weigh_plans", weigh_plans, METH_VARARGS, "The best plan of each manoeuvre, for some karts."},
+    {"write_memory", write_memory, METH_VARARGS, "A policy's inputs from what drivers remember."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -4,28 +4,7 @@
    are. Results agree with numpy's to the last bit where numpy uses fused multiply-adds. */
 
 #include "kernel.h"
-
-#include <math.h>
-
-/* Versions of a function for processors with and without vectors of eight and fused
-   multiply-adds; the first that fits is chosen when the module is loaded. Older compilers know the
-   first kind only by a processor of Intel's, which others do not match. */
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
-#if __GNUC__ >= 12 && !defined(__clang__)
-#define FOR_ALL_PROCESSORS __attribute__((target_clones("arch=x86-64-v3", "default")))
-#else
-#define FOR_ALL_PROCESSORS __attribute__((target_clones("arch=haswell", "default")))
-#endif
-#else
-#define FOR_ALL_PROCESSORS
-#endif
-
-/* A part of a function of all processors: each of its versions has a copy, for its processor. */
-#ifdef __GNUC__
-#define FORCE_INLINE __attribute__((always_inline)) static inline
-#else
-#define FORCE_INLINE static inline
-#endif
+#include "vectors.h"
 
 /* Before a loop: what it writes is read by no later round. */
 #if defined(__clang__)
@@ -82,31 +61,6 @@ typedef struct {
     npy_int32 *places;                        /* (C,) */
     float *ends;                              /* (T,) of the moments */
 } Forecast;
-
-/* Sine and cosine as numpy computes them in float32 (Cody-Waite reduction, then polynomials). */
-FORCE_INLINE void sine_and_cosine(float x, float *sine, float *cosine)
-{
-    const float magic = 0x1.8p23f;
-    const float quarter = (x * 0x1.45f306p-1f + magic) - magic;
-    float r = fmaf(quarter, -1.5703125e+00f, x);
-    r = fmaf(quarter, -4.837512969970703125e-4f, r);
-    r = fmaf(quarter, -7.54978995489188216e-8f, r);
-    const float square = r * r;
-    float c = fmaf(0x1.98e616p-16f, square, -0x1.6c06dcp-10f);
-    c = fmaf(c, square, 0x1.55553cp-05f);
-    c = fmaf(c, square, -0.5f);
-    c = fmaf(c, square, 1.0f);
-    float s = fmaf(0x1.7d3bbcp-19f, square, -0x1.a06bbap-13f);
-    s = fmaf(s, square, 0x1.11119ap-07f);
-    s = fmaf(s, square, -0x1.555556p-03f);
-    s = fmaf(s * square, r, r);
-    const float most = 0x1p30f; /* angles beyond, and NaN, are no whole number of quarters */
-    const float below = quarter < most ? quarter : most;
-    const npy_int32 turned = (npy_int32)(below > -most ? below : -most);
-    const float first = turned & 1 ? c : s, second = turned & 1 ? s : c;
-    *sine = turned & 2 ? -first : first;
-    *cosine = (turned + 1) & 2 ? -second : second;
-}
 
 /* One moment of all plans, from where the moment before it ended. */
 FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp moment,

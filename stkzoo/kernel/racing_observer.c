@@ -8,9 +8,14 @@
 enum { LINE = 4 }; /* x, y, z and room of a line's point */
 
 typedef struct {
-    OBJECT_HEAD
     Floats lines, starts, along; /* (N, points, 4), (N, 3), (N, 3) */
     npy_intp num_nodes, num_points;
+} Track;
+
+typedef struct {
+    OBJECT_HEAD
+    Track *tracks;
+    npy_intp num_tracks;
     Floats marks;      /* where the road is looked at */
     Bytes items;       /* by type: a good one's column, -1 for a bad one, -2 for others */
     Bytes attachments; /* by type: its column, or -1 */
@@ -22,12 +27,24 @@ typedef struct {
 
 enum { MOST = 8 }; /* that are seen of one sort */
 
+/* A kart's own state, by the names of the full view. */
+typedef struct {
+    const float *velocity;
+    float max_steer_angle, skeed_factor, energy, attachment_time_left, shield_time;
+    npy_int64 jumping, powerup_type, powerup_count, attachment;
+} OwnState;
+
 typedef struct {
     const RacingObserver *view;
-    const Kart *me;
-    float matrix[9];
     float *out;
 } Pen;
+
+/* A kart in a race, and its frame. */
+typedef struct {
+    const Track *track;
+    const Kart *kart;
+    float matrix[9], passed;
+} Eye;
 
 static float clipped(float x)
 {
@@ -45,73 +62,66 @@ static void put_one_of(Pen *pen, npy_intp which, int count)
 }
 
 /* A table's entry for a type; `none` for types that it does not know. */
-static int entry_of(Bytes table, npy_int32 type, int none)
+static int entry_of(Bytes table, npy_int64 type, int none)
 {
     return type >= 0 && type < table.size ? table.data[type] : none;
 }
 
 /* ---------------------------------------------------------------- the kart itself */
 
-static void put_own(Pen *pen)
+static OwnState own_of(const Kart *kart, int powerup_limit)
+{
+    return (OwnState){
+        .velocity = kart->velocity_lc,
+        .max_steer_angle = kart->max_steer_angle,
+        .skeed_factor = kart->skeed_factor,
+        .energy = kart->energy,
+        .attachment_time_left = kart->attachment_time_left,
+        .shield_time = kart->shield_time,
+        .jumping = kart->jumping,
+        .powerup_type = kart->powerup_type,
+        .powerup_count = kart->powerup_num < powerup_limit ? kart->powerup_num : powerup_limit,
+        .attachment = kart->attachment_type,
+    };
+}
+
+static void put_own(Pen *pen, const OwnState *own)
 {
     const RacingObserver *view = pen->view;
-    const Kart *me = pen->me;
-    for (int i = 0; i < 3; i++) put(pen, me->velocity_lc[i] / 20.0f);
-    put(pen, me->max_steer_angle);
-    put(pen, me->skeed_factor);
-    put(pen, me->energy / 20.0f);
-    put(pen, me->attachment_time_left / 10.0f);
-    put(pen, me->shield_time / 10.0f);
-    put(pen, (float)me->jumping);
-    put_one_of(pen, me->powerup_type, view->num_powerups);
-    const int count = me->powerup_num;
-    put(pen, (float)(count < view->powerup_limit ? count : view->powerup_limit) / 3.0f);
-    put_one_of(pen, entry_of(view->attachments, me->attachment_type, -1), view->num_hangs);
+    for (int i = 0; i < 3; i++) put(pen, own->velocity[i] / 20.0f);
+    put(pen, own->max_steer_angle);
+    put(pen, own->skeed_factor);
+    put(pen, own->energy / 20.0f);
+    put(pen, own->attachment_time_left / 10.0f);
+    put(pen, own->shield_time / 10.0f);
+    put(pen, (float)own->jumping);
+    put_one_of(pen, own->powerup_type, view->num_powerups);
+    put(pen, (float)own->powerup_count / 3.0f);
+    put_one_of(pen, entry_of(view->attachments, own->attachment, -1), view->num_hangs);
 }
 
 /* ---------------------------------------------------------------- the road */
 
-/* How far the kart has come on its segment [m]. */
-static float passed(const RacingObserver *view, const Kart *me)
+/* The line's point at a distance ahead of the kart, in its frame, and its room. */
+static void look_at(const RacingObserver *view, const Eye *eye, float distance, float *point)
 {
-    const float *start = view->starts.data + 3 * me->node;
-    const float *along = view->along.data + 3 * me->node;
-    float from[3];
-    for (int i = 0; i < 3; i++) from[i] = start[i] - me->location[i];
-    const float squared = dot(along, along);
-    const float share = -dot(from, along) / (squared > 0 ? squared : 1.0f);
-    return (share < 0 ? 0 : share > 1 ? 1 : share) * sqrtf(squared);
-}
-
-/* The line's point at a distance along it, in the kart's frame, and its room. */
-static void look_at(const Pen *pen, float distance, float point[LINE])
-{
-    const RacingObserver *view = pen->view;
-    const float place = distance / view->step;
-    const npy_intp last = view->num_points - 2;
-    /* NaN, and places before or beyond the line, must not become an index. */
-    const npy_intp before = place >= (float)last ? last : place > 0 ? (npy_intp)place : 0;
-    const float share = place - (float)before;
-    const float *first = view->lines.data + LINE * (view->num_points * pen->me->node + before);
+    const Track *track = eye->track;
+    const float *line = track->lines.data + LINE * track->num_points * eye->kart->node;
     float there[LINE];
-    for (int i = 0; i < LINE; i++) there[i] = first[i] + (first[LINE + i] - first[i]) * share;
-    to_kart_frame(pen->me, pen->matrix, there, point);
+    look_on_line(line, track->num_points, (eye->passed + distance) / view->step, there);
+    to_kart_frame(eye->kart, eye->matrix, there, point);
     point[3] = there[3];
 }
 
-static void put_road(Pen *pen)
+/* The road where the view looks at it: beside the kart, at the marks, and beyond them. */
+static void put_road(Pen *pen, const float *road)
 {
-    const RacingObserver *view = pen->view;
-    const npy_intp count = view->marks.size;
-    const float *marks = view->marks.data;
-    const float here = passed(view, pen->me);
-    float point[LINE], beyond[LINE];
-    look_at(pen, here, point);
-    for (int i = 0; i < LINE; i++) put(pen, point[i] / 10.0f);
+    const npy_intp count = pen->view->marks.size;
+    const float *marks = pen->view->marks.data;
+    for (int i = 0; i < LINE; i++) put(pen, road[i] / 10.0f);
     float *out = pen->out;
     for (npy_intp mark = 0; mark < count; mark++) {
-        look_at(pen, here + marks[mark], point);
-        look_at(pen, here + (marks[mark] + view->beyond), beyond);
+        const float *point = road + LINE * (1 + mark), *beyond = point + LINE * count;
         const float x = beyond[0] - point[0], z = beyond[2] - point[2];
         const float far = sqrtf(x * x + z * z), least = far > 0.1f ? far : 0.1f;
         for (int i = 0; i < 3; i++) out[3 * mark + i] = clipped(point[i] / marks[mark]);
@@ -124,12 +134,9 @@ static void put_road(Pen *pen)
 
 /* ---------------------------------------------------------------- what is near */
 
-static Near near_of(const Pen *pen, const float *location, int kind)
+static Near near_at(const float *place, int kind)
 {
-    Near one = {.which = kind};
-    to_kart_frame(pen->me, pen->matrix, location, one.place);
-    one.key = dot(one.place, one.place);
-    return one;
+    return (Near){.which = kind, .place = {place[0], place[1], place[2]}, .key = dot(place, place)};
 }
 
 static void put_places(Pen *pen, const Near *nearest, int count, int limit)
@@ -144,30 +151,28 @@ static void put_places(Pen *pen, const Near *nearest, int count, int limit)
     }
 }
 
-static void put_karts(Pen *pen, const Moment *moment)
+static void put_karts(Pen *pen, const float *karts, npy_intp num_karts)
 {
     const RacingObserver *view = pen->view;
-    Near nearest[MOST];
+    Near nearest[MOST] = {{0}};
     int count = 0;
-    for (npy_int32 i = 0; i < moment->header->num_kart; i++) {
-        if (moment->karts + i == pen->me) continue;
-        const Near one = near_of(pen, moment->karts[i].location, 0);
+    for (npy_intp i = 0; i < num_karts; i++) {
+        const Near one = near_at(karts + 3 * i, 0);
         if (!(one.key < view->kart_reach * view->kart_reach)) continue;
         count = (int)insert(nearest, count, view->karts, &one);
     }
     put_places(pen, nearest, count, view->karts);
 }
 
-static void put_items(Pen *pen, const Moment *moment)
+static void put_items(Pen *pen, const float *items, const npy_int64 *types, npy_intp num_items)
 {
     const RacingObserver *view = pen->view;
-    Near goods[MOST], bads[MOST];
+    Near goods[MOST] = {{0}}, bads[MOST] = {{0}};
     int num_goods = 0, num_bads = 0;
-    for (npy_int32 i = 0; i < moment->header->num_items; i++) {
-        const Item *item = moment->items + i;
-        const int kind = entry_of(view->items, item->type, -2);
+    for (npy_intp i = 0; i < num_items; i++) {
+        const int kind = entry_of(view->items, types[i], -2);
         if (kind == -2) continue;
-        const Near one = near_of(pen, item->location, kind);
+        const Near one = near_at(items + 3 * i, kind);
         if (!(one.place[2] > view->item_ahead && fabsf(one.place[1]) < view->item_level &&
               one.key < view->item_reach * view->item_reach)) {
             continue;
@@ -184,21 +189,77 @@ static void put_items(Pen *pen, const Moment *moment)
     for (int i = 0; i < view->bads; i++) put(pen, i < num_bads ? bads[i].place[0] / 5.0f : 0);
 }
 
+/* ---------------------------------------------------------------- a kart's surroundings */
+
+/* Where a kart of a race looks from; -1 with an exception set if there is none such. */
+static int open_eye(const RacingObserver *view, npy_intp track, const Moment *moment, npy_intp kart,
+                    Eye *eye)
+{
+    if (track < 0 || track >= view->num_tracks) {
+        PyErr_Format(PyExc_IndexError, "there is no road %zd", track);
+        return -1;
+    }
+    if (kart < 0 || kart >= moment->header->num_kart) {
+        PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, moment->header->num_kart);
+        return -1;
+    }
+    eye->track = view->tracks + track, eye->kart = moment->karts + kart;
+    const npy_intp node = eye->kart->node;
+    if (node < 0 || node >= eye->track->num_nodes) {
+        PyErr_Format(PyExc_IndexError, "there is no segment %zd", node);
+        return -1;
+    }
+    rotation_matrix(eye->kart, eye->matrix);
+    float start[3];
+    for (int i = 0; i < 3; i++) {
+        start[i] = eye->track->starts.data[3 * node + i] - eye->kart->location[i];
+    }
+    eye->passed = way_passed(start, eye->track->along.data + 3 * node);
+    return 0;
+}
+
+/* The other karts; not finite where there is none, and in place of the kart itself. */
+static void see_karts(const Eye *eye, const Moment *moment, npy_intp most, float *out)
+{
+    for (npy_intp i = 0; i < most; i++, out += 3) {
+        const Kart *other = moment->karts + i;
+        if (i < moment->header->num_kart && other != eye->kart) {
+            to_kart_frame(eye->kart, eye->matrix, other->location, out);
+        } else {
+            out[0] = out[1] = out[2] = INFINITY;
+        }
+    }
+}
+
+/* The items and their types; -1 where there is none. */
+static void see_items(const Eye *eye, const Moment *moment, npy_intp most, float *out,
+                      npy_int64 *types)
+{
+    for (npy_intp i = 0; i < most; i++, out += 3) {
+        const Item *item = moment->items + i;
+        const int is_there = i < moment->header->num_items;
+        types[i] = is_there ? item->type : -1;
+        if (is_there) to_kart_frame(eye->kart, eye->matrix, item->location, out);
+        else out[0] = out[1] = out[2] = 0;
+    }
+}
+
 /* ---------------------------------------------------------------- the type */
 
-/* observe(data, who, out, rows): the view of each kart of `who`, into row rows[i] of `out`; without
-   rows, `out` has one for each kart. */
+/* observe(data, road, who, out, rows): the view of each kart of `who`, into row rows[i] of `out`;
+   without rows, `out` has one for each kart. */
 static PyObject *racing_observe(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
     Moment moment;
+    npy_intp track;
     Indices who, rows = {NULL, 0};
     Floats out;
-    if (!PyArg_ParseTuple(args, "O&O&O&|O&", as_moment, &moment, as_indices, &who,
+    if (!PyArg_ParseTuple(args, "O&nO&O&|O&", as_moment, &moment, &track, as_indices, &who,
                           as_written_floats, &out, as_indices, &rows)) {
         return NULL;
     }
-    const int has_rows = PyTuple_GET_SIZE(args) > 3;
+    const int has_rows = PyTuple_GET_SIZE(args) > 4;
     if (!has_rows && out.size != who.size * view->size) {
         return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers", who.size * view->size);
     }
@@ -209,42 +270,154 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
     if (has_rows && !are_below(rows, out.size / view->size)) {
         return PyErr_Format(PyExc_IndexError, "there is no row of that number");
     }
+    const npy_intp marks = view->marks.size, num_looks = 1 + 2 * marks;
+    const npy_intp num_karts = moment.header->num_kart, num_items = moment.header->num_items;
+    const size_t floats = (size_t)(LINE * num_looks + 3 * (num_karts + num_items));
+    npy_int64 *types = PyMem_Malloc((size_t)num_items * sizeof *types + floats * sizeof(float));
+    if (!types) return PyErr_NoMemory();
+    float *road = (float *)(types + num_items), *karts = road + LINE * num_looks;
+    float *items = karts + 3 * num_karts;
     for (npy_intp i = 0; i < who.size; i++) {
-        if (who.data[i] < 0 || who.data[i] >= moment.header->num_kart) {
-            return PyErr_Format(PyExc_IndexError, "kart %zd of %d", who.data[i],
-                                moment.header->num_kart);
-        }
+        Eye eye;
+        if (open_eye(view, track, &moment, who.data[i], &eye) < 0) break;
         const npy_intp row = has_rows ? rows.data[i] : i;
-        Pen pen = {
-            .view = view, .me = moment.karts + who.data[i], .out = out.data + row * view->size};
-        if (pen.me->node < 0 || pen.me->node >= view->num_nodes) {
-            return PyErr_Format(PyExc_IndexError, "there is no segment %d", pen.me->node);
+        Pen pen = {.view = view, .out = out.data + row * view->size};
+        const OwnState own = own_of(eye.kart, view->powerup_limit);
+        look_at(view, &eye, 0, road);
+        for (npy_intp mark = 0; mark < marks; mark++) {
+            const float distance = view->marks.data[mark];
+            look_at(view, &eye, distance, road + LINE * (1 + mark));
+            look_at(view, &eye, distance + view->beyond, road + LINE * (1 + marks + mark));
         }
-        rotation_matrix(pen.me, pen.matrix);
-        put_own(&pen);
-        put_road(&pen);
-        put_karts(&pen, &moment);
-        put_items(&pen, &moment);
+        see_karts(&eye, &moment, num_karts, karts);
+        see_items(&eye, &moment, num_items, items, types);
+        put_own(&pen, &own);
+        put_road(&pen, road);
+        put_karts(&pen, karts, num_karts);
+        put_items(&pen, items, types, num_items);
+    }
+    PyMem_Free(types);
+    if (PyErr_Occurred()) return NULL;
+    Py_RETURN_NONE;
+}
+
+/* look(data, road, who, looks, out): the surroundings of each kart of `who`. */
+static PyObject *racing_look(PyObject *self, PyObject *args)
+{
+    const RacingObserver *view = (RacingObserver *)self;
+    Moment moment;
+    npy_intp track;
+    Indices who;
+    Floats looks, road, karts, items;
+    Wholes types;
+    if (!PyArg_ParseTuple(args, "O&nO&O&(O&O&O&O&)", as_moment, &moment, &track, as_indices, &who,
+                          as_floats, &looks, as_written_floats, &road, as_written_floats, &karts,
+                          as_written_floats, &items, as_written_wholes, &types)) {
+        return NULL;
+    }
+    const npy_intp count = who.size;
+    if (!count) Py_RETURN_NONE;
+    const npy_intp num_karts = karts.size / (3 * count), num_items = types.size / count;
+    if (road.size != LINE * looks.size * count || karts.size != 3 * num_karts * count ||
+        types.size != num_items * count || items.size != 3 * num_items * count ||
+        num_karts < moment.header->num_kart || num_items < moment.header->num_items) {
+        return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
+    }
+    for (npy_intp i = 0; i < count; i++) {
+        Eye eye;
+        if (open_eye(view, track, &moment, who.data[i], &eye) < 0) return NULL;
+        for (npy_intp k = 0; k < looks.size; k++) {
+            look_at(view, &eye, looks.data[k], road.data + LINE * (looks.size * i + k));
+        }
+        see_karts(&eye, &moment, num_karts, karts.data + 3 * num_karts * i);
+        see_items(&eye, &moment, num_items, items.data + 3 * num_items * i,
+                  types.data + num_items * i);
     }
     Py_RETURN_NONE;
+}
+
+/* write(numbers, kinds, around, out): the view of karts with these surroundings, in the first
+   columns of the rows of `out`. */
+static PyObject *racing_write(PyObject *self, PyObject *args)
+{
+    const RacingObserver *view = (RacingObserver *)self;
+    Floats velocity, numbers[5], road, karts, items, out;
+    Wholes kinds[4], types;
+    if (!PyArg_ParseTuple(args, "(O&O&O&O&O&O&)(O&O&O&O&)(O&O&O&O&)O&", as_floats, &velocity, as_floats,
+                          numbers, as_floats, numbers + 1, as_floats, numbers + 2, as_floats,
+                          numbers + 3, as_floats, numbers + 4, as_wholes, kinds, as_wholes, kinds + 1,
+                          as_wholes, kinds + 2, as_wholes, kinds + 3, as_floats, &road, as_floats,
+                          &karts, as_floats, &items, as_wholes, &types, as_written_floats, &out)) {
+        return NULL;
+    }
+    const npy_intp count = velocity.size / 3;
+    if (!count) Py_RETURN_NONE;
+    const npy_intp num_looks = road.size / (LINE * count), num_karts = karts.size / (3 * count);
+    const npy_intp num_items = types.size / count, width = out.size / count;
+    int fits = velocity.size == 3 * count && road.size == LINE * num_looks * count &&
+               num_looks > 2 * view->marks.size && karts.size == 3 * num_karts * count &&
+               types.size == num_items * count && items.size == 3 * num_items * count &&
+               out.size == width * count && width >= view->size;
+    for (int i = 0; i < 5; i++) fits &= numbers[i].size == count;
+    for (int i = 0; i < 4; i++) fits &= kinds[i].size == count;
+    if (!fits) {
+        return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
+    }
+    for (npy_intp i = 0; i < count; i++) {
+        Pen pen = {.view = view, .out = out.data + width * i};
+        const OwnState own = {
+            velocity.data + 3 * i,   numbers[0].data[i], numbers[1].data[i], numbers[2].data[i],
+            numbers[3].data[i],      numbers[4].data[i], kinds[0].data[i],   kinds[1].data[i],
+            kinds[2].data[i],        kinds[3].data[i],
+        };
+        put_own(&pen, &own);
+        put_road(&pen, road.data + LINE * num_looks * i);
+        put_karts(&pen, karts.data + 3 * num_karts * i, num_karts);
+        put_items(&pen, items.data + 3 * num_items * i, types.data + num_items * i, num_items);
+    }
+    Py_RETURN_NONE;
+}
+
+/* The arrays of the tracks; -1 with an exception set. */
+static int read_tracks(RacingObserver *view, PyObject *roads)
+{
+    view->num_tracks = PyTuple_GET_SIZE(roads);
+    view->tracks = room_for(view, view->num_tracks, sizeof *view->tracks);
+    if (!view->tracks) return -1;
+    for (npy_intp i = 0; i < view->num_tracks; i++) {
+        Track *track = view->tracks + i;
+        PyObject *road = PyTuple_GET_ITEM(roads, i);
+        if (!PyTuple_Check(road)) return refuse("a road must be a tuple of arrays");
+        if (!PyArg_ParseTuple(road, "O&O&O&", as_floats, &track->lines, as_floats, &track->starts,
+                              as_floats, &track->along)) {
+            return -1;
+        }
+        track->num_nodes = track->starts.size / 3;
+        track->num_points =
+            track->num_nodes ? track->lines.size / (LINE * track->num_nodes) : 0;
+        if (!track->num_nodes || track->starts.size != 3 * track->num_nodes ||
+            track->along.size != track->starts.size || track->num_points < 2 ||
+            track->lines.size != LINE * track->num_nodes * track->num_points) {
+            return refuse("the road's arrays do not fit together");
+        }
+    }
+    return 0;
 }
 
 static int fits_together(const RacingObserver *view)
 {
     const int counts[] = {view->karts, view->goods, view->bads};
-    int fits = view->num_nodes > 0 && view->starts.size == 3 * view->num_nodes &&
-               view->along.size == view->starts.size && view->num_points >= 2 &&
-               view->lines.size == LINE * view->num_nodes * view->num_points && view->step > 0 &&
-               view->num_powerups >= 0 && view->num_kinds >= 0 && view->num_hangs >= 0;
+    int fits = view->step > 0 && view->num_powerups >= 0 && view->num_kinds >= 0 &&
+               view->num_hangs >= 0;
     for (int i = 0; i < 3; i++) fits &= counts[i] >= 0 && counts[i] <= MOST;
     return fits;
 }
 
-/* RacingObserver((lines, starts, along), (marks, items, attachments), (counts), (lengths)) */
+/* RacingObserver(roads, (marks, items, attachments), (counts), (lengths)) */
 static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    if (!PyArg_ParseTuple(args, "(O&O&O&)(O&O&O&)(iiiiiii)(ffffff)", as_floats, &view->lines,
-                          as_floats, &view->starts, as_floats, &view->along, as_floats,
+    PyObject *roads;
+    if (!PyArg_ParseTuple(args, "O!(O&O&O&)(iiiiiii)(ffffff)", &PyTuple_Type, &roads, as_floats,
                           &view->marks, as_bytes, &view->items, as_bytes, &view->attachments,
                           &view->num_powerups, &view->powerup_limit, &view->num_hangs,
                           &view->num_kinds, &view->karts, &view->goods, &view->bads, &view->step,
@@ -252,14 +425,14 @@ static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUS
                           &view->item_level)) {
         return -1;
     }
-    view->num_nodes = view->starts.size / 3;
-    view->num_points = view->num_nodes ? view->lines.size / (LINE * view->num_nodes) : 0;
-    if (!fits_together(view)) return refuse("the road's arrays do not fit together");
+    if (!fits_together(view)) return refuse("the view's numbers do not fit together");
     view->size = 10 + (npy_intp)view->num_powerups + view->num_hangs + LINE + 6 * view->marks.size +
                  4 * view->karts + (5 + (npy_intp)view->num_kinds) * view->goods + 5 * view->bads;
-    return 0;
+    return read_tracks(view, roads);
 }
 
-KERNEL_TYPE(RacingObserver, racing, "The view racing on a track.",
+KERNEL_TYPE(RacingObserver, racing, "The view racing on some tracks.",
             {"observe", racing_observe, METH_VARARGS,
-             "The view of each of some karts, as rows of an array."})
+             "The view of each of some karts, as rows of an array."},
+            {"look", racing_look, METH_VARARGS, "The surroundings of each of some karts."},
+            {"write", racing_write, METH_VARARGS, "The view of karts with given surroundings."})

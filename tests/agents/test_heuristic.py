@@ -12,7 +12,8 @@ from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
 from stkzoo.agents.planning.kart import RESCUE_STEPS, STEP
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
+from stkzoo.agents.planning.road import LINE_MARKS, MARK_SPACING, headings_of
+from stkzoo.kernel.reference.road_ahead import RoadAhead
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import surroundings_of
 
@@ -112,7 +113,7 @@ def test_calls_the_rescue_when_it_is_lost():
     calls = []
     observation = on_the_grid()
     _, around = surroundings_of(observation, LINE_MARKS)
-    road = RoadAhead.of(around.road)
+    road = RoadAhead.of(around.road, headings_of(around.road), MARK_SPACING)
     for beyond in np.array([-0.5, 0.5]) + DriverParameters().lost_room:
         aside = np.array([road.offset[0] + road.half_widths[0, 0] + beyond, 0, 0], np.float32)
         moved = {

@@ -19,8 +19,11 @@ from stkzoo import RaceVectorEnv, kernel, race_v0
 from stkzoo.drivers import codec
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, KART_DTYPE
 from stkzoo.engine.track import decode_track
-from stkzoo.wrappers.racing.wrapper import racing_view_of
+from stkzoo.wrappers.racing import racing_features
+from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests.kernel.test_kernel import USERS
+from tests.kernel.test_plan_memory import age_arguments, write_arguments
+from tests.kernel.test_plan_viewer import present_arguments, scene_arguments
 from tests.kernel.test_plan_weigher import random_arguments
 
 pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="nothing was compiled here to try")
@@ -76,14 +79,18 @@ def cases():
             importlib.import_module(f"stkzoo.{user}")
             for name in names:
                 patch.setattr(f"stkzoo.{user}.{name}", Recorder(name, kept))
-        for cache in (decode_track, racing_view_of):
+        for cache in (decode_track, racing_view_of, _writer):
             cache.cache_clear()
         drive_races()
         codec.decode(codec.encode((np.arange(3.0), np.arange(3.0))))
-        for cache in (decode_track, racing_view_of):
+        for cache in (decode_track, racing_view_of, _writer):
             cache.cache_clear()
     plans = (*random_arguments(0, count=2), np.empty((3, 2, 4), np.float32))
     kept["weigh_plans"] = [(plans, {}, None, ())]
+    kept["survey_road"] = [(scene_arguments(0, count=2), {}, None, ())]
+    kept["age_memory"] = [(age_arguments(0, count=2), {}, None, ())]
+    kept["write_memory"] = [(write_arguments(0, count=2), {}, None, ())]
+    kept["present_plans"] = [(present_arguments(0, count=2), {}, None, ())]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),
         (stepper_arguments(), {}, "read", (True,)),
@@ -98,6 +105,8 @@ def drive_races():
             env.reset(seed=1)
             for _ in range(3):
                 env.step({agent: env.action_space(agent).sample() for agent in env.agents})
+            view = racing_view_of(env.track_map)
+            racing_features(*view.surroundings([env.snapshot], [0], [np.arange(3)]))
     for view in VIEWS[1:]:
         options = {"num_kart": 3, "track": "lighthouse", "view": view, "events": True}
         with contextlib.closing(RaceVectorEnv(1, **options, prefetch=False)) as envs:
@@ -293,11 +302,14 @@ def test_a_block_that_promises_more_items_than_it_has_is_refused():
 
 @pytest.mark.parametrize("place", [float("nan"), float("inf"), 1e30])
 def test_a_kart_that_is_nowhere_sees_the_line_of_its_segment(cases, place):
-    args, _, _, (data, who, out) = cases["RacingObserver"][0]
+    observed = (case for case in cases["RacingObserver"] if case[2] == "observe")
+    args, _, _, (data, road, who, out) = next(observed)
     karts = np.frombuffer(data, KART_DTYPE, len(who), HEADER_DTYPE.itemsize).copy()
     karts["location"] = place
     start, end = HEADER_DTYPE.itemsize, HEADER_DTYPE.itemsize + karts.nbytes
-    kernel.RacingObserver(*args).observe(data[:start] + karts.tobytes() + data[end:], who, out)
+    kernel.RacingObserver(*args).observe(
+        data[:start] + karts.tobytes() + data[end:], road, who, out
+    )
 
 
 def test_a_plan_for_an_item_beyond_the_nearest_ones_keeps_to_the_road():

@@ -42,6 +42,7 @@ from stkzoo.kernel.reference import (
     track_graph,
 )
 from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
+from stkzoo.kernel.reference.racing_observer import RacingObserver as RacingObserverTwin
 from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
@@ -52,8 +53,8 @@ from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarOb
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
 from stkzoo.wrappers.racing.features import KERNEL_TABLES
-from stkzoo.wrappers.racing.road import NUM_POINTS
-from stkzoo.wrappers.racing.wrapper import racing_view_of
+from stkzoo.wrappers.racing.road import LOOKS, NUM_POINTS
+from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests.support.bombs import BOMBS, bomb
 
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason="nothing was compiled here to compare")
@@ -131,10 +132,12 @@ def numpy_only(monkeypatch):
                 monkeypatch.setattr(f"stkzoo.{user}.{name}", getattr(twin, name))
         decode_track.cache_clear()
         racing_view_of.cache_clear()
+        _writer.cache_clear()
 
     yield turn_off
     decode_track.cache_clear()
     racing_view_of.cache_clear()
+    _writer.cache_clear()
 
 
 #: The modules that use the kernel's names.
@@ -146,8 +149,12 @@ USERS = {
     "drivers.codec": ["join_rows", "measure_message"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
+    "wrappers.racing.road": ["trace_roads"],
+    "wrappers.racing.surroundings": ["look_along", "stack_vectors"],
     "wrappers.racing.wrapper": ["RacingObserver"],
-    "agents.planning.worth": ["weigh_plans"],
+    "agents.planning.driver": ["present_plans"],
+    "agents.planning.memory": ["age_memory", "write_memory"],
+    "agents.planning.worth": ["survey_road", "weigh_plans"],
 }
 
 
@@ -324,8 +331,11 @@ def test_the_racing_view_is_the_same_with_and_without_the_kernel(track):
         for _ in range(80):
             env.step({agent: env.action_space(agent).sample() for agent in env.agents})
             seen = view.observe([env.snapshot], [0], [who])
-            made = racing_features(*view.surroundings([env.snapshot], [0], [who]))
+            made, surroundings = seen_by_twin(env.snapshot, RoadTable(env.track_map), who)
             assert_close(seen, made)
+            own, around = view.surroundings([env.snapshot], [0], [who])
+            assert_close(around.road, surroundings[0])
+            assert_close(racing_features(own, around), made)
     assert seen.any(axis=0).sum() > 80
 
 
@@ -347,10 +357,25 @@ def test_the_racing_view_is_the_same_wherever_things_are(seed):
     karts["powerup_num"], karts["jumping"] = random.integers(0, 20, 9), random.integers(0, 2, 9)
     items["type"] = random.choice(list(ItemType), 12)
     snapshot = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, items)
-    view, who = BatchedRacingView([road_of(random)]), np.arange(9)
+    table, who = road_of(random), np.arange(9)
+    view = BatchedRacingView([table])
     seen = view.observe([snapshot], [0], [who])
-    made = racing_features(*view.surroundings([snapshot], [0], [who]))
-    np.testing.assert_allclose(seen, made, atol=2e-4)
+    np.testing.assert_allclose(seen, seen_by_twin(snapshot, table, who)[0], atol=2e-4)
+    own, around = view.surroundings([snapshot], [0], [who])
+    np.testing.assert_array_equal(racing_features(own, around), seen)
+
+
+def seen_by_twin(snapshot, table, who):
+    """The view of some karts and their surroundings, by the twin."""
+    roads = ((table.lines, table.starts, table.along),)
+    twin = RacingObserverTwin(roads, *KERNEL_TABLES)
+    view = np.empty((len(who), SIZE), np.float32)
+    twin.observe(snapshot.data, 0, who, view)
+    counts = ((len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3))
+    around = [np.empty((len(who), *shape), np.float32) for shape in counts]
+    types = np.empty((len(who), len(snapshot.items)), np.int64)
+    twin.look(snapshot.data, 0, who, LOOKS, (*around, types))
+    return view, (*around, types)
 
 
 def road_of(random):
@@ -574,18 +599,20 @@ def test_the_kernel_checks_what_it_is_given():
         with pytest.raises(ValueError, match="do not fit"):
             track_of(wrong)
     road = road_of(np.random.default_rng(0))
-    racing = RacingObserver((road.lines, road.starts, road.along), *KERNEL_TABLES)
+    racing = RacingObserver(((road.lines, road.starts, road.along),), *KERNEL_TABLES)
     view = np.zeros((1, SIZE), "f4")
-    racing.observe(snapshot.data, one, view)
+    racing.observe(snapshot.data, 0, one, view)
     with pytest.raises(ValueError, match="165 numbers"):
-        racing.observe(snapshot.data, one, view[:, 1:].copy())
+        racing.observe(snapshot.data, 0, one, view[:, 1:].copy())
+    with pytest.raises(IndexError, match="no road 1"):
+        racing.observe(snapshot.data, 1, one, view)
     with pytest.raises(IndexError, match="kart 1 of 1"):
-        racing.observe(snapshot.data, one + 1, view)
+        racing.observe(snapshot.data, 0, one + 1, view)
     view.flags.writeable = False
     with pytest.raises(ValueError, match="writeable"):
-        racing.observe(snapshot.data, one, view)
+        racing.observe(snapshot.data, 0, one, view)
     with pytest.raises(ValueError, match="do not fit"):
-        RacingObserver((road.lines[:, 1:].copy(), road.starts[:0], road.along), *KERNEL_TABLES)
+        RacingObserver(((road.lines[:, 1:].copy(), road.starts[:0], road.along),), *KERNEL_TABLES)
     with pytest.raises(ValueError, match="do not fit"):
         track_of([[0]], count=2)
     with pytest.raises(IndexError):
@@ -670,17 +697,17 @@ def test_a_flat_observer_checks_a_batch():
 
 def test_racing_rows_are_checked():
     road = road_of(np.random.default_rng(0))
-    racing = RacingObserver((road.lines, road.starts, road.along), *KERNEL_TABLES)
+    racing = RacingObserver(((road.lines, road.starts, road.along),), *KERNEL_TABLES)
     views = np.full((3, SIZE), 9, np.float32)
-    racing.observe(KARTS, TWO, views, np.array([2, 0]))
+    racing.observe(KARTS, 0, TWO, views, np.array([2, 0]))
     assert (views == 9).all(axis=1).tolist() == [False, True, False]
     with pytest.raises(ValueError, match="2 karts for 1 rows"):
-        racing.observe(KARTS, TWO, views, FIRST)
+        racing.observe(KARTS, 0, TWO, views, FIRST)
     with pytest.raises(ValueError, match="rows of 165 numbers"):
-        racing.observe(KARTS, TWO, views[:, 1:].copy(), TWO)
+        racing.observe(KARTS, 0, TWO, views[:, 1:].copy(), TWO)
     for where in (np.array([0, 3]), np.array([-1, 0])):
         with pytest.raises(IndexError, match="no row"):
-            racing.observe(KARTS, TWO, views, where)
+            racing.observe(KARTS, 0, TWO, views, where)
 
 
 def test_a_reader_checks_a_batch():

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from stkzoo import kernel
-from stkzoo.agents.planning.kart import DRIFT_TURN
+from stkzoo.agents.planning.kart import DRIFT_TURN, RELEASE_STEPS
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.plans import BRAKE, plan_table, table_rows
-from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
-from stkzoo.agents.planning.worth import road_columns, rule_columns
+from stkzoo.agents.planning.plans import BRAKE, LONGEST_DRIFT, plan_table
+from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
+from stkzoo.agents.planning.worth import plan_rules
 from stkzoo.kernel.reference import plan_weigher
+from stkzoo.kernel.reference.plan_viewer import table_rows, write_road
+from stkzoo.kernel.reference.road_ahead import RoadAhead
 
 RADIUS, LOCK, SPEED, REACH = 60.0, 1.45, 25.0, 12.0
 RULES = DriverParameters()
@@ -18,7 +20,7 @@ RULES = DriverParameters()
 def road_of(x, z, half_width=6.0):
     line = np.zeros((1, len(LINE_MARKS), 4), np.float32)
     line[0, :, 0], line[0, :, 2], line[0, :, 3] = x, z, half_width
-    return RoadAhead.of(line)
+    return RoadAhead.of(line, headings_of(line), MARK_SPACING)
 
 
 def straight_road(offset=0.0):
@@ -42,16 +44,17 @@ class Ways:
 
     def __init__(self, road, *, changes=RULES.lane_changes, state=(0, 0, 0), items=(0.0, 0.0)):
         table = plan_table(changes)
-        rows = table_rows(*(np.array([number]) for number in state))
+        rows = table_rows(*(np.array([number]) for number in state), (RELEASE_STEPS, LONGEST_DRIFT))
         (offset,), (angle,) = road.offset, road.angle
         kart = [SPEED, LOCK, REACH, 0, 0, offset, angle, 0, 0, 1, 1]
         columns = np.zeros((1, 2, 4))
         columns[0, :, 1], columns[0, :, 2] = items, 1.0
         room = road.half_widths - 1.0
-        marks = road_columns(road, np.array([REACH], np.float32), room)
+        marks = np.empty((1, 3, MARK_COUNT), np.float32)
+        write_road(road, np.array([REACH], np.float32), room, marks)
         karts = np.array([kart], np.float32)
         self.along, self.across, _, _, turns = plan_weigher.drive_plans(
-            table, rule_columns(RULES), rows, karts, marks, columns
+            table, plan_rules(RULES).costs, rows, karts, marks, columns
         )
         exists = table.manoeuvres[rows[0]] >= 0
         self.along, self.across = self.along[:, 0, exists], self.across[:, 0, exists]
@@ -120,7 +123,7 @@ def test_a_drift_turns_at_least_so_much(side):
 def random_arguments(seed, count=9):
     """Karts in all states, between items and rivals, on roads that bend."""
     chance = np.random.default_rng(seed)
-    rules = rule_columns(RULES)
+    rules = plan_rules(RULES).costs
 
     def draw(*shape, low=-1.0, high=1.0):
         return chance.uniform(low, high, shape)

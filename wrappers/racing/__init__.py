@@ -1,6 +1,6 @@
 """The racing view: a fixed-size observation of road, karts and items, and discrete actions."""
 
-from stkzoo.wrappers.racing.features import MEANINGS, MIRROR, PARTS, PLACES, SIZE, racing_features
+from stkzoo.wrappers.racing.features import MEANINGS, MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
 from stkzoo.wrappers.racing.road import LOOKS, RoadTable, road_line
 from stkzoo.wrappers.racing.surroundings import ABSENT, Surroundings, surroundings_of
@@ -16,6 +16,7 @@ from stkzoo.wrappers.racing.wrapper import (
     RacingObservations,
     choices_of_action,
     controls_of_choices,
+    racing_features,
 )
 
 __all__ = [

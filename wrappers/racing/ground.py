@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.ground import Ground
+from stkzoo.mdp.geometry import line_places
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.names import GroundKind
-from stkzoo.wrappers.racing.road import NUM_POINTS, RoadTable, line_places
+from stkzoo.wrappers.racing.road import NUM_POINTS, STEP, RoadTable
 
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
@@ -69,7 +70,8 @@ class GroundTable:
             nodes: ``(A,)`` segments of the karts.
             locations: ``(A, 3)`` locations of the karts, world frame [m].
         """
-        before, _ = line_places(self._starts[nodes] - locations, self._along[nodes], GROUND_MARKS)
+        starts, along = self._starts[nodes] - locations, self._along[nodes]
+        before, _ = line_places(starts, along, GROUND_MARKS, STEP, NUM_POINTS)
         here, next_ = (nodes[:, None], before), (nodes[:, None], before + 1)
         return GroundAhead(
             kind=_ORDER[np.maximum(self._places[here], self._places[next_])],

@@ -1,4 +1,4 @@
-"""Own state and surroundings of karts, from observations or from snapshots."""
+"""Own state and surroundings of karts, from observations."""
 
 from __future__ import annotations
 
@@ -9,16 +9,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
-from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
-from stkzoo.mdp.observations import OWN_KEYS, own_state
-from stkzoo.wrappers.racing.road import (
-    LOOKS,
-    MAX_SEGMENTS,
-    RoadArrays,
-    points_ahead,
-    road_line,
-)
+from stkzoo.kernel import look_along, stack_vectors
+from stkzoo.mdp.observations import OWN_KEYS
+from stkzoo.wrappers.racing.road import LOOKS, STEP, traced
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
@@ -63,97 +56,33 @@ def surroundings_of(
         is_batch = np.ndim(observation["velocity"]) > 1
         batch = observation if is_batch else {key: [value] for key, value in observation.items()}
     else:
-        batch = {key: [one[key] for one in observation] for key in observation[0]}
-    types = [np.asarray(kinds, np.int64).reshape(-1) for kinds in batch["items_type"]]
+        batch = {key: [one[key] for one in observation] for key in _KEYS}
+    lines, first = traced(*(tuple(batch[key]) for key in _PATHS))
+    road = np.empty((len(lines), len(looks), 4), np.float32)
+    look_along(lines, STEP, first, np.ascontiguousarray(looks, np.float32), road)
     around = Surroundings(
-        road=_road(batch, looks),
-        karts=_stacked(_rows(batch["karts_position"], 3), np.inf),
-        items=_stacked(_rows(batch["items_position"], 3), 0),
-        item_types=_stacked(types, ABSENT),
+        road=road,
+        karts=_stacked(batch["karts_position"], np.inf),
+        items=_stacked(batch["items_position"], 0.0),
+        item_types=_stacked_types(batch["items_type"]),
     )
     own = {key: np.asarray(batch[key]) for key in OWN_KEYS}
     return own, around
 
 
-def _rows(lists: Any, width: int, limit: int | None = None) -> Sequence[FloatArray]:
-    """Converts lists of vectors, one list per agent, to arrays ``(n, width)``."""
-    blank = np.zeros((0, width), np.float32)
-    return [
-        (rows[:limit] if isinstance(rows, np.ndarray) else np.concatenate(rows[:limit])).reshape(
-            -1, width
-        )
-        if len(rows)
-        else blank
-        for rows in lists
-    ]
+_PATHS = ("paths_start", "paths_end", "paths_width")
+_KEYS = (*OWN_KEYS, *_PATHS, "karts_position", "items_position", "items_type")
 
 
-def _stacked(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:
-    """Stacks the agents' rows, padded to equal lengths."""
-    return np.stack(parts) if len({*map(len, parts)}) == 1 else _padded(parts, blank)
+def _stacked(rows: Sequence[Any], blank: float) -> FloatArray:
+    """Stacks the karts' vectors, padded to equal lengths."""
+    stacked = np.empty((len(rows), max(map(len, rows)), 3), np.float32)
+    stack_vectors(tuple(rows), blank, stacked)
+    return stacked
 
 
-def _road(batch: Mapping[str, Any], looks: FloatArray) -> FloatArray:
-    starts, ends, widths = (
-        _rows(batch[key], width, MAX_SEGMENTS)
-        for key, width in (("paths_start", 3), ("paths_end", 3), ("paths_width", 1))
-    )
-    if not len(starts[0]):  # for example, an all-zero observation
-        starts, ends, widths = (
-            [np.zeros((1, rows.shape[1]), np.float32) for rows in paths]
-            for paths in (starts, ends, widths)
-        )
-    lines = np.stack(
-        [road_line(a, b, c[:, 0]) for a, b, c in zip(starts, ends, widths, strict=True)]
-    )
-    first, end = (np.stack([rows[0] for rows in paths]) for paths in (starts, ends))
-    return points_ahead(lines, np.arange(len(lines)), first, end - first, looks)
-
-
-def surroundings_in(
-    road: RoadArrays,
-    snapshots: Sequence[Snapshot],
-    first_nodes: IntArray,
-    karts: Sequence[IntArray],
-    looks: FloatArray = LOOKS,
-) -> Known:
-    """Returns own state and surroundings of karts from snapshots of several races.
-
-    Args:
-        road: lines of one track, or of several tracks concatenated.
-        snapshots: current snapshot of each race.
-        first_nodes: first segment of each race's track in ``road``.
-        karts: kart indices of each race, in grid order.
-        looks: ``(L,)`` distances at which the road is observed [m].
-    """
-    race = np.repeat(np.arange(len(snapshots)), [len(who) for who in karts])
-    chosen = [s.karts[who].tobytes() for s, who in zip(snapshots, karts, strict=True)]
-    records = np.frombuffer(b"".join(chosen), KART_DTYPE)
-    locations = records["location"]
-    matrices = rotation_matrices(np.ascontiguousarray(records["rotation"]))
-    lines, starts, along = road
-    nodes = records["node"] + first_nodes[race]
-    points = points_ahead(lines, nodes, starts[nodes] - locations, along[nodes], looks)
-    seen = to_kart_frame(points[..., :3], locations, matrices)
-    others = _padded([s.karts["location"] for s in snapshots], np.inf)[race]
-    is_there = np.isfinite(others[..., 0])
-    is_there[np.arange(len(race)), np.concatenate(karts)] = False
-    rivals = to_kart_frame(np.where(is_there[..., None], others, 0), locations, matrices)
-    rivals[~is_there] = np.inf
-    items = _padded([s.items["location"] for s in snapshots], 0)[race]
-    around = Surroundings(
-        road=np.concatenate([seen, points[..., 3:]], axis=-1),
-        karts=rivals,
-        items=to_kart_frame(items, locations, matrices),
-        item_types=_padded([s.items["type"].astype(np.int64) for s in snapshots], ABSENT)[race],
-    )
-    return own_state(records), around
-
-
-def _padded(parts: Sequence[npt.NDArray[Any]], blank: float) -> npt.NDArray[Any]:
-    """Stacks arrays of different lengths, each padded at its end with ``blank``."""
-    most = max(1, *map(len, parts))
-    padded = np.full((len(parts), most, *parts[0].shape[1:]), blank, parts[0].dtype)
-    for row, part in zip(padded, parts, strict=True):
-        row[: len(part)] = part
-    return padded
+def _stacked_types(rows: Sequence[Any]) -> IntArray:
+    stacked = np.full((len(rows), max(map(len, rows))), ABSENT, np.int64)
+    for row, types in zip(stacked, rows, strict=True):
+        row[: len(types)] = types
+    return stacked

@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, KART_DTYPE, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import RacingObserver
-from stkzoo.mdp.observations import as_actions
+from stkzoo.mdp.observations import as_actions, own_state
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
-from stkzoo.wrappers.racing.features import KERNEL_TABLES, SIZE, racing_features
-from stkzoo.wrappers.racing.road import LOOKS, MAX_SEGMENTS, RoadArrays, RoadTable
-from stkzoo.wrappers.racing.surroundings import Known, surroundings_in, surroundings_of
+from stkzoo.wrappers.racing.features import KERNEL_TABLES, OWN_KINDS, OWN_NUMBERS, SIZE
+from stkzoo.wrappers.racing.road import LOOKS, MAX_SEGMENTS, RoadTable
+from stkzoo.wrappers.racing.surroundings import Known, Surroundings, surroundings_of
 
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
@@ -135,8 +135,8 @@ class BatchedRacingView:
     """
 
     def __init__(self, roads: Sequence[RoadTable]) -> None:
-        self._roads = [(road.lines, road.starts, road.along) for road in roads]
-        self._observers = [RacingObserver(road, *KERNEL_TABLES) for road in self._roads]
+        arrays = tuple((road.lines, road.starts, road.along) for road in roads)
+        self._observer = RacingObserver(arrays, *KERNEL_TABLES)
 
     def observe(
         self,
@@ -158,7 +158,8 @@ class BatchedRacingView:
         views = np.empty((ends[-1], SIZE), np.float32)
         parts = np.split(views, ends[:-1])
         for snapshot, road, who, part in zip(snapshots, roads, karts, parts, strict=True):
-            self._observers[road].observe(snapshot.data, np.ascontiguousarray(who, np.intp), part)
+            who = np.ascontiguousarray(who, np.intp)
+            self._observer.observe(snapshot.data, int(road), who, part)
         return views
 
     def observe_into(
@@ -173,7 +174,7 @@ class BatchedRacingView:
             rows: ``(A,)`` row of each kart.
             views: ``(N, SIZE)`` float32, which this changes.
         """
-        self._observers[road].observe(snapshot.data, karts, views, rows)
+        self._observer.observe(snapshot.data, road, karts, views, rows)
 
     def surroundings(
         self,
@@ -190,14 +191,51 @@ class BatchedRacingView:
             karts: see :meth:`observe`.
             looks: ``(L,)`` distances at which the road is observed [m].
         """
-        first = np.cumsum([0, *(len(lines) for lines, _, _ in self._roads)])
-        return surroundings_in(self._joined, snapshots, first[np.asarray(roads)], karts, looks)
+        ends = np.cumsum([len(who) for who in karts])
+        most_karts = max(len(snapshot.karts) for snapshot in snapshots)
+        most_items = max(len(snapshot.items) for snapshot in snapshots)
+        arrays = (
+            np.empty((ends[-1], len(looks), 4), np.float32),
+            np.empty((ends[-1], most_karts, 3), np.float32),
+            np.empty((ends[-1], most_items, 3), np.float32),
+            np.empty((ends[-1], most_items), np.int64),
+        )
+        looks, begin, records = np.ascontiguousarray(looks, np.float32), 0, []
+        for snapshot, road, who, end in zip(snapshots, roads, karts, ends.tolist(), strict=True):
+            own, who = slice(begin, end), np.ascontiguousarray(who, np.intp)
+            parts = tuple(array[own] for array in arrays)
+            self._observer.look(snapshot.data, int(road), who, looks, parts)
+            records.append(snapshot.karts[who].tobytes())
+            begin = end
+        state = own_state(np.frombuffer(b"".join(records), KART_DTYPE))
+        return state, Surroundings(*arrays)
 
-    @functools.cached_property
-    def _joined(self) -> RoadArrays:
-        """Returns the lines of all tracks, concatenated."""
-        lines, starts, along = map(np.concatenate, zip(*self._roads, strict=True))
-        return lines, starts, along
+
+@functools.cache
+def _writer() -> RacingObserver:
+    return RacingObserver((), *KERNEL_TABLES)
+
+
+def racing_features(
+    own: Mapping[str, Any], around: Surroundings, out: FloatArray | None = None
+) -> FloatArray:
+    """Returns the view of A karts.
+
+    Args:
+        own: entries of the ``full`` view in batch form.
+        around: surroundings of the karts, with the road at :data:`~.road.LOOKS` first.
+        out: array ``(A, F)`` in whose first ``SIZE`` columns the view is written; ``None`` for a
+            new one.
+
+    Returns:
+        ``(A, SIZE)`` float32, or ``out``.
+    """
+    view = np.empty((len(around.road), SIZE), np.float32) if out is None else out
+    numbers = tuple(np.ascontiguousarray(own[key], np.float32) for key in OWN_NUMBERS)
+    kinds = tuple(np.ascontiguousarray(own[key], np.int64) for key in OWN_KINDS)
+    seen = around.road, around.karts, around.items, around.item_types
+    _writer().write(numbers, kinds, tuple(map(np.ascontiguousarray, seen)), view)
+    return view
 
 
 @functools.lru_cache(maxsize=64)

@@ -7,19 +7,42 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.snapshot import Snapshot
-from stkzoo.wrappers.racing.features import racing_features
-from stkzoo.wrappers.racing.surroundings import surroundings_in
+from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
+from stkzoo.mdp.geometry import line_places, rotation_matrices, squared, to_kart_frame
+from stkzoo.mdp.observations import own_state
+from stkzoo.wrappers.racing.features import (
+    ATTACHMENT_COLUMNS,
+    ATTACHMENTS,
+    BAD,
+    BADS,
+    GOODS,
+    ITEM_CLASSES,
+    ITEM_LEAST_AHEAD,
+    ITEM_LEVEL,
+    ITEM_REACH,
+    KART_REACH,
+    KARTS,
+    NUM_POWERUPS,
+    OWN_KINDS,
+    OWN_NUMBERS,
+    OWN_UNITS,
+    PLACES,
+    SIZE,
+    TYPES_GOOD,
+)
+from stkzoo.wrappers.racing.road import LOOKS, MARKS, STEP
 
 FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[Any]
+Arrays = tuple[npt.NDArray[Any], ...]
 
 
 class RacingObserver:
-    """The view ``racing`` on a track.
+    """The view ``racing`` on some tracks.
 
     Args:
-        road: ``lines``, ``starts`` and ``along`` of a
-            :class:`~stkzoo.wrappers.racing.RoadTable`.
+        roads: ``lines``, ``starts`` and ``along`` of a
+            :class:`~stkzoo.wrappers.racing.RoadTable` each.
         tables: the constants of :mod:`stkzoo.wrappers.racing.features`, as for ``counts`` and
             ``lengths``; the twin's formulas have them from there.
         counts: likewise.
@@ -28,25 +51,184 @@ class RacingObserver:
 
     def __init__(
         self,
-        road: tuple[FloatArray, FloatArray, FloatArray],
+        roads: tuple[Arrays, ...],
         tables: tuple[Any, ...],
         counts: tuple[int, ...],
         lengths: tuple[float, ...],
     ) -> None:
         del tables, counts, lengths
-        lines, starts, along = road
-        if not len(lines) == len(starts) == len(along) or not len(lines):
-            raise ValueError("the road's arrays do not fit together")
-        self._road = road
+        for lines, starts, along in roads:
+            if not len(lines) == len(starts) == len(along) or not len(lines):
+                raise ValueError("the road's arrays do not fit together")
+        self._roads = roads
 
     def observe(
         self,
         data: bytes,
+        road: int,
         who: npt.NDArray[np.intp],
         out: FloatArray,
         rows: npt.NDArray[np.intp] | None = None,
     ) -> None:
-        """Writes the view of each kart of ``who`` into its row of ``out``, by default in order."""
-        first = np.zeros(1, np.intp)
-        where = slice(None) if rows is None else rows
-        out[where] = racing_features(*surroundings_in(self._road, [Snapshot(data)], first, [who]))
+        """Writes the view of each kart of ``who`` into a row of ``out``.
+
+        Args:
+            data: a snapshot's bytes.
+            road: number of its track.
+            who: ``(n,)`` indices of karts.
+            out: ``(N, SIZE)``.
+            rows: ``(n,)`` row of each kart; by default, ``out`` has one row per kart, in order.
+        """
+        snapshot = Snapshot(data)
+        counts = (len(LOOKS), len(snapshot.karts), len(snapshot.items))
+        around = tuple(
+            np.empty((len(who), count, width), np.float32)
+            for count, width in zip(counts, (4, 3, 3), strict=True)
+        )
+        types = np.empty((len(who), len(snapshot.items)), np.int64)
+        self.look(data, road, who, LOOKS, (*around, types))
+        own = own_state(snapshot.karts[who])
+        numbers, kinds = (tuple(own[k] for k in keys) for keys in (OWN_NUMBERS, OWN_KINDS))
+        view = np.empty((len(who), SIZE), np.float32)
+        self.write(numbers, kinds, (*around, types), view)
+        out[slice(None) if rows is None else rows] = view
+
+    def look(
+        self,
+        data: bytes,
+        road: int,
+        who: npt.NDArray[np.intp],
+        looks: FloatArray,
+        out: Arrays,
+    ) -> None:
+        """Writes the surroundings of each kart of ``who``.
+
+        Args:
+            data: a snapshot's bytes.
+            road: number of its track.
+            who: ``(n,)`` indices of karts.
+            looks: ``(L,)`` distances at which the road is observed [m].
+            out: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as many
+                karts and items as the race has.
+        """
+        snapshot = Snapshot(data)
+        lines, starts, along = self._roads[road]
+        records = np.frombuffer(snapshot.karts[who].tobytes(), KART_DTYPE)
+        nodes, locations = records["node"], records["location"]
+        matrices = rotation_matrices(np.ascontiguousarray(records["rotation"]))
+        segments = starts[nodes] - locations, along[nodes]
+        before, share = line_places(*segments, looks, STEP, lines.shape[1])
+        first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
+        points = first + (second - first) * share[..., None]
+        line, karts, items, types = out
+        line[..., :3] = to_kart_frame(points[..., :3], locations, matrices)
+        line[..., 3] = points[..., 3]
+        others, things = snapshot.karts["location"][None], snapshot.items["location"][None]
+        karts[:], items[:], types[:] = np.inf, 0, -1
+        karts[:, : others.shape[1]] = to_kart_frame(others, locations, matrices)
+        karts[np.arange(len(who)), who] = np.inf
+        items[:, : things.shape[1]] = to_kart_frame(things, locations, matrices)
+        types[:, : things.shape[1]] = snapshot.items["type"]
+
+    def write(self, numbers: Arrays, kinds: Arrays, around: Arrays, out: FloatArray) -> None:
+        """Writes the view of karts with given surroundings.
+
+        Args:
+            numbers: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_NUMBERS`:
+                ``(n, 3)``, and ``(n, 1)`` for the others.
+            kinds: likewise in that of :data:`~stkzoo.wrappers.racing.features.OWN_KINDS`, ``(n,)``.
+            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
+            out: ``(n, F)``; the first ``SIZE`` columns are written.
+        """
+        view = out[:, :SIZE]
+        road, karts, items, types = around
+        own = dict(zip((*OWN_NUMBERS, *OWN_KINDS), (*numbers, *kinds), strict=True))
+        _write_own(view, own)
+        _write_road(view, road)
+        _write_karts(view, karts)
+        _write_items(view, items, types)
+        np.clip(view, -5.0, 5.0, out=view)
+
+
+def _write_own(view: FloatArray, own: dict[str, npt.NDArray[Any]]) -> None:
+    for name, unit in OWN_UNITS.items():
+        view[:, PLACES[name]] = np.reshape(own[name], (len(view), -1)) / unit
+    view[:, PLACES["powerup_type"]] = _one_of(own["powerup_type"], NUM_POWERUPS)
+    hanging = ATTACHMENT_COLUMNS[own["attachment"]]
+    view[:, PLACES["attachment"]] = _one_of(hanging, len(ATTACHMENTS))
+
+
+def _write_road(view: FloatArray, road: FloatArray) -> None:
+    count = len(MARKS)
+    beside, marks, beyond = road[:, 0], road[:, 1 : count + 1], road[:, count + 1 : len(LOOKS)]
+    view[:, PLACES["line_position"]] = beside[:, :3] / 10.0
+    view[:, PLACES["line_room"]] = beside[:, 3:] / 10.0
+    directions = marks[..., :3] / MARKS[:, None]
+    view[:, PLACES["marks_direction"]] = directions.reshape(len(view), -1)
+    view[:, PLACES["marks_room"]] = marks[..., 3] / 10.0
+    heading = (beyond - marks)[..., [0, 2]]
+    length = np.sqrt((heading * heading).sum(-1, keepdims=True))
+    view[:, PLACES["marks_heading"]] = (heading / np.maximum(length, 0.1)).reshape(len(view), -1)
+
+
+def _write_karts(view: FloatArray, karts: FloatArray) -> None:
+    squares = squared(karts)
+    near, there, _ = _nearest(karts, squares, squares < KART_REACH**2, KARTS)
+    _write_places(view, "karts", near, there)
+
+
+def _write_items(view: FloatArray, items: FloatArray, types: IntArray) -> None:
+    squares = squared(items)
+    is_seen = (
+        (items[..., 2] > ITEM_LEAST_AHEAD)
+        & (np.abs(items[..., 1]) < ITEM_LEVEL)
+        & (squares < ITEM_REACH**2)
+    )
+    kinds = ITEM_CLASSES[types]
+    for name, is_one, count in (("goods", kinds >= 0, GOODS), ("bads", kinds == BAD, BADS)):
+        seen, there, order = _nearest(items, squares, is_seen & is_one, count)
+        _write_places(view, name, seen, there)
+        view[:, PLACES[f"{name}_beside"]] = seen[..., 0] / 5.0
+        if name == "goods":
+            found = there[:, : order.shape[1], None]
+            chosen = np.take_along_axis(kinds, order, axis=1)
+            types_seen = _padded(_one_of(chosen, len(TYPES_GOOD)) * found, count)
+            view[:, PLACES["goods_type"]] = types_seen.reshape(len(view), -1)
+
+
+def _write_places(view: FloatArray, name: str, points: FloatArray, there: FloatArray) -> None:
+    distances = np.sqrt(squared(points))
+    directions = points / np.maximum(distances, 0.5)[..., None]
+    view[:, PLACES[f"{name}_direction"]] = directions.reshape(len(view), -1)
+    view[:, PLACES[f"{name}_nearness"]] = there / (1.0 + distances / 5.0)
+
+
+def _nearest(
+    points: FloatArray, squares: FloatArray, is_seen: npt.NDArray[np.bool_], count: int
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Returns the nearest visible points, padded with zeros, and their order.
+
+    Returns:
+        Points ``(A, count, 3)``, a mask ``(A, count)`` of 1 and 0, and indices ``(A, up to
+            count)``.
+    """
+    keys = np.where(is_seen, squares, np.inf)
+    order = np.argsort(keys, axis=1, kind="stable")[:, :count]
+    rows = np.arange(len(order))[:, None]
+    found, near = is_seen[rows, order], points[rows, order]
+    near = np.where(found[..., None], near, 0).astype(np.float32)
+    return _padded(near, count), _padded(found.astype(np.float32), count), order
+
+
+def _one_of(numbers: IntArray, count: int) -> FloatArray:
+    """Returns the one-hot encoding of numbers below ``count``."""
+    return np.equal(numbers[..., None], np.arange(count)).astype(np.float32)
+
+
+def _padded(rows: FloatArray, count: int) -> FloatArray:
+    """Pads rows ``(A, n, ...)`` with zeros to ``(A, count, ...)``."""
+    missing = count - rows.shape[1]
+    if not missing:
+        return rows
+    shape = (rows.shape[0], missing, *rows.shape[2:])
+    return np.concatenate([rows, np.zeros(shape, rows.dtype)], axis=1)

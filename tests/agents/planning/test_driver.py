@@ -67,11 +67,11 @@ def rows_of(own, around, rows):
 
 def memories(drivers):
     """What drivers remember by name, as arrays with a row for each kart."""
-    parts = {"": drivers.memory._of, "rivals ": drivers._tracker._before}
+    parts = {"": drivers.memory._of, "rivals ": drivers._tracker.before}
     return {
-        prefix + field.name: getattr(part, field.name)
+        prefix + name: array
         for prefix, part in parts.items()
-        for field in dataclasses.fields(part)
+        for name, array in part._asdict().items()
     }
 
 

@@ -17,11 +17,11 @@ def test_a_drift_is_remembered_with_what_it_earns():
         memory.act(side, 0.5 * one, none, none)
     assert memory.situation().drift_steps[0] == BOOST_STEPS[0]
     memory.act(0 * side, 0 * one, none, none)
-    now = memory.situation()
+    now = memory._of
     assert (now.drift_side[0], now.boost_steps[0]) == (0, BOOST_LASTS[0])
     assert now.drift_turn[0] == 0.5
     memory.look(fast, one)
-    assert memory.situation().boost_steps[0] == BOOST_LASTS[0] - 1
+    assert memory._of.boost_steps[0] == BOOST_LASTS[0] - 1
 
 
 def test_a_drift_that_the_engine_ends_is_over():
@@ -42,7 +42,7 @@ def test_a_drift_begins_with_a_hop_and_after_a_short_one_the_kart_turns_on_for_s
         may_hop.append(bool(memory.situation().may_hop[0]))
         memory.act(np.array([int(step < 2)]), 0.5 * one, none, none)
         if step == 2:
-            assert memory.situation().release_steps[0] == 2
+            assert memory._of.release_steps[0] == 2
     assert may_hop == [True, *[False] * (DRIFT_APART - 1), True]
 
 

@@ -9,9 +9,10 @@ from stkzoo.agents.planning.plans import (
     DRIFT_LEFT,
     DRIFT_RIGHT,
     FREE,
+    LONGEST_DRIFT,
     plan_table,
-    table_rows,
 )
+from stkzoo.kernel.reference.plan_viewer import table_rows
 
 TABLE = plan_table(4)
 ALL = {FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT}
@@ -19,7 +20,8 @@ ALL = {FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT}
 
 def plans_of(drift_side=0, drift_steps=0, release_steps=0):
     """The columns of the plans that exist in a state: by plan, or by moment and plan."""
-    (row,) = table_rows(*(np.array([n]) for n in (drift_side, drift_steps, release_steps)))
+    state = (np.array([number]) for number in (drift_side, drift_steps, release_steps))
+    (row,) = table_rows(*state, (RELEASE_STEPS, LONGEST_DRIFT))
     exists = TABLE.manoeuvres[row] >= 0
     names = TABLE._fields[1:]
     return {name: getattr(TABLE, name)[row][..., exists] for name in names}

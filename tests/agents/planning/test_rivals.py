@@ -4,46 +4,72 @@ import numpy as np
 
 from stkzoo import race_v0
 from stkzoo.agents.planning.driver import ALL_LOOKS
+from stkzoo.agents.planning.memory import DriverMemory
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.rivals import RIVALS, RivalTracker
-from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
-from stkzoo.wrappers.racing import LOOKS, BatchedRacingView, RoadTable
+from stkzoo.agents.planning.road import LINE_MARKS
+from stkzoo.agents.planning.worth import OwnState, plan_rules, weigh
+from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
 
 STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
 STRAIGHT[0, :, 2], STRAIGHT[0, :, 3] = LINE_MARKS, 5.0
-STILL = np.zeros((1, 3), np.float32)
+IS_THERE, ALONG, ACROSS, GAIN, DRIFT = range(5)
 
 
 def karts(*places):
-    return np.array([[[x, 0.0, z] for x, z in places]], np.float32)
+    return np.array([(x, 0.0, z) for x, z in places], np.float32).reshape(1, -1, 3)
+
+
+def own_of(velocity=None, speed=0.0):
+    """The own state of karts without powerups."""
+    velocity = np.array([[0.0, 0.0, speed]], np.float32) if velocity is None else velocity
+    count = len(velocity)
+    none = np.zeros(count, np.int64)
+    return OwnState(velocity, np.zeros((count, 1), np.float32), none, none, none)
+
+
+def around_of(road, spots):
+    """Surroundings without items."""
+    count = len(road)
+    items, types = np.zeros((count, 0, 3), np.float32), np.zeros((count, 0), np.int64)
+    return Surroundings(road, spots, items, types)
+
+
+def watched(tracker, spots, velocity=None, road=STRAIGHT):
+    """The nearby karts, by kart and number, then in the order of the columns."""
+    own, rules = own_of(velocity), DriverParameters()
+    count = len(own.velocity)
+    memory, lock = DriverMemory(count, rules).rows, np.full((count, 1), 0.1, np.float32)
+    return weigh(plan_rules(rules), memory, own, lock, around_of(road, spots), tracker).rivals
 
 
 def test_one_that_gains_and_one_that_crosses_are_told_apart():
-    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
-    tracker.watch(karts((1.0, 6.0), (-2.0, 12.0)), STILL, road)
+    tracker = RivalTracker(1)
+    watched(tracker, karts((1.0, 6.0), (-2.0, 12.0)))
     tracker.look()
-    seen = tracker.watch(karts((-1.9, 11.8), (1.3, 6.5)), STILL, road)
-    assert seen.is_there.tolist() == [[True, True, False, False]]
-    np.testing.assert_allclose(seen.along[0, :2], [6.5, 11.8], atol=1e-4)
-    np.testing.assert_allclose(seen.across[0, :2], [1.3, -1.9], atol=1e-4)
-    np.testing.assert_allclose(seen.gain[0, :2], [5.0, -2.0], atol=1e-3)
-    np.testing.assert_allclose(seen.drift[0, :2], [3.0, 1.0], atol=1e-3)
+    seen = watched(tracker, karts((-1.9, 11.8), (1.3, 6.5)))
+    assert (seen[..., IS_THERE] > 0).tolist() == [[True, True, False, False]]
+    np.testing.assert_allclose(seen[0, :2, ALONG], [6.5, 11.8], atol=1e-4)
+    np.testing.assert_allclose(seen[0, :2, ACROSS], [1.3, -1.9], atol=1e-4)
+    np.testing.assert_allclose(seen[0, :2, GAIN], [5.0, -2.0], atol=1e-3)
+    np.testing.assert_allclose(seen[0, :2, DRIFT], [3.0, 1.0], atol=1e-3)
 
 
 def test_what_comes_out_of_nowhere_has_no_speed_yet():
-    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
-    tracker.watch(karts((0.0, 20.0)), STILL, road)
+    tracker = RivalTracker(1)
+    watched(tracker, karts((0.0, 20.0)))
     tracker.look()
-    seen = tracker.watch(karts((0.0, 10.0), (np.inf, np.inf)), STILL, road)
-    assert seen.is_there.sum() == 1
-    assert seen.gain[0, 0] == 0
-    assert seen.drift[0, 0] == 0
+    seen = watched(tracker, karts((0.0, 10.0), (np.inf, np.inf)))
+    assert seen[..., IS_THERE].sum() == 1
+    assert seen[0, 0, GAIN] == 0
+    assert seen[0, 0, DRIFT] == 0
 
 
 def test_the_own_turn_and_way_are_taken_off():
     tracker = RivalTracker(1)
     turn, way = 0.12, 2.0
     velocity = np.array([[0.0, 0.0, 20.0]], np.float32)
-    tracker.watch(karts((1.0, 9.0)), velocity, RoadAhead.of(STRAIGHT))
+    watched(tracker, karts((1.0, 9.0)), velocity)
     tracker.look()
     # the same road and a kart that stands, seen from an arc of 2 m to the right
     start = way * np.array([np.sin(turn / 2), np.cos(turn / 2)])
@@ -52,29 +78,29 @@ def test_the_own_turn_and_way_are_taken_off():
     line[0, :, 0] = -start[0] * np.cos(turn) - np.sin(turn) * LINE_MARKS
     line[0, :, 2] = -start[0] * np.sin(turn) + np.cos(turn) * LINE_MARKS
     spot = x * np.cos(turn) - z * np.sin(turn), x * np.sin(turn) + z * np.cos(turn)
-    seen = tracker.watch(karts(spot), velocity, RoadAhead.of(line))
-    np.testing.assert_allclose(seen.gain[0, 0], -20.0, atol=0.01)
-    np.testing.assert_allclose(seen.drift[0, 0], 0.0, atol=0.01)
+    seen = watched(tracker, karts(spot), velocity, line)
+    np.testing.assert_allclose(seen[0, 0, GAIN], -20.0, atol=0.01)
+    np.testing.assert_allclose(seen[0, 0, DRIFT], 0.0, atol=0.01)
 
 
 def test_to_look_again_changes_nothing_and_to_forget_forgets():
-    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
-    tracker.watch(karts((0.0, 8.0)), STILL, road)
+    tracker = RivalTracker(1)
+    watched(tracker, karts((0.0, 8.0)))
     tracker.look()
-    first = tracker.watch(karts((0.0, 8.4)), STILL, road)
-    again = tracker.watch(karts((0.0, 8.4)), STILL, road)
-    assert first.gain[0, 0] == again.gain[0, 0] > 3.9
+    first = watched(tracker, karts((0.0, 8.4)))
+    again = watched(tracker, karts((0.0, 8.4)))
+    assert first[0, 0, GAIN] == again[0, 0, GAIN] > 3.9
     tracker.forget(np.array([0]))
-    assert tracker.watch(karts((0.0, 8.4)), STILL, road).gain[0, 0] == 0
+    assert watched(tracker, karts((0.0, 8.4)))[0, 0, GAIN] == 0
 
 
 def test_no_kart_and_many_karts_are_as_good():
-    tracker, road = RivalTracker(1), RoadAhead.of(STRAIGHT)
-    nobody = tracker.watch(np.zeros((1, 0, 3), np.float32), STILL, road)
-    assert not nobody.is_there.any()
-    assert nobody.numbers(road.offset).shape == (1, 5 * RIVALS)
-    many = tracker.watch(karts(*((0.0, 2.0 + n) for n in range(9))), STILL, road)
-    np.testing.assert_allclose(many.along[0], [2, 3, 4, 5], atol=1e-4)
+    tracker = RivalTracker(1)
+    nobody = watched(tracker, karts())
+    assert not nobody.any()
+    assert nobody.shape == (1, RIVALS, 5)
+    many = watched(tracker, karts(*((0.0, 2.0 + n) for n in range(9))))
+    np.testing.assert_allclose(many[0, :, ALONG], [2, 3, 4, 5], atol=1e-4)
 
 
 def test_in_a_race_they_are_as_fast_as_the_engine_says():
@@ -88,12 +114,12 @@ def test_in_a_race_they_are_as_fast_as_the_engine_says():
             karts = env.snapshot.karts
             _, around = batched_view.surroundings([env.snapshot], [0], [np.arange(5)], ALL_LOOKS)
             tracker.look()
-            velocity = karts["velocity_lc"]
-            seen = tracker.watch(around.karts, velocity, RoadAhead.of(around.road[:, len(LOOKS) :]))
+            velocity = np.ascontiguousarray(karts["velocity_lc"])
+            seen = watched(tracker, around.karts, velocity, around.road)
             apart = np.linalg.norm(karts["location"][:, None] - karts["location"], axis=2)
             np.fill_diagonal(apart, np.inf)
             nearest, speed = apart.argmin(axis=1), karts["velocity_lc"][:, 2]
-            is_near = seen.is_there[:, 0] & (apart.min(axis=1) < 10) & (step > 40)
-            errors += list((seen.gain[:, 0] - (speed[nearest] - speed))[is_near])
+            is_near = (seen[:, 0, IS_THERE] > 0) & (apart.min(axis=1) < 10) & (step > 40)
+            errors += list((seen[:, 0, GAIN] - (speed[nearest] - speed))[is_near])
     assert len(errors) > 20
     assert np.median(np.abs(errors)) < 1.0

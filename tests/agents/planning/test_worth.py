@@ -3,44 +3,28 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.memory import KartSituation
+from stkzoo.agents.planning.kart import STEP
+from stkzoo.agents.planning.memory import DriverMemory
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, FREE
-from stkzoo.agents.planning.rivals import Rivals
-from stkzoo.agents.planning.road import LINE_MARKS, RoadAhead
-from stkzoo.agents.planning.worth import NEVER, PlanScene, weigh
-
-STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
-STRAIGHT[0, :, 2], STRAIGHT[0, :, 3] = LINE_MARKS, 5.0
+from stkzoo.agents.planning.rivals import RivalTracker
+from stkzoo.agents.planning.worth import NEVER, plan_rules, weigh
+from stkzoo.kernel import PlanMemory
+from tests.agents.planning.test_rivals import STRAIGHT, around_of, karts, own_of
 
 
 def weighed(speed=25.0, ahead=0.0, closing=0.0, across=0.0, **rules):
     """The plans without drifts of a kart; a rival is so far ahead, if at all."""
-    one, none = np.ones(1, np.float32), np.zeros(1, np.intp)
-    zero, false = 0 * one, one < 0
-
-    def of_first(number):
-        return np.array([[number, 0.0, 0.0, 0.0]], np.float32)
-
-    rivals = Rivals(
-        is_there=of_first(ahead) > 0,
-        along=of_first(ahead),
-        across=of_first(across),
-        gain=of_first(-closing),
-        drift=of_first(0.0),
-    )
-    scene = PlanScene(
-        speed=speed * one,
-        max_steer_angle=0.06 * one,
-        is_jumping=false,
-        has_powerup=false,
-        road=RoadAhead.of(STRAIGHT),
-        items=np.zeros((1, 0, 3), np.float32),
-        item_types=np.zeros((1, 0), np.intp),
-        rivals=rivals,
-    )
-    now = KartSituation(zero, zero, none, none, false, none, zero, zero, false)
-    return weigh(scene, now, DriverParameters(**rules))
+    tracker = RivalTracker(1)
+    tracker.before.velocity[:] = 0.0, speed
+    tracker.before.spots[0, 0] = across, ahead + closing * STEP
+    spots = karts((across, ahead)) if ahead else karts()
+    own, parameters = own_of(speed=speed), DriverParameters(**rules)
+    lock = np.full((1, 1), 0.06, np.float32)
+    memory = DriverMemory(1, parameters).rows
+    memory[PlanMemory._fields.index("hop_steps")] = 1
+    around = around_of(STRAIGHT, spots)
+    return weigh(plan_rules(parameters), memory, own, lock, around, tracker)
 
 
 def test_plans_go_round_a_slower_kart_ahead():

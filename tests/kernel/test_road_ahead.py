@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, RoadAhead
+from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
+from stkzoo.kernel.reference.road_ahead import RoadAhead
 
 RADIUS = 60.0
 
@@ -13,7 +14,7 @@ RADIUS = 60.0
 def road_of(x, z, half_width=6.0):
     line = np.zeros((1, len(LINE_MARKS), 4), np.float32)
     line[0, :, 0], line[0, :, 2], line[0, :, 3] = x, z, half_width
-    return RoadAhead.of(line)
+    return RoadAhead.of(line, headings_of(line), MARK_SPACING)
 
 
 def right_bend():

@@ -1,0 +1,14 @@
+/* stkzoo.kernel.PlanMemory: the rows of a memory, with a number for each kart. */
+
+#ifndef STKZOO_PLAN_MEMORY_H
+#define STKZOO_PLAN_MEMORY_H
+
+#include "kernel.h"
+
+enum {
+    SPEED, GAIN, TURN, DRIFT_TURN, DRIFT_SIDE, DRIFT_COUNT, STILL_STEPS, CRAWL_STEPS, FREE_STEPS,
+    REVERSES, LOST_STEPS, SINCE_FIRE, HOP_STEPS, RELEASE_LEFT, BOOST_STEPS, BIG_BOOST_STEPS,
+    NITRO_STEPS, CAUTION_STEPS, REVERSE_STEPS, RESCUE_STEPS, MEMORY_SIZE
+};
+
+#endif

@@ -1,0 +1,114 @@
+"""The twin of ``road_tracer.c``: the road ahead as a line, from a track's segments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.mdp.geometry import line_places, squared
+
+FloatArray = npt.NDArray[np.float32]
+DoubleArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[Any]
+#: For each kart an array of vectors, or a sequence of vectors.
+Vectors = tuple[Any, ...]
+
+
+def trace_roads(
+    starts: Vectors,
+    ends: Vectors,
+    widths: Vectors,
+    most: int,
+    rules: DoubleArray,
+    lines: FloatArray,
+    first: FloatArray,
+) -> None:
+    """Writes the lines ahead of ``A`` karts.
+
+    Args:
+        starts: starts of the segments ahead of each kart, ordered by driving distance; the kart's
+            own segment comes first. Without any there is one of no length at the kart.
+        ends: their ends.
+        widths: their widths, vectors of one number.
+        most: number of segments used, at most 128.
+        rules: ``(4,)``: distance between the line's points; distance below which segments touch;
+            longest jump between segments that do not; length beyond the last one [m].
+        lines: ``(A, N, 4)``: points, and distances to the edge of the road.
+        first: ``(A, 2, 3)``: start and end of each kart's own segment.
+    """
+    spacing, touching, longest_jump, tail = rules.tolist()
+    for number, segments in enumerate(zip(starts, ends, widths, strict=True)):
+        a, b, c = (_vectors(rows, width) for rows, width in zip(segments, (3, 3, 1), strict=True))
+        if not len(a) == len(b) == len(c):
+            raise ValueError("there must be as many ends and widths of segments as starts")
+        if not len(a):
+            a, b, c = np.zeros((1, 3), "f4"), np.zeros((1, 3), "f4"), np.zeros((1, 1), "f4")
+        a, b, c = a[:most], b[:most], c[:most, 0]
+        chain = _chain(a, b, touching, longest_jump)
+        points = np.empty((2 * len(chain) + 1, 3))
+        points[:-1:2], points[1:-1:2] = a[chain], b[chain]
+        last = points[-2] - points[-3]
+        points[-1] = points[-2] + last * (tail / max(float(np.linalg.norm(last)), 1e-3))
+        steps = points[1:] - points[:-1]
+        marks = np.zeros(len(points))
+        np.cumsum(np.sqrt((steps**2).sum(axis=1)), out=marks[1:])
+        rooms = np.repeat(c[chain] / 2, 2)
+        columns = (*points.T, np.concatenate([rooms, rooms[-1:]]))
+        places = spacing * np.arange(lines.shape[1])
+        for number_of_column, column in enumerate(columns):
+            lines[number, :, number_of_column] = np.interp(places, marks, column)
+        first[number] = a[0], b[0]
+
+
+def _chain(
+    starts: FloatArray, ends: FloatArray, touching: float, longest_jump: float
+) -> npt.NDArray[np.intp]:
+    """Returns the indices of consecutive segments, beginning with the first."""
+    count = len(starts)
+    jumps = np.abs(starts[1:] - ends[:-1]).max(axis=1) if count > 1 else np.zeros(0)
+    if (jumps < touching).all():
+        return np.arange(count)
+    squares = squared(starts[None, :, :] - ends[:, None, :])
+    squares[np.tri(count, dtype=bool)] = np.inf  # successors come later in driving order
+    followers = squares.argmin(axis=1).tolist()
+    is_last = (squares.min(axis=1) > longest_jump**2).tolist()
+    chain = [0]
+    while not is_last[chain[-1]]:
+        chain.append(followers[chain[-1]])
+    return np.array(chain, np.intp)
+
+
+def look_along(
+    lines: FloatArray, spacing: float, first: FloatArray, looks: FloatArray, out: FloatArray
+) -> None:
+    """Writes points on the lines of ``A`` karts, ``(A, L, 4)``, and their distances to the edge.
+
+    Args:
+        lines: ``(A, N, 4)``, see :func:`trace_roads`.
+        spacing: distance between their points [m].
+        first: ``(A, 2, 3)`` the karts' own segments in frames with the kart at the origin.
+        looks: ``(L,)`` distances ahead of the kart [m].
+        out: the points.
+    """
+    starts = first[:, 0]
+    before, share = line_places(starts, first[:, 1] - starts, looks, spacing, lines.shape[1])
+    rows = np.arange(len(lines))[:, None]
+    here, there = lines[rows, before], lines[rows, before + 1]
+    out[:] = here + (there - here) * share[..., None]
+
+
+def stack_vectors(rows: Vectors, blank: float, out: FloatArray) -> None:
+    """Writes the vectors of each row, ``(A, n, 3)``, padded with ``blank``."""
+    out[:] = blank
+    for number, row in enumerate(rows):
+        own = _vectors(row, 3)[: out.shape[1]]
+        out[number, : len(own)] = own
+
+
+def _vectors(rows: Any, width: int) -> FloatArray:
+    """Converts an array or a sequence of vectors to an array ``(n, width)``."""
+    if not isinstance(rows, np.ndarray):
+        rows = np.concatenate(rows) if len(rows) else np.zeros(0)
+    return np.asarray(rows, np.float32).reshape(-1, width)

@@ -1,0 +1,181 @@
+"""What plans depend on and what a policy sees of them, by the kernel and by its numpy twin."""
+
+import numpy as np
+import pytest
+
+from stkzoo import ItemType, PowerupType, kernel
+from stkzoo.agents.planning.driver import _LOGITS, INPUT_SIZE
+from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.planning.road import MARK_COUNT, MARK_SPACING, headings_of
+from stkzoo.agents.planning.worth import OwnState, plan_rules
+from stkzoo.kernel.reference import plan_viewer
+from stkzoo.wrappers.racing import SIZE
+
+RULES = plan_rules(DriverParameters())
+ITEMS, RIVALS = 8, 4
+NAMES = ("rows", "karts", "road", "items", "rivals", "scene")
+
+pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+
+
+def winding_road(chance, count):
+    """Roads that bend more and more; some turn by more than half a circle."""
+    bends = chance.uniform(-0.03, 0.03, (count, 1)) * chance.choice([1, 2, 6], (count, 1))
+    angles = chance.uniform(-0.5, 0.5, (count, 1)) + bends * MARK_SPACING * np.arange(
+        MARK_COUNT + 1
+    )
+    steps = MARK_SPACING * np.stack([np.sin(angles), 0.05 * angles, np.cos(angles)], axis=-1)
+    line = np.empty((count, MARK_COUNT + 1, 4), np.float32)
+    line[..., :3] = np.cumsum(steps, axis=1) + chance.uniform(-3, 3, (count, 1, 3))
+    line[..., 3] = chance.uniform(2, 9, (count, MARK_COUNT + 1))
+    return line
+
+
+def own_of(chance, count):
+    return OwnState(
+        velocity=chance.normal([0, 0, 15], [2, 1, 10], (count, 3)).astype(np.float32),
+        energy=chance.choice([0.0, 3.0], (count, 1)).astype(np.float32),
+        jumping=chance.integers(0, 2, count),
+        powerup_type=chance.choice(list(PowerupType), count).astype(np.int64),
+        powerup_count=chance.integers(0, 3, count),
+    )
+
+
+def memory_of(chance, count):
+    memory = chance.integers(0, 6, (len(kernel.PlanMemory._fields), count)).astype(np.float32)
+    names = kernel.PlanMemory._fields
+    memory[names.index("drift_side")] = chance.integers(-1, 2, count)
+    memory[names.index("drift_steps")] = chance.integers(0, 60, count)
+    memory[names.index("release_steps")] = chance.integers(0, 8, count)
+    return memory
+
+
+def scene_arguments(seed, count=60, num_karts=6, num_items=14, rivals=RIVALS):
+    """Karts among others and among items, which they partly saw in the step before."""
+    chance = np.random.default_rng(seed)
+    line, own = winding_road(chance, count), own_of(chance, count)
+    karts, items = (
+        chance.normal([0, 0, 8], [5, 1.5, 12], (count, number, 3)).astype(np.float32)
+        for number in (num_karts, num_items)
+    )
+    karts[chance.random((count, num_karts)) < 0.2] = np.inf
+    types = chance.choice([*ItemType, -1, 99], (count, num_items)).astype(np.int64)
+    seen = (line, headings_of(line), chance.uniform(0.02, 0.4, (count, 1)).astype(np.float32))
+    spots = np.full((count, RIVALS, 2), 1e3, np.float32)
+    spots[:, : min(num_karts, 3)] = np.where(np.isfinite(karts), karts, 1e3)[:, :3, ::2]
+    spots += chance.normal(size=spots.shape).astype(np.float32)
+    before = spots, own.velocity[:, ::2].copy(), headings_of(winding_road(chance, count))
+    now = np.empty_like(spots), np.empty((count, 2), np.float32)
+    out = (
+        np.empty(count, np.intp),
+        np.empty((count, 11), np.float32),
+        np.empty((count, 3, MARK_COUNT), np.float32),
+        np.empty((count, ITEMS, 4)),
+        np.empty((count, rivals, 5)),
+        np.empty((count, 5), np.float32),
+    )
+    memory = memory_of(chance, count)
+    around = (*seen, karts, items, types)
+    return RULES.view, RULES.worths, memory, own, around, before, now, out
+
+
+def surveyed(survey, arguments):
+    """What it writes, by name."""
+    *given, around, before, now, out = arguments
+    line, headings, *rest = around
+    headings, now, out = headings.copy(), [a.copy() for a in now], [a.copy() for a in out]
+    survey(*given, (line, headings, *rest), before, tuple(now), tuple(out))
+    written = dict(zip(NAMES, out, strict=True))
+    return written | {"headings": headings, "spots": now[0], "velocity": now[1]}
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [{}, {"num_karts": 0}, {"num_karts": 2}, {"num_items": 0}, {"num_items": 3}],
+    ids=str,
+)
+@pytest.mark.parametrize("seed", range(8))
+def test_the_kernel_surveys_as_its_twin(seed, sizes):
+    arguments = scene_arguments(seed, **sizes)
+    ours = surveyed(kernel.survey_road, arguments)
+    theirs = surveyed(plan_viewer.survey_road, arguments)
+    for name, array in theirs.items():
+        np.testing.assert_allclose(ours[name], array, rtol=2e-6, atol=2e-5, err_msg=name)
+    assert (np.abs(np.diff(theirs["headings"], axis=1)) < np.pi).all()
+
+
+def test_other_karts_may_be_left_out():
+    arguments = scene_arguments(0, rivals=0)
+    ours = surveyed(kernel.survey_road, arguments)
+    theirs = surveyed(plan_viewer.survey_road, arguments)
+    np.testing.assert_allclose(ours["karts"], theirs["karts"], rtol=2e-6, atol=2e-5)
+    assert ours["rivals"].size == 0
+
+
+def present_arguments(seed, count=60, width=INPUT_SIZE):
+    """The plans' worth as karts have it."""
+    chance = np.random.default_rng(seed)
+    best = chance.normal([[[30]], [[0]], [[1]]], [[[20]], [[0.5]], [[1]]], (3, count, 4))
+    best[0, chance.random((count, 4)) < 0.3] = -1e4
+    scene = chance.normal(0, [0.3, 3, 4, 0.2, 1], (count, 5))
+    scene[:, 4] = chance.integers(0, 2, count)
+    rivals = chance.normal(0, 9, (count, RIVALS, 5)).astype(np.float32).astype(float)
+    rivals[..., 0] = chance.integers(0, 2, (count, RIVALS))
+    return (
+        RULES.view,
+        _LOGITS,
+        memory_of(chance, count),
+        own_of(chance, count),
+        best.astype(np.float32),
+        scene.astype(np.float32),
+        rivals,
+        np.zeros((count, 15), np.float32),
+        np.zeros((count, width), np.float32),
+        SIZE,
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_kernel_presents_plans_as_its_twin(seed):
+    *given, prior, inputs, first = present_arguments(seed)
+    ours, theirs = (prior.copy(), inputs.copy()), (prior, inputs)
+    kernel.present_plans(*given, *ours, first)
+    plan_viewer.present_plans(*given, *theirs, first)
+    for own, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-6)
+    assert inputs[:, SIZE:].any()
+    assert len(np.unique(prior[:, -4:], axis=0)) > 1
+
+
+def test_the_prior_needs_no_inputs():
+    *given, prior, _, first = present_arguments(0)
+    alone = prior.copy()
+    kernel.present_plans(*given, alone, np.zeros((len(prior), 0), np.float32), first)
+    *given, prior, inputs, first = present_arguments(0)
+    kernel.present_plans(*given, prior, inputs, first)
+    assert (alone == prior).all()
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "error"),
+    [
+        (0, np.zeros(3), ValueError),
+        (1, np.zeros((2, 3)), TypeError),
+        (2, np.zeros((3, 2), np.float32), ValueError),
+        (3, (), TypeError),
+        (4, (1, 2, 3, 4, 5, 6), TypeError),
+        (7, (), TypeError),
+    ],
+)
+def test_a_survey_refuses_arrays_that_do_not_fit(place, value, error):
+    arguments = list(scene_arguments(0, count=2))
+    arguments[place] = value
+    with pytest.raises(error):
+        kernel.survey_road(*arguments)
+
+
+@pytest.mark.parametrize("first", [-1, INPUT_SIZE, 2**40])
+def test_plans_are_not_presented_beyond_a_row(first):
+    *arguments, _ = present_arguments(0)
+    with pytest.raises(ValueError, match="too short"):
+        kernel.present_plans(*arguments, first)

@@ -1,0 +1,86 @@
+"""Lines ahead of karts, by the kernel and by its numpy twin."""
+
+import numpy as np
+import pytest
+
+from stkzoo import kernel
+from stkzoo.kernel.reference import road_tracer
+from stkzoo.wrappers.racing.road import _RULES, LOOKS, NUM_POINTS, STEP
+
+pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+
+
+def segments(chance, count):
+    """Segments ahead of a kart, some with gaps, with a fork, or of no length."""
+    steps = chance.normal([0, 0, 8], [3, 1, 5], (count, 3))
+    steps[chance.random(count) < 0.1] = 0
+    ends = np.cumsum(steps, axis=0)
+    starts = ends - steps
+    if chance.random() < 0.5:
+        side = chance.random(count) < 0.4
+        starts[side] += 6.0
+        ends[side] += 6.0
+    if chance.random() < 0.3:
+        starts[count // 2 :] += 60.0
+        ends[count // 2 :] += 60.0
+    widths = chance.uniform(3, 20, (count, 1))
+    return tuple(array.astype(np.float32) for array in (starts, ends, widths))
+
+
+def roads_of(seed, counts=(1, 2, 5, 30, 96, 120, 0)):
+    chance = np.random.default_rng(seed)
+    return tuple(zip(*(segments(chance, count) for count in counts), strict=True))
+
+
+def traced(trace, roads):
+    count = len(roads[0])
+    lines, first = np.empty((count, NUM_POINTS, 4), "f4"), np.empty((count, 2, 3), "f4")
+    trace(*roads, 96, _RULES, lines, first)
+    return lines, first
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_kernel_traces_roads_as_its_twin(seed):
+    roads = roads_of(seed)
+    ours, theirs = traced(kernel.trace_roads, roads), traced(road_tracer.trace_roads, roads)
+    for own, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(own, other, rtol=2e-6, atol=2e-5)
+    arrays = [np.empty((len(theirs[0]), len(LOOKS), 4), np.float32) for _ in range(2)]
+    for module, out in zip((kernel, road_tracer), arrays, strict=True):
+        module.look_along(theirs[0], STEP, theirs[1], LOOKS, out)
+    np.testing.assert_allclose(*arrays, rtol=2e-6, atol=2e-5)
+
+
+@pytest.mark.parametrize("form", [tuple, list, np.float64])
+def test_segments_come_as_arrays_and_as_sequences(form):
+    roads = roads_of(0)
+    others = tuple(tuple(form(array) for array in part) for part in roads)
+    for own, other in zip(
+        traced(kernel.trace_roads, roads), traced(kernel.trace_roads, others), strict=True
+    ):
+        np.testing.assert_array_equal(own, other)
+
+
+def test_vectors_are_stacked_and_padded():
+    rows = (np.ones((2, 3), "f4"), [np.full(3, 2.0)], ())
+    ours, theirs = np.empty((3, 2, 3), np.float32), np.empty((3, 2, 3), np.float32)
+    kernel.stack_vectors(rows, np.inf, ours)
+    road_tracer.stack_vectors(rows, np.inf, theirs)
+    np.testing.assert_array_equal(ours, theirs)
+    assert ours[:, :, 0].tolist() == [[1, 1], [2, np.inf], [np.inf, np.inf]]
+
+
+@pytest.mark.parametrize(
+    "starts", [(np.zeros((4, 2), "f4"),), ((np.zeros(2),),), ((None,),), (3,), (np.zeros((3, 3)),)]
+)
+def test_segments_of_another_form_are_refused(starts):
+    ends, widths = (np.zeros((4, 3), "f4"),), (np.zeros((4, 1), "f4"),)
+    with pytest.raises((TypeError, ValueError)):
+        traced(kernel.trace_roads, (starts, ends, widths))
+
+
+@pytest.mark.parametrize("most", [0, -1, 129, 2**40])
+def test_the_number_of_segments_is_bounded(most):
+    lines, first = np.empty((7, NUM_POINTS, 4), "f4"), np.empty((7, 2, 3), "f4")
+    with pytest.raises(ValueError, match="do not fit"):
+        kernel.trace_roads(*roads_of(0), most, _RULES, lines, first)
