@@ -122,7 +122,7 @@ def test_agents_of_a_server_race(tmp_path):
         (["rac"], "Did you mean 'race'?"),
         (["race", "ai", "--trak", "x"], "Did you mean '--track'?"),
         (["race", "ai", "ai", "ai", "ai"], "--num-karts is 3, but 4 drivers are named"),
-        (["race-server", "ai"], "drives where the game runs"),
+        (["race-server", "ai"], "name it on the client"),
     ],
 )
 def test_bad_usage_is_one_line(words, text, capsys):

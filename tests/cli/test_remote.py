@@ -53,7 +53,7 @@ def test_no_server_is_a_failure_in_words(capsys):
     [
         (["race-server", "heuristic", "--address", "*:5998"], "give the server a key of its own"),
         (["race-server", "no_such_agent"], "no_such_agent"),
-        (["race-server", "ai"], "drives where the game runs"),
+        (["race-server", "ai"], "name it on the client"),
         (["race-server", "heuristic", "--threads", "0"], "expected a whole number of 1 or more"),
         (["race-server", "heuristic", "--action-timeout", "-1"], "action_timeout is -1"),
         (["race-server"], "AGENT"),

@@ -240,7 +240,7 @@ def test_the_command_records_and_checks(tmp_path, capsys):
     assert main(["demos", *COMMAND, "--output", str(file), "--check"]) == 0
     out = capsys.readouterr().out
     assert "1 drives (0 finished), 40 steps, view racing" in out
-    assert "the same: 40 steps" in out
+    assert "is identical: 40 steps" in out
     assert not (tmp_path / "d.npz.parts").exists()
 
 

@@ -155,7 +155,7 @@ LIES = {
         "",
     ),
     "silence": (lambda kind, _: [b"P", OPENED] if kind == b"O" else None, "in time"),
-    "news of no seat": (lambda *_: [b"P", pack(seat=9, name="a")], "not asked for"),
+    "news of no seat": (lambda *_: [b"P", pack(seat=9, name="a")], "unexpected start of seat 9"),
     "bomb": (lies(b"D", bomb("rows of nothing", 6000)), "too much memory"),
     "bomb as action": (
         lies(decisions=[[0, bomb("rows of nothing", 6000), 0.1, False]]),

@@ -282,7 +282,7 @@ def test_what_is_no_address_is_refused(address):
 def test_a_server_needs_agents_that_are_not_the_games_own():
     with pytest.raises(ConfigError, match="name at least one"):
         RaceServer([], "127.0.0.1:*")
-    with pytest.raises(ConfigError, match="drives where the game runs"):
+    with pytest.raises(ConfigError, match="name it on the client"):
         RaceServer([find_driver("ai")], "127.0.0.1:*")
 
 
