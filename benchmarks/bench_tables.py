@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import (
+    bench_engine,
     bench_learners,
     bench_memory,
     bench_profile,
@@ -39,6 +40,7 @@ _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
     "resets": ("Imports and resets", bench_resets.tables),
     "memory": ("Memory", bench_memory.tables),
     "scaling": ("More karts, other tracks", bench_scaling.tables),
+    "engine": ("Thinned scenes", bench_engine.tables),
     "remote": ("Networked races", bench_remote.tables),
 }
 

@@ -9,7 +9,7 @@ this order:
   3. the cache of pystk2
   4. an installed game (/usr/share/games/supertuxkart)
 
-The headless pack has no textures, music or sound. Races with it are bit-identical and start
+The headless pack has no textures, music or sound. Races with it are bit-identical and
 faster; drawing needs the full data. Only `stkzoo assets install` downloads anything.
 
 Examples:

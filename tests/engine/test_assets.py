@@ -20,7 +20,8 @@ from stkzoo.engine.assets.headless import (
     PLACEHOLDER_PNG,
     build_headless,
 )
-from stkzoo.engine.assets.staging import check_space, lock
+from stkzoo.engine.assets.scenes import SCENES_VERSION
+from stkzoo.engine.assets.staging import check_space, discard, lock
 from stkzoo.engine.assets.tree import MARKER, read_marker, write_marker
 from stkzoo.errors import AssetError, ConfigError
 
@@ -483,6 +484,23 @@ class TestHeadlessPack:
     def test_needs_full_data(self):
         with pytest.raises(AssetError, match="full data"):
             pack()
+
+    @pytest.mark.usefixtures("system")
+    def test_pack_with_scenes_of_another_version_is_built_again(self, headless):
+        write_marker(headless, "headless pack", headless=True)
+        assert find_assets().scenes != SCENES_VERSION
+        assert install().scenes == SCENES_VERSION
+
+    def test_pack_with_scenes_of_this_version_stays(self, headless):
+        before = headless.stat().st_ino
+        install()
+        assert headless.stat().st_ino == before
+
+    def test_pack_with_other_scenes_serves_without_full_data(self, headless, monkeypatch):
+        monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
+        discard(find.own_folder("system"))
+        write_marker(headless, "headless pack", headless=True)
+        assert pack() == find_assets().root == headless
 
     def test_incomplete_full_data_is_refused(self, system, cache):
         (system / "tracks" / "beach" / "quads.xml").write_bytes(b"<quads>")

@@ -2,8 +2,9 @@
 
 A tiny file of the same name replaces every picture, piece of music and sound. None may be
 missing: the game derives the properties of the ground from its materials, and a material
-without its picture or sound changes how karts drive on it. Races are bit for bit those of
-the full data. The pack as one archive is for clusters and containers.
+without its picture or sound changes how karts drive on it. Scenes lose what is only seen or heard
+(:mod:`stkzoo.engine.assets.scenes`). Races are bit for bit those of the full data. The pack as one
+archive is for clusters and containers.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from stkzoo._os import write_whole
+from stkzoo.engine.assets.scenes import SCENES_VERSION, thin_scenes
 from stkzoo.engine.assets.staging import Progress, check_space, link_or_copy
 from stkzoo.engine.assets.tree import MARKER, check_files, read_marker, write_marker
 from stkzoo.errors import AssetError
@@ -38,7 +40,9 @@ PLACEHOLDER_JPEG = base64.b64decode(
 )
 
 
-def build_headless(source: Path, target: Path, progress: Progress) -> None:
+def build_headless(
+    source: Path, target: Path, progress: Progress, *, has_whole_scenes: bool = False
+) -> None:
     """Makes the headless pack of a full tree.
 
     Files are hard links to the source where the file system allows it, so the pack takes
@@ -48,6 +52,7 @@ def build_headless(source: Path, target: Path, progress: Progress) -> None:
         source: root of the full tree.
         target: an empty folder, which becomes the root of the pack.
         progress: receives the progress.
+        has_whole_scenes: leave the scenes as they are, which makes steps of a race slower.
 
     Raises:
         AssetError: the source is incomplete, or the disk has no room.
@@ -69,7 +74,10 @@ def build_headless(source: Path, target: Path, progress: Progress) -> None:
             progress.reach(done)
     for file in placeholders.values():
         file.unlink()
-    write_marker(target, "headless pack", headless=True)
+    if not has_whole_scenes:
+        thin_scenes(target / "data")
+    scenes = 0 if has_whole_scenes else SCENES_VERSION
+    write_marker(target, "headless pack", headless=True, scenes=scenes)
 
 
 def _placeholders(root: Path, files: list[Path]) -> dict[str, Path]:

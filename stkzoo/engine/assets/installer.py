@@ -15,6 +15,7 @@ from stkzoo.engine.assets.find import (
     own_folder,
 )
 from stkzoo.engine.assets.headless import build_headless, read_archive, write_archive
+from stkzoo.engine.assets.scenes import SCENES_VERSION
 from stkzoo.engine.assets.staging import (
     Progress,
     discard,
@@ -166,17 +167,28 @@ def _make(folder: Path, fill: Callable[[Path], object]) -> None:
 
 
 def _ensure_pack(full: Assets | None, replace: bool, progress: Progress) -> None:
-    """Builds the headless pack if it does not exist or must be replaced.
+    """Builds the headless pack if it is missing, of an older version, or to be replaced.
+
+    A pack whose scenes are of another version works, and stays if there is no full data.
 
     Args:
         full: the full data; by default, :func:`find_assets` finds it.
-        replace: build the pack again even if it exists.
+        replace: build the pack again in any case.
         progress: receives progress reports.
     """
-    if not replace:
+    there = None if replace else _pack_there()
+    if there is None or there.scenes != SCENES_VERSION:
         with contextlib.suppress(AssetError):
-            load_assets(own_folder("headless"), "headless pack")
-            progress.note(f"the headless pack is there: {own_folder('headless')}")
+            full = full or find_assets(graphics=True)
+        if there is None or full is not None:
+            root = (full or find_assets(graphics=True)).root
+            _make(own_folder("headless"), lambda tree: build_headless(root, tree, progress))
             return
-    root = (full or find_assets(graphics=True)).root
-    _make(own_folder("headless"), lambda tree: build_headless(root, tree, progress))
+    progress.note(f"the headless pack is there: {own_folder('headless')}")
+
+
+def _pack_there() -> Assets | None:
+    """The headless pack in the cache, if it is usable."""
+    with contextlib.suppress(AssetError):
+        return load_assets(own_folder("headless"), "headless pack")
+    return None

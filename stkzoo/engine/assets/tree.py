@@ -33,6 +33,8 @@ class Assets:
             races but cannot draw them.
         tracks: names of the race tracks, sorted.
         karts: names of the kart models, sorted.
+        scenes: version of the rules by which its scenes were thinned
+            (:mod:`stkzoo.engine.assets.scenes`); 0 if they are whole.
     """
 
     root: Path
@@ -40,6 +42,7 @@ class Assets:
     headless: bool
     tracks: tuple[str, ...]
     karts: tuple[str, ...]
+    scenes: int = 0
 
 
 #: Version of the layout of trees that stkzoo makes.
@@ -48,19 +51,20 @@ _LAYOUT = 1
 _MAX_MARKER, _MAX_XML = 1 << 20, 8 << 20
 
 
-def write_marker(root: Path, origin: str, *, headless: bool) -> None:
+def write_marker(root: Path, origin: str, *, headless: bool, scenes: int = 0) -> None:
     """Writes the marker of a finished tree, with the names of its tracks and karts.
 
     Args:
         root: the tree.
         origin: the source of the tree, such as the name of a package.
         headless: as in :class:`Assets`.
+        scenes: as in :class:`Assets`.
 
     Raises:
         AssetError: the tree is not usable.
     """
     tracks, karts = read_catalog(root)
-    values = {"origin": origin, "headless": headless, "layout": _LAYOUT}
+    values = {"origin": origin, "headless": headless, "layout": _LAYOUT, "scenes": scenes}
     text = json.dumps({**values, "tracks": tracks, "karts": karts}, indent=1, sort_keys=True)
     (root / MARKER).write_text(text + "\n", encoding="utf-8")
     check_shape(root)
@@ -90,7 +94,7 @@ def read_marker(root: Path) -> Assets | None:
             f"{root} was made by another version of stkzoo (layout {marker.layout}, "
             f"this one makes {_LAYOUT})."
         )
-    return Assets(root, marker.origin, marker.headless, marker.tracks, marker.karts)
+    return Assets(root, marker.origin, marker.headless, marker.tracks, marker.karts, marker.scenes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +106,7 @@ class _Marker:
     headless: bool
     tracks: tuple[str, ...]
     karts: tuple[str, ...]
+    scenes: int = 0
 
 
 def check_shape(root: Path) -> None:

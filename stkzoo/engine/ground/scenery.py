@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.assets.scenes import opened_instance
 from stkzoo.engine.assets.tree import parse_xml
 from stkzoo.engine.ground.mesh import Part, read_mesh
 
@@ -96,6 +97,8 @@ class _SceneReader:
                 continue
             if entry.tag == "library":
                 self._library(entry, place, materials)
+            elif (instance := opened_instance(entry)) is not None:
+                self._library(instance, place, materials)
             elif entry.tag in ("track", "static-object", "object") and _is_solid(entry):
                 model = _model(entry, scene)
                 if model:

@@ -1,0 +1,294 @@
+import json
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from stkzoo.engine.assets import Progress, find_assets
+from stkzoo.engine.assets.headless import build_headless
+from stkzoo.engine.assets.scenes import thin_scenes
+from stkzoo.engine.ground import read_scenery
+from stkzoo.errors import AssetError
+
+#: A race of two players and four bots, to a digest of all karts and items.
+RACE = """
+import hashlib, json, os, sys, pystk2
+pystk2.init(pystk2.GraphicsConfig.none())
+config = pystk2.RaceConfig(num_kart=6, seed=3, track=sys.argv[1], step_size=0.1)
+config.reverse = sys.argv[2] == "True"
+config.players.clear()
+kinds = pystk2.PlayerConfig.Controller
+for place in range(6):
+    kind = kinds.PLAYER_CONTROL if place < 2 else kinds.AI_CONTROL
+    config.players.append(pystk2.PlayerConfig(controller=kind))
+race, world, digest = pystk2.Race(config), pystk2.WorldState(), hashlib.sha256()
+race.start()
+for step in range(200):
+    turn = 0.4 if step // 7 % 2 else -0.4
+    action = pystk2.Action(acceleration=1.0, steer=turn, fire=step % 9 == 0, rescue=step == 120)
+    race.step([action, action])
+    world.update()
+    for kart in world.karts:
+        digest.update(kart.location.tobytes() + kart.velocity.tobytes())
+    for item in world.items:
+        digest.update(item.location.tobytes())
+print(json.dumps(digest.hexdigest()), flush=True)
+os._exit(0)
+"""
+
+
+def mesh(texture):
+    """The beginning of a file .spm, which is all that is read."""
+    name = texture.encode()
+    return b"SP\x08\x00" + bytes(24) + b"\x01\x00" + bytes([len(name)]) + name + b"\x00"
+
+
+def write(path, content):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+
+
+GHOST = '<object id="{0}" type="animation" interaction="ghost" model="{0}.spm"/>'
+LEVELS = """<lod><group name="tree">
+  <static-object lod_distance="40" lod_group="tree" model="tree.spm"/>
+  <static-object lod_distance="90" lod_group="tree" model="bush.spm"/>
+  <static-object lod_distance="90" lod_group="tree" model="bush.spm"/>
+  <static-object lod_distance="200" lod_group="tree" model="bush.spm"/>
+</group></lod>"""
+TREE = '<object interaction="ghost" lod_instance="true" lod_group="tree" type="animation"/>'
+TRUNK = (
+    '<object id="trunk" type="animation" interaction="physicsonly" shape="cylinderY" '
+    'model="trunk.spm" xyz="0.0 0.89 0.0" hpr="0.0 -0.0 0.0" scale="1.0 1.0 1.0"/>'
+)
+
+
+@pytest.fixture
+def data(tmp_path):
+    """A data folder with models and no scene."""
+    for name in ("banana-low", "wall", "bush", "tree", "trunk", "lamp"):
+        write(tmp_path / "models" / f"{name}.spm", mesh("plain.png"))
+    write(tmp_path / "models" / "leaf.spm", mesh("Leaf.png"))
+    hues = '<materials><material name="leaf.png" hue-settings="0.1 0.5"/></materials>'
+    write(tmp_path / "textures" / "materials.xml", hues)
+    return tmp_path
+
+
+def thin(data, scene, **libraries):
+    """The thinned scene of a track, with these library objects."""
+    write(data / "tracks" / "alps" / "scene.xml", f"<scene>{scene}</scene>")
+    for name, node in libraries.items():
+        write(data / "library" / name / "node.xml", f"<scene>{node}</scene>")
+    thin_scenes(data)
+    return ET.parse(data / "tracks" / "alps" / "scene.xml").getroot()
+
+
+def models(scene):
+    return [entry.get("model") for entry in scene.iter("object")]
+
+
+def instances(count, name="plant", more=""):
+    return "".join(f'<library name="{name}" xyz="{i} 2 3" {more}/>' for i in range(count))
+
+
+class TestWhatGoes:
+    @pytest.mark.parametrize(
+        "entry",
+        [
+            "<light/>",
+            '<particle-emitter kind="fire.xml"/>',
+            '<object type="billboard" texture="sun.png"/>',
+            '<object type="sfx-emitter" sound="hum.ogg"/>',
+            GHOST.format("bush"),
+            '<object type="animation" interaction="none" model="bush.spm"/>',
+        ],
+    )
+    def test_what_is_only_seen_or_heard_goes(self, data, entry):
+        assert not len(thin(data, entry))
+
+    @pytest.mark.parametrize(
+        "entry",
+        [
+            '<object type="animation" interaction="static" model="wall.spm"/>',
+            '<object type="movable" model="wall.spm"/>',
+            '<object type="sfx-emitter" sound="hum.ogg" play-when-near="true"/>',
+            '<object type="action-trigger" action="jump"/>',
+            '<object type="animation" interaction="ghost" driveable="true" model="bush.spm"/>',
+            '<static-object interaction="ghost" model="bush.spm"/>',
+            "<checks/>",
+        ],
+    )
+    def test_what_a_race_may_notice_stays(self, data, entry):
+        assert len(thin(data, entry)) == 1
+
+    def test_what_a_script_names_stays(self, data):
+        write(data / "tracks" / "alps" / "scripting.as", 'getTrackObject("", "bush")')
+        assert models(thin(data, GHOST.format("bush") + GHOST.format("lamp"))) == ["bush.spm"]
+
+    def test_first_instance_of_a_plant_stays(self, data):
+        scene = thin(data, instances(3), plant=GHOST.format("bush"))
+        assert [entry.get("xyz") for entry in scene] == ["0 2 3"]
+
+    def test_library_object_with_a_script_stays(self, data):
+        write(data / "library" / "plant" / "scripting.as", "")
+        scene = thin(data, instances(3), plant=GHOST.format("bush"))
+        assert len(scene) == 3
+
+    def test_ghosts_of_a_solid_library_object_go(self, data):
+        thin(data, instances(1), plant=GHOST.format("bush") + TRUNK)
+        node = ET.parse(data / "library" / "plant" / "node.xml")
+        assert models(node.getroot()) == ["trunk.spm"]
+
+    def test_scene_without_any_is_the_same_file(self, data):
+        path = data / "tracks" / "alps" / "scene.xml"
+        write(path, "<scene><checks/></scene>")
+        before = path.stat().st_ino
+        thin_scenes(data)
+        assert path.stat().st_ino == before
+
+    def test_file_that_links_to_the_scene_keeps_its_content(self, data):
+        path = data / "tracks" / "alps" / "scene.xml"
+        write(path, "<scene><light/></scene>")
+        os.link(path, data / "whole.xml")
+        thin_scenes(data)
+        assert (data / "whole.xml").read_text() == "<scene><light/></scene>"
+
+    def test_bad_number_is_told(self, data):
+        bad = LEVELS.replace("200", "far")
+        with pytest.raises(AssetError, match=r"scenes in .* could not convert string"):
+            thin(data, bad + TREE)
+
+
+class TestRandomNumbers:
+    def drawn(self, scene):
+        """Calls of ``rand`` by the object that is there for them."""
+        return max(len(scene.findall("lod/group[@name='_stkzoo_draws']/static-object")) - 1, 0)
+
+    def test_one_is_drawn_for_each_farther_level(self, data):
+        assert self.drawn(thin(data, LEVELS + TREE)) == 2
+
+    def test_object_with_one_level_draws_none(self, data):
+        assert self.drawn(thin(data, GHOST.format("bush"))) == 0
+
+    def test_all_instances_count_but_the_first(self, data):
+        assert self.drawn(thin(data, instances(4), plant=LEVELS + TREE)) == 3 * 2
+
+    def test_all_instances_of_a_solid_one_count(self, data):
+        assert self.drawn(thin(data, instances(4), plant=LEVELS + TREE + TRUNK)) == 4 * 2
+
+    def test_instances_in_library_objects_count(self, data):
+        group = instances(3) + TRUNK
+        scene = thin(data, instances(2, "group"), plant=LEVELS + TREE + TRUNK, group=group)
+        assert self.drawn(scene) == 2 * 3 * 2
+
+    def test_instances_in_one_with_a_script_count(self, data):
+        write(data / "library" / "group" / "scripting.as", "")
+        scene = thin(
+            data,
+            instances(1, "group") + instances(1),
+            plant=LEVELS + TREE + TRUNK,
+            group=instances(3),
+        )
+        assert self.drawn(scene) == 4 * 2
+
+    def test_levels_of_two_library_objects_with_one_name_add_up(self, data):
+        more = LEVELS.replace("40", "300")  # after 200: 4 in all
+        scene = thin(
+            data,
+            instances(1) + instances(2, "other"),
+            plant=TRUNK + LEVELS,
+            other=more + TREE + TRUNK,
+        )
+        assert self.drawn(scene) == 2 * 4
+
+    def test_object_with_a_random_hue_draws_it_and_fails(self, data):
+        (entry,) = thin(data, GHOST.format("leaf"))
+        assert entry.get("model") == "leaf.spm"
+        assert entry.get("lod_instance") == "true"
+        assert entry.get("lod_group") == "_stkzoo_nothing"
+
+    def test_instances_leave_their_random_hues(self, data):
+        scene = thin(data, instances(3), plant=GHOST.format("leaf"))
+        assert models(scene) == ["leaf.spm"] * 2
+
+
+class TestOpenedInstances:
+    def test_upright_instances_but_the_first_become_their_objects(self, data):
+        scene = thin(data, instances(3, more='hpr="0 -0.0 0"'), plant=TRUNK)
+        assert [entry.tag for entry in scene] == ["library", "object", "object"]
+
+    @pytest.mark.parametrize("more", ['hpr="0 90 0"', 'if="isReverse"', 'scale="1 -1 1"'])
+    def test_others_stay(self, data, more):
+        assert len(thin(data, instances(3, more=more), plant=TRUNK).findall("library")) == 3
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            ('type="animation"', 'type="movable"'),
+            ('interaction="physicsonly"', 'interaction="explode"'),
+            ("0.0 -0.0 0.0", "0.0 5.0 0.0"),
+            ("<object", '<object on-kart-collision="hit"'),
+            ("<object", '<object if="isReverse"'),
+        ],
+    )
+    def test_objects_that_are_more_than_a_shape_stay_in_it(self, data, change):
+        scene = thin(data, instances(3), plant=TRUNK.replace(*change))
+        assert len(scene.findall("library")) == 3
+
+    def test_place_is_that_of_the_game_in_single_precision(self, data):
+        more = 'scale="1.36 1.36 1.36"'
+        placed = thin(data, instances(2, more=more), plant=TRUNK).find("object")
+        height = np.float32(1.36) * np.float32(0.89) + np.float32(2)
+        assert [np.float32(word) for word in placed.get("xyz").split()] == [1, height, 3]
+        assert [np.float32(word) for word in placed.get("scale").split()] == [np.float32(1.36)] * 3
+
+    def test_they_have_no_child_which_the_game_would_take_for_a_curve(self, data):
+        scene = thin(data, instances(3), plant=TRUNK + TRUNK)
+        assert not [child for entry in scene for child in entry]
+
+
+@pytest.fixture(scope="module")
+def packs(tmp_path_factory):
+    """Headless packs with whole and with thinned scenes."""
+    roots = [tmp_path_factory.mktemp(name) for name in ("whole", "thinned")]
+    full = find_assets(graphics=True).root
+    build_headless(full, roots[0], Progress(), has_whole_scenes=True)
+    build_headless(full, roots[1], Progress())
+    return roots
+
+
+class TestGameData:
+    # Bots choose among paths on cocoa_temple; black_forest opens most instances.
+    @pytest.mark.slow
+    @pytest.mark.parametrize("reverse", [False, True])
+    @pytest.mark.parametrize("track", ["black_forest", "cocoa_temple", "lighthouse"])
+    def test_races_with_bots_are_the_same_bit_for_bit(self, packs, track, reverse):
+        digests = {self.race(root, track, reverse) for root in packs}
+        assert len(digests) == 1
+
+    @pytest.mark.parametrize("track", ["black_forest", "olivermath"])
+    def test_ground_is_the_same(self, packs, track):
+        whole, thinned = (read_scenery(root / "data", track) for root in packs)
+        assert np.array_equal(whole.corners, thinned.corners)
+        assert np.array_equal(whole.speed, thinned.speed)
+
+    def test_thinned_scenes_have_far_fewer_objects(self, packs):
+        whole, thinned = (
+            len(list(ET.parse(root / "data/tracks/cocoa_temple/scene.xml").iter("library")))
+            for root in packs
+        )
+        assert thinned < whole / 3
+
+    @staticmethod
+    def race(root, track, reverse):
+        process = subprocess.run(
+            [sys.executable, "-c", RACE, track, str(reverse)],
+            env={**os.environ, "SUPERTUXKART_DATADIR": str(root)},
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=120,
+        )
+        return json.loads(process.stdout.strip().splitlines()[-1])
