@@ -22,6 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import stkzoo.views
 from benchmarks.bench_driver import Times
+from stkzoo.tracks import SPLITS
 
 __all__ = [
     "KARTS",
@@ -59,7 +60,7 @@ def parser(
     *,
     steps: int,
     karts: Sequence[int],
-    track: str = "lighthouse",
+    track: str | Sequence[str] = "lighthouse",
     cores: int | Sequence[int] = 1,
 ) -> argparse.ArgumentParser:
     """The arguments that all commands have.
@@ -69,7 +70,7 @@ def parser(
         name: of the file in ``benchmarks/results`` that it writes by default, less suffix.
         steps: default of ``--steps``.
         karts: default of ``--karts``.
-        track: default of ``--track``.
+        track: default of ``--track``; the command takes several if these are.
         cores: default of ``--cores``; the command takes several if these are.
     """
     made = argparse.ArgumentParser(
@@ -92,7 +93,17 @@ def parser(
         metavar="K",
         help=f"numbers of karts (default: {' '.join(map(str, karts))})",
     )
-    made.add_argument("--track", default=track, help=f"the track (default: {track})")
+    if isinstance(track, str):
+        made.add_argument("--track", default=track, help=f"the track (default: {track})")
+    else:
+        made.add_argument(
+            "--track",
+            nargs="+",
+            default=list(track),
+            choices=SPLITS["all"],
+            metavar="NAME",
+            help=f"the tracks (default: {len(track)} tracks)",
+        )
     made.add_argument(
         "--cores",
         type=_whole,

@@ -12,14 +12,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from benchmarks.bench_controls import PHYSICAL, driving_style
 from stkzoo.engine.assets import find_assets
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 __all__ = [
     "WARMUP",
     "Contender",
+    "Interpreter",
     "Spec",
     "Times",
     "answer_of",
@@ -64,31 +68,30 @@ class Spec:
     events: bool = False
 
 
-class Contender:
-    """One contender in an interpreter of its own.
+class Interpreter:
+    """An interpreter of its own that answers requests, a line of JSON each.
 
     Args:
-        spec: what it is.
+        name: what errors call it.
+        words: arguments of the interpreter.
+        env: its environment.
 
     Raises:
         RuntimeError: a request failed; the text ends with what the process wrote.
     """
 
-    def __init__(self, spec: Spec) -> None:
-        self.spec = spec
+    def __init__(self, name: str, words: Sequence[str], env: Mapping[str, str]) -> None:
+        self._name = name
         self._log: IO[bytes] = tempfile.TemporaryFile(prefix="stkzoo-bench-")  # noqa: SIM115
-        self._process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-m", "benchmarks.bench_contenders"],
+        self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and words
+            [sys.executable, *words],
             cwd=Path(__file__).parents[1],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
-            env=os.environ
-            | (engine_variables() if spec.kind != "stkzoo" else {})
-            | ({} if spec.kernel else {"STKZOO_KERNEL": "off"}),
+            env=env,
         )
-        self._send(asdict(spec))
 
     @property
     def pid(self) -> int:
@@ -96,12 +99,12 @@ class Contender:
         return self._process.pid
 
     def ask(self, what: str, **arguments: Any) -> Any:
-        """Sends a request (a method of the contender's server) and waits for its answer."""
+        """Sends a request and waits for its answer."""
         self._send({"do": what, **arguments})
         line = self._process.stdout.readline() if self._process.stdout else ""
         if not line:
             self._process.wait()
-            raise RuntimeError(f"{self.spec} failed at {what!r}:\n{self._tail()}")
+            raise RuntimeError(f"{self._name} failed at {what!r}:\n{self._tail()}")
         return json.loads(line)
 
     def close(self) -> None:
@@ -113,7 +116,7 @@ class Contender:
             self._process.communicate()
         self._log.close()
 
-    def __enter__(self) -> Contender:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -121,16 +124,34 @@ class Contender:
 
     def _send(self, message: Mapping[str, Any]) -> None:
         if self._process.stdin is None:
-            raise RuntimeError("the contender was closed; make a new one")
+            raise RuntimeError("the interpreter was closed; make a new one")
         try:
             self._process.stdin.write(json.dumps(message) + "\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise RuntimeError(f"{self.spec} is gone:\n{self._tail()}") from None
+            raise RuntimeError(f"{self._name} is gone:\n{self._tail()}") from None
 
     def _tail(self) -> str:
         self._log.seek(0)
         return self._log.read().decode(errors="replace")[-3000:]
+
+
+class Contender(Interpreter):
+    """One contender; its requests are the methods of the contender's server.
+
+    Args:
+        spec: what it is.
+
+    Raises:
+        RuntimeError: a request failed; the text ends with what the process wrote.
+    """
+
+    def __init__(self, spec: Spec) -> None:
+        self.spec = spec
+        env = os.environ | (engine_variables() if spec.kind != "stkzoo" else {})
+        env |= {} if spec.kernel else {"STKZOO_KERNEL": "off"}
+        super().__init__(str(spec), ["-W", "ignore", "-m", "benchmarks.bench_contenders"], env)
+        self._send(asdict(spec))
 
 
 def answer_of(

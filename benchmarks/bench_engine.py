@@ -22,7 +22,6 @@ import hashlib
 import json
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -35,6 +34,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.bench_common import Table, parser, print_tables, progress_bar, save
+from benchmarks.bench_driver import Interpreter
 from stkzoo.engine.assets import Progress, find_assets
 from stkzoo.engine.assets.headless import build_headless
 from stkzoo.engine.process import engine_environment
@@ -53,14 +53,9 @@ BEFORE, AFTER = "whole scenes", "thinned scenes"
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = parser(__doc__, "engine", steps=300, karts=(10,))
+    words = parser(__doc__, "engine", steps=300, karts=(10,), track=SPLITS["all"])
     words.add_argument("--seeds", type=int, default=20, help="of compared races (default: 20)")
     words.add_argument("--length", type=int, default=200, help="steps of each (default: 200)")
-    words.set_defaults(track=list(SPLITS["all"]))
-    for action in words._actions:
-        if action.dest == "track":
-            action.nargs, action.choices, action.metavar = "+", SPLITS["all"], "NAME"
-            action.help = "the tracks (default: all)"
     options = words.parse_args(arguments)
     results: dict[str, dict[str, Any]] = {}
     with (
@@ -191,42 +186,17 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     return [Table(title, columns, rows, note if unstable else "")]
 
 
-class _Contender:
+class _Contender(Interpreter):
     """An interpreter with the engine and one pack, which forks a process for each race."""
 
     def __init__(self, root: Path) -> None:
         self._home = tempfile.TemporaryDirectory(prefix="stkzoo-bench-")
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", "from benchmarks.bench_engine import serve; serve()"],
-            cwd=Path(__file__).parents[1],
-            env=engine_environment(root, self._home.name),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
+        words = ["-c", "from benchmarks.bench_engine import serve; serve()"]
+        super().__init__(f"the engine in {root}", words, engine_environment(root, self._home.name))
 
-    def ask(self, what: str, **values: Any) -> Any:
-        """Sends a request, a function of this module, and waits for the reply.
-
-        Raises:
-            RuntimeError: the engine's process ended.
-        """
-        requests, replies = self._process.stdin, self._process.stdout
-        if requests is None or replies is None:
-            raise RuntimeError("the engine's process has no pipes")
-        requests.write(json.dumps({"do": what, **values}) + "\n")
-        requests.flush()
-        reply = replies.readline()
-        if not reply:
-            raise RuntimeError(f"the engine's process ended at {what!r} with {values}")
-        return json.loads(reply)
-
-    def __enter__(self) -> _Contender:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._process.communicate()
+    def close(self) -> None:
+        """Ends the interpreter and removes the game's settings."""
+        super().close()
         self._home.cleanup()
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_common import RESULTS, host_facts
+from benchmarks.bench_common import RESULTS, Table, host_facts, print_tables
 from stkzoo._os import write_text
 from stkzoo.agents.training.common.run_folder import read_log
 from stkzoo.agents.training.ppo import selfplay
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
         "runs": {name: _summary(own, options.total_timesteps) for name, own in logs.items()},
     }
     write_text(options.output, json.dumps(found, indent=1) + "\n")
-    _print(found["runs"])
+    print_tables([_table(found["runs"])])
     return 0
 
 
@@ -85,14 +85,14 @@ def _summary(logs: Sequence[Sequence[Mapping[str, Any]]], total: int) -> dict[st
     }
 
 
-def _print(runs: Mapping[str, Mapping[str, Any]]) -> None:
-    print(f"{'second half of the training':28}" + "".join(f"{name:>26}" for name in FIGURES))
+def _table(runs: Mapping[str, Mapping[str, Any]]) -> Table:
+    rows = []
     for name, own in runs.items():
-        cells = []
-        for figure in FIGURES:
-            values = own[figure]["second_half"]
-            cells.append(f"{np.mean(values):.3f} ({min(values):.3f}..{max(values):.3f})")
-        print(f"{name:28}" + "".join(f"{cell:>26}" for cell in cells))
+        halves = [own[figure]["second_half"] for figure in FIGURES]
+        cells = (f"{np.mean(half):.3f} ({min(half):.3f}..{max(half):.3f})" for half in halves)
+        rows.append((name, *cells))
+    title = "second half of the training, mean (lowest..highest seed)"
+    return Table(title, ("", *FIGURES), rows)
 
 
 if __name__ == "__main__":

@@ -221,8 +221,8 @@ FORCE_INLINE float turned_since(const double *rules, const Road *road, const flo
     return fabs(turned) < rules[MOST_TURNED] ? (float)turned : 0;
 }
 
-/* Spots of which two numbers are not neighbours: GCC 12 turns such pairs by fused operations, even
-   with -ffp-contract=off. */
+/* Positions, as two arrays: GCC 12 rotates neighbouring numbers by fused operations even with
+   -ffp-contract=off, which changes last bits. */
 typedef struct {
     float right[MOST_NEAR], ahead[MOST_NEAR];
 } Spots;

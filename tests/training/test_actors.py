@@ -15,7 +15,7 @@ from stkzoo.errors import ConfigError, EngineCrashed, StkzooError
 from tests.support.paths import ROOT
 from tests.support.processes import process_exists, wait_until
 
-#: A learner that says who drives for it and then waits.
+#: A learner that prints the ids of its actors' processes and then waits.
 LEARNER = """
 import test_actors as here
 

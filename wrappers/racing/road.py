@@ -47,9 +47,6 @@ MARKS = np.array([3, 6, 10, 14, 19, 25, 32, 40, 50, 62, 76, 92], np.float32)
 BEYOND = 3.0
 LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
 
-#: ``lines``, ``starts`` and ``along`` of a :class:`RoadTable`.
-RoadArrays: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
-
 _RULES = np.array([STEP, _TOUCHING, _LONGEST_JUMP, _TAIL])
 
 #: For each road an array of vectors, or a sequence of vectors.

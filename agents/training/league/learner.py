@@ -43,7 +43,7 @@ class _RivalRace:
 
 
 class LeagueActor(RaceActor):
-    """Drives races of a league, in some of which a rival drives half of the karts.
+    """Drives races of a league. In some of them, a rival drives half of the karts.
 
     Args:
         arguments: see :class:`~stkzoo.agents.training.ppo.rollouts.RaceActor`.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -113,7 +113,7 @@ class Driven:
 
     last_values: FloatArray
     finishes: list[Finish]
-    duels: list[tuple[str, float]]
+    duels: list[tuple[str, float]] = field(default_factory=list)
 
 
 class RaceActor:
@@ -164,7 +164,7 @@ class RaceActor:
             if outcome.ended.any():
                 last = predict_values(critic, outcome.last_inputs[outcome.ended])
                 step["next_values"][outcome.ended] = last
-        return Driven(predict_values(critic, self._view.inputs), finishes, [])
+        return Driven(predict_values(critic, self._view.inputs), finishes)
 
     def close(self) -> None:
         """Ends all races."""

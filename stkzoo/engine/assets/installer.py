@@ -178,10 +178,12 @@ def _ensure_pack(full: Assets | None, replace: bool, progress: Progress) -> None
     """
     there = None if replace else _pack_there()
     if there is None or there.scenes != SCENES_VERSION:
-        with contextlib.suppress(AssetError):
-            full = full or find_assets(graphics=True)
-        if there is None or full is not None:
+        try:
             root = (full or find_assets(graphics=True)).root
+        except AssetError:
+            if there is None:
+                raise
+        else:
             _make(own_folder("headless"), lambda tree: build_headless(root, tree, progress))
             return
     progress.note(f"the headless pack is there: {own_folder('headless')}")

@@ -263,13 +263,17 @@ class _SceneThinner:
 
     def _has_own(self, name: str) -> bool:
         """Whether the track has a library object of its own by this name."""
-        return (self._folder / "library" / name / "node.xml").is_file()
+        return (self._own_folder(name) / "node.xml").is_file()
+
+    def _own_folder(self, name: str) -> Path:
+        return self._folder / "library" / name
 
     def _load(self, name: str) -> None:
         """Counts the draws that an instance no longer makes, with those of instances in it."""
-        node = None if self._has_own(name) else self._library.node(name)
-        folder = self._folder / "library" / name if self._has_own(name) else None
-        whole = node.whole if node else _read(folder or self._library.folder(name))
+        is_own = self._has_own(name)
+        node = None if is_own else self._library.node(name)
+        folder = self._own_folder(name) if is_own else self._library.folder(name)
+        whole = node.whole if node else _read(folder)
         if name not in self._met:
             self._met.add(name)
             for group, found in _levels(whole).items():
@@ -329,10 +333,10 @@ def _opened(solids: list[ET.Element], instance: ET.Element) -> list[ET.Element]:
 
 
 def opened_instance(entry: ET.Element) -> ET.Element | None:
-    """The instance of a library object of which an object of a scene is a part.
+    """Returns the instance of a library object that an object of a scene belongs to.
 
     Returns:
-        ``None`` if there is none; an instance without a name for all of its objects but the first.
+        ``None`` if there is none. Only the first object of an instance knows its name.
     """
     if not entry.get(_PART):
         return None

@@ -87,7 +87,7 @@ class AheadRace(RaceParallelEnv):
 
     def _begin(self, setup: RaceSetup) -> RaceStart:
         """Returns the race that was started ahead if the setup matches, otherwise starts one."""
-        if self.starts is not None and isinstance(self._session, WorkerSession):
+        if self.starts is not None:
             return self.starts.begin(setup, self._session, self._new_session)
         if self._next is None:
             return super()._begin(setup)

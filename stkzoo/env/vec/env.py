@@ -62,7 +62,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         view: see :class:`~stkzoo.env.parallel.RaceParallelEnv`. All agents share it, and its spaces
             must have a fixed size.
         prefetch: whether to start each race's successor while the race runs; ``None`` enables it if
-            there are more processor cores than races. It does not change results.
+            there are more processor cores than races. It does not change results, and has no effect
+            with ``num_starts``.
         num_starts: number of different starts; ``None`` draws a new one for each race. The game
             starts each of them once, and later races copy it, which takes about 4 ms instead of 50
             to 300. A start is everything that ``reset`` draws: track, karts, places and the game's
@@ -116,7 +117,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             check_whole("num_starts", num_starts, 1)
         if not isinstance(prefetch, (bool, type(None))):
             raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
-        self.prefetch = cpu_count() > num_races if prefetch is None else prefetch
+        wants_prefetch = cpu_count() > num_races if prefetch is None else prefetch
+        self.prefetch = wants_prefetch and num_starts is None
         if options.get("opponents") is not None:
             from stkzoo.env.opponents import OpponentChoice
 

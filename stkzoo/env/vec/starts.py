@@ -10,7 +10,7 @@ import numpy as np
 
 from stkzoo.engine.fork_client import can_fork
 from stkzoo.engine.race import RaceStart
-from stkzoo.engine.session import WorkerSession
+from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.errors import ConfigError, EngineError
 
@@ -53,7 +53,7 @@ class RepeatedStarts:
         return self._first + int(self._random.integers(self._count))
 
     def begin(
-        self, setup: RaceSetup, session: WorkerSession, new_session: Callable[[], WorkerSession]
+        self, setup: RaceSetup, session: Session, new_session: Callable[[], WorkerSession]
     ) -> RaceStart:
         """Ends a session's race and begins another one in it.
 

@@ -67,7 +67,7 @@ class SlotSteps:
 
 
 class RowObservations:
-    """Batches of observations of which the kernel writes the rows.
+    """Batches of observations whose rows the kernel writes.
 
     Args:
         space: observation space of one slot, a ``Dict`` or a space of arrays.
@@ -97,7 +97,7 @@ class RowObservations:
         }
 
     def finish(self, batch: Any, idle: IntArray) -> Any:
-        """Completes a batch of which all other rows are written, and returns it.
+        """Writes the rows of idle slots, which completes a batch, and returns it.
 
         Args:
             batch: batch from :meth:`new`.

@@ -70,7 +70,7 @@ def write_memory(
     Args:
         rules: see :func:`age_memory`.
         memory: see :func:`age_memory`.
-        out: ``(A, F)``, of which 12 columns are written.
+        out: ``(A, F)``; 12 columns are written.
         first: the first of these columns.
     """
     known, of = _MemoryRules(*rules.tolist()), PlanMemory(*memory)
