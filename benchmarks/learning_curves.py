@@ -27,7 +27,7 @@ from stkzoo.agents.training.ppo import selfplay
 
 RUNS = {"overlapping": (), "on-policy": ("--on-policy",)}
 #: Figures of the log that are compared.
-FIGURES = ("selfplay_ratio", "selfplay_unfinished", "kart_steps_per_s")
+FIGURES = ("selfplay_ratio", "selfplay_unfinished")
 _OPTIONS = ("--races", "10x8", "--actors", "2", "--anneal-timesteps")
 _POINTS = 40
 
