@@ -8,6 +8,7 @@ interpreter. Both exchange :mod:`stkzoo.engine.wire` messages with the program.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import hmac
 import json
@@ -35,6 +36,8 @@ _LOG_TAIL_BYTES = 4096
 #: System errors for a missing or read-only folder of temporary files.
 _NO_FOLDER = (errno.ENOENT, errno.EACCES, errno.EROFS)
 _TOKEN_BYTES = 32
+#: Arguments of ``personality``, from Linux's ``sys/personality.h``.
+_ADDR_NO_RANDOMIZE, _CURRENT_PERSONALITY = 0x0040000, 0xFFFFFFFF
 
 #: Environment variables that limit numerical libraries to one thread.
 ONE_THREAD = dict.fromkeys(
@@ -208,15 +211,38 @@ def spawn_interpreter(
     """
     package = Path(__file__).resolve().parents[1]
     code = _BOOTSTRAP.format(module=module)
-    return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
-        [sys.executable, "-c", code, str(package), str(channel)],
-        stdin=subprocess.DEVNULL,
-        stdout=log.fileno(),
-        stderr=log.fileno(),
-        env=environment,
-        start_new_session=True,  # Ctrl-C in the terminal must reach only the program
-        **options,
-    )
+    with _fixed_addresses():
+        return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
+            [sys.executable, "-c", code, str(package), str(channel)],
+            stdin=subprocess.DEVNULL,
+            stdout=log.fileno(),
+            stderr=log.fileno(),
+            env=environment,
+            start_new_session=True,  # Ctrl-C in the terminal must reach only the program
+            **options,
+        )
+
+
+@contextlib.contextmanager
+def _fixed_addresses() -> Iterator[None]:
+    """Starts programs without address randomization, where the system has it and allows that.
+
+    The engine orders some objects by their addresses, so with random addresses a few races have
+    several outcomes. Only programs that the calling thread starts are affected.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    personality = ctypes.CDLL(None).personality
+    before = personality(ctypes.c_ulong(_CURRENT_PERSONALITY))
+    if before < 0:  # the system does not tell
+        yield
+        return
+    personality(ctypes.c_ulong(before | _ADDR_NO_RANDOMIZE))
+    try:
+        yield
+    finally:
+        personality(ctypes.c_ulong(before))
 
 
 class SpawnedProcess(RaceProcess):

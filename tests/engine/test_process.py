@@ -1,8 +1,10 @@
 """Engine processes: they come quickly, end with the program, and never hang it."""
 
+import contextlib
 import ctypes
 import hashlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -56,6 +58,28 @@ def session(root):
 
 def test_every_race_of_a_session_is_a_first_race(session):
     assert trajectory(session) == trajectory(session)
+
+
+def personality_of(pid):
+    return int(Path(f"/proc/{pid}/personality").read_text(), 16)
+
+
+def can_fix_addresses():
+    return (
+        shutil.which("setarch")
+        and not subprocess.run(["setarch", "-R", "true"], check=False).returncode
+    )
+
+
+@pytest.mark.skipif(not can_fix_addresses(), reason="the system keeps addresses random")
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_games_have_fixed_addresses_and_the_program_keeps_its_own(root, monkeypatch, method):
+    monkeypatch.setenv("STKZOO_START_METHOD", method)
+    own = personality_of(os.getpid())
+    with contextlib.closing(WorkerSession(root)) as session:
+        session.start(SETUP)
+        assert personality_of(session.pid) & 0x0040000
+        assert personality_of(os.getpid()) == own
 
 
 @pytest.mark.slow
