@@ -13,6 +13,7 @@ _PARTS = (
     "game_stepper",
     "kart_observer",
     "messages",
+    "mlp",
     "plan_memory",
     "plan_viewer",
     "plan_weigher",

@@ -18,7 +18,7 @@ from stkzoo.agents.planning.plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import BRAKE
 
-from .action_filter import INPUT_SIZE, steering
+from .action_filter import steering
 from .mlp import SPLITS, MlpDriver
 from .policy import log_sum
 
@@ -65,7 +65,7 @@ class EnsemblePolicy:
 
     def best(self, view: PolicyInput) -> IntArray:
         """Returns the most likely choices ``(A, 4)``, in the form of a policy over plans."""
-        steer, pedal, drift, nitro, fire = self._log_probabilities(view.inputs[:, :INPUT_SIZE])
+        steer, pedal, drift, nitro, fire = self._log_probabilities(view.inputs)
         begin, turn, *buttons = (view.prior[:, head] for head in HEADS)
         rows = np.arange(len(begin))[:, None, None]
         liked = (
@@ -82,7 +82,7 @@ class EnsemblePolicy:
 
     def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
         """Returns the networks' mean log-probabilities, one array per choice."""
-        logits = np.array([network.logits(seen[:, None])[:, 0] for network in self.networks])
+        logits = np.array([network.logits(seen) for network in self.networks])
         parts = (logits[..., part] for part in _PARTS)
         return [(part - log_sum(part)).mean(axis=0) for part in parts]
 

@@ -1,4 +1,4 @@
-"""A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, evaluated with numpy.
+"""A Stable-Baselines3 ``MlpPolicy`` on the view ``racing``, evaluated by the kernel.
 
 The file format is safetensors with the policy's state dict and its minimum steps of a drift.
 """
@@ -13,6 +13,7 @@ import numpy as np
 
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.errors import ConfigError
+from stkzoo.kernel import Mlp
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from .action_filter import INPUT_SIZE
@@ -47,18 +48,18 @@ class MlpDriver:
         if not 0 <= held <= _MAX_HOLD:
             raise ConfigError(f"{name} have {HOLD} {held}, expected 0 to {_MAX_HOLD} steps")
         self.hold = int(held)
-        self._layers: list[tuple[FloatArray, FloatArray]] = []
+        layers: list[tuple[FloatArray, FloatArray]] = []
         number = 0
         while _LAYER.format(number, "weight") in weights:
-            self._layers.append(_layer(weights, _LAYER, number))
+            layers.append(_layer(weights, _LAYER, number))
             number += 2  # every second module is the tanh
         if _LAST.format("weight") in weights:
-            self._layers.append(_layer(weights, "action_net.{1}", 0))
-        found = [matrix.shape for matrix, _ in self._layers]
+            layers.append(_layer(weights, "action_net.{1}", 0))
+        found = [matrix.shape for matrix, _ in layers]
         self.inputs = SIZE if found and found[0][-1] == SIZE else INPUT_SIZE
-        sizes = [self.inputs, *(len(bias) for _, bias in self._layers)]
+        sizes = [self.inputs, *(len(bias) for _, bias in layers)]
         wanted = list(zip(sizes[1:], sizes, strict=False))
-        arrays = [array for layer in self._layers for array in layer]
+        arrays = [array for layer in layers for array in layer]
         if (
             len(found) < 2
             or found != wanted
@@ -71,22 +72,22 @@ class MlpDriver:
                 f"{INPUT_SIZE} with what the action filter remembers, to its "
                 f"{sum(CHOICES)} choices (mlp_extractor.policy_net.*, action_net.*)"
             )
+        turned = tuple((np.ascontiguousarray(matrix.T), bias) for matrix, bias in layers)
+        self._mlp = Mlp(turned, True)
 
     def logits(self, observations: FloatArray) -> FloatArray:
-        """Returns the logits of all choices, ``(..., 31)``, for inputs ``(..., 177)``.
+        """Returns the logits of all choices, ``(A, 31)``; a kart's do not depend on other karts.
 
-        The last bits of a kart's logits depend on the number of rows.
+        Args:
+            observations: ``(A, F)`` float32; the first :attr:`inputs` columns are the input.
         """
-        x = np.asarray(observations[..., : self.inputs], np.float32)
-        *hidden, (matrix, bias) = self._layers
-        for weights, offset in hidden:
-            x = np.tanh(x @ weights.T + offset)
-        logits: FloatArray = x @ matrix.T + bias
+        logits = np.empty((len(observations), sum(CHOICES)), np.float32)
+        self._mlp.evaluate(np.ascontiguousarray(observations, np.float32), logits)
         return logits
 
     def best(self, observations: FloatArray) -> IntArray:
         """Returns the most likely choices, ``(A, 5)``; a kart's do not depend on other karts."""
-        parts = np.split(self.logits(observations[:, None])[:, 0], SPLITS, axis=1)
+        parts = np.split(self.logits(observations), SPLITS, axis=1)
         return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
     def seat(self) -> NoReturn:

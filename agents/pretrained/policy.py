@@ -1,36 +1,42 @@
-"""A small network in numpy that maps a kart's observation and memory to choices."""
+"""A small network that maps a kart's observation and memory to choices."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
+from stkzoo.kernel import Mlp
 
 #: Largest absolute value of a normalized input.
 INPUT_CLIP = 8.0
 
 
-def network(weights: Mapping[str, FloatArray], inputs: FloatArray) -> FloatArray:
-    """Evaluates a network with two hidden layers of rectified linear units and a linear output.
+class Network:
+    """Two hidden layers of rectified linear units on normalized inputs, and a linear output.
 
     Args:
         weights: ``mean`` and ``scale`` ``(F,)`` of the input, and ``w0``, ``b0``, ``w1``, ``b1``,
             ``w2``, ``b2``: matrices ``(inputs, outputs)`` and biases of the layers.
-        inputs: ``(..., F)``.
     """
-    x = np.clip((inputs - weights["mean"]) * weights["scale"], -INPUT_CLIP, INPUT_CLIP)
-    x = np.maximum(x @ weights["w0"] + weights["b0"], 0)
-    x = np.maximum(x @ weights["w1"] + weights["b1"], 0)
-    outputs: FloatArray = x @ weights["w2"] + weights["b2"]
-    return outputs
+
+    def __init__(self, weights: Mapping[str, FloatArray]) -> None:
+        self._mean, self._scale = weights["mean"], weights["scale"]
+        self._outputs = len(weights["b2"])
+        self._mlp = Mlp(tuple((weights[f"w{n}"], weights[f"b{n}"]) for n in range(3)), False)
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Returns the outputs ``(A, outputs)`` for inputs ``(A, F)``, each from its row alone."""
+        seen = np.clip((inputs - self._mean) * self._scale, -INPUT_CLIP, INPUT_CLIP)
+        outputs = np.empty((len(inputs), self._outputs), np.float32)
+        self._mlp.evaluate(seen, outputs)
+        return outputs
 
 
 def network_shapes(hidden: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """Returns the shapes of the weights of a policy's :func:`network` with these hidden layers."""
+    """Returns the shapes of the weights of a policy's :class:`Network` with these hidden layers."""
     sizes = (INPUT_SIZE, *hidden, sum(CHOICES))
     shapes: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
     for layer in range(3):
@@ -45,15 +51,19 @@ def log_sum(logits: FloatArray) -> FloatArray:
     return total
 
 
-@dataclass(frozen=True, slots=True)
 class RacingPolicy:
     """A policy over plans: its logits are the sum of the prior's and the learned ones.
 
+    Args:
+        weights: weights of the :class:`Network`.
+
     Attributes:
-        weights: weights of the :func:`network`.
+        weights: the same.
     """
 
-    weights: Mapping[str, FloatArray]
+    def __init__(self, weights: Mapping[str, FloatArray]) -> None:
+        self.weights = weights
+        self._network = Network(weights)
 
     @classmethod
     def of_plans_alone(cls) -> RacingPolicy:
@@ -62,13 +72,13 @@ class RacingPolicy:
         return cls({name: np.zeros(shape, np.float32) for name, shape in shapes})
 
     def logits(self, view: PolicyInput) -> FloatArray:
-        """Returns the logits, ``(A, sum(CHOICES))``."""
-        learned: FloatArray = view.prior + network(self.weights, view.inputs)
+        """Returns the logits, ``(A, sum(CHOICES))``; a kart's do not depend on other karts."""
+        learned: FloatArray = view.prior + self._network(view.inputs)
         return learned
 
     def best(self, view: PolicyInput) -> IntArray:
         """Returns the most likely choices, ``(A, 4)``; a kart's do not depend on other karts."""
-        return likeliest(view.prior + network(self.weights, view.inputs[:, None])[:, 0])
+        return likeliest(self.logits(view))
 
     def sample(
         self,

@@ -31,6 +31,7 @@ _TWINS = {
     "EventCounter": "event_counter",
     "GameStepper": "game_stepper",
     "KartObserver": "kart_observer",
+    "Mlp": "mlp",
     "RacingObserver": "racing_observer",
     "StepScorer": "step_scorer",
     "TrackGraph": "track_graph",

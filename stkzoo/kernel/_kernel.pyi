@@ -95,6 +95,14 @@ class RacingObserver:
         out: npt.NDArray[np.float32],
     ) -> None: ...
 
+class Mlp:
+    def __new__(
+        cls,
+        layers: tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...],
+        is_tanh: bool,
+    ) -> Mlp: ...
+    def evaluate(self, inputs: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None: ...
+
 class ActionReader:
     def __new__(
         cls, names: tuple[str, ...], leaves: tuple[Any, ...], num_columns: int

@@ -135,6 +135,6 @@ PyObject *trace_roads(PyObject *module, PyObject *args);
 PyObject *weigh_plans(PyObject *module, PyObject *args);
 PyObject *write_memory(PyObject *module, PyObject *args);
 
-extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, RacingObserverType, ActionReaderType, StepScorerType;
+extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, MlpType, RacingObserverType, ActionReaderType, StepScorerType;
 
 #endif

@@ -177,7 +177,7 @@ PyMODINIT_FUNC PyInit__kernel(void)
 {
     static PyTypeObject *const TYPES[] = {
         &ActionReaderType,  &CarControllerType,  &EventCounterType, &GameStepperType,
-        &KartObserverType,  &RacingObserverType, &StepScorerType,   &TrackGraphType,
+        &KartObserverType,  &MlpType, &RacingObserverType, &StepScorerType,   &TrackGraphType,
     };
     import_array();
     PyObject *kernel = PyModule_Create(&module);

@@ -22,6 +22,7 @@ from stkzoo.engine.track import decode_track
 from stkzoo.wrappers.racing import racing_features
 from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests.kernel.test_kernel import USERS
+from tests.kernel.test_mlp import inputs_of, layers_of
 from tests.kernel.test_plan_memory import age_arguments, write_arguments
 from tests.kernel.test_plan_viewer import present_arguments, scene_arguments
 from tests.kernel.test_plan_weigher import random_arguments
@@ -91,6 +92,8 @@ def cases():
     kept["age_memory"] = [(age_arguments(0, count=2), {}, None, ())]
     kept["write_memory"] = [(write_arguments(0, count=2), {}, None, ())]
     kept["present_plans"] = [(present_arguments(0, count=2), {}, None, ())]
+    layers, rows = layers_of(0, (5, 3, 2)), (inputs_of(0, 4, 6), np.empty((4, 2), np.float32))
+    kept["Mlp"] = [((layers, is_tanh), {}, "evaluate", rows) for is_tanh in (True, False)]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),
         (stepper_arguments(), {}, "read", (True,)),

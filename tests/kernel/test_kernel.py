@@ -155,6 +155,8 @@ USERS = {
     "agents.planning.driver": ["present_plans"],
     "agents.planning.memory": ["age_memory", "write_memory"],
     "agents.planning.worth": ["survey_road", "weigh_plans"],
+    "agents.pretrained.mlp": ["Mlp"],
+    "agents.pretrained.policy": ["Mlp"],
 }
 
 

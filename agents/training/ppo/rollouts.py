@@ -11,7 +11,7 @@ import numpy.typing as npt
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import CHOICE_NAMES, CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.policy import RacingPolicy, network
+from stkzoo.agents.pretrained.policy import Network, RacingPolicy
 from stkzoo.errors import ConfigError
 
 from ..common.actors import SharedArray
@@ -41,9 +41,9 @@ ROLLOUT = np.dtype(
 Weights = Mapping[str, FloatArray]
 
 
-def predict_values(critic: Weights, inputs: FloatArray) -> FloatArray:
-    """Returns the values of inputs ``(B, F)`` with the weights of a value network."""
-    values: FloatArray = network(critic, inputs)[:, 0] * np.float32(VALUE_UNIT)
+def predict_values(critic: Network, inputs: FloatArray) -> FloatArray:
+    """Returns the values of inputs ``(B, F)``."""
+    values: FloatArray = critic(inputs)[:, 0] * np.float32(VALUE_UNIT)
     return values
 
 
@@ -148,6 +148,7 @@ class RaceActor:
             critic: weights of the value network.
         """
         rollout, actor = self._rollouts[number], RacingPolicy(policy)
+        value_network = Network(critic)
         finishes: list[Finish] = []
         for step in rollout:
             view = self._view
@@ -155,16 +156,16 @@ class RaceActor:
             step["driven"] = self._fleet.send(choices)
             step["choices"], step["log_probability"] = choices, log_probability
             step["inputs"], step["prior"] = view.inputs, view.prior
-            step["values"] = predict_values(critic, view.inputs)
+            step["values"] = predict_values(value_network, view.inputs)
             self._view, outcome = self._fleet.receive()
             outcome = self._own_outcome(outcome)
             step["rewards"], step["active"] = outcome.rewards, outcome.active
             step["ended"] = outcome.ended
             finishes += outcome.finishes
             if outcome.ended.any():
-                last = predict_values(critic, outcome.last_inputs[outcome.ended])
+                last = predict_values(value_network, outcome.last_inputs[outcome.ended])
                 step["next_values"][outcome.ended] = last
-        return Driven(predict_values(critic, self._view.inputs), finishes)
+        return Driven(predict_values(value_network, self._view.inputs), finishes)
 
     def close(self) -> None:
         """Ends all races."""

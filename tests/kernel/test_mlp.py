@@ -1,0 +1,92 @@
+"""Networks, by the kernel, by its numpy twin and by PyTorch."""
+
+import numpy as np
+import pytest
+
+from stkzoo import kernel
+from stkzoo.kernel.reference import mlp
+
+pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+
+SIZES = (50, 65, 16, 7)
+
+
+def layers_of(seed, sizes=SIZES):
+    chance = np.random.default_rng(seed)
+    return tuple(
+        (
+            chance.normal(0, inputs**-0.5, (inputs, outputs)).astype(np.float32),
+            chance.normal(0, 0.1, outputs).astype(np.float32),
+        )
+        for inputs, outputs in zip(sizes, sizes[1:], strict=False)
+    )
+
+
+def inputs_of(seed, count, width=SIZES[0] + 3):
+    return np.random.default_rng(seed).normal(0, 2, (count, width)).astype(np.float32)
+
+
+def evaluated(network, inputs, outputs=SIZES[-1]):
+    found = np.full((len(inputs), outputs), np.nan, np.float32)
+    network.evaluate(inputs, found)
+    return found
+
+
+@pytest.mark.parametrize("is_tanh", [True, False])
+@pytest.mark.parametrize("count", [0, 1, 3, 4, 9, 40])
+def test_the_kernel_evaluates_a_network_as_its_twin(is_tanh, count):
+    layers, inputs = layers_of(count), inputs_of(count, count)
+    ours = evaluated(kernel.Mlp(layers, is_tanh), inputs)
+    theirs = evaluated(mlp.Mlp(layers, is_tanh), inputs)
+    np.testing.assert_allclose(ours, theirs, atol=1e-5)
+
+
+@pytest.mark.parametrize("network", [kernel.Mlp, mlp.Mlp])
+def test_a_network_has_the_outputs_of_torch(network):
+    torch = pytest.importorskip("torch")
+    layers, inputs = layers_of(1), inputs_of(2, 30)
+    x = torch.from_numpy(inputs[:, : SIZES[0]])
+    for number, (matrix, bias) in enumerate(layers):
+        x = (torch.tanh(x) if number else x) @ torch.from_numpy(matrix) + torch.from_numpy(bias)
+    np.testing.assert_allclose(evaluated(network(layers, True), inputs), x.numpy(), atol=1e-5)
+
+
+@pytest.mark.parametrize("network", [kernel.Mlp, mlp.Mlp])
+@pytest.mark.parametrize("is_tanh", [True, False])
+def test_a_row_of_a_batch_has_the_bits_that_it_has_alone(network, is_tanh):
+    network, inputs = network(layers_of(3), is_tanh), inputs_of(4, 11)
+    alone = [evaluated(network, inputs[[row]]) for row in range(len(inputs))]
+    np.testing.assert_array_equal(evaluated(network, inputs), np.concatenate(alone))
+
+
+def test_tanh_is_exact_to_a_few_bits_and_saturates():
+    one, zero = np.ones((1, 1), np.float32), np.zeros(1, np.float32)
+    numbers = np.concatenate([np.linspace(-30, 30, 100_001), [1e30, -1e30]])
+    inputs = numbers.astype(np.float32)[:, None]
+    found = evaluated(kernel.Mlp(((one, zero), (one, zero)), True), inputs, 1)
+    np.testing.assert_allclose(found, np.tanh(inputs.astype(np.float64)), atol=2e-7)
+
+
+@pytest.mark.parametrize("network", [kernel.Mlp, mlp.Mlp])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda first, second: (),
+        lambda first, second: (first, (second[0], second[1][:0])),
+        lambda first, second: (first, (second[0][:-1], second[1])),
+        lambda first, second: (second, first),
+    ],
+    ids=["none", "no outputs", "a row too few", "exchanged"],
+)
+def test_layers_that_do_not_fit_are_refused(network, change):
+    with pytest.raises(ValueError, match="no layers|do not fit"):
+        network(change(*layers_of(0)[:2]), True)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs"), [((4, 49), (4, 7)), ((4, 50), (3, 7)), ((0, 50), (1, 7))]
+)
+def test_rows_that_do_not_fit_are_refused(inputs, outputs):
+    network = kernel.Mlp(layers_of(0), True)
+    with pytest.raises(ValueError, match="50 inputs and 7 outputs do not fit"):
+        network.evaluate(np.zeros(inputs, np.float32), np.zeros(outputs, np.float32))
