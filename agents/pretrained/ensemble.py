@@ -6,7 +6,6 @@ of choices, and the ensemble multiplies them (product of experts: Hinton, 2002).
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -16,18 +15,18 @@ from stkzoo.agents.planning.driver import HEADS, OFFSETS, PolicyInput, is_drifti
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning.plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.racing import BRAKE
+from stkzoo.wrappers.racing import BRAKE, CHOICES
 
 from .action_filter import steering
 from .mlp import SPLITS, MlpDriver
-from .policy import log_sum
 
 #: Pedal, drift and side of each manoeuvre.
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
-#: Slices of the logits of each choice.
-_PARTS = [slice(begin, end) for begin, end in itertools.pairwise([0, *SPLITS, None])]
+#: First logit of each choice, and the choice of each logit.
+_BEGINS = np.array([0, *SPLITS])
+_CHOICE_OF = np.repeat(np.arange(len(CHOICES)), CHOICES)
 #: Prefix of the arrays of each network in a file.
 _IN_FILE = "adviser{}."
 
@@ -83,8 +82,11 @@ class EnsemblePolicy:
     def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
         """Returns the networks' mean log-probabilities, one array per choice."""
         logits = np.array([network.logits(seen) for network in self.networks])
-        parts = (logits[..., part] for part in _PARTS)
-        return [(part - log_sum(part)).mean(axis=0) for part in parts]
+        top = np.maximum.reduceat(logits, _BEGINS, axis=-1)
+        odds = np.exp(logits - top[..., _CHOICE_OF])
+        normaliser = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
+        mean = (logits - normaliser[..., _CHOICE_OF]).mean(axis=0)
+        return np.split(mean, SPLITS, axis=-1)
 
 
 def _steering(inputs: FloatArray) -> IntArray:
