@@ -1,5 +1,7 @@
 """Networks, by the kernel, by its numpy twin and by PyTorch."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -18,7 +20,7 @@ def layers_of(seed, sizes=SIZES):
             chance.normal(0, inputs**-0.5, (inputs, outputs)).astype(np.float32),
             chance.normal(0, 0.1, outputs).astype(np.float32),
         )
-        for inputs, outputs in zip(sizes, sizes[1:], strict=False)
+        for inputs, outputs in itertools.pairwise(sizes)
     )
 
 
