@@ -73,7 +73,7 @@ def test_tanh_is_exact_to_a_few_bits_and_saturates():
 @pytest.mark.parametrize(
     "change",
     [
-        lambda first, second: (),
+        lambda *_: (),
         lambda first, second: (first, (second[0], second[1][:0])),
         lambda first, second: (first, (second[0][:-1], second[1])),
         lambda first, second: (second, first),
@@ -81,7 +81,7 @@ def test_tanh_is_exact_to_a_few_bits_and_saturates():
     ids=["none", "no outputs", "a row too few", "exchanged"],
 )
 def test_layers_that_do_not_fit_are_refused(network, change):
-    with pytest.raises(ValueError, match="no layers|do not fit"):
+    with pytest.raises(ValueError, match=r"no layers|do not fit"):
         network(change(*layers_of(0)[:2]), True)
 
 
