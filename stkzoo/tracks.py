@@ -40,8 +40,8 @@ TRAIN_TRACKS = (
     "volcano_island",
 )
 
-#: Training tracks for validation: from the shortest and narrowest to long and wide ones, with no,
-#: two and three forks, flat and steep, and from easy to hard for simple drivers.
+#: Training tracks for validation: narrow and wide, short and long, flat and hilly, with no, two and
+#: three forks. Together they are about as hard as the test tracks.
 VALIDATION_TRACKS = ("gran_paradiso_island", "minigolf", "ravenbridge_mansion", "snowtuxpeak")
 
 #: The training tracks without the validation tracks.

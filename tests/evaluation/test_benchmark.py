@@ -21,7 +21,7 @@ from stkzoo.evaluation import (
 from stkzoo.evaluation.benchmark.races import make_races, race_seed
 from stkzoo.evaluation.statistics import estimate_mean
 from stkzoo.race import AgentResult, RaceResult
-from stkzoo.tracks import TEST_TRACKS
+from stkzoo.tracks import TEST_TRACKS, VALIDATION_TRACKS
 from tests.support.paths import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results" / "benchmark"
@@ -374,6 +374,17 @@ def test_published_results_are_of_the_protocol(name):
         assert [written[figure][end] for end in ("low", "high")] == pytest.approx(
             [found.low, found.high], abs=1e-6
         )
+
+
+@pytest.mark.parametrize("name", ["ace", "ace-without-networks"])
+def test_published_results_on_the_validation_tracks_can_be_computed_again(name):
+    file = RESULTS / "validation" / f"{name}.json"
+    result = load_benchmark(file)
+    assert result.is_complete
+    assert result.plan.tracks == VALIDATION_TRACKS
+    written = json.loads(file.read_text())["groups"][0]["clustered"]["time_ratio"]
+    found = result.group().clustered["time_ratio"]
+    assert [written["low"], written["high"]] == pytest.approx([found.low, found.high], abs=1e-6)
 
 
 def test_the_ai_is_as_good_as_the_ai():
