@@ -108,7 +108,7 @@ class EvaluationOptions:
         policies: policy files, folders, or prior; see above.
         form: karts per race: P for the policy's, A for the game's AI's.
         numbers: races per track and direction.
-        tracks: tracks, or train.
+        tracks: names of tracks or of splits, such as validation.
     """
 
     policies: tuple[str, ...] = positional()

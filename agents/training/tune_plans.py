@@ -125,7 +125,7 @@ class TuningArguments(RunArguments):
         population: sets per generation.
         bots: karts of the game's AI.
         sigma: initial step size, as a fraction of the ranges.
-        tracks: training tracks.
+        tracks: training tracks, or train_only.
     """
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "bots")

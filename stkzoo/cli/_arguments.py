@@ -109,7 +109,10 @@ def add_batch_options(parser: CommandParser, decided: Collection[str]) -> None:
 def tracks_option() -> Any:
     """Returns a field for ``--track`` that takes several names."""
     return option(
-        ("train",), flag="--track", metavar="TRACK", help="names of tracks, or train, test or all"
+        ("train",),
+        flag="--track",
+        metavar="TRACK",
+        help="names of tracks, or train, train_only, validation, test or all",
     )
 
 

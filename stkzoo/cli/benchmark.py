@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,7 +76,8 @@ class BenchmarkArguments:
         agent: the agent; see above
         compare: compare results (folders or result.json files): the first with each of the others
         baseline: measure the game's AI at all difficulties, for --ai-times
-        split: names of tracks, or train, test or all (default: test; with --baseline, all)
+        split: names of tracks, or train, train_only, validation, test or all (default: test;
+            with --baseline, all)
         difficulty: difficulty of the game's AI, 0 to 3
         forms: line-ups to race: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
         seeds: races of each track, direction, line-up and end of the grid
@@ -196,6 +197,7 @@ def _show_results(results: Sequence[BenchmarkResult]) -> None:
                 groups.append(group)
                 label = ""
     _show_figures(columns, rows, groups)
+    _show_clustered(columns, rows, groups)
     for result in results:
         plan = result.plan
         errors = f"; the agent failed {result.errors} times" if result.errors else ""
@@ -215,6 +217,31 @@ def _show_comparison(comparison: Comparison) -> None:
     groups = [group for group in comparison.differences if group.by in _SHOWN_GROUPS]
     rows = [(group.name or "all", str(group.races)) for group in groups]
     _show_figures(("races on", "n"), rows, groups, sign="+")
+    _show_clustered(("races on", "n"), rows, groups, sign="+")
+
+
+def _show_clustered(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    groups: Sequence[RaceGroup],
+    sign: str = "",
+) -> None:
+    """Prints the intervals over tracks and directions of all races and of the forms.
+
+    Args:
+        columns: as for :func:`_show_figures`.
+        rows: as for :func:`_show_figures`.
+        groups: as for :func:`_show_figures`.
+        sign: as for :func:`_show_figures`.
+    """
+    from stkzoo.cli._console import say
+
+    main = [(row, g) for row, g in zip(rows, groups, strict=True) if g.by in _MAIN_GROUPS]
+    if not any(e is not None and e.low is not None for _, g in main for e in g.clustered.values()):
+        return  # too few tracks
+    say("\nThe same means, with intervals over tracks and directions and the AI's times resampled:")
+    clustered = [replace(group, figures=group.clustered) for _, group in main]
+    _show_figures(columns, [row for row, _ in main], clustered, sign)
 
 
 def _show_figures(

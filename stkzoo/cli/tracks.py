@@ -22,7 +22,7 @@ from pathlib import Path
 from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.tracks import SPLITS, TEST_TRACKS
+from stkzoo.tracks import SPLITS, split_of
 
 #: Field to sort by, for each choice of ``--sort``.
 _SORTS = {"name": "track", "length": "length", "time": "time", "items": "items"}
@@ -33,7 +33,7 @@ class TracksArguments:
     """Options of ``stkzoo tracks``.
 
     Attributes:
-        tracks: names of tracks, or train, test or all (default: all)
+        tracks: names of tracks, or train, train_only, validation, test or all (default: all)
         sort: sort order
         difficulty: difficulty of the AI whose times are shown, 0 to 3
         map: draw a map of one track to FILE (.png, .jpg, .webp)
@@ -58,7 +58,7 @@ class TrackFacts:
 
     Attributes:
         track: name of the track.
-        split: ``"train"`` or ``"test"``.
+        split: ``"train"``, ``"validation"`` (also a training track) or ``"test"``.
         length: length of a lap [m].
         segments: number of segments of the driving line.
         forks: number of segments with several successors.
@@ -133,7 +133,7 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
         medians = [times.get((track, reverse, difficulty)) for reverse in (False, True)]
         return TrackFacts(
             track=track,
-            split="test" if track in TEST_TRACKS else "train",
+            split=split_of(track),
             length=round(road.length, 1),
             segments=road.num_nodes,
             forks=sum(len(nodes) > 1 for nodes in road.successors),

@@ -42,8 +42,9 @@ class RaceOptions:
 
     Attributes:
         num_kart: number of karts, agents and bots together.
-        track: a track name, several names, ``None`` or ``"all"`` for any track, ``"train"`` or
-            ``"test"`` for a track of that split (:mod:`stkzoo.tracks`).
+        track: a track name, several names, ``None`` or ``"all"`` for any track, or ``"train"``,
+            ``"train_only"``, ``"validation"`` or ``"test"`` for a track of that split
+            (:mod:`stkzoo.tracks`).
         laps: number of laps.
         difficulty: level of the game's bots, 0 (easiest) to 3 (hardest).
         reverse: drive the track in the opposite direction.

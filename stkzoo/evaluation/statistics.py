@@ -1,4 +1,4 @@
-"""Means over races, with bootstrap intervals."""
+"""Means over races, with bootstrap intervals within strata and over clusters."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import itertools
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
 
 #: Coverage probability of all intervals that stkzoo reports.
 CONFIDENCE = 0.95
-_DRAWS = 2000
+#: Number of draws of all bootstraps.
+DRAWS = 2000
+#: Fewer clusters say too little about how much clusters differ.
+FEWEST_CLUSTERS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +83,75 @@ def estimate_mean(
     return Estimate(mean, min(float(low), mean), max(float(high), mean))
 
 
+def estimate_clustered(
+    totals: npt.NDArray[np.float64],
+    counts: npt.NDArray[np.float64],
+    redrawn: npt.NDArray[np.float64] | None = None,
+) -> Estimate | None:
+    """Returns the mean over clusters of values, with a 95 % bootstrap interval over clusters.
+
+    The bootstrap resamples whole clusters, one less than there are, as in :func:`estimate_mean`.
+    The interval covers other clusters of the same kind, such as other tracks. Percentiles of few
+    clusters give too narrow intervals, so the tails are those of Student's t distribution
+    (expanded percentile interval: Hesterberg 2015).
+
+    Args:
+        totals: sum of the values in each cluster, ``(C,)``.
+        counts: number of values in each cluster, ``(C,)``. Clusters without values are left out.
+        redrawn: other ``totals`` for each of the :data:`DRAWS` draws, ``(DRAWS, C)``: the sums with
+            a resampled baseline.
+
+    Returns:
+        The estimate, without an interval if fewer than :data:`FEWEST_CLUSTERS` clusters have
+        values, or if all have the same mean; ``None`` if no cluster has values.
+    """
+    own = counts > 0
+    if not own.any():
+        return None
+    mean, clusters = float(totals[own].sum() / counts[own].sum()), int(own.sum())
+    sums = totals[None] if redrawn is None else redrawn
+    if clusters < FEWEST_CLUSTERS or not np.ptp(sums[:, own] / counts[own]):
+        return Estimate(mean, None, None)
+    generator = np.random.default_rng(0)
+    drawn = generator.multinomial(clusters - 1, np.full(clusters, 1 / clusters), DRAWS)
+    means = (drawn * sums[:, own]).sum(axis=1) / (drawn @ counts[own])
+    tail = 100 * NormalDist().cdf(-_student_t(clusters - 1))
+    low, high = np.percentile(means, (tail, 100 - tail))
+    return Estimate(mean, float(low), float(high))
+
+
+def _student_t(freedom: int) -> float:
+    """Returns the 97.5 % quantile of Student's t (Abramowitz and Stegun 1964, 26.7.5)."""
+    z = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
+    terms = (
+        z,
+        (z**3 + z) / 4,
+        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
+        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
+    )
+    return math.fsum(term / float(freedom) ** power for power, term in enumerate(terms))
+
+
+def resampled_medians(
+    groups: Sequence[Sequence[float | None]], generator: np.random.Generator
+) -> npt.NDArray[np.float64]:
+    """Returns medians ``(DRAWS,)`` of values, such as the times of all karts in several races.
+
+    The bootstrap resamples whole groups, one less than there are, because the values in a group
+    depend on each other.
+
+    Args:
+        groups: the values of each group, such as one race; all have the same number of values.
+            ``None`` counts as the highest value.
+        generator: the random generator.
+    """
+    values = np.array(groups, float)
+    values = np.where(np.isnan(values), np.nanmax(values), values)
+    rows = generator.integers(len(values), size=(DRAWS, max(len(values) - 1, 1)))
+    medians: npt.NDArray[np.float64] = np.median(values[rows].reshape(DRAWS, -1), axis=1)
+    return medians
+
+
 def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Returns both ends ``(2, ...)`` of the central 95 % interval of draws ``(n, ...)``."""
     tail = 50 * (1 - CONFIDENCE)
@@ -88,8 +161,8 @@ def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 def _resampled_means(strata: Sequence[Sequence[float]], count: int) -> npt.NDArray[np.float64]:
     generator = np.random.default_rng(0)
-    means = np.zeros(_DRAWS)
+    means = np.zeros(DRAWS)
     for stratum in strata:
-        drawn = generator.choice(np.array(stratum, float), (_DRAWS, len(stratum) - 1))
+        drawn = generator.choice(np.array(stratum, float), (DRAWS, len(stratum) - 1))
         means += drawn.mean(axis=1) * (len(stratum) / count)
     return means

@@ -34,7 +34,8 @@ class RaceSettings:
     ``max_steps``, a race ends after the time that a kart needs at 4 m/s plus 60 s.
 
     Attributes:
-        track: name of a track, or train, test or all to draw one (default: all)
+        track: name of a track, or train, train_only, validation, test or all to draw one
+            (default: all)
         laps: number of laps
         difficulty: difficulty of the game's AI, 0 to 3
         reverse: drive in the other direction

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from stkzoo.evaluation import (
 from stkzoo.evaluation.benchmark.races import make_races, race_seed
 from stkzoo.evaluation.statistics import estimate_mean
 from stkzoo.race import AgentResult, RaceResult
-from stkzoo.tracks import TEST_TRACKS
+from stkzoo.tracks import TEST_TRACKS, VALIDATION_TRACKS
 from tests.support.paths import ROOT
 
 RESULTS = ROOT / "benchmarks" / "results" / "benchmark"
@@ -319,6 +319,49 @@ def test_other_conditions_are_not_compared():
         compare(one, other)
 
 
+def of_all_tracks(ratio, **changes):
+    """A result on the test tracks in which the time ratio of a race is as a function says."""
+    return made_up(ratio, lambda _: False, split="test", **changes)
+
+
+def test_intervals_over_tracks_are_wider_than_those_for_the_same_tracks():
+    ratios = {track: 0.8 + 0.05 * number for number, track in enumerate(TEST_TRACKS)}
+    group = of_all_tracks(lambda race: ratios[race.track] + race.index / 1000).group()
+    own, clustered = group.figures["time_ratio"], group.clustered["time_ratio"]
+    assert clustered.value == pytest.approx(own.value)
+    assert clustered.low < 0.9 < own.low < own.high < 0.96 < clustered.high
+    assert group.clustered["win_rate"].low is None  # no race was won on any track
+
+
+def test_the_error_of_the_baseline_is_in_the_interval_over_tracks():
+    result = of_all_tracks(lambda race: 0.9 + race.index / 1000)
+    exact = BenchmarkResult(replace(result.plan, ai_races={}), result.races)
+    found, narrow = (r.group().clustered["time_ratio"] for r in (result, exact))
+    assert found.low < 0.895 < found.value < 0.909 < found.high
+    assert (narrow.low, narrow.high) == (None, None) or narrow.high - narrow.low < 1e-9
+
+
+def test_one_track_gives_no_interval_over_tracks():
+    result = of_all_tracks(lambda race: 0.9 + race.number / 1000)
+    found = result.group("track", "xr591").clustered["time_ratio"]
+    assert (found.low, found.high) == (None, None)
+
+
+def test_differences_have_intervals_over_tracks():
+    slow = {track: number / 100 for number, track in enumerate(TEST_TRACKS)}
+    one, other = of_all_tracks(lambda race: 0.9 + slow[race.track]), of_all_tracks(lambda _: 0.9)
+    found = compare(one, other).difference().clustered["time_ratio"]
+    assert found.value == pytest.approx(0.025)
+    assert 0.012 < found.low < 0.02 < 0.03 < found.high < 0.04
+
+
+def test_an_unfinished_race_keeps_the_limit_for_every_time_of_the_ai():
+    outcome = outcome_of("PA", "front", (1, None, 2, "racing"), (2, 40.0, 1, "finished"))
+    assert outcome.time_ratios(np.array([30.0, 50.0]), 3.0).tolist() == [3.0, 3.0]
+    outcome = outcome_of("PA", "front", (1, 60.0, 2, "finished"), (2, 40.0, 1, "finished"))
+    assert outcome.time_ratios(np.array([10.0, 40.0]), 3.0).tolist() == [3.0, 1.5]
+
+
 @pytest.mark.parametrize("name", ["ai", "heuristic", "random"])
 def test_published_results_are_of_the_protocol(name):
     result = load_benchmark(RESULTS / f"{name}.json")
@@ -331,6 +374,17 @@ def test_published_results_are_of_the_protocol(name):
         assert [written[figure][end] for end in ("low", "high")] == pytest.approx(
             [found.low, found.high], abs=1e-6
         )
+
+
+@pytest.mark.parametrize("name", ["ace", "ace-without-networks"])
+def test_published_results_on_the_validation_tracks_can_be_computed_again(name):
+    file = RESULTS / "validation" / f"{name}.json"
+    result = load_benchmark(file)
+    assert result.is_complete
+    assert result.plan.tracks == VALIDATION_TRACKS
+    written = json.loads(file.read_text())["groups"][0]["clustered"]["time_ratio"]
+    found = result.group().clustered["time_ratio"]
+    assert [written["low"], written["high"]] == pytest.approx([found.low, found.high], abs=1e-6)
 
 
 def test_the_ai_is_as_good_as_the_ai():

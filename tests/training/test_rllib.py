@@ -120,7 +120,7 @@ def test_the_command_line_is_read():
     options, arguments = found
     assert options.output.name == "run"
     assert arguments.hidden == (64, 32)
-    assert len(arguments.all_tracks) == 15
+    assert len(arguments.tracks) == 15
     assert arguments.learners == 2
 
 

@@ -41,11 +41,15 @@ class RunArguments:
 
     #: Integers that may be 0.
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
+    #: Fields in which names of splits, such as ``train_only``, are replaced with their tracks.
+    track_fields: ClassVar[tuple[str, ...]] = ("tracks", "evaluation_tracks")
 
     seed: int = 0
 
     def __post_init__(self) -> None:
         for entry in fields(self):
+            if entry.name in self.track_fields:
+                object.__setattr__(self, entry.name, track_names(getattr(self, entry.name)))
             if type(entry.default) is int:
                 least = int(entry.name not in self.may_be_zero)
                 check_whole(entry.name, getattr(self, entry.name), least)
@@ -85,6 +89,6 @@ class PPOArguments(NetworkArguments):
     ent_coef: float = option(0.0, metavar="X", group=_LEARNING)
 
 
-def track_names(names: Sequence[str]) -> list[str]:
+def track_names(names: Sequence[str]) -> tuple[str, ...]:
     """Replaces the names of splits, such as ``train``, with their tracks."""
-    return [track for name in names for track in SPLITS.get(name, (name,))]
+    return tuple(track for name in names for track in SPLITS.get(name, (name,)))

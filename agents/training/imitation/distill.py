@@ -55,7 +55,7 @@ class DistillationArguments(ImitationArguments):
 
     Attributes:
         steps: kart-steps of each round.
-        tracks: tracks, driven in both directions.
+        tracks: names of tracks or of splits, such as train_only; driven in both directions.
     """
 
     batch_size: int = 1024

@@ -45,7 +45,7 @@ from stkzoo.race.replay import action_of, controls_of
 from stkzoo.wrappers.racing import controls_of_choices
 
 from ..common.actors import end_with_parent
-from ..common.arguments import QUICK_TRACKS, RunArguments, ScriptOptions, track_names
+from ..common.arguments import QUICK_TRACKS, RunArguments, ScriptOptions
 from ..common.command import run_command
 from ..common.fleet import ai_time
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
@@ -65,7 +65,7 @@ class TeacherArguments(ImitationArguments):
         teacher: driver to imitate: a driver of stkzoo, or a path.
         demos: demonstration file of stkzoo demos to learn from first; empty records one.
         rounds: rounds of DAgger; 0 is behaviour cloning only.
-        tracks: names of tracks, or train.
+        tracks: names of tracks or of splits, such as train_only.
         races: races on each track per round.
         karts: karts of the learner in each race.
         jobs: parallel races; 0 is the number of processors.
@@ -134,7 +134,7 @@ def _demonstrations(arguments: TeacherArguments, folder: Path, report: Report) -
         demos = record_demonstrations(
             arguments.teacher,
             output=folder / "demos.npz",
-            tracks=track_names(arguments.tracks),
+            tracks=arguments.tracks,
             seeds=range(first, first + arguments.races),
             karts=arguments.karts,
             difficulty=arguments.difficulty,
@@ -155,7 +155,7 @@ def _drive(
     """Yields the lessons of a round's races, which run in parallel processes."""
     first = 1000 * arguments.seed + 100 * number
     seeds = range(first, first + arguments.races)
-    places = list(itertools.product(track_names(arguments.tracks), seeds))
+    places = list(itertools.product(arguments.tracks, seeds))
     tracks, numbers = zip(*places, strict=True)
     drive = partial(
         drive_race, arguments.teacher, str(policy), arguments.karts, arguments.difficulty

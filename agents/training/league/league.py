@@ -73,7 +73,7 @@ class LeagueArguments(PPOArguments):
         turn: kart-steps of a turn, without those of rivals.
         matches: matches of each new past self.
         patience: maximum turns of an exploiter before it starts over.
-        tracks: tracks for training and for matches.
+        tracks: tracks or splits for training and for matches, such as train_only.
         races: parallel races, as in ppo.selfplay; rivals drive in those without the game's AI.
         actors: number of processes that drive the races; 0 is one for each processor core.
             Results depend on their number.

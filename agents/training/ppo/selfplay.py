@@ -70,7 +70,7 @@ class SelfPlayArguments(PPOArguments):
     """Arguments of a run; they must not change when a run continues.
 
     Attributes:
-        tracks: tracks to train on.
+        tracks: tracks or splits to train on, such as train_only.
         races: parallel races: 8x5 is five races of eight learners, 4+2x3 three races of four
             learners and two karts of the game's AI at its highest difficulty.
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.

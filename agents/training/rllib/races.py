@@ -16,7 +16,7 @@ from stkzoo._arguments import option
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
 from stkzoo.errors import AssetError, ConfigError
 
-from ..common.arguments import PPOArguments, RunArguments, track_names
+from ..common.arguments import PPOArguments, RunArguments
 
 #: Name of the module that learns.
 MAIN = "main"
@@ -36,7 +36,7 @@ class RLlibArguments(PPOArguments):
         cpus_per_runner: processors that Ray reserves for each env runner.
         address: address of a Ray cluster, or auto; empty starts Ray on this machine.
         pack: headless pack for nodes without the game's data; empty makes one.
-        tracks: names of tracks, or train, test or all.
+        tracks: names of tracks, or train, train_only, validation, test or all.
         difficulty: difficulty of the game's AI, 0 to 3.
         learners: karts of the policy that learns.
         frozen: karts of its past selves.
@@ -86,11 +86,6 @@ class RLlibArguments(PPOArguments):
             raise ConfigError(f"promote_at is {self.promote_at}, expected 0 to 1")
         if self.learners + self.frozen + self.bots > 20:
             raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
-
-    @property
-    def all_tracks(self) -> list[str]:
-        """Returns the names of the tracks, with splits expanded."""
-        return track_names(self.tracks)
 
     @property
     def modules(self) -> list[str]:
@@ -221,7 +216,7 @@ def _asked_for() -> bytes:
 def make_race(arguments: RLlibArguments) -> RaceParallelEnv:
     """Returns the environment of one env runner."""
     ensure_assets()
-    agents, tracks = arguments.learners + arguments.frozen, arguments.all_tracks
+    agents, tracks = arguments.learners + arguments.frozen, arguments.tracks
     return race_v0.parallel_env(
         agents=agents,
         num_kart=agents + arguments.bots,

@@ -88,7 +88,7 @@ class SB3Arguments(PPOArguments):
     Attributes:
         races: groups of races: 4x4 is four races of four agents, 2+2x2 two races of two agents and
             two bots.
-        tracks: tracks from easy to hard.
+        tracks: tracks from easy to hard, or a split, such as train_only.
         pass_at: pace, relative to the AI's in such races, at which the next stage begins.
         snapshot_share: fraction of races without bots in which a snapshot drives half of the karts.
         grid_share: fraction of races that start on the grid; the others start anywhere.
@@ -132,6 +132,14 @@ class SB3Arguments(PPOArguments):
         EASY_TO_HARD[:3], flag="--evaluation-track", metavar="TRACK"
     )
     supersuit: bool = False
+
+    def __post_init__(self) -> None:
+        given = self.tracks
+        PPOArguments.__post_init__(self)
+        if given != self.tracks:  # a split, whose tracks are in alphabetical order
+            ordered = (track for track in EASY_TO_HARD if track in self.tracks)
+            others = (track for track in self.tracks if track not in EASY_TO_HARD)
+            object.__setattr__(self, "tracks", (*ordered, *others))
 
 
 # ---------------------------------------------------------------------- evaluation

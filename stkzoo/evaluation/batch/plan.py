@@ -181,7 +181,7 @@ def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[st
     """Returns the names of tracks, each once, in place of the names of splits.
 
     Args:
-        tracks: names of tracks, or ``"train"``, ``"test"`` or ``"all"``.
+        tracks: names of tracks, or the name of a split (:data:`stkzoo.tracks.SPLITS`).
         settings: settings of the races.
 
     Raises:

@@ -43,6 +43,8 @@ class AiTime:
         worst: longest finish time [s].
         karts: number of karts.
         finished: number of karts that finished.
+        races: finish times of the karts of each race [s]; ``None`` for a kart that did not finish.
+            Empty in files of older versions.
     """
 
     track: str
@@ -53,19 +55,22 @@ class AiTime:
     worst: Positive
     karts: Whole
     finished: Whole
+    races: tuple[tuple[Positive | None, ...], ...] = ()
 
     @classmethod
-    def of(cls, race: RaceKey, times: Sequence[float | None]) -> AiTime | None:
+    def of(cls, race: RaceKey, races: Sequence[Sequence[float | None]]) -> AiTime | None:
         """Returns the statistics of finish times.
 
         Args:
             race: track, ``reverse`` and difficulty.
-            times: finish time of each kart [s]; ``None`` for a kart that did not finish.
+            races: finish times of the karts of each race [s]; ``None`` for a kart that did not
+                finish.
 
         Returns:
             The statistics; ``None`` if the median is unknown because too few karts finished.
         """
         track, reverse, difficulty = race
+        times = list(itertools.chain(*races))
         finished = [time for time in times if time is not None]
         median = statistics.median([math.inf if time is None else time for time in times])
         if not math.isfinite(median):
@@ -79,6 +84,9 @@ class AiTime:
             worst=round(max(finished), 3),
             karts=len(times),
             finished=len(finished),
+            races=tuple(
+                tuple(None if time is None else round(time, 3) for time in own) for own in races
+            ),
         )
 
 
@@ -128,10 +136,10 @@ class AiTimes(Document):
     @classmethod
     def from_races(cls, results: Iterable[RaceResult]) -> AiTimes:
         """Returns the times from the results of races in which the AI drove all karts."""
-        times: dict[RaceKey, list[float | None]] = {}
+        times: dict[RaceKey, list[list[float | None]]] = {}
         for result in results:
             of_race = times.setdefault((result.track, result.reverse, result.difficulty), [])
-            of_race.extend(row.finish_time for row in result.agents)
+            of_race.append([row.finish_time for row in result.agents])
         found = (AiTime.of(race, times[race]) for race in sorted(times))
         return cls(versions_now(), tuple(time for time in found if time is not None))
 
@@ -211,7 +219,7 @@ def measure_ai_times(output: str | os.PathLike[str], **options: Any) -> AiTimes:
 
     Args:
         output: folder for the result of every race and ``ai_times.json``.
-        options: ``tracks`` are names, or ``"train"``, ``"test"`` or ``"all"`` (the default).
+        options: ``tracks`` are names of tracks or of splits (by default, ``"all"``).
             ``seeds`` is the number of races with five karts for each track, direction and
             difficulty, and ``difficulties`` are the levels of the AI. Other options are arguments
             of :class:`~stkzoo.evaluation.RunOptions`.

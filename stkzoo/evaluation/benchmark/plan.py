@@ -11,7 +11,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from stkzoo._schema import Within
+import numpy as np
+
+from stkzoo._schema import Positive, Within
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
@@ -32,6 +34,7 @@ from stkzoo.evaluation.benchmark.races import (
     BenchmarkForm,
     BenchmarkRace,
     FigureKind,
+    FloatArray,
     RaceGroup,
     RaceOutcome,
     direction_name,
@@ -39,7 +42,7 @@ from stkzoo.evaluation.benchmark.races import (
     group_races,
     make_races,
 )
-from stkzoo.evaluation.statistics import CONFIDENCE
+from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS, resampled_medians
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
@@ -62,6 +65,8 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         seeds: number of races for each track, direction, form and end of the grid.
         limit: time limit of a race, as a multiple of the AI's median time.
         ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``.
+        ai_races: the finish times of which these are medians, as in ``AiTime.races``; empty if
+            they are unknown.
     """
 
     kind: ClassVar[str] = "benchmark-plan"
@@ -79,6 +84,9 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     seeds: int
     ai_times: Mapping[str, Mapping[str, Annotated[float, Within(0, 1e5, is_above=True)]]]
     limit: Annotated[float, Within(0, 1000, is_above=True)] = _LIMIT
+    ai_races: Mapping[str, Mapping[str, tuple[tuple[Positive | None, ...], ...]]] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
@@ -105,6 +113,21 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     def ai_time(self, track: str, reverse: bool) -> float:
         """Returns the AI's median time on a track in a direction [s]."""
         return self.ai_times[track][direction_name(reverse)]
+
+    def redrawn_ai_times(self) -> dict[tuple[str, bool], FloatArray]:
+        """Returns resampled median times of the AI, ``(DRAWS,)`` by track and direction [s].
+
+        Where the finish times are unknown, all draws are the median.
+        """
+        generator, found = np.random.default_rng(0), {}
+        for track, reverse in itertools.product(self.tracks, self.directions):
+            races = self.ai_races.get(track, {}).get(direction_name(reverse), ())
+            found[track, reverse] = (
+                resampled_medians(races, generator)
+                if races
+                else np.full(DRAWS, self.ai_time(track, reverse))
+            )
+        return found
 
     def orders(self) -> list[RaceOrder]:
         """Returns the orders of all races."""
@@ -147,7 +170,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
 
     def _comparable(self) -> dict[str, Any]:
         values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
-        del values["split"], values["ai_times"]
+        del values["split"], values["ai_times"], values["ai_races"]
         directions = [direction_name(reverse) for reverse in self.directions]
         return values | self._conditions() | {"directions": directions}
 
@@ -196,7 +219,7 @@ def plan_benchmark(
     Args:
         agent: the agent to measure: the name of a driver, the path of a folder or zip, or a module;
             append ``@:Name`` to rename it.
-        split: ``"test"``, ``"train"``, ``"all"``, or names of tracks.
+        split: name of a split (:data:`stkzoo.tracks.SPLITS`), or names of tracks.
         difficulty: level of the game's AI, 0 to 3.
         forms: race forms; ``"PAAAA"`` means one kart of the agent and four of the AI.
         seeds: number of races for each track, direction, form and end of the grid.
@@ -227,6 +250,10 @@ def plan_benchmark(
             f"forms is {names}, expected different race forms, such as {', '.join(FORMS)}"
         )
     times = load_ai_times(ai_times)
+    found = {
+        track: {direction_name(way): times.of(track, way, difficulty) for way in directions}
+        for track in tracks
+    }
     (entrant,) = find_entrants([agent], chosen)
     return BenchmarkPlan(
         agent=entrant,
@@ -236,10 +263,12 @@ def plan_benchmark(
         forms=names,
         seeds=seeds,
         ai_times={
-            track: {
-                direction_name(way): times.of(track, way, difficulty).median for way in directions
-            }
-            for track in tracks
+            track: {way: time.median for way, time in of_track.items()}
+            for track, of_track in found.items()
+        },
+        ai_races={
+            track: {way: time.races for way, time in of_track.items()}
+            for track, of_track in found.items()
         },
         settings=chosen,
     )
@@ -296,7 +325,19 @@ class BenchmarkResult(Document):
     @cached_property
     def groups(self) -> tuple[RaceGroup, ...]:
         """The metrics of all races and of groups of races."""
-        return group_races(self.races)
+        return group_races(self.races, self.figure_kinds())
+
+    def figure_kinds(self) -> tuple[FigureKind, ...]:
+        """Returns the metrics, with the time ratio for resampled median times of the AI."""
+        ai_times, limit = self.plan.redrawn_ai_times(), self.plan.limit
+
+        def redrawn(race: RaceOutcome) -> FloatArray:
+            return race.time_ratios(ai_times[race.track, race.reverse], limit)
+
+        return tuple(
+            replace(kind, redrawn=redrawn) if kind.name == "time_ratio" else kind
+            for kind in FIGURES
+        )
 
     def group(self, by: str = "all", name: str = "") -> RaceGroup:
         """Returns the metrics of a group of races.
@@ -421,7 +462,16 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
             one, two = kind.of(mine), kind.of(others[mine.key])
             return None if one is None or two is None else one - two
 
-        return FigureKind(kind.name, difference, kind.bounds and (-kind.bounds[1], kind.bounds[1]))
+        def redrawn_difference(mine: RaceOutcome) -> FloatArray:
+            assert kind.redrawn is not None  # noqa: S101 - only called if it is not
+            return kind.redrawn(mine) - kind.redrawn(others[mine.key])
 
-    groups = group_races(shared, [minus(kind) for kind in FIGURES])
+        return FigureKind(
+            kind.name,
+            difference,
+            kind.bounds and (-kind.bounds[1], kind.bounds[1]),
+            kind.redrawn and redrawn_difference,
+        )
+
+    groups = group_races(shared, [minus(kind) for kind in first.figure_kinds()])
     return Comparison(first.label, second.label, groups)

@@ -9,9 +9,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
+
 from stkzoo._schema import Count, OneOf, Place, Positive
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.statistics import Estimate, estimate_mean
+from stkzoo.evaluation.statistics import (
+    DRAWS,
+    FEWEST_CLUSTERS,
+    Estimate,
+    estimate_clustered,
+    estimate_mean,
+)
 from stkzoo.race.result import AgentResult, RaceResult
 
 #: The race forms of the benchmark protocol.
@@ -19,6 +28,8 @@ FORMS = ("PAAAA", "PPAAA", "P")
 _FORM = re.compile(r"(P+)(A*)")
 _MAX_KARTS = 20
 _SEED_BYTES = 4
+
+FloatArray = npt.NDArray[np.float64]
 #: Ends of the grid.
 FRONT, BACK = "front", "back"
 
@@ -211,6 +222,17 @@ class RaceOutcome(BenchmarkRace):
         ratios = [limit if k.time is None else min(k.time / ai_time, limit) for k in karts]
         return cls(**asdict(race), status=result.status, time_ratio=_mean(ratios), karts=karts)
 
+    def time_ratios(self, ai_times: FloatArray, limit: float) -> FloatArray:
+        """Returns :attr:`time_ratio` for each of several median times of the AI.
+
+        Args:
+            ai_times: the AI's median times ``(N,)`` [s].
+            limit: time limit of the race, as a multiple of the AI's median time.
+        """
+        times = np.array([np.inf if kart.time is None else kart.time for kart in self.karts])
+        ratios: FloatArray = np.minimum(times / ai_times[:, None], limit).mean(axis=1)
+        return ratios
+
     @property
     def is_won(self) -> float | None:
         """1 if a kart of the agent won, otherwise 0; ``None`` without rivals."""
@@ -252,11 +274,14 @@ class FigureKind:
         name: name of the metric.
         of: function that returns its value in one race, or ``None`` if it is undefined.
         bounds: lowest and highest possible value, for fractions and counts.
+        redrawn: function that returns its values ``(DRAWS,)`` in one race for resampled median
+            times of the AI; ``None`` if it does not depend on them.
     """
 
     name: str
     of: Callable[[RaceOutcome], float | None]
     bounds: tuple[float, float] | None = None
+    redrawn: Callable[[RaceOutcome], FloatArray] | None = None
 
 
 FIGURES = (
@@ -290,6 +315,7 @@ class RaceGroup:
             ``None`` without rivals.
         figures: estimates of the metrics by name, as in :data:`FIGURES`; ``None`` for a metric
             that no race has.
+        clustered: the same means with intervals over clusters: the track and direction of a race.
     """
 
     by: str
@@ -297,6 +323,7 @@ class RaceGroup:
     races: int
     chance: float | None
     figures: Mapping[str, Estimate | None]
+    clustered: Mapping[str, Estimate | None]
 
 
 def group_races(
@@ -324,7 +351,27 @@ def _group(
         kind.name: estimate_mean([kind.of(outcome) for outcome in outcomes], strata, kind.bounds)
         for kind in kinds
     }
-    return RaceGroup(by, name, len(outcomes), _mean(chances) if chances else None, figures)
+    clustered = {kind.name: _clustered(outcomes, kind) for kind in kinds}
+    chance = _mean(chances) if chances else None
+    return RaceGroup(by, name, len(outcomes), chance, figures, clustered)
+
+
+def _clustered(outcomes: Sequence[RaceOutcome], kind: FigureKind) -> Estimate | None:
+    """Returns the estimate of a metric with an interval over tracks and directions."""
+    numbers: dict[tuple[str, bool], int] = {}
+    for outcome in outcomes:
+        numbers.setdefault((outcome.track, outcome.reverse), len(numbers))
+    totals, counts = np.zeros((2, len(numbers)))
+    has_baseline = kind.redrawn is not None and len(numbers) >= FEWEST_CLUSTERS
+    redrawn = np.zeros((DRAWS, len(numbers))) if has_baseline else None
+    for outcome in outcomes:
+        value, number = kind.of(outcome), numbers[outcome.track, outcome.reverse]
+        if value is not None:
+            totals[number] += value
+            counts[number] += 1
+            if redrawn is not None and kind.redrawn is not None:
+                redrawn[:, number] += kind.redrawn(outcome)
+    return estimate_clustered(totals, counts, redrawn)
 
 
 def find_group(groups: Sequence[RaceGroup], by: str, name: str) -> RaceGroup:

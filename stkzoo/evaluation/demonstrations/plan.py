@@ -183,7 +183,7 @@ def plan_demonstrations(
             a folder or zip, or a module.
         view: name of the view to record in, which must have a fixed size. The driver itself can
             use another view.
-        tracks: ``"train"``, ``"test"``, ``"all"``, or names of tracks.
+        tracks: name of a split (:data:`stkzoo.tracks.SPLITS`), or names of tracks.
         reverse: the directions: ``False`` for forward, ``True`` for reversed.
         seeds: seeds of the races on each track in each direction; or the number of seeds, which
             start at 0.

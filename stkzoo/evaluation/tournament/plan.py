@@ -215,7 +215,7 @@ def plan_tournament(
         agents: names of drivers, paths of folders and zips, or modules; append ``@:Name`` to
             rename one.
         servers: servers whose agents also take part.
-        tracks: names of tracks, or ``"train"``, ``"test"`` or ``"all"``.
+        tracks: names of tracks or of splits (:data:`stkzoo.tracks.SPLITS`).
         races: number of races.
         per_race: number of agents per race; by default 4, or all if there are fewer.
         seed: seed of the schedule; race ``i`` has the seed ``seed + i``.

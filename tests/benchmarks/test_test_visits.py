@@ -1,0 +1,47 @@
+"""The log of visits to the test tracks has every saved result and is shown in the docs."""
+
+import csv
+import json
+
+import pytest
+
+from stkzoo.evaluation import load_benchmark
+from stkzoo.tracks import TEST_TRACKS
+from tests.support.paths import ROOT
+
+RESULTS = ROOT / "benchmarks" / "results"
+
+
+def has_test_tracks(file):
+    """Whether a saved result is of test tracks."""
+    return not set(TEST_TRACKS).isdisjoint(json.loads(file.read_text())["plan"]["tracks"])
+
+
+SAVED = sorted(filter(has_test_tracks, (RESULTS / "benchmark").rglob("*.json")))
+
+
+def visits():
+    """The rows of the log, without its head."""
+    with (RESULTS / "test_visits.csv").open(newline="") as file:
+        return list(csv.reader(file))[1:]
+
+
+@pytest.mark.parametrize("file", SAVED, ids=lambda file: file.stem)
+def test_every_saved_result_on_test_tracks_is_in_the_log(file):
+    result = load_benchmark(file)
+    ratio = result.group().figures["time_ratio"].value
+    row = [
+        result.plan.agent.source,
+        str(result.plan.settings.difficulty),
+        str(len(result.races)),
+        f"{ratio:.3f}",
+    ]
+    assert row in [visit[1:5] for visit in visits()]
+
+
+def test_the_docs_show_the_log():
+    page = (ROOT / "docs" / "explanation" / "research-log.md").read_text()
+    _, _, rest = page.partition("## Visits to the test tracks")
+    section, _, _ = rest.partition("\n## ")
+    shown = [line for line in section.splitlines() if line.startswith("| ")][2:]
+    assert shown == [f"| {' | '.join(row)} |" for row in visits()]

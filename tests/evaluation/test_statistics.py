@@ -1,0 +1,97 @@
+"""Means with intervals over clusters."""
+
+import math
+
+import numpy as np
+import pytest
+
+from stkzoo.evaluation.statistics import (
+    DRAWS,
+    _student_t,
+    estimate_clustered,
+    resampled_medians,
+)
+
+
+def clusters_of(values):
+    """Totals and counts of values ``(C, n)``."""
+    return values.sum(axis=1), np.full(len(values), float(values.shape[1]))
+
+
+def test_the_mean_is_over_values_not_over_clusters():
+    found = estimate_clustered(np.array([2.0, 9.0, 4.0, 5.0]), np.array([1.0, 3.0, 2.0, 4.0]))
+    assert found.value == 2.0
+    assert found.low < 2.0 < found.high
+
+
+def test_the_interval_is_as_wide_as_the_means_of_clusters_vary():
+    values = np.random.default_rng(1).normal(size=(40, 3))
+    found = estimate_clustered(*clusters_of(values))
+    error = values.mean(axis=1).std(ddof=1) / math.sqrt(40)
+    assert found.high - found.low == pytest.approx(2 * 2.023 * error, rel=0.06)
+
+
+def test_the_true_mean_over_tracks_is_in_the_interval_as_often_as_is_said():
+    chance = np.random.default_rng(2)
+    hits = 0
+    for _ in range(300):
+        of_track = chance.normal(1.0, 0.04, (12, 1))
+        found = estimate_clustered(*clusters_of(chance.normal(of_track, 0.03, (12, 5))))
+        hits += found.low <= 1.0 <= found.high
+    assert 273 <= hits <= 296  # 91 to 98.7 %
+
+
+@pytest.mark.parametrize(("freedom", "quantile"), [(3, 3.182), (7, 2.365), (11, 2.201)])
+def test_few_clusters_have_the_tails_of_student_s_t(freedom, quantile):
+    assert _student_t(freedom) == pytest.approx(quantile, rel=0.01)
+
+
+def test_a_resampled_baseline_widens_the_interval_by_its_own_error():
+    values = np.ones((16, 1)) + np.linspace(-1e-6, 1e-6, 16)[:, None]  # the tracks are the same
+    noise = np.random.default_rng(3).normal(0, 0.02, (DRAWS, 16))
+    totals, counts = clusters_of(values)
+    exact = estimate_clustered(totals, counts)
+    found = estimate_clustered(totals, counts, values[:, 0] / (1 + noise))
+    assert exact.high - exact.low < 1e-6
+    # Of 16 clusters 15 are drawn, some of them several times.
+    error = 0.02 * math.sqrt((2 - 1 / 16) / 15)
+    assert found.high - found.low == pytest.approx(2 * 2.131 * error, rel=0.08)
+
+
+def test_clusters_without_values_do_not_count():
+    totals, counts = clusters_of(np.random.default_rng(4).normal(size=(6, 2)))
+    padded = np.append(totals, 0.0), np.append(counts, 0.0)
+    assert estimate_clustered(*padded) == estimate_clustered(totals, counts)
+    assert estimate_clustered(np.zeros(2), np.zeros(2)) is None
+
+
+@pytest.mark.parametrize("means", [[1.0, 2.0, 3.0], [1.0] * 8])
+def test_few_or_equal_clusters_give_no_interval(means):
+    found = estimate_clustered(np.array(means), np.ones(len(means)))
+    assert (found.low, found.high) == (None, None)
+
+
+def test_the_same_values_give_the_same_interval():
+    totals, counts = clusters_of(np.random.default_rng(5).normal(size=(6, 2)))
+    assert estimate_clustered(totals, counts) == estimate_clustered(totals, counts)
+
+
+def test_medians_resample_whole_races():
+    medians = resampled_medians([[1.0] * 3, [5.0] * 3], np.random.default_rng(0))
+    assert medians.shape == (DRAWS,)
+    assert set(medians) == {1.0, 5.0}  # one race of two is drawn
+    assert np.mean(medians == 1.0) == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_kart_that_did_not_finish_is_the_slowest():
+    medians = resampled_medians([[1.0, None, None, 2.0, 3.0]] * 2, np.random.default_rng(0))
+    assert set(medians) == {3.0}
+
+
+def test_medians_vary_as_much_as_those_of_other_races():
+    chance = np.random.default_rng(6)
+    truth = np.median(chance.normal(50, 2, (4000, 25)), axis=1).std()
+    errors = [
+        resampled_medians(chance.normal(50, 2, (5, 5)).tolist(), chance).std() for _ in range(100)
+    ]
+    assert np.mean(errors) == pytest.approx(truth, rel=0.15)
