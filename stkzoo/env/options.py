@@ -47,8 +47,8 @@ class RaceOptions:
         laps: number of laps.
         difficulty: level of the game's bots, 0 (easiest) to 3 (hardest).
         reverse: drive the track in the opposite direction.
-        mode: ``"normal"``, or ``"time_trial"`` for the game's time trial: no item boxes and no
-            bananas, and each kart starts with one zipper per lap.
+        mode: ``"normal"``, or ``"time_trial"`` for the game's time trial: no item boxes,
+            and each kart starts with one zipper per lap.
         max_paths: number of track segments ahead in observations; ``None`` for all.
         step_size: game time of one step [s].
         max_cycles: number of steps after which the race is truncated; ``None`` for no limit.
