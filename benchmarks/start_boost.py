@@ -28,8 +28,8 @@ from stkzoo.records import RECORD_DIFFICULTY, RECORD_KART
 OUTPUT = Path(__file__).parent / "results" / "start_boost.json"
 STEP = 0.05
 #: Times of the first throttle after the first step [s]; the race starts at 1.95 s.
-THROTTLE = [round(0.1 * number, 1) for number in range(26)]
-PATTERNS, HORIZON = 100, 90
+THROTTLE = [round(0.2 * number, 1) for number in range(13)]
+PATTERNS, HORIZON = 30, 90
 #: Distance of the first kart on the straight [m], gaps behind it [m], and steps of 0.1 s.
 STRAIGHT_FROM, GAPS, FOLLOWED = 186.0, (4.0, 6.0, 8.0, 10.0, 60.0), 70
 #: Step after which the follower leaves the slipstream sideways, and how far [m].
