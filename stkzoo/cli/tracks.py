@@ -155,8 +155,10 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
 def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
     from stkzoo.cli._console import show_table
 
-    columns = ("track", "split", "length [m]", "parts", "forks", "items")
-    columns += ("AI [s]", "reversed", "record")
+    columns = (
+        *("track", "split", "length [m]", "parts", "forks", "items"),
+        *("AI [s]", "reversed", "record"),
+    )
     rows = []
     for fact in facts:
         numbers = (round(fact.length), fact.segments, fact.forks, fact.items)

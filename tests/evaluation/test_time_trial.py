@@ -67,6 +67,12 @@ def test_a_plan_with_a_track_without_a_record_is_refused():
         replace(plan, tracks=("hacienda",))
 
 
+def test_a_plan_under_other_conditions_is_refused():
+    plan = plan_time_trial("heuristic", split="lighthouse")
+    with pytest.raises(ConfigError, match="difficulty is 2, expected 3 as in the records"):
+        replace(plan, settings=replace(plan.settings, difficulty=2))
+
+
 # ------------------------------------------------------------------ the figures
 
 

@@ -30,6 +30,13 @@ CLOSE = 1.15
 #: Time limit of a race, as a multiple of the record.
 _LIMIT = 3.0
 _MAX_SEEDS = 1000
+#: Settings of every race, as in the records.
+_CONDITIONS: dict[str, Any] = {
+    "mode": TIME_TRIAL,
+    "kart": RECORD_KART,
+    "difficulty": RECORD_DIFFICULTY,
+    "reverse": False,
+}
 #: Form of the races, which determines their seeds.
 _ALONE = "P"
 
@@ -115,6 +122,10 @@ class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
 
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        for name, expected in _CONDITIONS.items():
+            found = getattr(self.settings, name)
+            if found != expected:
+                raise ConfigError(f"{name} is {found!r}, expected {expected!r} as in the records")
         races = len(self.tracks) * self.seeds
         if races > MAX_RACES:
             raise ConfigError(f"the benchmark has {races:,} races, expected at most {MAX_RACES:,}")
@@ -216,10 +227,7 @@ def plan_time_trial(
         TimeTrialPlan.choose_settings(settings, changes),
         track=None,
         laps=1,  # each race has the laps of its record
-        mode=TIME_TRIAL,
-        kart=RECORD_KART,
-        difficulty=RECORD_DIFFICULTY,
-        reverse=False,
+        **_CONDITIONS,
         max_steps=None,
         max_steps_after_first=None,
         karts_finished=None,
