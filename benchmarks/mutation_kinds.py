@@ -37,10 +37,16 @@ from stkzoo.evaluation import (
     load_demonstrations,
     plan_benchmark,
     plan_demonstrations,
+    plan_time_trial,
     plan_tournament,
 )
 from stkzoo.evaluation.benchmark.ai_times import AiTimes, AiTimesPlan, load_ai_times, plan_ai_times
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult
+from stkzoo.evaluation.benchmark.time_trial import (
+    TimeTrialPlan,
+    TimeTrialRace,
+    TimeTrialResult,
+)
 from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
@@ -171,6 +177,28 @@ def _tournament_result() -> TournamentResult:
 
 def _benchmark_result() -> BenchmarkResult:
     return _benchmark().summarize(_results(4), Path())
+
+
+def _time_trial() -> TimeTrialPlan:
+    return plan_time_trial("heuristic", split=[_TRACK])
+
+
+def _time_trial_result() -> TimeTrialResult:
+    plan = _time_trial()
+    (order,) = plan.orders()
+    race = TimeTrialRace(
+        number=0,
+        track=_TRACK,
+        index=0,
+        seed=order.settings.seed,
+        status="finished",
+        time=100.0,
+        ratio=1.15,
+        laps=4,
+        rescues=1,
+        errors=0,
+    )
+    return TimeTrialResult(plan, (race,))
 
 
 def _few_ai_times() -> Document:
@@ -402,6 +430,8 @@ def _all_kinds() -> list[FileKind]:
         _document(TournamentResult, _tournament_result),
         _document(BenchmarkPlan, _benchmark),
         _document(BenchmarkResult, _benchmark_result),
+        _document(TimeTrialPlan, _time_trial),
+        _document(TimeTrialResult, _time_trial_result),
         _document(AiTimes, _few_ai_times),
         _document(AiTimesPlan, partial(plan_ai_times, tracks=[_TRACK], seeds=1)),
         _document(DemoPlan, partial(plan_demonstrations, "ai", tracks=[_TRACK])),

@@ -21,6 +21,7 @@ from stkzoo.engine.ground import Ground
 from stkzoo.engine.track import TrackMap
 from stkzoo.evaluation import AiTimes, BatchProgress, load_ai_times, measure_ai_times
 from stkzoo.names import GroundKind
+from stkzoo.records import HUMAN_RECORDS, RECORD_DIFFICULTY, RECORD_KART
 from stkzoo.tracks import SPLITS, split_of
 
 ROOT = Path(__file__).parent.parent
@@ -72,6 +73,24 @@ _ABOUT = """\
 
 The AI is faster at higher difficulties partly because all karts, also those of agents, have
 stronger engines.
+
+"""
+
+_RECORDS = """\
+
+## Human records
+
+The world records of the game's time trial, from the replays in the sources of SuperTuxKart 1.5
+([`stkzoo/records.py`](../../stkzoo/records.py)). Conditions:
+
+- Each record is a whole race from the standing start, forward, at difficulty {difficulty}.
+- The track has no item boxes, and the kart starts with one zipper per lap.
+- Most players drive the kart *{kart}*.
+- Players use the start boost, which karts of agents do not get, and shortcuts.
+
+*Per lap* is the record divided by its laps. `mode="time_trial"` sets the mode, and
+`stkzoo benchmark AGENT --time-trial` [compares an agent](benchmark-protocol.md#time-trials) with
+the records.
 
 """
 
@@ -185,7 +204,10 @@ def page(facts: dict[str, Facts], times: AiTimes) -> str:
             _HEAD,
             _ABOUT.format(karts=karts),
             _table(facts, times),
-            f"\n{_unfinished(times)} Measured with {versions}.\n\n## Maps\n\n",
+            f"\n{_unfinished(times)} Measured with {versions}.\n",
+            _RECORDS.format(difficulty=RECORD_DIFFICULTY, kart=RECORD_KART),
+            _records(),
+            "\n## Maps\n\n",
             "The kart is at the start and points ahead. Squares are gift boxes; discs are\n",
             "bananas, nitro and other items. Brighter road is higher.\n\n",
             _maps(list(facts), ""),
@@ -207,6 +229,15 @@ def _table(facts: dict[str, Facts], times: AiTimes) -> str:
             f"| {track} | {split} | {found.length:.0f} | {found.nodes} | {found.forks} | "
             f"{found.items} | {_times(track, False, times)} | {_times(track, True, times)} |"
         )
+    return "\n".join(lines) + "\n"
+
+
+def _records() -> str:
+    lines = ["| track | laps | record [s] | per lap [s] |", "| :-- | --: | --: | --: |"]
+    lines += [
+        f"| {track} | {record.laps} | {record.seconds:.2f} | {record.seconds / record.laps:.2f} |"
+        for track, record in HUMAN_RECORDS.items()
+    ]
     return "\n".join(lines) + "\n"
 
 

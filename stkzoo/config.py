@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from stkzoo.errors import ConfigError, check_arguments, check_number, unknown_name
+from stkzoo.errors import (
+    ConfigError,
+    check_arguments,
+    check_number,
+    shortened,
+    unknown_name,
+)
 from stkzoo.names import CameraMode
 
-__all__ = ["AgentSpec", "RandomStart", "Start", "start_of"]
+__all__ = [
+    "NORMAL",
+    "RACE_MODES",
+    "TIME_TRIAL",
+    "AgentSpec",
+    "RandomStart",
+    "Start",
+    "check_mode",
+    "start_of",
+]
+
+#: The modes of a race: the normal race, and the game's time trial, which has no item boxes.
+RACE_MODES = NORMAL, TIME_TRIAL = "normal", "time_trial"
 
 #: Top speed of a kart without nitro or zippers [m/s].
 _MAX_START_SPEED = 25.0
@@ -155,3 +174,19 @@ def start_of(values: Mapping[str, object]) -> Start | RandomStart:
             raise unknown_name("field of a start", name, known)
     start: Start | RandomStart = kind(**{**values, **pairs})
     return start
+
+
+def check_mode(mode: object) -> None:
+    """Checks the mode of a race.
+
+    Args:
+        mode: the mode, one of :data:`RACE_MODES`.
+
+    Raises:
+        ConfigError: there is no such mode.
+    """
+    if not isinstance(mode, str) or mode not in RACE_MODES:
+        known = " or ".join(map(repr, RACE_MODES))
+        near = difflib.get_close_matches(str(mode).lower(), RACE_MODES, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else f"; leave it out for {NORMAL!r}"
+        raise ConfigError(f"mode is {shortened(mode)}, expected {known}{hint}")

@@ -25,6 +25,7 @@ LAYERS = [
             "stkzoo.names",
             "stkzoo.config",
             "stkzoo.tracks",
+            "stkzoo.records",
             "stkzoo._arguments",
             "stkzoo._installation",
             "stkzoo._lazy",

@@ -13,7 +13,7 @@ import pytest
 from benchmarks.mutation_kinds import KINDS
 from benchmarks.mutations import mutate, run_kind
 from stkzoo.errors import ConfigError, StkzooError
-from stkzoo.evaluation import BenchmarkResult, TournamentResult
+from stkzoo.evaluation import BenchmarkResult, TimeTrialResult, TournamentResult
 from stkzoo.evaluation.benchmark.ai_times import AiTimes
 from stkzoo.race import RaceResult
 from tests.support.paths import SCHEMAS
@@ -107,7 +107,9 @@ def test_a_result_out_of_bounds_is_refused_and_its_field_named(field, value, pro
         RaceResult.from_json(json.dumps(values))
 
 
-@pytest.mark.parametrize("kind", [RaceResult, AiTimes, BenchmarkResult, TournamentResult])
+@pytest.mark.parametrize(
+    "kind", [RaceResult, AiTimes, BenchmarkResult, TimeTrialResult, TournamentResult]
+)
 def test_what_the_published_schema_refuses_is_refused_here_too(kind):
     """A changed value that breaks the schema is never read; entries may be missing or new."""
     schema = json.loads((SCHEMAS / f"{kind.kind}.schema.json").read_text())

@@ -11,11 +11,14 @@ from typing import TYPE_CHECKING
 from rich.progress import BarColumn, TextColumn
 
 from stkzoo.cli._console import make_bars, say, show_table
+from stkzoo.config import NORMAL
 from stkzoo.errors import AgentError
 from stkzoo.race import AgentResult, RaceListener, RaceProgress, RaceResult
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # a part of gymnasium
+
+    from stkzoo.race.replay import Replay
 
 _ENDINGS = {
     "finished": "",
@@ -87,12 +90,19 @@ class RaceBar(RaceListener):
         )
 
 
+def described(race: RaceResult | Replay) -> str:
+    """Returns the track of a race, its direction and its mode as text."""
+    way = ", reversed" if race.reverse else ""
+    mode = "" if race.mode == NORMAL else f", {race.mode.replace('_', ' ')}"
+    return f"{race.track}{way}{mode}"
+
+
 def show_race(result: RaceResult) -> None:
     """Prints the result of one race: its settings, the ranking, and failures of agents."""
     laps = "1 lap" if result.laps == 1 else f"{result.laps} laps"
-    way = ", reversed" if result.reverse else ""
+    way = described(result)
     say(
-        f"{result.track}{way}: {laps}, {result.race_length:.0f} m, "
+        f"{way}: {laps}, {result.race_length:.0f} m, "
         f"AI difficulty {result.difficulty}, seed {result.seed}"
     )
     columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")

@@ -6,6 +6,10 @@ of the grid. The results are the agent's time as a multiple of the AI's median t
 its mean rank, the share of races that it did not finish, and its number of rescues per race, each
 with a 95 % interval.
 
+With --time-trial, the agent instead drives each track alone under the conditions of the human
+world records: time trial, forward, difficulty 3, kart pidgin, as many laps as the record. The
+results are its times as multiples of the records.
+
 Each race is stored in the output folder as soon as it ends. After an interruption, the same
 command resumes.
 
@@ -16,6 +20,7 @@ Examples:
   stkzoo benchmark heuristic                  300 races
   stkzoo benchmark my_agent/ --track lighthouse hacienda --seeds 2
   stkzoo benchmark my_agent.zip --difficulty 2 --output results/mine --inline
+  stkzoo benchmark heuristic --time-trial     21 races against human records
   stkzoo benchmark --compare results/mine benchmark/heuristic
   stkzoo benchmark --baseline --output ai-times     the AI's times
 
@@ -49,10 +54,14 @@ if TYPE_CHECKING:
         Comparison,
         Estimate,
         RaceGroup,
+        TimeTrialPlan,
+        TimeTrialResult,
     )
 
 #: Options that are also arguments of ``plan_benchmark``.
-_PLANNED = ("agent", "difficulty", "seeds", "ai_times")
+_PLANNED = ("agent", "difficulty", "ai_times")
+_SEEDS, _TIME_TRIAL_SEEDS = 5, 1
+_DIRECTIONS = ("forward", "reversed")
 _MAIN_GROUPS = ("all", "form")
 _SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
 #: Width of a line with all metrics. On a narrower terminal, intervals are printed below values.
@@ -75,27 +84,31 @@ class BenchmarkArguments:
     Attributes:
         agent: the agent; see above
         compare: compare results (folders or result.json files): the first with each of the others
+        time_trial: drive each track alone in the game's time trial, against the human records
         baseline: measure the game's AI at all difficulties, for --ai-times
         split: names of tracks, or train, train_only, validation, test or all (default: test;
-            with --baseline, all)
+            with --time-trial or --baseline, all)
         difficulty: difficulty of the game's AI, 0 to 3
         forms: line-ups to race: P is a kart of the agent, A one of the AI (default: PAAAA PPAAA P)
-        seeds: races of each track, direction, line-up and end of the grid
+        seeds: races of each track, direction, line-up and end of the grid (default: 5; with
+            --time-trial, 1)
         ai_times: the AI's times, from --baseline (default: those that come with stkzoo)
-        output: folder for the races, result.json and benchmark.png (default: benchmark/AGENT);
-            with --compare, a file for the plot; with --baseline, a folder for the times
+        output: folder for the races, result.json and benchmark.png (default: benchmark/AGENT, or
+            benchmark/AGENT-time-trial); with --compare, a file for the plot; with --baseline, a
+            folder for the times
         json: write only JSON to stdout
         no_plot: do not draw benchmark.png
     """
 
     agent: str | None = positional(None)
     compare: tuple[str, ...] | None = option(metavar="RESULT", rivals="what")
+    time_trial: bool = option(False, rivals="what")
     baseline: bool = option(False, rivals="what")
     split: tuple[str, ...] | None = option(flag="--track", metavar="TRACK")
     difficulty: int = 3
     forms: tuple[str, ...] | None = option(metavar="FORM")
-    seeds: int = 5
-    directions: tuple[str, ...] = directions_option("forward", "reversed")
+    seeds: int | None = None
+    directions: tuple[str, ...] = directions_option(*_DIRECTIONS)
     ai_times: str | None = option(metavar="FILE")
     output: str | None = option(metavar="PATH", group="output")
     json: bool = option(False, group="output")
@@ -113,6 +126,8 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Measures an agent or the game's AI, or compares results."""
+    if arguments.time_trial:
+        return _time_trial(arguments)
     if not arguments.compare and not arguments.baseline:
         return _benchmark(arguments)
     if arguments.agent:
@@ -125,23 +140,64 @@ def _benchmark(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._batch import run_plan
 
     plan = _plan(arguments)
-    folder = Path(arguments.output or Path("benchmark", plan.agent.label.replace("/", "_")))
+    folder = _folder(arguments, plan.agent.label)
     return run_plan(arguments, plan, folder, lambda result: _show_results([result]))
+
+
+def _folder(arguments: argparse.Namespace, name: str) -> Path:
+    return Path(arguments.output or Path("benchmark", name.replace("/", "_")))
+
+
+def _time_trial(arguments: argparse.Namespace) -> int:
+    from stkzoo.cli._batch import run_plan
+
+    plan = _time_trial_plan(arguments)
+    folder = _folder(arguments, f"{plan.agent.label}-time-trial")
+    return run_plan(arguments, plan, folder, _show_time_trial)
+
+
+def _time_trial_plan(arguments: argparse.Namespace) -> TimeTrialPlan:
+    from stkzoo.evaluation import TimeTrialPlan, plan_time_trial
+
+    _check_agent(arguments)
+    found, defaults = values_of(arguments, BenchmarkArguments), BenchmarkArguments()
+    for name in ("difficulty", "forms", "directions", "ai_times"):
+        if found[name] != getattr(defaults, name):
+            raise ConfigError(
+                f"--time-trial has the conditions of the human records; leave out "
+                f"--{name.replace('_', '-')}"
+            )
+    split = arguments.split or ["all"]
+    return plan_time_trial(
+        arguments.agent,
+        split=split[0] if len(split) == 1 else split,
+        seeds=_TIME_TRIAL_SEEDS if arguments.seeds is None else arguments.seeds,
+        **values_of(arguments, RaceSettings, without=TimeTrialPlan.decided),
+    )
+
+
+def _check_agent(arguments: argparse.Namespace) -> None:
+    if not arguments.agent:
+        raise ConfigError("no agent; name one, such as heuristic, or see --help")
 
 
 def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
     from stkzoo.evaluation import FORMS, BenchmarkPlan, plan_benchmark
 
-    if not arguments.agent:
-        raise ConfigError("no agent; name one, such as heuristic, or see --help")
+    _check_agent(arguments)
     split = arguments.split or ["test"]
     return plan_benchmark(
         split=split[0] if len(split) == 1 else split,
         forms=arguments.forms or FORMS,
         reverse=chosen_directions(arguments),
+        seeds=_seeds(arguments),
         **values_of(arguments, BenchmarkArguments, only=_PLANNED),
         **values_of(arguments, RaceSettings, without=BenchmarkPlan.decided),
     )
+
+
+def _seeds(arguments: argparse.Namespace) -> int:
+    return _SEEDS if arguments.seeds is None else int(arguments.seeds)
 
 
 def _baseline(arguments: argparse.Namespace) -> int:
@@ -149,7 +205,7 @@ def _baseline(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._console import say
     from stkzoo.evaluation.benchmark.ai_times import plan_ai_times
 
-    plan = plan_ai_times(tracks=arguments.split or "all", seeds=arguments.seeds)
+    plan = plan_ai_times(tracks=arguments.split or "all", seeds=_seeds(arguments))
     folder = Path(arguments.output or "ai-times")
     return run_plan(
         arguments, plan, folder, lambda times: say(f"{len(times.by_race)} times of the game's AI")
@@ -206,6 +262,34 @@ def _show_results(results: Sequence[BenchmarkResult]) -> None:
             f"{result.label}: {len(result.races)} of {len(plan.races())} races on "
             f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; {interval} "
             f"95 % intervals{errors}."
+        )
+
+
+def _show_time_trial(result: TimeTrialResult) -> None:
+    """Prints an agent's times and the human records."""
+    from stkzoo.cli._console import say, show_table
+    from stkzoo.evaluation.benchmark.time_trial import CLOSE
+
+    rows = [
+        (
+            track.track,
+            str(track.laps),
+            "-" if track.time is None else f"{track.time:.2f}",
+            f"{track.record:.2f}",
+            f"{track.ratio:.3f}",
+        )
+        for track in result.tracks
+    ]
+    show_table(
+        ("track", "laps", "time [s]", "record [s]", "ratio"),
+        rows,
+        left=("track",),
+        caption="ratio: multiple of the human record",
+    )
+    if result.mean_ratio is not None:
+        say(
+            f"{result.label}: mean ratio {result.mean_ratio:.3f} on {len(result.tracks)} tracks; "
+            f"{result.close} at {CLOSE} or less; unfinished: {', '.join(result.unfinished) or '-'}."
         )
 
 

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING
 
 from stkzoo._arguments import CommandParser, add_options, positional
 from stkzoo.cli._race_options import add_viewing_options, viewing_listeners
+from stkzoo.cli._race_report import described
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -126,10 +127,9 @@ def _show_info(replay: Replay, *, as_json: bool) -> None:
     if as_json:
         print(json.dumps(replay.to_dict(), indent=2))
         return
-    way = ", reversed" if replay.reverse else ""
     seconds = replay.steps * replay.step_size
     print(
-        f"{replay.track}{way}: laps {replay.laps}, AI difficulty {replay.difficulty}, "
+        f"{described(replay)}: laps {replay.laps}, AI difficulty {replay.difficulty}, "
         f"seed {replay.seed}"
     )
     print(f"{replay.steps} steps, {seconds:.1f} s of game time; it ended: {replay.status}")

@@ -1,8 +1,9 @@
 """List the tracks.
 
 Shows the game's tracks: the length of a lap, the parts and forks of the driving line, the items
-at the start, and the lap time of the game's AI, forward and reversed (median of 25 karts at
---difficulty). Do not train on the tracks of "test".
+at the start, the lap time of the game's AI, forward and reversed (median of 25 karts at
+--difficulty), and the human world record in the game's time trial with its number of laps. Do not
+train on the tracks of "test".
 
 Examples:
   stkzoo tracks                                    all tracks by name
@@ -22,6 +23,7 @@ from pathlib import Path
 from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS, split_of
 
 #: Field to sort by, for each choice of ``--sort``.
@@ -65,6 +67,8 @@ class TrackFacts:
         items: number of items at the start.
         time: the AI's median time for a lap, forward [s]; ``None`` if not measured.
         reversed_time: the AI's median time for a lap, reversed [s]; ``None`` if not measured.
+        record: the human world record [s]; ``None`` if unknown (:mod:`stkzoo.records`).
+        record_laps: number of laps of the record; ``None`` if unknown.
     """
 
     track: str
@@ -75,6 +79,8 @@ class TrackFacts:
     items: int
     time: float | None
     reversed_time: float | None
+    record: float | None
+    record_laps: int | None
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -130,6 +136,7 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
         assert road is not None  # noqa: S101 - there is a race
         assert snapshot is not None  # noqa: S101
         times = load_ai_times().by_race
+        record = HUMAN_RECORDS.get(track)
         medians = [times.get((track, reverse, difficulty)) for reverse in (False, True)]
         return TrackFacts(
             track=track,
@@ -140,19 +147,25 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
             items=len(snapshot.items),
             time=medians[0].median if medians[0] else None,
             reversed_time=medians[1].median if medians[1] else None,
+            record=record.seconds if record else None,
+            record_laps=record.laps if record else None,
         )
 
 
 def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
     from stkzoo.cli._console import show_table
 
-    columns = ("track", "split", "length [m]", "parts", "forks", "items", "AI [s]", "reversed")
+    columns = (
+        *("track", "split", "length [m]", "parts", "forks", "items"),
+        *("AI [s]", "reversed", "record"),
+    )
     rows = []
     for fact in facts:
         numbers = (round(fact.length), fact.segments, fact.forks, fact.items)
         times = ("-" if t is None else f"{t:.1f}" for t in (fact.time, fact.reversed_time))
-        rows.append((fact.track, fact.split, *map(str, numbers), *times))
-    caption = f"times of the game's AI at difficulty {difficulty}"
+        record = f"{fact.record:.1f} / {fact.record_laps}" if fact.record else "-"
+        rows.append((fact.track, fact.split, *map(str, numbers), *times, record))
+    caption = f"AI times at difficulty {difficulty}; human world records [s] / their laps"
     show_table(columns, rows, left=columns[:2], caption=caption)
 
 

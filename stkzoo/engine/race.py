@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.config import NORMAL, TIME_TRIAL
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.starting import put_karts
@@ -24,6 +25,8 @@ _MAX_WARMUP_STEPS = 100_000
 
 #: Maximum length of a kart's name. Longer names would cover the image.
 _LONGEST_NAME = 20
+#: The engine's names of the modes.
+_GAME_MODES = {NORMAL: "NORMAL_RACE", TIME_TRIAL: "TIME_TRIAL"}
 _is_initialised = False
 
 
@@ -198,6 +201,7 @@ def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:
         track=setup.track,
         laps=setup.laps,
     )
+    config.mode = getattr(pystk2.RaceConfig.RaceMode, _GAME_MODES[setup.mode])
     config.reverse = setup.reverse
     config.step_size = setup.step_size
     # With another number, so many of the first karts get a camera, regardless of their

@@ -50,6 +50,7 @@ class MirroredRace:
             tuple(replace(kart, is_bot=False) for kart in setup.karts),
             laps=_MANY_LAPS,
             reverse=setup.reverse,
+            mode=setup.mode,
             seed=setup.seed,
             step_size=_WARMUP_STEP,
         )

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Annotated
 
 from stkzoo._schema import Matching, OneOf, Share, Within
-from stkzoo.config import Start
+from stkzoo.config import NORMAL, RACE_MODES, Start
 from stkzoo.names import CameraMode
 
 _FOLDER = Matching(r"[^/\\\0]*", "the name of a folder in the game's data")
@@ -48,6 +48,7 @@ class RaceSetup:
         step_size: game time of one step [s].
         num_cameras: number of karts with a camera; the renderer uses it, the engine does not.
         starts: start of each kart; if empty, all karts start on the grid.
+        mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
     """
 
     track: Annotated[str, _FOLDER]
@@ -59,6 +60,7 @@ class RaceSetup:
     step_size: float = 0.1
     num_cameras: Annotated[int, Within(0, 8)] = 0
     starts: tuple[Start, ...] = ()
+    mode: Annotated[str, OneOf(RACE_MODES)] = NORMAL
 
     def to_json(self) -> bytes:
         """Returns the setup as UTF-8 JSON."""

@@ -80,7 +80,7 @@ class Episode:
         root: Path,
     ) -> None:
         self.setup, self._root = setup, root
-        names = ("track", "reverse", "laps", "difficulty", "seed")
+        names = ("track", "reverse", "mode", "laps", "difficulty", "seed")
         chosen = {name: getattr(setup, name) for name in names}
         agents, opponents = kart_indices[: len(rewards)], kart_indices[len(rewards) :]
         called = tuple(setup.karts[kart].name for kart in opponents)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stkzoo.config import AgentSpec
+from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, camera_mode
 from stkzoo.env.starts import draw_starts
@@ -28,6 +28,7 @@ class RaceInfo:
         kart_types: model of each kart, in grid order.
         opponent_indices: index of each opponent's kart in grid order.
         opponents: name of each opponent.
+        mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
     """
 
     track: str
@@ -39,6 +40,7 @@ class RaceInfo:
     kart_types: tuple[str, ...]
     opponent_indices: tuple[int, ...] = ()
     opponents: tuple[str, ...] = ()
+    mode: str = NORMAL
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,7 @@ def draw_race(
         karts=tuple(karts),
         laps=int(options.laps),
         reverse=options.reverse,
+        mode=options.mode,
         difficulty=int(options.difficulty),
         seed=seed,
         step_size=float(options.step_size),

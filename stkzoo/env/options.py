@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from stkzoo.config import AgentSpec
+from stkzoo.config import NORMAL, AgentSpec, check_mode
 from stkzoo.env.starts import read_start
 from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.names import CameraMode
@@ -48,6 +48,8 @@ class RaceOptions:
         laps: number of laps.
         difficulty: level of the game's bots, 0 (easiest) to 3 (hardest).
         reverse: drive the track in the opposite direction.
+        mode: ``"normal"``, or ``"time_trial"`` for the game's time trial: no item boxes,
+            and each kart starts with one zipper per lap.
         max_paths: number of track segments ahead in observations; ``None`` for all.
         step_size: game time of one step [s].
         max_cycles: number of steps after which the race is truncated; ``None`` for no limit.
@@ -69,6 +71,7 @@ class RaceOptions:
     laps: int = 1
     difficulty: int = 2
     reverse: bool = False
+    mode: str = NORMAL
     max_paths: int | None = None
     step_size: float = 0.1
     max_cycles: int | None = 1500
@@ -85,6 +88,7 @@ class RaceOptions:
             value = getattr(self, name)
             if value is not None or name not in _OPTIONAL:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
+        check_mode(self.mode)
         for name in ("reverse", "events"):
             if not isinstance(getattr(self, name), bool):
                 raise ConfigError(f"{name} is {getattr(self, name)!r}, expected True or False")

@@ -14,7 +14,7 @@ from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
 from stkzoo.agent_names import find_agent, of_agent
-from stkzoo.config import AgentSpec
+from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.race import RaceStart
@@ -61,8 +61,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         agents: a list of :class:`~stkzoo.config.AgentSpec` or mappings of their fields, or the
             number of agents; by default, all karts are agents. The game drives the remaining karts.
         num_kart: see :class:`~stkzoo.env.options.RaceOptions`; likewise ``track``, ``laps``,
-            ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``max_cycles``, ``start``,
-            ``events`` and the options that begin with ``end_``.
+            ``difficulty``, ``max_paths``, ``step_size``, ``reverse``, ``mode``, ``max_cycles``,
+            ``start``, ``events`` and the options that begin with ``end_``.
         view: name of a view for all agents (:data:`stkzoo.views.VIEWS`), a function that wraps a
             Gymnasium environment, or a mapping from agents to views.
         reward: see :mod:`stkzoo.mdp.rewards`.
@@ -130,6 +130,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         end_when_wrong_way: float | None = None,
         end_off_road: float | None = None,
         end_when_first_finishes: int | None = None,
+        mode: str = NORMAL,
     ) -> None:
         arguments = {name: value for name, value in locals().items() if name != "self"}
         EzPickle.__init__(self, **arguments)

@@ -151,7 +151,8 @@ def _check(scenario: Scenario) -> None:
     if (controls < low).any() or (controls > 1.0).any():
         raise Unreadable("controls are out of range")
     options = {
-        name: getattr(setup, name) for name in ("laps", "difficulty", "reverse", "step_size")
+        name: getattr(setup, name)
+        for name in ("laps", "difficulty", "reverse", "mode", "step_size")
     }
     RaceOptions(num_kart=len(setup.karts), **options)
     if len(setup.starts) not in (0, len(setup.karts)):

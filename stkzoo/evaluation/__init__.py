@@ -29,7 +29,7 @@ from stkzoo.evaluation.benchmark.plan import (
     plan_benchmark,
     run_benchmark,
 )
-from stkzoo.evaluation.benchmark.plot import plot_benchmark
+from stkzoo.evaluation.benchmark.plot import plot_benchmark, plot_time_trial
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
     BenchmarkForm,
@@ -37,6 +37,15 @@ from stkzoo.evaluation.benchmark.races import (
     KartOutcome,
     RaceGroup,
     RaceOutcome,
+)
+from stkzoo.evaluation.benchmark.time_trial import (
+    TimeTrialPlan,
+    TimeTrialRace,
+    TimeTrialResult,
+    TrackTrial,
+    load_time_trial,
+    plan_time_trial,
+    run_time_trial,
 )
 from stkzoo.evaluation.demonstrations.check import DemoCheck, check_demonstrations
 from stkzoo.evaluation.demonstrations.dataset import (
@@ -100,28 +109,36 @@ __all__ = [
     "ScheduledRace",
     "Standing",
     "ThinkingTime",
+    "TimeTrialPlan",
+    "TimeTrialRace",
+    "TimeTrialResult",
     "TournamentPlan",
     "TournamentResult",
+    "TrackTrial",
     "check_agent",
     "check_demonstrations",
     "compare",
     "load_ai_times",
     "load_benchmark",
     "load_demonstrations",
+    "load_time_trial",
     "load_tournament",
     "measure_ai_times",
     "new_figure",
     "percentile_interval",
     "plan_benchmark",
     "plan_demonstrations",
+    "plan_time_trial",
     "plan_tournament",
     "plot_benchmark",
+    "plot_time_trial",
     "plot_tournament",
     "rate",
     "record_demonstrations",
     "require_openskill",
     "resume_tournament",
     "run_benchmark",
+    "run_time_trial",
     "run_tournament",
     "save_demonstrations",
     "save_figure",

@@ -33,9 +33,13 @@ class Rating(Estimate):
     The value is the model's rating, averaged over random orders of the races.
 
     Attributes:
+        low: lower end of the interval.
+        high: upper end of the interval.
         sigma: standard deviation according to the model.
     """
 
+    low: float
+    high: float
     sigma: Annotated[float, Within(0)]
 
 

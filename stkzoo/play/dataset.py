@@ -66,6 +66,7 @@ class DatasetWriter(RaceListener):
             "env_id": f"supertuxkart/{self._view}-v0",
             "track": race.race_info.track,
             "reverse": race.race_info.reverse,
+            "mode": race.race_info.mode,
             "laps": race.env.options.laps,
             "num_kart": race.env.options.num_kart,
             "difficulty": race.env.options.difficulty,

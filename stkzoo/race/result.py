@@ -23,6 +23,7 @@ from stkzoo._schema import (
     Whole,
     Within,
 )
+from stkzoo.config import NORMAL, RACE_MODES
 from stkzoo.drivers.sandbox import BUBBLEWRAP, LANDLOCK, NONE
 from stkzoo.race.document import Document
 from stkzoo.race.json_values import json_value
@@ -172,6 +173,7 @@ class RaceResult(Document):
         protections: resources that the sandbox and the race protect from agents from files
             (:func:`stkzoo.drivers.sandbox.protections`).
         time_budget: limit of each agent's total decision time [s]; ``None`` for no limit.
+        mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`. It affects ``==``.
     """
 
     kind: ClassVar[str] = "race-result"
@@ -195,6 +197,7 @@ class RaceResult(Document):
     )
     protections: tuple[str, ...] = field(compare=False, default=())
     time_budget: Seconds | None = field(compare=False, default=None)
+    mode: Annotated[str, OneOf(RACE_MODES)] = NORMAL
 
     @property
     def is_finished(self) -> bool:

@@ -180,7 +180,13 @@ def _env(
     count = len(drivers)
     return RaceParallelEnv(
         agents=[
-            AgentSpec(place, driver.is_game_ai, driver.name, color=number / count)
+            AgentSpec(
+                place,
+                driver.is_game_ai,
+                driver.name,
+                kart=settings.kart or "",
+                color=number / count,
+            )
             for number, (driver, place) in enumerate(zip(drivers, places, strict=True))
         ],
         num_kart=count,
@@ -188,6 +194,7 @@ def _env(
         laps=settings.laps,
         difficulty=settings.difficulty,
         reverse=settings.reverse,
+        mode=settings.mode,
         max_paths=settings.max_paths,
         max_cycles=None,
         view={f"kart_{n}": full_with(driver.extras) for n, driver in enumerate(drivers)},
@@ -374,6 +381,7 @@ class _RaceRun:
             status=status,
             track=race.track,
             reverse=race.reverse,
+            mode=race.mode,
             laps=race.laps,
             difficulty=race.difficulty,
             seed=self._settings.seed,

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from stkzoo._arguments import option
 from stkzoo._schema import Level, Whole, Within
+from stkzoo.config import NORMAL, RACE_MODES, check_mode
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.sandbox import MODES
 from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole, unknown_name
@@ -39,6 +40,8 @@ class RaceSettings:
         laps: number of laps
         difficulty: difficulty of the game's AI, 0 to 3
         reverse: drive in the other direction
+        mode: normal, or the game's time trial, without item boxes and with one zipper per lap
+        kart: kart model of all karts, as listed by `stkzoo karts` (default: the game's choice)
         seed: seed of all random numbers
         max_paths: track segments ahead that agents see (default: all)
         max_steps: end the race after N steps; there are ten steps per second
@@ -60,6 +63,8 @@ class RaceSettings:
     laps: Annotated[int, Within(1, 1000)] = 1
     difficulty: Level = 2
     reverse: bool = False
+    mode: str = option(NORMAL, choices=RACE_MODES)
+    kart: str | None = None
     seed: int = 0
     max_paths: Whole | None = None
     max_steps: int | None = option(group=_END)
@@ -77,6 +82,7 @@ class RaceSettings:
     adapter: str | None = option(metavar="FILE", group=_AGENTS)
 
     def __post_init__(self) -> None:
+        check_mode(self.mode)
         check_whole("seed", self.seed, 0)
         check_whole("max_restarts", self.max_restarts, 0)
         if self.adapter is not None and not isinstance(self.adapter, (str, os.PathLike)):

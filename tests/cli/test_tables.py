@@ -27,6 +27,7 @@ def test_tracks_shows_what_the_race_has(capsys):
         25,
     )
     assert 30 < other["time"] < 45
+    assert (other["record"], other["record_laps"]) == (86.92, 4)
 
 
 @pytest.mark.slow

@@ -47,11 +47,11 @@ def test_the_command_is_found_and_runs(tmp_path, monkeypatch, capsys):
 
 def test_the_game_mode_changes_lines_that_exist():
     (diff,) = re.findall(r"```diff\n(.*?)```", PAGE, re.DOTALL)
-    files = re.findall(r"^--- (\S+)\n((?:[ +].*\n)+)", diff, re.MULTILINE)
-    assert len(files) == 4
+    files = re.findall(r"^--- (\S+)\n((?:(?!---)[ +-].*\n)+)", diff, re.MULTILINE)
+    assert len(files) == 2
     for name, lines in files:
         source = (ROOT / name).read_text("utf-8").splitlines()
-        assert all(line[1:] in source for line in lines.splitlines() if line[0] == " "), name
+        assert all(line[1:] in source for line in lines.splitlines() if line[0] in " -"), name
 
 
 def test_the_architecture_page_names_files_that_exist():

@@ -9,6 +9,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from stkzoo.errors import ConfigError
 from stkzoo.race import AgentFailure, RaceResult, run_race
 from tests.support.paths import SCHEMAS
 
@@ -31,6 +32,19 @@ def read_strictly(text):
     value = json.loads(text, parse_constant=refuse)
     json.dumps(value, ensure_ascii=False).encode()  # no lone surrogate
     return value
+
+
+def test_a_result_without_a_mode_is_a_normal_race(result):
+    values = json.loads(result.to_json())
+    del values["mode"]
+    assert RaceResult.from_json(json.dumps(values)) == result
+
+
+@pytest.mark.parametrize("mode", ["soccer", 1, None])
+def test_a_result_with_an_unknown_mode_is_refused(result, mode):
+    values = json.loads(result.to_json()) | {"mode": mode}
+    with pytest.raises(ConfigError, match="mode is"):
+        RaceResult.from_json(json.dumps(values))
 
 
 def with_agent(result, **changes):

@@ -189,6 +189,8 @@ def test_impossible_step_limit_is_refused(max_steps):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
+        ({"mode": "soccer"}, "mode is 'soccer', expected 'normal' or 'time_trial'"),
+        ({"kart": "tank"}, "unknown kart 'tank'"),
         ({"error_handling": "pray"}, "error_handling is 'pray', expected one of raise, catch"),
         ({"action_timeout": -1}, "action_timeout is -1, expected a number of seconds"),
         ({"start_timeout": 0}, "start_timeout is 0"),

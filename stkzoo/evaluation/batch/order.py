@@ -130,7 +130,7 @@ class RaceOrder:
         ]
         return found == list(self.drivers) and all(
             getattr(result, name) == getattr(self.settings, name)
-            for name in ("seed", "track", "reverse", "difficulty")
+            for name in ("seed", "track", "reverse", "mode", "laps", "difficulty")
         )
 
 

@@ -192,7 +192,7 @@ def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[st
     if not names:
         raise ConfigError("tracks is empty, expected at least one name")
     known = find_assets().tracks
-    shared = ("laps", "difficulty", "reverse", "max_paths")
+    shared = ("laps", "difficulty", "reverse", "mode", "max_paths")
     options = {name: getattr(settings, name) for name in shared}
     found: dict[str, None] = {}
     for name in names:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -14,6 +13,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from stkzoo._schema import Positive, Within
+from stkzoo.config import NORMAL
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
@@ -41,6 +41,7 @@ from stkzoo.evaluation.benchmark.races import (
     find_group,
     group_races,
     make_races,
+    steps_within,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS, resampled_medians
 from stkzoo.race.document import Document
@@ -50,7 +51,6 @@ from stkzoo.race.settings import RaceSettings
 #: Time limit of a race, as a multiple of the AI's median time.
 _LIMIT = 3.0
 _MAX_SEEDS = 10_000
-_STEP, _COUNTDOWN = 0.1, 20  # step size [s], and number of steps before the race clock starts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +73,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
     decided: ClassVar[tuple[str, ...]] = (
-        *("track", "laps", "difficulty", "reverse", "seed"),
+        *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
         *("max_steps", "max_steps_after_first", "karts_finished"),
     )
 
@@ -144,7 +144,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
                 track=race.track,
                 reverse=race.reverse,
                 seed=race.seed,
-                max_steps=math.ceil(longest / _STEP) + _COUNTDOWN,
+                max_steps=steps_within(longest),
             ),
             places,
         )
@@ -238,6 +238,8 @@ def plan_benchmark(
         BenchmarkPlan.choose_settings(settings, changes),
         track=None,
         laps=1,
+        mode=NORMAL,
+        kart=None,
         difficulty=difficulty,
         max_steps=None,
         max_steps_after_first=None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -32,6 +33,7 @@ _SEED_BYTES = 4
 FloatArray = npt.NDArray[np.float64]
 #: Ends of the grid.
 FRONT, BACK = "front", "back"
+_STEP, _COUNTDOWN = 0.1, 20  # step size [s], and number of steps before the race clock starts
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +143,15 @@ def race_seed(track: str, reverse: bool, form: str, end: str, index: int) -> int
 def direction_name(reverse: bool) -> str:
     """Returns the name of a direction: ``"forward"`` or ``"reversed"``."""
     return "reversed" if reverse else "forward"
+
+
+def steps_within(seconds: float) -> int:
+    """Returns the number of steps of a race that lasts for a time.
+
+    Args:
+        seconds: time on the race clock [s].
+    """
+    return math.ceil(seconds / _STEP) + _COUNTDOWN
 
 
 def make_races(

@@ -28,6 +28,7 @@ import numpy.typing as npt
 from stkzoo._os import write_whole
 from stkzoo._reading import Unreadable, read_arrays, read_json, reading
 from stkzoo._schema import Count, Place, Positive, Within, typed
+from stkzoo.config import NORMAL
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
 from stkzoo.race.document import check_document
@@ -72,6 +73,7 @@ class EpisodeFacts:
         start_position: place of the kart on the grid; 1 is the front.
         finish_time: finish time [s]; ``None`` if the kart did not finish.
         rank: final rank of the kart.
+        mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
     """
 
     race: Count
@@ -82,6 +84,7 @@ class EpisodeFacts:
     start_position: Place
     finish_time: Positive | None
     rank: Place
+    mode: str = NORMAL
 
 
 @dataclass(frozen=True, slots=True)

@@ -139,6 +139,7 @@ class DemoRecorder(RaceListener):
                 start_position=row.start_position,
                 finish_time=row.finish_time,
                 rank=row.rank,
+                mode=result.mode,
             )
             lengths = np.array([len(kart.ends)], np.int64)
             self._parts.append(Demonstrations({}, (facts,), lengths, kart.columns(self._view)))

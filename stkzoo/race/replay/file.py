@@ -18,6 +18,7 @@ import numpy.typing as npt
 from stkzoo._os import write_whole, write_zip
 from stkzoo._reading import Unreadable, read_json, read_zip, reading
 from stkzoo._schema import Count, Place, Within, typed
+from stkzoo.config import NORMAL
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import StkzooError, shortened
@@ -71,6 +72,8 @@ class Replay:
         status: the result's status; ``"partial"`` if an error ended the race.
         result: result of the race; ``None`` if an error ended it.
         versions: versions of the software.
+        mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
+        kart: model that the race gave all karts; ``None`` for the game's choice.
     """
 
     track: str
@@ -90,6 +93,8 @@ class Replay:
     status: str
     result: RaceResult | None = field(repr=False)
     versions: Mapping[str, str]
+    mode: str = NORMAL
+    kart: str | None = None
 
     @property
     def steps(self) -> int:
@@ -147,7 +152,7 @@ _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 #: Maximum size of each member of the zip [bytes].
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
 #: Fields that are also options of the environment.
-_SETTINGS = ("track", "reverse", "laps", "difficulty", "max_paths", "step_size")
+_SETTINGS = ("track", "reverse", "mode", "laps", "difficulty", "max_paths", "step_size")
 
 
 class ReplayError(StkzooError):

@@ -21,8 +21,8 @@ from stkzoo.race.runner import run_race
 
 _DIFFERS = "differs"
 #: Fields of a replay that are also settings of a race.
-_SETTINGS = ("laps", "difficulty", "reverse", "seed", "max_paths")
-_RACE_FACTS = ("track", "reverse", "laps", "difficulty", "seed", "race_length", "steps")
+_SETTINGS = ("laps", "difficulty", "reverse", "mode", "kart", "seed", "max_paths")
+_RACE_FACTS = (*("track", "reverse", "mode", "laps", "difficulty", "seed", "race_length", "steps"),)
 _AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "reward")
 
 
@@ -76,7 +76,7 @@ def play_replay(
         RaceInterrupted: Ctrl-C interrupted the race.
     """
     _check_engine(replay, any_engine)
-    _check_track(replay)
+    _check_names(replay)
     comparison = _Comparison(replay, to_the_end)
     watching = [_WithRecordedFailures(listener, replay, comparison) for listener in listeners]
     result = run_race(
@@ -108,12 +108,17 @@ def _check_engine(replay: Replay, any_engine: bool) -> None:
         )
 
 
-def _check_track(replay: Replay) -> None:
+def _check_names(replay: Replay) -> None:
     known = find_assets().tracks
     if replay.track not in known:
         raise ReplayError(
             f"the replay's track {replay.track!r} is not among the {len(known)} tracks here; "
             "`stkzoo assets status` shows where the game's data comes from"
+        )
+    if replay.kart and replay.kart not in find_assets().karts:
+        raise ReplayError(
+            f"the replay's kart {replay.kart!r} is not among the karts here; `stkzoo karts` lists "
+            "them"
         )
 
 

@@ -22,7 +22,7 @@ from stkzoo.race.replay.file import (
 from stkzoo.race.result import RaceResult, versions_now
 
 #: Fields of a replay that are copied from the race's description.
-_RACE_FACTS = ("track", "reverse", "laps", "difficulty", "kart_types")
+_RACE_FACTS = ("track", "reverse", "mode", "laps", "difficulty", "kart_types")
 
 
 class ReplayWriter(RaceListener):
@@ -82,6 +82,7 @@ def _head(race: RaceProgress) -> Replay:
     env, info = race.env, race.race_info
     return Replay(
         **{name: getattr(info, name) for name in _RACE_FACTS},
+        kart=env.specs[0].kart or None,
         max_paths=env.options.max_paths,
         step_size=float(env.options.step_size),
         seed=race.seed,

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -131,6 +132,45 @@ def test_reverse_grid_and_difficulty_are_kept(tmp_path):
     assert replay.start_positions == (3, 1, 2)
     assert (replay.reverse, replay.difficulty, replay.max_paths) == (True, 3, 5)
     assert play_replay(replay).is_exact
+
+
+def test_mode_and_kart_are_kept(tmp_path):
+    path = tmp_path / "race.stkz"
+    result, _ = record(
+        path,
+        *("heuristic", "ai"),
+        track="olivermath",
+        mode="time_trial",
+        kart="pidgin",
+        max_steps=40,
+    )
+    replay = load_replay(path)
+    assert (replay.mode, replay.kart, result.mode) == ("time_trial", "pidgin", "time_trial")
+    assert replay.kart_types == ("pidgin", "pidgin")
+    assert play_replay(replay).is_exact
+
+
+def test_a_replay_without_a_mode_is_a_normal_race(tmp_path):
+    path, older = tmp_path / "race.stkz", tmp_path / "older.stkz"
+    record(path, "heuristic", track="olivermath", max_steps=20)
+    with zipfile.ZipFile(path) as new, zipfile.ZipFile(older, "w") as old:
+        for name in new.namelist():
+            data = new.read(name)
+            if name == "race.json":
+                values = json.loads(data)
+                del values["mode"], values["kart"], values["result"]["mode"]
+                data = json.dumps(values).encode()
+            old.writestr(name, data)
+    replay = load_replay(older)
+    assert (replay.mode, replay.kart) == ("normal", None)
+    assert play_replay(replay).is_exact
+
+
+def test_a_kart_that_is_not_installed_is_named(tmp_path):
+    path = tmp_path / "race.stkz"
+    record(path, "heuristic", track="olivermath", max_steps=5)
+    with pytest.raises(ReplayError, match="kart 'tank' is not among the karts here"):
+        play_replay(replace(load_replay(path), kart="tank"))
 
 
 def test_what_went_wrong_then_is_told_again(tmp_path):

@@ -1,0 +1,378 @@
+"""Time trials: an agent alone on each track, against the human world records."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from statistics import fmean
+from typing import Annotated, Any, ClassVar
+
+from stkzoo._schema import Count, Positive, Whole, Within
+from stkzoo.config import TIME_TRIAL
+from stkzoo.errors import ConfigError, check_whole
+from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.evaluation.batch.plan import MAX_RACES, MAX_RESULT_BYTES, BatchPlan, find_tracks
+from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
+from stkzoo.evaluation.benchmark.plot import plot_time_trial
+from stkzoo.evaluation.benchmark.races import FRONT, race_seed, steps_within
+from stkzoo.race.document import Document
+from stkzoo.race.result import RaceResult, shared_protections
+from stkzoo.race.settings import RaceSettings
+from stkzoo.records import HUMAN_RECORDS, RECORD_DIFFICULTY, RECORD_KART, HumanRecord
+
+#: A track counts as close to the record up to this multiple of the record.
+CLOSE = 1.15
+#: Time limit of a race, as a multiple of the record.
+_LIMIT = 3.0
+_MAX_SEEDS = 1000
+#: Settings of every race, as in the records.
+_CONDITIONS: dict[str, Any] = {
+    "mode": TIME_TRIAL,
+    "kart": RECORD_KART,
+    "difficulty": RECORD_DIFFICULTY,
+    "reverse": False,
+}
+#: Form of the races, which determines their seeds.
+_ALONE = "P"
+
+
+@dataclass(frozen=True, slots=True)
+class TimeTrialRace:
+    """The outcome of one time trial.
+
+    Attributes:
+        number: number of the race, from 0.
+        track: name of the track.
+        index: number of the race among those on this track, from 0.
+        seed: seed of all random choices in the race; the same for every agent.
+        status: why the race ended.
+        time: finish time [s]; ``None`` if the kart did not finish.
+        ratio: finish time as a multiple of the record, at most the time limit. A kart that did not
+            finish counts with the time limit.
+        laps: number of complete laps.
+        rescues: number of times the kart was put back on the road; ``None`` if not counted.
+        errors: number of failures of the agent.
+    """
+
+    number: Count
+    track: str
+    index: Count
+    seed: Count
+    status: str
+    time: Positive | None
+    ratio: Positive
+    laps: Count
+    rescues: Count | None
+    errors: Count
+
+
+@dataclass(frozen=True, slots=True)
+class TrackTrial:
+    """The outcome of all time trials on one track.
+
+    Attributes:
+        track: name of the track.
+        laps: number of laps of a race.
+        record: human world record [s].
+        races: number of races.
+        finished: number of races that the agent finished.
+        time: mean finish time [s]; ``None`` if no race was finished.
+        ratio: mean multiple of the record. A race that was not finished counts with the time limit.
+    """
+
+    track: str
+    laps: Whole
+    record: Positive
+    races: Whole
+    finished: Count
+    time: Positive | None
+    ratio: Positive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
+    """The plan of time trials. The agent drives alone, forward, over the distance of the record.
+
+    Attributes:
+        agent: the agent to measure.
+        split: the tracks as the user named them.
+        seeds: number of races on each track.
+        records: the human world record of each track.
+        limit: time limit of a race, as a multiple of the record.
+    """
+
+    kind: ClassVar[str] = "time-trial-plan"
+    noun: ClassVar[str] = "benchmark"
+    resume_command: ClassVar[str] = "stkzoo benchmark AGENT --time-trial --output {folder}"
+    decided: ClassVar[tuple[str, ...]] = (
+        *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
+        *("max_steps", "max_steps_after_first", "karts_finished"),
+    )
+
+    agent: Entrant
+    split: str
+    seeds: int
+    records: Mapping[str, HumanRecord]
+    limit: Annotated[float, Within(0, 1000, is_above=True)] = _LIMIT
+
+    def __post_init__(self) -> None:
+        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        for name, expected in _CONDITIONS.items():
+            found = getattr(self.settings, name)
+            if found != expected:
+                raise ConfigError(f"{name} is {found!r}, expected {expected!r} as in the records")
+        races = len(self.tracks) * self.seeds
+        if races > MAX_RACES:
+            raise ConfigError(f"the benchmark has {races:,} races, expected at most {MAX_RACES:,}")
+        for track in self.tracks:
+            if track not in self.records:
+                raise ConfigError(f"{track} has no human record; leave it out of --track")
+
+    @property
+    def agents(self) -> tuple[Entrant, ...]:
+        """The agent to measure."""
+        return (self.agent,)
+
+    def orders(self) -> list[RaceOrder]:
+        """Returns the orders of all races, ordered by index first."""
+        return [
+            self._order(number, track, index)
+            for number, (index, track) in enumerate(
+                itertools.product(range(self.seeds), self.tracks)
+            )
+        ]
+
+    def _order(self, number: int, track: str, index: int) -> RaceOrder:
+        record = self.records[track]
+        settings = replace(
+            self.settings,
+            track=track,
+            laps=record.laps,
+            seed=race_seed(track, False, _ALONE, FRONT, index),
+            max_steps=steps_within(self.limit * record.seconds),
+        )
+        return RaceOrder(number, (self.agent.text,), settings, (0,))
+
+    def summarize(self, results: Mapping[int, RaceResult], _: Path) -> TimeTrialResult:
+        """Returns the result of the races that have been run.
+
+        Args:
+            results: results of races by number.
+        """
+        races = tuple(
+            self._outcome(number, results[number])
+            for number in range(len(self.tracks) * self.seeds)
+            if number in results
+        )
+        return TimeTrialResult(self, races, *shared_protections(results.values()))
+
+    def _outcome(self, number: int, result: RaceResult) -> TimeTrialRace:
+        (row,) = result.agents
+        time = None if row.finish_time is None else round(row.finish_time, 4)
+        ratio = self.limit if time is None else time / self.records[result.track].seconds
+        return TimeTrialRace(
+            number=number,
+            track=result.track,
+            index=number // len(self.tracks),
+            seed=result.seed,
+            status=result.status,
+            time=time,
+            ratio=round(min(ratio, self.limit), 5),
+            laps=max(row.laps, 0),
+            rescues=row.rescues,
+            errors=row.num_errors,
+        )
+
+    def draw(self, result: TimeTrialResult, path: Path) -> None:
+        """Plots the result to a file."""
+        plot_time_trial(result, path)
+
+    def _comparable(self) -> dict[str, Any]:
+        values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
+        del values["split"]
+        return values
+
+
+def plan_time_trial(
+    agent: str,
+    *,
+    split: str | Sequence[str] = "all",
+    seeds: int = 1,
+    settings: RaceSettings | None = None,
+    **changes: Any,
+) -> TimeTrialPlan:
+    """Plans time trials under the conditions of the human world records.
+
+    Args:
+        agent: the agent to measure: the name of a driver, the path of a folder or zip, or a module;
+            append ``@:Name`` to rename it.
+        split: ``"test"``, ``"train"``, ``"all"``, or names of tracks.
+        seeds: number of races on each track.
+        settings: settings of every race. The time trials set the fields in
+            ``TimeTrialPlan.decided``.
+        changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
+            ``settings``.
+
+    Raises:
+        ConfigError: an argument is invalid, the agent or a track does not exist, or a track has no
+            record.
+        AssetError: the game's data is missing.
+    """
+    chosen = replace(
+        TimeTrialPlan.choose_settings(settings, changes),
+        track=None,
+        laps=1,  # each race has the laps of its record
+        **_CONDITIONS,
+        max_steps=None,
+        max_steps_after_first=None,
+        karts_finished=None,
+    )
+    tracks = find_tracks(split, chosen)
+    (entrant,) = find_entrants([agent], chosen)
+    return TimeTrialPlan(
+        agent=entrant,
+        split=split if isinstance(split, str) else " ".join(split),
+        tracks=tracks,
+        seeds=seeds,
+        records={track: HUMAN_RECORDS[track] for track in tracks if track in HUMAN_RECORDS},
+        settings=chosen,
+    )
+
+
+@dataclass(frozen=True)
+class TimeTrialResult(Document):
+    """The result of time trials.
+
+    Attributes:
+        plan: the time trials.
+        races: the races that have been run.
+        sandboxes: sandboxes of the agents from files in these races.
+        protections: protections that applied in all races with agents from files
+            (:func:`stkzoo.drivers.sandbox.protections`).
+    """
+
+    # docs/schemas/time-trial-result.schema.json
+    kind: ClassVar[str] = "time-trial-result"
+    origin: ClassVar[str] = "the --output of `stkzoo benchmark --time-trial`, or its result.json"
+    rows: ClassVar[str] = "races"
+    max_bytes: ClassVar[int] = MAX_RESULT_BYTES
+
+    plan: TimeTrialPlan
+    races: tuple[TimeTrialRace, ...]
+    sandboxes: tuple[str, ...] = field(compare=False, default=())
+    protections: tuple[str, ...] = field(compare=False, default=())
+
+    def __post_init__(self) -> None:
+        planned = {
+            order.number: (order.settings.track, order.settings.seed)
+            for order in self.plan.orders()
+        }
+        for race in self.races:
+            found, expected = (race.track, race.seed), planned.get(race.number)
+            if found != expected:
+                raise ConfigError(
+                    f"race {race.number} of the time trials is {found}, expected {expected}; "
+                    "another version of stkzoo wrote it"
+                )
+
+    @property
+    def label(self) -> str:
+        """Name of the agent."""
+        return self.plan.agent.label
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all races have been run."""
+        return len(self.races) == len(self.plan.tracks) * self.plan.seeds
+
+    @property
+    def errors(self) -> int:
+        """Total number of failures of the agent."""
+        return sum(race.errors for race in self.races)
+
+    @cached_property
+    def tracks(self) -> tuple[TrackTrial, ...]:
+        """The outcome on each track that has been raced on."""
+        of_track: dict[str, list[TimeTrialRace]] = {}
+        for race in self.races:
+            of_track.setdefault(race.track, []).append(race)
+        return tuple(self._track(name, of_track[name]) for name in sorted(of_track))
+
+    def _track(self, name: str, races: Sequence[TimeTrialRace]) -> TrackTrial:
+        record = self.plan.records[name]
+        times = [race.time for race in races if race.time is not None]
+        return TrackTrial(
+            track=name,
+            laps=record.laps,
+            record=record.seconds,
+            races=len(races),
+            finished=len(times),
+            time=round(fmean(times), 3) if times else None,
+            ratio=round(fmean(race.ratio for race in races), 4),
+        )
+
+    @property
+    def mean_ratio(self) -> float | None:
+        """Mean of the tracks' ratios; ``None`` without races."""
+        return round(fmean(track.ratio for track in self.tracks), 4) if self.tracks else None
+
+    @property
+    def close(self) -> int:
+        """Number of tracks on which the agent takes at most 1.15 times the record."""
+        return sum(track.ratio <= CLOSE for track in self.tracks)
+
+    @property
+    def unfinished(self) -> tuple[str, ...]:
+        """Tracks on which the agent did not finish every race."""
+        return tuple(track.track for track in self.tracks if track.finished < track.races)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the result as JSON values."""
+        return {
+            "agent": self.label,
+            "is_complete": self.is_complete,
+            "mean_ratio": self.mean_ratio,
+            "close": {"limit": CLOSE, "tracks": self.close},
+            "unfinished": self.unfinished,
+            "tracks": [asdict(track) for track in self.tracks],
+            **Document.to_dict(self),
+        }
+
+
+def run_time_trial(
+    agent: str, *, output: str | os.PathLike[str], **options: Any
+) -> TimeTrialResult:
+    """Runs an agent's time trials, or resumes them if they were started in ``output``.
+
+    Args:
+        agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_time_trial`.
+        output: folder for the result of each race, ``result.json`` and ``benchmark.png``.
+        options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
+            :class:`~stkzoo.evaluation.RunOptions`; all others as for
+            :func:`~stkzoo.evaluation.plan_time_trial`.
+
+    Raises:
+        ConfigError: an argument is invalid, a library is missing, or ``output`` contains another
+            benchmark.
+        AssetError: the game's data is missing.
+        BatchError: some races could not be run.
+    """
+    run, plan = RunOptions.split(options)
+    return run_batch(plan_time_trial(agent, **plan), output, run)
+
+
+def load_time_trial(path: str | os.PathLike[str]) -> TimeTrialResult:
+    """Returns the current result of time trials without running any race.
+
+    Args:
+        path: folder of the time trials, or a ``result.json``.
+
+    Raises:
+        ConfigError: there is no result, or a file is damaged.
+    """
+    return load_batch(TimeTrialPlan, TimeTrialResult, path)

@@ -1,0 +1,125 @@
+"""Options of a race: the mode, on the real engine and in all forms of the environment."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import stkzoo
+from stkzoo import race_v0
+from stkzoo.config import RACE_MODES
+from stkzoo.errors import ConfigError
+from stkzoo.names import ItemType, PowerupType
+
+SMALL = {"num_kart": 2, "track": "lighthouse", "laps": 3, "max_paths": 5}
+
+
+AHEAD = {
+    "acceleration": np.ones(1, np.float32),
+    "steer": np.zeros(1, np.float32),
+    **dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0),
+}
+
+
+def race(**options):
+    return race_v0.parallel_env(**SMALL | options)
+
+
+def boxes(env):
+    return int((env.snapshot.items["type"] == ItemType.BONUS_BOX).sum())
+
+
+def test_a_time_trial_has_no_item_boxes_and_a_zipper_per_lap():
+    with race(mode="time_trial") as env:
+        env.reset(seed=1)
+        karts = env.snapshot.karts
+        assert env.race.mode == "time_trial"
+        assert boxes(env) == 0
+        assert karts["powerup_type"].tolist() == [PowerupType.ZIPPER] * 2
+        assert karts["powerup_num"].tolist() == [3, 3]
+
+
+def test_the_normal_race_is_the_default():
+    with race() as env:
+        env.reset(seed=1)
+        assert env.race.mode == "normal"
+        assert boxes(env) > 0
+        assert env.snapshot.karts["powerup_num"].tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("mode", ["timetrial", "TIME_TRIAL", 1, None, True])
+def test_an_unknown_mode_is_refused_with_the_known_ones(mode):
+    with pytest.raises(
+        ConfigError, match=r"mode is .*expected 'normal' or 'time_trial'; "
+    ) as error:
+        race(mode=mode)
+    assert "\n" not in str(error.value)
+
+
+def test_a_misspelt_mode_gets_the_nearest_one():
+    with pytest.raises(ConfigError, match="did you mean 'time_trial'"):
+        race(mode="timetrial")
+
+
+def test_reset_changes_the_mode_for_one_episode():
+    with race() as env:
+        found = []
+        for options in ({"mode": "time_trial"}, {}):
+            env.reset(seed=1, options=options)
+            found.append((env.race.mode, boxes(env) > 0))
+        assert found == [("time_trial", False), ("normal", True)]
+
+
+def states(env, steps):
+    found = []
+    for _ in range(steps):
+        env.step(dict.fromkeys(env.agents, AHEAD))
+        found.append(env.snapshot.karts["location"].tobytes())
+    return found
+
+
+@pytest.mark.parametrize("mode", RACE_MODES)
+def test_the_same_seed_gives_the_same_race_with_bots(mode):
+    with race(mode=mode, agents=1) as env:
+        runs = []
+        for _ in range(2):
+            env.reset(seed=7)
+            runs.append(states(env, 60))
+        assert runs[0] == runs[1]
+
+
+def test_a_saved_time_trial_continues_as_before():
+    with race(mode="time_trial", agents=1) as env:
+        env.reset(seed=3)
+        states(env, 40)
+        with env.save_state() as state:
+            first = states(env, 30)
+            env.restore_state(state)
+            assert env.race.mode == "time_trial"
+            assert states(env, 30) == first
+
+
+def test_a_scenario_keeps_the_mode(tmp_path):
+    path = tmp_path / "moment.zip"
+    with race(mode="time_trial") as env:
+        env.reset(seed=3)
+        states(env, 30)
+        env.scenario().save(path)
+        here = env.snapshot.karts["location"].tobytes()
+    with race() as env:
+        env.reset(options={"scenario": stkzoo.Scenario.load(path)})
+        assert env.race.mode == "time_trial"
+        assert env.snapshot.karts["location"].tobytes() == here
+
+
+def test_gymnasium_ids_take_the_mode():
+    env = gym.make("supertuxkart/full-v0", disable_env_checker=True, mode="time_trial", **SMALL)
+    observation, _ = env.reset(seed=1)
+    env.close()
+    assert observation["powerup_type"] == PowerupType.ZIPPER
+
+
+def test_vectors_take_the_mode():
+    envs = stkzoo.RaceVectorEnv(2, mode="time_trial", view="simple", **SMALL)
+    observations, _ = envs.reset(seed=1)
+    envs.close()
+    assert np.all(observations["powerup_type"] == PowerupType.ZIPPER)

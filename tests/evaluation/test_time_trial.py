@@ -1,0 +1,213 @@
+"""Time trials against the human records: plan, figures, a run that resumes, the command."""
+
+import json
+from dataclasses import replace
+
+import jsonschema
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation import (
+    TimeTrialResult,
+    load_benchmark,
+    load_time_trial,
+    plan_time_trial,
+    run_time_trial,
+)
+from stkzoo.race import RaceResult
+from stkzoo.race.result import AgentResult
+from stkzoo.records import HUMAN_RECORDS
+from tests.support.paths import ROOT
+
+SCHEMA = ROOT / "docs" / "schemas" / "time-trial-result.schema.json"
+SHIPPED = ROOT / "benchmarks" / "results" / "benchmark" / "ace-time-trial.json"
+
+
+# ------------------------------------------------------------------ the plan
+
+
+def test_the_races_have_the_conditions_of_the_records():
+    plan = plan_time_trial("heuristic", seeds=2)
+    orders = plan.orders()
+    assert [order.settings.track for order in orders] == [*HUMAN_RECORDS] * 2
+    assert {order.drivers for order in orders} == {("heuristic@:heuristic",)}
+    for order in orders:
+        settings = order.settings
+        assert (settings.mode, settings.kart) == ("time_trial", "pidgin")
+        assert (settings.difficulty, settings.reverse) == (3, False)
+        assert settings.laps == HUMAN_RECORDS[settings.track].laps
+        assert settings.max_steps * 0.1 > 3 * HUMAN_RECORDS[settings.track].seconds
+
+
+def test_seeds_do_not_depend_on_the_agent():
+    one, other = plan_time_trial("heuristic", seeds=2), plan_time_trial("random", seeds=2)
+    seeds = [order.settings.seed for order in one.orders()]
+    assert seeds == [order.settings.seed for order in other.orders()]
+    assert len(set(seeds)) == len(seeds)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mode": "normal"}, "unknown setting of a race 'mode'"),
+        ({"kart": "tux"}, "unknown setting of a race 'kart'"),
+        ({"split": "lighthous"}, "Did you mean 'lighthouse'"),
+        ({"seeds": 0}, "seeds is 0, expected a whole number from 1"),
+    ],
+)
+def test_invalid_time_trials_are_refused(options, message):
+    with pytest.raises(ConfigError, match=message):
+        plan_time_trial("heuristic", **options)
+
+
+def test_a_plan_with_a_track_without_a_record_is_refused():
+    plan = plan_time_trial("heuristic", split="lighthouse")
+    with pytest.raises(ConfigError, match="hacienda has no human record"):
+        replace(plan, tracks=("hacienda",))
+
+
+def test_a_plan_under_other_conditions_is_refused():
+    plan = plan_time_trial("heuristic", split="lighthouse")
+    with pytest.raises(ConfigError, match="difficulty is 2, expected 3 as in the records"):
+        replace(plan, settings=replace(plan.settings, difficulty=2))
+
+
+# ------------------------------------------------------------------ the figures
+
+
+def result_of(order, time):
+    row = AgentResult(
+        agent="kart_0",
+        driver="x",
+        source="x",
+        status="racing" if time is None else "finished",
+        start_position=1,
+        rank=1,
+        finish_time=time,
+        laps=1,
+        distance=100.0,
+        reward=0.0,
+        rescues=0,
+    )
+    settings = order.settings
+    return RaceResult(
+        status="finished",
+        track=settings.track,
+        reverse=False,
+        laps=settings.laps,
+        difficulty=3,
+        seed=settings.seed,
+        race_length=100.0,
+        steps=100,
+        race_time=10.0,
+        agents=(row,),
+        mode="time_trial",
+    )
+
+
+def outcome(multiples, **options):
+    """The result of races with these multiples of the record; ``None`` for unfinished ones."""
+    plan = plan_time_trial("heuristic", **options)
+    results = {}
+    for order, multiple in zip(plan.orders(), multiples, strict=False):
+        record = HUMAN_RECORDS[order.settings.track].seconds
+        results[order.number] = result_of(order, None if multiple is None else multiple * record)
+    return plan.summarize(results, None)
+
+
+def test_the_figures_are_multiples_of_the_records():
+    result = outcome([1.15, 1.2, None], split=["lighthouse", "hacienda", "mines"])
+    ratios = {track.track: track.ratio for track in result.tracks}
+    assert ratios == {"lighthouse": 1.15, "hacienda": 1.2, "mines": 3.0}
+    assert result.mean_ratio == pytest.approx((1.15 + 1.2 + 3.0) / 3, abs=1e-4)
+    assert (result.close, result.unfinished) == (1, ("mines",))
+    assert result.tracks[2].time is None
+
+
+def test_several_races_on_a_track_count_with_their_mean():
+    result = outcome([1.0, 1.4], split="mines", seeds=2)
+    (track,) = result.tracks
+    assert (track.ratio, track.finished) == (1.2, 2)
+    assert track.time == pytest.approx(1.2 * HUMAN_RECORDS["mines"].seconds)
+
+
+def test_a_part_of_the_races_has_a_result():
+    result = outcome([1.3], split=["lighthouse", "hacienda"])
+    assert (result.is_complete, result.mean_ratio) == (False, 1.3)
+    assert outcome([], split="mines").mean_ratio is None
+
+
+def test_a_result_survives_json():
+    result = outcome([1.3, None], split=["lighthouse", "hacienda"])
+    assert TimeTrialResult.from_json(result.to_json()) == result
+    jsonschema.validate(json.loads(result.to_json()), json.loads(SCHEMA.read_text()))
+
+
+def test_a_result_with_races_of_another_plan_is_refused():
+    values = json.loads(outcome([1.3], split="mines").to_json())
+    values["races"][0]["seed"] += 1
+    with pytest.raises(ConfigError, match="race 0 of the time trials is"):
+        TimeTrialResult.from_json(json.dumps(values))
+
+
+def test_a_time_trial_is_no_benchmark(tmp_path):
+    (tmp_path / "result.json").write_text(outcome([1.3], split="mines").to_json())
+    with pytest.raises(ConfigError, match="is a time-trial-result"):
+        load_benchmark(tmp_path)
+
+
+def test_the_shipped_result_is_complete_and_in_form():
+    jsonschema.validate(json.loads(SHIPPED.read_text()), json.loads(SCHEMA.read_text()))
+    result = load_time_trial(SHIPPED)
+    assert result.is_complete
+    assert len(result.tracks) == 21
+
+
+# ------------------------------------------------------------------ on the real engine
+
+
+@pytest.mark.slow
+def test_a_run_is_stored_and_resumes_without_racing_again(tmp_path):
+    options = {"split": "olivermath", "jobs": 1, "plot": False}
+    heard = []
+    first = run_time_trial("ai", output=tmp_path, **options)
+    again = run_time_trial("ai", output=tmp_path, on_race=heard.append, **options)
+    assert again == first == load_time_trial(tmp_path)
+    assert [(progress.done, progress.last) for progress in heard] == [(1, None)]
+    (track,) = first.tracks
+    assert (track.laps, track.finished) == (6, 1)
+    assert 1.0 < track.ratio < 2.5
+
+
+# ------------------------------------------------------------------ the command
+
+
+@pytest.mark.slow
+def test_the_command_shows_times_records_and_ratios(tmp_path, capsys):
+    words = ["ai", "--time-trial", "--track", "olivermath", "--output", str(tmp_path / "out")]
+    assert main(["benchmark", *words, "--jobs", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert "57.08" in shown
+    assert "unfinished: -." in shown
+    assert (tmp_path / "out" / "benchmark.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--forms", "P"], "leave out --forms"),
+        (["--difficulty", "2"], "leave out --difficulty"),
+        (["--directions", "forward"], "leave out --directions"),
+        (["--ai-times", "x.json"], "leave out --ai-times"),
+        (["--baseline"], "not allowed with"),
+    ],
+)
+def test_options_that_contradict_the_records_are_refused(words, message, capsys):
+    assert main(["benchmark", "heuristic", "--time-trial", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_time_trial_needs_an_agent(capsys):
+    assert main(["benchmark", "--time-trial"]) == 2
+    assert "no agent; name one" in capsys.readouterr().err
