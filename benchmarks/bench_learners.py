@@ -3,12 +3,18 @@
     python -m benchmarks.bench_learners
     python -m benchmarks.bench_learners --only engine ppo --rounds 3
     python -m benchmarks.bench_learners --only ppo --karts 1 5 20 --races 2 8 --cores 1 2
+    python -m benchmarks.bench_learners --only engine rllib torchrl
 
 Contenders take turns, and each turn is a program of its own that may use all cores:
 
 engine  pystk2 alone: a race for each core, with recorded driving of the heuristic agent
 ppo     stkzoo.agents.training.ppo.selfplay: one policy drives all karts
 sb3     PPO of Stable-Baselines3 on RaceVecEnv in the view racing: likewise
+rllib   PPO of Ray RLlib by stkzoo.agents.training.rllib.selfplay: likewise
+torchrl PPO of TorchRL on RaceVectorEnv in the view racing: likewise
+
+Without --only, the contenders run whose libraries are installed. Libraries that are missing and
+named by --only are installed in an environment below --folder.
 
 The start and the first updates are not counted; resets and learning are. The shares are of the time
 of all cores: the game's processes, making observations, networks, learning, the rest of the
@@ -18,6 +24,7 @@ programs, and waiting, in which a core had nothing to do for the contender.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import itertools
 import json
 import os
@@ -49,12 +56,15 @@ from benchmarks.bench_driver import (
     answer_of,
     record_controls,
 )
+from benchmarks.ecosystem import ROOT, SETS, environment
 from stkzoo._os import cpu_count
 
-CONTENDERS = ("engine", "ppo", "sb3")
+CONTENDERS = ("engine", "ppo", "sb3", "rllib", "torchrl")
+#: What a contender needs: its module, and its environment in ``ecosystem.SETS``.
+_LIBRARIES = {"rllib": ("ray", "rllib"), "torchrl": ("torchrl", "main")}
 SHARES = ("engine", "observing", "networks", "learning", "rest", "waiting")
 #: Iterations before the measured ones.
-_WARM_UP = 3
+WARM_UP = 3
 _TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
 
 
@@ -78,7 +88,11 @@ class Setting:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "learners", steps=400, karts=(10,), cores=(0,))
-    words.add_argument("--only", nargs="+", choices=CONTENDERS, default=list(CONTENDERS))
+    installed = [name for name in CONTENDERS if _is_installed(name)]
+    words.add_argument("--only", nargs="+", choices=CONTENDERS, default=installed)
+    words.add_argument(
+        "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of the environments"
+    )
     words.add_argument("--races", type=int, nargs="+", default=[8], help="races (default: 8)")
     words.add_argument("--rounds", type=int, default=5, help="measurements of each (default: 5)")
     words.add_argument("--iterations", type=int, default=12, help="measured updates (default: 12)")
@@ -92,11 +106,14 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     found: dict[Setting, list[dict[str, float]]] = {}
     todo = _settings(options)
+    pythons = {name: _python(name, options.folder) for name in options.only}
     with progress_bar(len(todo) * options.rounds) as (bar, task):
         for _ in range(options.rounds):
             for setting in todo:
                 bar.update(task, description=f"{setting.name}, {setting.karts} karts")
-                found.setdefault(setting, []).append(_measure(setting, options))
+                found.setdefault(setting, []).append(
+                    _measure(setting, options, pythons[setting.name])
+                )
                 bar.advance(task)
     results = [_result(setting, found) for setting in todo]
     print_tables(tables(results))
@@ -120,12 +137,24 @@ def _engine_setting(karts: int, num_cores: int) -> Setting:
     return Setting("engine", karts, num_cores or cpu_count(), num_cores)
 
 
-def _measure(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
+def _is_installed(name: str) -> bool:
+    return name not in _LIBRARIES or importlib.util.find_spec(_LIBRARIES[name][0]) is not None
+
+
+def _python(name: str, folder: Path) -> str:
+    """The interpreter that has a contender's library; makes its environment if necessary."""
+    if _is_installed(name):
+        return sys.executable
+    where = _LIBRARIES[name][1]
+    return str(environment(folder / where, SETS[where]))
+
+
+def _measure(setting: Setting, options: argparse.Namespace, python: str) -> dict[str, float]:
     if setting.name == "engine":
         return {"rate": _engine_rate(setting, options)}
     words = ["--steps", str(options.steps), "--iterations", str(options.iterations)]
     words += ["--track", options.track]
-    found: dict[str, float] = answer_of("bench_learners", asdict(setting), words, {})
+    found: dict[str, float] = answer_of("bench_learners", asdict(setting), words, {}, python)
     return found
 
 
@@ -164,7 +193,7 @@ def _processor_times() -> dict[int, tuple[int, float, float]]:
     return found
 
 
-def _engine_time(programs: Sequence[int]) -> float:
+def engine_time(programs: Sequence[int]) -> float:
     """Processor time of this program's children that are not these programs [s]."""
     times = _processor_times()
     total, level = 0.0, {os.getpid()}
@@ -174,7 +203,7 @@ def _engine_time(programs: Sequence[int]) -> float:
     return total
 
 
-class _Meter:
+class Meter:
     """Adds up this thread's processor time in calls, without that of calls within."""
 
     def __init__(self) -> None:
@@ -198,7 +227,7 @@ class _Meter:
         return measured
 
 
-def _shares(
+def shares_of(
     wall: float, engine: float, programs: float, parts: Mapping[str, float]
 ) -> dict[str, float]:
     """Shares of the time of all cores.
@@ -240,7 +269,7 @@ def _ppo(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         learner = Learner(folder, arguments)
         try:
-            for _ in range(_WARM_UP):
+            for _ in range(WARM_UP):
                 learner.iterate()
             before, parts_before = _moment(learner.pids()), learner.parts()
             begin, steps, learned = time.perf_counter(), learner.kart_steps, time.process_time()
@@ -254,20 +283,20 @@ def _ppo(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
             learner.close()
     engine, programs = (new - old for new, old in zip(after, before, strict=True))
     own = {name: parts[name] - parts_before[name] for name in parts} | {"learning": learned}
-    return {"rate": steps / wall / cpu_count(), **_shares(wall, engine, programs, own)}
+    return {"rate": steps / wall / cpu_count(), **shares_of(wall, engine, programs, own)}
 
 
 def _moment(actors: Sequence[int]) -> tuple[float, float]:
     """Processor time of the game's processes, and of this program with its actors [s]."""
     times = _processor_times()
     programs = time.process_time() + sum(times[pid][1] for pid in actors)
-    return _engine_time(actors), programs
+    return engine_time(actors), programs
 
 
 def _measured_actor(*arguments: Any) -> Any:
     from stkzoo.agents.training.ppo import rollouts
 
-    meter = _Meter()
+    meter = Meter()
 
     class Actor(rollouts.RaceActor):
         def parts(self) -> dict[str, float]:
@@ -311,7 +340,7 @@ def _sb3(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         policy_kwargs={"net_arch": [128, 128]},
         device="cpu",
     )
-    meter, marks = _Meter(), []
+    meter, marks = Meter(), []
     for owner, method, name in (
         (model, "train", "learning"),
         (model.policy, "forward", "networks"),
@@ -324,22 +353,29 @@ def _sb3(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         """Notes the state at the start of each rollout."""
 
         def _on_rollout_start(self) -> None:
-            now = time.perf_counter(), time.process_time(), _engine_time(())
+            now = time.perf_counter(), time.process_time(), engine_time(())
             marks.append((*now, self.num_timesteps, dict(meter.seconds)))
 
         def _on_step(self) -> bool:
             return True
 
-    rollouts = _WARM_UP + options.iterations
+    rollouts = WARM_UP + options.iterations
     model.learn(rollouts * 128 * envs.num_envs + 1, callback=Marks())
     envs.close()
-    first, last = marks[_WARM_UP], marks[rollouts]
+    first, last = marks[WARM_UP], marks[rollouts]
     wall, programs, engine, steps = (last[n] - first[n] for n in range(4))
     parts = {name: last[4][name] - first[4][name] for name in first[4]}
-    return {"rate": steps / wall / cpu_count(), **_shares(wall, engine, programs, parts)}
+    return {"rate": steps / wall / cpu_count(), **shares_of(wall, engine, programs, parts)}
 
 
-_LEARNERS = {"ppo": _ppo, "sb3": _sb3}
+def _other(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
+    from benchmarks import bench_libraries
+
+    found: dict[str, float] = getattr(bench_libraries, setting.name)(setting, options)
+    return found
+
+
+_LEARNERS = {"ppo": _ppo, "sb3": _sb3, "rllib": _other, "torchrl": _other}
 
 # ---------------------------------------------------------------------- results
 

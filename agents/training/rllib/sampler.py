@@ -13,7 +13,7 @@ from stkzoo import RaceVectorEnv
 from stkzoo.agents.pretrained.mlp import MlpDriver, log_probability_of, sample_choices
 from stkzoo.wrappers.racing import CHOICES
 
-from .races import MAIN, RLlibArguments, win_share
+from .races import RLlibArguments, win_share
 
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
