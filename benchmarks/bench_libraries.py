@@ -156,7 +156,7 @@ def _torchrl_races(setting: Setting, track: str) -> Any:
     """RaceVectorEnv as a batched environment of TorchRL, whose batch is the slots."""
     import torch
     from tensordict import TensorDict
-    from torchrl.data import Bounded, Categorical, Composite, MultiCategorical, Unbounded
+    from torchrl.data import Categorical, Composite, MultiCategorical, Unbounded
     from torchrl.envs import EnvBase
 
     from stkzoo import RaceVectorEnv
@@ -190,7 +190,7 @@ def _torchrl_races(setting: Setting, track: str) -> Any:
             )
             self._first: torch.Tensor | None = None
 
-        def _reset(self, tensordict: Any = None, **_: Any) -> Any:
+        def _reset(self, _: Any = None, **__: Any) -> Any:
             if self._first is None:
                 steps = self._races.reset_slots(1, [None] * setting.races)
                 self._first = torch.from_numpy(steps.observations)

@@ -163,7 +163,8 @@ def test_a_kart_that_finishes_is_terminated_at_its_last_observation():
     fragments = sampler_of(FakeRaces([2, 9, 9, 9, 9, 9])).sample(16)
     first = fragments[0]
     assert moments(first) == [[0, 0, 0], [0, 1, 0], [0, 2, 0]]
-    assert first.is_terminated and not first.is_truncated
+    assert first.is_terminated
+    assert not first.is_truncated
     assert first.rewards.tolist() == [0.0, 0.0]
 
 

@@ -11,10 +11,21 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 GAMMA, GAE_LAMBDA = 0.9, 0.8
 ARGUMENTS = RLlibArguments(
-    **{"env_runners": 0, "envs_per_runner": 2, "tracks": ("lighthouse",), "max_cycles": 20},
-    **{"learners": 2, "frozen": 1, "bots": 0, "slots": 2, "hidden": (16,)},
-    **{"train_batch_size": 50, "batch_size": 25, "n_epochs": 1, "promote_at": 1.0},
-    **{"gamma": GAMMA, "gae_lambda": GAE_LAMBDA},
+    env_runners=0,
+    envs_per_runner=2,
+    tracks=("lighthouse",),
+    max_cycles=20,
+    learners=2,
+    frozen=1,
+    bots=0,
+    slots=2,
+    hidden=(16,),
+    train_batch_size=50,
+    batch_size=25,
+    n_epochs=1,
+    promote_at=1.0,
+    gamma=GAMMA,
+    gae_lambda=GAE_LAMBDA,
 )
 
 

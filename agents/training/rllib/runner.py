@@ -45,6 +45,8 @@ class RaceEnvRunner(MultiAgentEnvRunner):
     RLlib's figures and in ``train_batch_size``, is a step of one of the learner's karts.
     """
 
+    env: Any
+
     def make_env(self) -> None:
         """Makes the races; RLlib calls it in the constructor."""
         if self.env is not None:
