@@ -5,10 +5,13 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from benchmarks.bench_learners import WARM_UP, Meter, Setting, engine_time, shares_of
+from benchmarks.bench_shares import WARM_UP, Meter, engine_time, shares_of
 from stkzoo._os import cpu_count
+
+if TYPE_CHECKING:
+    from benchmarks.bench_learners import Setting
 
 #: Steps of each kart per update, as in the contender sb3.
 _STEPS = 128
@@ -36,7 +39,7 @@ def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         batch_size=512,
         n_epochs=4,
     )
-    ray.init(num_cpus=runners, include_dashboard=False, log_to_driver=False)
+    ray.init(address="local", num_cpus=runners, include_dashboard=False, log_to_driver=False)
     algorithm = build_config(arguments).build_algo()
 
     def kart_steps(iterations: int) -> float:

@@ -35,7 +35,7 @@ def algorithm():
 
     from stkzoo.agents.training.rllib.selfplay import build_config
 
-    ray.init(num_cpus=1, include_dashboard=False, log_to_driver=False)
+    ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False)
     algorithm = build_config(ARGUMENTS).build_algo()
     yield algorithm
     algorithm.stop()
