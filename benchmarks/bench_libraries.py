@@ -26,6 +26,7 @@ def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
     from stkzoo.agents.training.rllib.selfplay import build_config
 
     runners = min(cpu_count(), setting.races)
+    steps = _STEPS * setting.karts * setting.races
     arguments = RLlibArguments(
         tracks=(options.track,),
         learners=setting.karts,
@@ -35,8 +36,8 @@ def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         envs_per_runner=setting.races // runners,
         max_cycles=_MAX_CYCLES,
         hidden=(128, 128),
-        train_batch_size=_STEPS * setting.karts * setting.races,
-        batch_size=512,
+        train_batch_size=steps,
+        batch_size=min(512, steps),
         n_epochs=4,
     )
     ray.init(address="local", num_cpus=runners, include_dashboard=False, log_to_driver=False)
@@ -49,12 +50,12 @@ def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
 
     try:
         before, begin = kart_steps(WARM_UP), time.perf_counter()
-        steps = kart_steps(options.iterations) - before
+        made = kart_steps(options.iterations) - before
         wall = time.perf_counter() - begin
     finally:
         algorithm.stop()
         ray.shutdown()
-    return {"rate": steps / wall / cpu_count()}
+    return {"rate": made / wall / cpu_count()}
 
 
 def torchrl(setting: Setting, options: argparse.Namespace) -> dict[str, float]:

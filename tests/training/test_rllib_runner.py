@@ -1,5 +1,9 @@
 """RLlib's learner on the episodes of stkzoo's env runner. Needs Ray; skipped without it."""
 
+import os
+import signal
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -123,3 +127,20 @@ def test_a_snapshot_drives_from_the_next_sample_on(algorithm):
     policy = [name for name in past if "actor" in name or name.startswith("pi.net")]
     assert len(policy) == 4  # the critic stays with the learner
     assert all((main[name] == past[name]).all() for name in policy)
+
+
+def test_an_env_runner_that_is_killed_comes_back(algorithm):
+    from stkzoo.agents.training.rllib.selfplay import build_config
+
+    remote = build_config(replace(ARGUMENTS, env_runners=1)).build_algo()
+    try:
+        before = remote.train()["env_runners"]["num_env_steps_sampled_lifetime"]
+        group = remote.env_runner_group
+        (pid,) = group.foreach_env_runner(lambda _: os.getpid(), local_env_runner=False)
+        os.kill(pid, signal.SIGKILL)
+        results = (remote.train() for _ in range(100))
+        result = next(found for found in results if found["restarted"])
+        while result["env_runners"]["num_env_steps_sampled_lifetime"] == before:
+            result = remote.train()
+    finally:
+        remote.stop()

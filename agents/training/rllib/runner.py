@@ -46,6 +46,7 @@ class RaceEnvRunner(MultiAgentEnvRunner):
     """
 
     env: Any
+    _has_new_weights = True
 
     def make_env(self) -> None:
         """Makes the races; RLlib calls it in the constructor."""
