@@ -155,7 +155,11 @@ class Contender(Interpreter):
 
 
 def answer_of(
-    module: str, spec: Mapping[str, Any], words: Sequence[str], variables: Mapping[str, str]
+    module: str,
+    spec: Mapping[str, Any],
+    words: Sequence[str],
+    variables: Mapping[str, str],
+    python: str = sys.executable,
 ) -> Any:
     """What a command of this folder prints as JSON for one ``--contender``.
 
@@ -164,8 +168,9 @@ def answer_of(
         spec: the contender.
         words: more arguments.
         variables: more environment variables.
+        python: the interpreter.
     """
-    command = [sys.executable, "-m", f"benchmarks.{module}", "--contender", json.dumps(spec)]
+    command = [python, "-m", f"benchmarks.{module}", "--contender", json.dumps(spec)]
     answer = subprocess.run(  # noqa: S603 - our own interpreter and words
         [*command, *words],
         cwd=Path(__file__).parents[1],

@@ -3,12 +3,18 @@
     python -m benchmarks.bench_learners
     python -m benchmarks.bench_learners --only engine ppo --rounds 3
     python -m benchmarks.bench_learners --only ppo --karts 1 5 20 --races 2 8 --cores 1 2
+    python -m benchmarks.bench_learners --only engine rllib torchrl
 
 Contenders take turns, and each turn is a program of its own that may use all cores:
 
 engine  pystk2 alone: a race for each core, with recorded driving of the heuristic agent
 ppo     stkzoo.agents.training.ppo.selfplay: one policy drives all karts
 sb3     PPO of Stable-Baselines3 on RaceVecEnv in the view racing: likewise
+rllib   PPO of Ray RLlib by stkzoo.agents.training.rllib.selfplay: likewise
+torchrl PPO of TorchRL on RaceVectorEnv in the view racing: likewise
+
+Without --only, the contenders run whose libraries are installed. Libraries that are missing and
+named by --only are installed in an environment below --folder.
 
 The start and the first updates are not counted; resets and learning are. The shares are of the time
 of all cores: the game's processes, making observations, networks, learning, the rest of the
@@ -18,6 +24,7 @@ programs, and waiting, in which a core had nothing to do for the contender.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import itertools
 import json
 import os
@@ -25,7 +32,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -49,13 +56,20 @@ from benchmarks.bench_driver import (
     answer_of,
     record_controls,
 )
+from benchmarks.bench_shares import (
+    SHARES,
+    WARM_UP,
+    Meter,
+    engine_time,
+    processor_times,
+    shares_of,
+)
+from benchmarks.ecosystem import ROOT, SETS, environment
 from stkzoo._os import cpu_count
 
-CONTENDERS = ("engine", "ppo", "sb3")
-SHARES = ("engine", "observing", "networks", "learning", "rest", "waiting")
-#: Iterations before the measured ones.
-_WARM_UP = 3
-_TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
+CONTENDERS = ("engine", "ppo", "sb3", "rllib", "torchrl")
+#: What a contender needs: its module, and its environment in ``ecosystem.SETS``.
+_LIBRARIES = {"rllib": ("ray", "rllib"), "torchrl": ("torchrl", "main")}
 
 
 @dataclass(frozen=True)
@@ -78,7 +92,11 @@ class Setting:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser(__doc__, "learners", steps=400, karts=(10,), cores=(0,))
-    words.add_argument("--only", nargs="+", choices=CONTENDERS, default=list(CONTENDERS))
+    installed = [name for name in CONTENDERS if _is_installed(name)]
+    words.add_argument("--only", nargs="+", choices=CONTENDERS, default=installed)
+    words.add_argument(
+        "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of the environments"
+    )
     words.add_argument("--races", type=int, nargs="+", default=[8], help="races (default: 8)")
     words.add_argument("--rounds", type=int, default=5, help="measurements of each (default: 5)")
     words.add_argument("--iterations", type=int, default=12, help="measured updates (default: 12)")
@@ -92,11 +110,14 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     found: dict[Setting, list[dict[str, float]]] = {}
     todo = _settings(options)
+    pythons = {name: _python(name, options.folder) for name in options.only}
     with progress_bar(len(todo) * options.rounds) as (bar, task):
         for _ in range(options.rounds):
             for setting in todo:
                 bar.update(task, description=f"{setting.name}, {setting.karts} karts")
-                found.setdefault(setting, []).append(_measure(setting, options))
+                found.setdefault(setting, []).append(
+                    _measure(setting, options, pythons[setting.name])
+                )
                 bar.advance(task)
     results = [_result(setting, found) for setting in todo]
     print_tables(tables(results))
@@ -120,12 +141,24 @@ def _engine_setting(karts: int, num_cores: int) -> Setting:
     return Setting("engine", karts, num_cores or cpu_count(), num_cores)
 
 
-def _measure(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
+def _is_installed(name: str) -> bool:
+    return name not in _LIBRARIES or importlib.util.find_spec(_LIBRARIES[name][0]) is not None
+
+
+def _python(name: str, folder: Path) -> str:
+    """The interpreter that has a contender's library; makes its environment if necessary."""
+    if _is_installed(name):
+        return sys.executable
+    where = _LIBRARIES[name][1]
+    return str(environment(folder / where, SETS[where]))
+
+
+def _measure(setting: Setting, options: argparse.Namespace, python: str) -> dict[str, float]:
     if setting.name == "engine":
         return {"rate": _engine_rate(setting, options)}
     words = ["--steps", str(options.steps), "--iterations", str(options.iterations)]
     words += ["--track", options.track]
-    found: dict[str, float] = answer_of("bench_learners", asdict(setting), words, {})
+    found: dict[str, float] = answer_of("bench_learners", asdict(setting), words, {}, python)
     return found
 
 
@@ -145,74 +178,6 @@ def _engine_rate(setting: Setting, options: argparse.Namespace) -> float:
         begin = time.perf_counter()
         list(threads.map(lambda race: race.ask("steps", count=options.steps), races))
         return float(karts * options.steps / (time.perf_counter() - begin))
-
-
-# ---------------------------------------------------------------------- processor time
-
-
-def _processor_times() -> dict[int, tuple[int, float, float]]:
-    """Parent, own processor time and that of ended children [s] of all processes, by id."""
-    found = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            text = (entry / "stat").read_text()
-        except OSError:
-            continue
-        fields = text[text.rindex(")") + 2 :].split()
-        own, children = (sum(map(int, fields[n : n + 2])) / _TICKS for n in (11, 13))
-        found[int(entry.name)] = int(fields[1]), own, children
-    return found
-
-
-def _engine_time(programs: Sequence[int]) -> float:
-    """Processor time of this program's children that are not these programs [s]."""
-    times = _processor_times()
-    total, level = 0.0, {os.getpid()}
-    while level:
-        level = {pid for pid, (parent, *_) in times.items() if parent in level}
-        total += sum(sum(times[pid][1:]) for pid in level.difference(programs))
-    return total
-
-
-class _Meter:
-    """Adds up this thread's processor time in calls, without that of calls within."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._inner = 0.0
-
-    def timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The call, measured under a name."""
-
-        def measured(*arguments: Any, **named: Any) -> Any:
-            outer, self._inner = self._inner, 0.0
-            begin = time.thread_time()
-            try:
-                return call(*arguments, **named)
-            finally:
-                spent = time.thread_time() - begin
-                own = self.seconds.get(name, 0.0)
-                self.seconds[name] = own + spent - self._inner
-                self._inner = outer + spent
-
-        return measured
-
-
-def _shares(
-    wall: float, engine: float, programs: float, parts: Mapping[str, float]
-) -> dict[str, float]:
-    """Shares of the time of all cores.
-
-    Args:
-        wall: seconds.
-        engine: processor time of the game's processes [s].
-        programs: of all other processes [s].
-        parts: of parts of the other processes [s].
-    """
-    all_cores = wall * cpu_count()
-    known = {"engine": engine, **parts, "rest": programs - sum(parts.values())}
-    known["waiting"] = all_cores - engine - programs
-    return {name: known.get(name, 0.0) / all_cores for name in SHARES}
 
 
 # ---------------------------------------------------------------------- learners
@@ -240,7 +205,7 @@ def _ppo(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         learner = Learner(folder, arguments)
         try:
-            for _ in range(_WARM_UP):
+            for _ in range(WARM_UP):
                 learner.iterate()
             before, parts_before = _moment(learner.pids()), learner.parts()
             begin, steps, learned = time.perf_counter(), learner.kart_steps, time.process_time()
@@ -254,20 +219,20 @@ def _ppo(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
             learner.close()
     engine, programs = (new - old for new, old in zip(after, before, strict=True))
     own = {name: parts[name] - parts_before[name] for name in parts} | {"learning": learned}
-    return {"rate": steps / wall / cpu_count(), **_shares(wall, engine, programs, own)}
+    return {"rate": steps / wall / cpu_count(), **shares_of(wall, engine, programs, own)}
 
 
 def _moment(actors: Sequence[int]) -> tuple[float, float]:
     """Processor time of the game's processes, and of this program with its actors [s]."""
-    times = _processor_times()
+    times = processor_times()
     programs = time.process_time() + sum(times[pid][1] for pid in actors)
-    return _engine_time(actors), programs
+    return engine_time(actors), programs
 
 
 def _measured_actor(*arguments: Any) -> Any:
     from stkzoo.agents.training.ppo import rollouts
 
-    meter = _Meter()
+    meter = Meter()
 
     class Actor(rollouts.RaceActor):
         def parts(self) -> dict[str, float]:
@@ -311,7 +276,7 @@ def _sb3(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         policy_kwargs={"net_arch": [128, 128]},
         device="cpu",
     )
-    meter, marks = _Meter(), []
+    meter, marks = Meter(), []
     for owner, method, name in (
         (model, "train", "learning"),
         (model.policy, "forward", "networks"),
@@ -324,22 +289,29 @@ def _sb3(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         """Notes the state at the start of each rollout."""
 
         def _on_rollout_start(self) -> None:
-            now = time.perf_counter(), time.process_time(), _engine_time(())
+            now = time.perf_counter(), time.process_time(), engine_time(())
             marks.append((*now, self.num_timesteps, dict(meter.seconds)))
 
         def _on_step(self) -> bool:
             return True
 
-    rollouts = _WARM_UP + options.iterations
+    rollouts = WARM_UP + options.iterations
     model.learn(rollouts * 128 * envs.num_envs + 1, callback=Marks())
     envs.close()
-    first, last = marks[_WARM_UP], marks[rollouts]
+    first, last = marks[WARM_UP], marks[rollouts]
     wall, programs, engine, steps = (last[n] - first[n] for n in range(4))
     parts = {name: last[4][name] - first[4][name] for name in first[4]}
-    return {"rate": steps / wall / cpu_count(), **_shares(wall, engine, programs, parts)}
+    return {"rate": steps / wall / cpu_count(), **shares_of(wall, engine, programs, parts)}
 
 
-_LEARNERS = {"ppo": _ppo, "sb3": _sb3}
+def _other(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
+    from benchmarks import bench_libraries
+
+    found: dict[str, float] = getattr(bench_libraries, setting.name)(setting, options)
+    return found
+
+
+_LEARNERS = {"ppo": _ppo, "sb3": _sb3, "rllib": _other, "torchrl": _other}
 
 # ---------------------------------------------------------------------- results
 

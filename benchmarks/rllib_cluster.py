@@ -30,7 +30,7 @@ from stkzoo._os import atomic_write
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "rllib_cluster.json"
-_RUNNER = "ray::MultiAgentEnvRunner"
+_RUNNER = "ray::RaceEnvRunner"
 _CACHE = "STKZOO_CACHE"
 #: So many iterations go by between what happens.
 PAUSE = 2

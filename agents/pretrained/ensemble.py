@@ -15,18 +15,15 @@ from stkzoo.agents.planning.driver import HEADS, OFFSETS, PolicyInput, is_drifti
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning.plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.racing import BRAKE, CHOICES
+from stkzoo.wrappers.racing import BRAKE
 
 from .action_filter import steering
-from .mlp import SPLITS, MlpDriver
+from .mlp import SPLITS, MlpDriver, log_probabilities
 
 #: Pedal, drift and side of each manoeuvre.
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
-#: First logit of each choice, and the choice of each logit.
-_BEGINS = np.array([0, *SPLITS])
-_CHOICE_OF = np.repeat(np.arange(len(CHOICES)), CHOICES)
 #: Prefix of the arrays of each network in a file.
 _IN_FILE = "adviser{}."
 
@@ -82,11 +79,7 @@ class EnsemblePolicy:
     def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
         """Returns the networks' mean log-probabilities, one array per choice."""
         logits = np.array([network.logits(seen) for network in self.networks])
-        top = np.maximum.reduceat(logits, _BEGINS, axis=-1)
-        odds = np.exp(logits - top[..., _CHOICE_OF])
-        normaliser = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
-        mean = (logits - normaliser[..., _CHOICE_OF]).mean(axis=0)
-        return np.split(mean, SPLITS, axis=-1)
+        return np.split(log_probabilities(logits).mean(axis=0), SPLITS, axis=-1)
 
 
 def _steering(inputs: FloatArray) -> IntArray:

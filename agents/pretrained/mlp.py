@@ -23,6 +23,9 @@ _LAYER = "mlp_extractor.policy_net.{}.{}"
 _LAST = "action_net.{}"
 #: Boundaries between the logits of the choices.
 SPLITS = np.cumsum(CHOICES)[:-1].tolist()
+#: First logit of each choice, and the choice of each logit.
+_BEGINS = np.array([0, *SPLITS])
+_CHOICE_OF = np.repeat(np.arange(len(CHOICES)), CHOICES)
 #: Name of the array with the minimum steps of a drift.
 HOLD = "drift_hold"
 _MAX_HOLD = 1000
@@ -87,8 +90,7 @@ class MlpDriver:
 
     def best(self, observations: FloatArray) -> IntArray:
         """Returns the most likely choices, ``(A, 5)``; a kart's do not depend on other karts."""
-        parts = np.split(self.logits(observations), SPLITS, axis=1)
-        return np.stack([part.argmax(axis=1) for part in parts], axis=1)
+        return _likeliest(self.logits(observations))
 
     def seat(self) -> NoReturn:
         """Rejects a call from agents that older versions exported."""
@@ -99,10 +101,37 @@ class MlpDriver:
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Samples choices from their probabilities, ``(A, 5)``."""
-        logits = self.logits(observations)
-        noisy = logits + random.gumbel(size=logits.shape).astype(np.float32)
-        parts = np.split(noisy, SPLITS, axis=1)
-        return np.stack([part.argmax(axis=1) for part in parts], axis=1)
+        return sample_choices(self.logits(observations), random)
+
+
+def sample_choices(logits: FloatArray, random: np.random.Generator) -> IntArray:
+    """Samples choices from their logits ``(A, 31)`` by Gumbel noise, ``(A, 5)``."""
+    return _likeliest(logits + random.gumbel(size=logits.shape).astype(np.float32))
+
+
+def log_probabilities(logits: FloatArray) -> FloatArray:
+    """Returns the log-probability of each option of each choice.
+
+    Args:
+        logits: ``(..., 31)``.
+    """
+    top = np.maximum.reduceat(logits, _BEGINS, axis=-1)
+    odds = np.exp(logits - top[..., _CHOICE_OF])
+    normaliser = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
+    found: FloatArray = logits - normaliser[..., _CHOICE_OF]
+    return found
+
+
+def log_probability_of(choices: IntArray, logits: FloatArray) -> FloatArray:
+    """Returns the log-probability of choices ``(A, 5)`` by their logits ``(A, 31)``, ``(A,)``."""
+    taken = np.take_along_axis(log_probabilities(logits), choices + _BEGINS, axis=1)
+    total: FloatArray = taken.sum(axis=1)
+    return total
+
+
+def _likeliest(logits: FloatArray) -> IntArray:
+    parts = np.split(logits, SPLITS, axis=1)
+    return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 
 
 def is_network(weights: Mapping[str, FloatArray]) -> bool:

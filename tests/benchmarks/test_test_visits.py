@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from stkzoo.evaluation import load_benchmark
+from stkzoo.evaluation import load_benchmark, load_time_trial
 from stkzoo.tracks import TEST_TRACKS
 from tests.support.paths import ROOT
 
@@ -20,6 +20,13 @@ def has_test_tracks(file):
 SAVED = sorted(filter(has_test_tracks, (RESULTS / "benchmark").rglob("*.json")))
 
 
+def saved_result(file):
+    """A result and its mean time ratio: to the AI's times or, in time trials, to the records."""
+    if file.stem.endswith("time-trial"):
+        return (result := load_time_trial(file)), result.mean_ratio
+    return (result := load_benchmark(file)), result.group().figures["time_ratio"].value
+
+
 def visits():
     """The rows of the log, without its head."""
     with (RESULTS / "test_visits.csv").open(newline="") as file:
@@ -28,14 +35,9 @@ def visits():
 
 @pytest.mark.parametrize("file", SAVED, ids=lambda file: file.stem)
 def test_every_saved_result_on_test_tracks_is_in_the_log(file):
-    result = load_benchmark(file)
-    ratio = result.group().figures["time_ratio"].value
-    row = [
-        result.plan.agent.source,
-        str(result.plan.settings.difficulty),
-        str(len(result.races)),
-        f"{ratio:.3f}",
-    ]
+    result, ratio = saved_result(file)
+    plan, races = result.plan, len(result.races)
+    row = [plan.agent.source, str(plan.settings.difficulty), str(races), f"{ratio:.3f}"]
     assert row in [visit[1:5] for visit in visits()]
 
 

@@ -8,13 +8,14 @@ from stkzoo.wrappers.racing import CHOICES, STEERS
 __all__ = ["small_network"]
 
 
-def small_network(likes=(), seed=0, *, steers=0):
+def small_network(likes=(), seed=0, *, steers=0, inputs=action_filter.INPUT_SIZE):
     """A network that likes some choices by 50, and what it sees decides a little.
 
     With ``steers`` -1 or 1 it likes each choice of steering more, the farther to that side it is.
+    ``inputs`` is the size of its input.
     """
     chance = np.random.default_rng(seed)
-    sizes = (action_filter.INPUT_SIZE, 8, 8)
+    sizes = (inputs, 8, 8)
     weights = {"drift_hold": np.ones(1, np.float32), "value_net.bias": np.zeros(1, np.float32)}
     for layer, name in enumerate(["policy_net.0", "policy_net.2"]):
         shape = sizes[layer + 1], sizes[layer]

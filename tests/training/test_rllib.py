@@ -1,10 +1,13 @@
-"""The parts of the RLlib script that need no Ray.
+"""The RLlib script without training.
 
-Ray wants an older Gymnasium than the rest of the tests, so it is not installed here.
-``python -m benchmarks.rllib_cluster`` runs the whole script: docs/how-to/cluster.md.
+Ray wants an older Gymnasium than the rest of the tests, so it is usually not installed here, and
+the tests that need it are in test_rllib_runner.py. ``python -m benchmarks.rllib_cluster`` runs the
+whole script: docs/how-to/cluster.md.
 """
 
 import importlib.util
+from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,27 +21,23 @@ from stkzoo.agents.training.rllib.races import (
     MAIN,
     RLlibArguments,
     ensure_assets,
-    make_race,
+    make_races,
     win_share,
 )
-from stkzoo.agents.training.rllib.selfplay import main, sb3_names
+from stkzoo.agents.training.rllib.sampler import RaceSampler, sb3_names
+from stkzoo.agents.training.rllib.selfplay import main
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.wrappers.racing import CHOICES, SIZE
+from tests.support.networks import small_network
 
 POLICIES = RLlibArguments(learners=2, frozen=2, slots=3)
 
 
 def test_the_first_karts_learn_and_past_selves_drive_the_others():
     assert POLICIES.modules == [MAIN, "past_0", "past_1", "past_2"]
-    drawn = {POLICIES.module_of("kart_2", f"{number:x}") for number in range(50)}
-    assert drawn == {"past_0", "past_1", "past_2"}
-    assert {POLICIES.module_of("kart_1", f"{number:x}") for number in range(50)} == {MAIN}
-
-
-def test_an_episodes_drivers_are_the_same_on_every_node():
-    again = RLlibArguments(learners=2, frozen=2, slots=3)
-    assert POLICIES.module_of("kart_3", "abc") == again.module_of("kart_3", "abc")
+    assert POLICIES.modules_of(0) == [MAIN, MAIN, "past_0", "past_1"]
+    assert POLICIES.modules_of(2) == [MAIN, MAIN, "past_2", "past_0"]
 
 
 def test_a_new_snapshot_takes_the_oldest_ones_place():
@@ -53,24 +52,176 @@ def test_without_past_selves_there_is_one_module():
 
 
 def test_the_share_of_pairs_won_counts_all_pairs():
-    assert win_share({"kart_0": 1, "kart_1": 4, "kart_2": 2, "kart_3": 3}, POLICIES) == 0.5
-    assert win_share({"kart_0": 1, "kart_2": 2}, POLICIES) == 1.0
-    assert win_share({"kart_0": 1, "kart_1": 2}, POLICIES) is None
+    assert win_share([1, 4], [2, 3]) == 0.5
+    assert win_share([1], [2]) == 1.0
+    assert win_share([1, 2], []) is None
 
 
 def test_races_are_made_as_asked():
-    arguments = RLlibArguments(tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7)
-    with make_race(arguments) as env:
-        observations, _ = env.reset(seed=1)
-        assert list(observations) == ["kart_0", "kart_1", "kart_2"]
-        assert env.options.num_kart == 5
-        assert env.race.track == "lighthouse"
-        assert observations["kart_0"].shape == (SIZE,)
-        steps = 0
-        while env.agents:
-            env.step({agent: env.action_space(agent).sample() for agent in env.agents})
-            steps += 1
-        assert steps == 7
+    arguments = RLlibArguments(
+        tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7, envs_per_runner=2
+    )
+    with closing(make_races(arguments)) as races:
+        observations, _ = races.reset(seed=1)
+        assert observations.shape == (6, SIZE)
+        assert races.races[0].options.num_kart == 5
+        assert {race.race.track for race in races.races} == {"lighthouse"}
+        sampler = RaceSampler(races, arguments, seed=1)
+        sampler.load(dict.fromkeys(arguments.modules, MlpDriver(small_network(inputs=SIZE))))
+        fragments = sampler.sample(2 * 2 * 7)
+        assert [len(fragment) for fragment in fragments] == [7] * 4
+        assert all(f.is_truncated and not f.is_terminated for f in fragments)
+        assert [result.num_steps for result in sampler.results] == [7, 7]
+
+
+class FakeRaces:
+    """Two races of three slots, whose observations are slot, steps of the race and race number.
+
+    Slot ``s`` finishes after ``lengths[s]`` steps, or is truncated at step 5.
+    """
+
+    num_races, num_agents, num_envs = 2, 3, 6
+
+    def __init__(self, lengths, crash_at=None):
+        self._lengths, self._crash_at = np.array(lengths), crash_at
+        self._ages, self._starts = np.zeros(6, int), np.zeros(6, int)
+        self._steps = 0
+        self.racing = np.zeros(6, bool)
+        self.acted = []
+
+    def _observations(self):
+        seen = np.zeros((6, SIZE), np.float32)
+        seen[:, :3] = np.stack([np.arange(6), self._ages, self._starts], axis=1)
+        return seen
+
+    def reset_slots(self, seeds, options):
+        assert len(seeds) == len(options) == 2
+        self.racing = np.ones(6, bool)
+        return SimpleNamespace(observations=self._observations())
+
+    def step_async(self, actions):
+        self.acted.append(actions)
+
+    def wait_slots(self):
+        active = self.racing
+        self._steps += 1
+        self._ages += active
+        crashed = np.repeat([self._steps == self._crash_at, False], 3)
+        terminations = active & (self._ages == self._lengths) & ~crashed
+        truncations = active & ~terminations & ((self._ages == 5) | crashed)
+        self.racing = active & ~terminations & ~truncations
+        final = self._observations()
+        finals = {
+            slot: (final[slot], {"position": slot % 3 + 1})
+            for slot in np.flatnonzero(terminations | truncations).tolist()
+        }
+        for race in (slice(0, 3), slice(3, 6)):
+            if not self.racing[race].any():
+                self._ages[race], self.racing[race] = 0, True
+                self._starts[race] += 1
+        return SimpleNamespace(
+            active=active,
+            rewards=active * np.arange(6.0),
+            terminations=terminations,
+            truncations=truncations,
+            crashed=crashed,
+            finals=finals,
+            observations=self._observations() * self.racing[:, None],
+        )
+
+
+def sampler_of(races, **likes):
+    """A sampler of races of two learners and a past self, whose networks prefer some choices."""
+    sampler = RaceSampler(races, RLlibArguments(learners=2, frozen=1, slots=2), seed=3)
+    for module in (MAIN, "past_0", "past_1"):
+        network = small_network(likes.get(module, ()), inputs=SIZE)
+        sampler.load({module: MlpDriver(network)})
+    return sampler
+
+
+def moments(fragment):
+    """What a fragment's observations say: its slot, the steps of the race and its number."""
+    return fragment.observations[:, :3].astype(int).tolist()
+
+
+def test_only_the_learners_karts_are_recorded():
+    fragments = sampler_of(FakeRaces([9] * 6)).sample(8)
+    assert [fragment.slot for fragment in fragments] == [0, 1, 3, 4]
+    assert all(len(fragment) == 2 for fragment in fragments)
+
+
+def test_an_episode_that_is_cut_continues_in_the_next_sample():
+    sampler = sampler_of(FakeRaces([9] * 6))
+    first, second = (sampler.sample(8)[1] for _ in range(2))
+    assert moments(first) == [[1, 0, 0], [1, 1, 0], [1, 2, 0]]
+    assert moments(second) == [[1, 2, 0], [1, 3, 0], [1, 4, 0]]
+    assert [first.begin, second.begin] == [0, 2]
+    assert not any(f.is_terminated or f.is_truncated for f in (first, second))
+
+
+def test_a_kart_that_finishes_is_terminated_at_its_last_observation():
+    fragments = sampler_of(FakeRaces([2, 9, 9, 9, 9, 9])).sample(16)
+    first = fragments[0]
+    assert moments(first) == [[0, 0, 0], [0, 1, 0], [0, 2, 0]]
+    assert first.is_terminated
+    assert not first.is_truncated
+    assert first.rewards.tolist() == [0.0, 0.0]
+
+
+def test_a_race_at_its_time_limit_is_truncated_before_the_next_one():
+    fragments = [f for f in sampler_of(FakeRaces([9] * 6)).sample(24) if f.slot == 4]
+    assert [len(fragment) for fragment in fragments] == [5, 1]
+    assert moments(fragments[0])[-1] == [4, 5, 0]
+    assert [fragment.is_truncated for fragment in fragments] == [True, False]
+    assert moments(fragments[1]) == [[4, 0, 1], [4, 1, 1]]
+
+
+def test_idle_slots_make_no_steps():
+    fragments = [f for f in sampler_of(FakeRaces([2, 9, 9, 9, 9, 9])).sample(27) if f.slot == 0]
+    assert [fragment.begin for fragment in fragments] == [0, 0]
+    assert [len(fragment) for fragment in fragments] == [2, 2]
+    assert moments(fragments[1])[0] == [0, 0, 1]
+
+
+def test_each_kart_is_driven_by_the_network_of_its_module():
+    races = FakeRaces([9] * 6)
+    sampler_of(races, main=[2], past_0=[4], past_1=[4]).sample(8)
+    assert races.acted[0][:, 0].tolist() == [2, 2, 4, 2, 2, 4]
+
+
+def test_new_weights_drive_from_the_next_step_on():
+    races = FakeRaces([9] * 6)
+    sampler = sampler_of(races, main=[2])
+    sampler.sample(4)
+    sampler.load({MAIN: MlpDriver(small_network([3], inputs=SIZE))})
+    sampler.sample(4)
+    assert [acted[0, 0] for acted in races.acted] == [2, 3]
+
+
+def test_log_probabilities_are_those_of_the_actions():
+    fragment = sampler_of(FakeRaces([9] * 6)).sample(8)[0]
+    expected = np.zeros(len(fragment))
+    for choice, logits in enumerate(np.split(fragment.logits, np.cumsum(CHOICES)[:-1], axis=1)):
+        odds = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
+        expected += np.log(odds[np.arange(len(odds)), fragment.actions[:, choice]])
+    np.testing.assert_allclose(fragment.log_probabilities, expected, rtol=1e-5)
+
+
+def test_results_are_of_whole_races():
+    sampler = sampler_of(FakeRaces([9] * 6))
+    sampler.sample(12)
+    assert sampler.results == []
+    sampler.sample(12)
+    first, second = sampler.results
+    assert (first.num_steps, first.reward, first.win_share) == (5, 5.0, 1.0)
+    assert second.reward == 5 * (3.0 + 4.0)
+
+
+def test_a_race_that_crashes_is_truncated_and_has_no_result():
+    sampler = sampler_of(FakeRaces([9] * 6, crash_at=3))
+    fragments = sampler.sample(20)
+    assert [f.is_truncated for f in fragments if f.slot == 0] == [True, False]
+    assert [result.reward for result in sampler.results] == [35.0]
 
 
 def test_nothing_is_installed_where_the_data_is():

@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from ray.rllib.callbacks.callbacks import RLlibCallback
+from ray.rllib.core import COMPONENT_LEARNER, COMPONENT_RL_MODULE
 from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
-from .races import MAIN, RLlibArguments, win_share
+from .races import MAIN, RLlibArguments
 
 #: Names of the logged figures.
 WIN_SHARE, RACES, RESTARTED = "win_share", "races", "restarted"
-_WINDOW = 50
 
 
 class SelfPlay(RLlibCallback):
@@ -37,17 +37,6 @@ class SelfPlay(RLlibCallback):
         """Initializes all past selves with the learner's weights."""
         for module in self._arguments.modules[1:]:
             copy_main(algorithm, module)
-
-    def on_episode_end(self, *, episode: Any, metrics_logger: Any, **_: Any) -> None:
-        """Logs the result of the race; runs in the env runner."""
-        positions = {
-            agent: int(single.get_infos(-1)["position"])
-            for agent, single in episode.agent_episodes.items()
-        }
-        share = win_share(positions, self._arguments)
-        if share is not None:
-            metrics_logger.log_value(WIN_SHARE, share, reduce="mean", window=_WINDOW)
-        metrics_logger.log_value(RACES, 1, reduce="lifetime_sum")
 
     def on_train_result(self, *, algorithm: Any, result: dict[str, Any], **_: Any) -> None:
         """Promotes the learner if it wins often enough."""
@@ -76,8 +65,8 @@ def copy_main(algorithm: Any, module: str) -> None:
         learner.module[module].load_state_dict(learner.module[MAIN].state_dict())
 
     algorithm.learner_group.foreach_learner(copy)
-    algorithm.env_runner_group.sync_weights(
-        from_worker_or_learner_group=algorithm.learner_group,
-        policies=[module],
-        inference_only=True,
-    )
+    path = f"{COMPONENT_LEARNER}/{COMPONENT_RL_MODULE}/{module}"
+    state = algorithm.learner_group.get_state(components=path, inference_only=True)
+    weights = {COMPONENT_RL_MODULE: state[COMPONENT_LEARNER][COMPONENT_RL_MODULE]}
+    # Env runners skip weights whose number they already have; these have none.
+    algorithm.env_runner_group.foreach_env_runner(lambda runner: runner.set_state(weights))

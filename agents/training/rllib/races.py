@@ -6,12 +6,12 @@ Only the methods of :class:`PackSender` need Ray.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from stkzoo import RaceParallelEnv, race_v0
+from stkzoo import RaceVectorEnv
 from stkzoo._arguments import option
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
 from stkzoo.errors import AssetError, ConfigError
@@ -20,6 +20,8 @@ from ..common.arguments import PPOArguments, RunArguments
 
 #: Name of the module that learns.
 MAIN = "main"
+#: Key of the arguments in RLlib's configuration of the environment.
+ARGUMENTS = "arguments"
 _SENDER, _NAMESPACE = "stkzoo-pack", "stkzoo"
 #: Time limit for making and sending the pack [s].
 _PATIENCE = 1800.0
@@ -45,7 +47,7 @@ class RLlibArguments(PPOArguments):
         promote_at: fraction of duels won at which a snapshot is saved.
         least_races: minimum races between two snapshots.
         max_cycles: steps after which a race is truncated.
-        train_batch_size: environment steps per iteration, over all learners.
+        train_batch_size: kart-steps of the learner's karts per iteration.
         checkpoint_every: iterations between two checkpoints.
         sample_timeout: seconds that an iteration waits for env runners.
     """
@@ -72,7 +74,7 @@ class RLlibArguments(PPOArguments):
     promote_at: float = 0.6
     least_races: int = 20
     max_cycles: int = 1500
-    train_batch_size: int = 4000
+    train_batch_size: int = 8000
     checkpoint_every: int = 5
     sample_timeout: float = 600.0
 
@@ -96,32 +98,26 @@ class RLlibArguments(PPOArguments):
         """Returns the module of a snapshot; a new one replaces the oldest."""
         return f"past_{number % self.slots}"
 
-    def module_of(self, agent: str, episode: str) -> str:
-        """Returns the module that drives an agent's kart in an episode; deterministic.
+    def modules_of(self, race: int) -> list[str]:
+        """Returns the module that drives each agent's kart; the learner's karts come first.
 
         Args:
-            agent: id of the agent, ``kart_N``; the learner's karts come first.
-            episode: id of the episode, whose characters select the past self.
+            race: any number, which selects the past selves.
         """
-        number = int(agent.rpartition("_")[2])
-        if number < self.learners:
-            return MAIN
-        return self.slot(sum(episode.encode()) + number)
+        past = [self.slot(race + number) for number in range(self.frozen)]
+        return [MAIN] * self.learners + past
 
 
-def win_share(positions: Mapping[str, int], arguments: RLlibArguments) -> float | None:
+def win_share(own: Sequence[int], others: Sequence[int]) -> float | None:
     """Returns the fraction of pairs of a learner and a past self in which the learner is ahead.
 
     Args:
-        positions: final ranks by agent, 1 is first.
-        arguments: arguments of the run, which determine who drove which kart.
+        own: final ranks of the learner's karts, 1 is first.
+        others: final ranks of its past selves.
 
     Returns:
         0 to 1; ``None`` if there is no such pair.
     """
-    own, others = list[int](), list[int]()
-    for agent, position in positions.items():
-        (own if arguments.module_of(agent, "") == MAIN else others).append(position)
     if not own or not others:
         return None
     return sum(a < b for a in own for b in others) / (len(own) * len(others))
@@ -213,11 +209,12 @@ def _asked_for() -> bytes:
     return data
 
 
-def make_race(arguments: RLlibArguments) -> RaceParallelEnv:
-    """Returns the environment of one env runner."""
+def make_races(arguments: RLlibArguments) -> RaceVectorEnv:
+    """Returns the races of one env runner."""
     ensure_assets()
     agents, tracks = arguments.learners + arguments.frozen, arguments.tracks
-    return race_v0.parallel_env(
+    return RaceVectorEnv(
+        arguments.envs_per_runner,
         agents=agents,
         num_kart=agents + arguments.bots,
         track=tracks[0] if len(tracks) == 1 else tracks,

@@ -4,7 +4,8 @@ r"""Trains a policy by self-play with Ray RLlib, on one machine or a cluster.
     python -m stkzoo.agents.training.rllib.selfplay --output runs/rllib --iterations 200 \
         --address auto --env-runners 30
 
-The script uses PPO on RLlib's new API stack and PettingZoo's parallel API. In every race, the
+The script uses PPO on RLlib's new API stack. Its env runners drive all their races in one batch
+(``RaceVectorEnv``) and evaluate the networks in stkzoo's kernel. In every race, the
 policy that learns (``main``) drives some karts, frozen snapshots of it drive others, and the game's
 AI drives the rest. When ``main`` finishes ahead of its past selves often enough, a snapshot of it
 replaces the oldest one. All policies see the view ``racing``.
@@ -30,7 +31,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import import_extra
@@ -38,18 +38,12 @@ from stkzoo.errors import import_extra
 from ..common.arguments import ScriptOptions
 from ..common.command import run_command
 from ..common.run_folder import TrainingLog, keep_arguments
-from .races import MAIN, PackSender, RLlibArguments, ensure_assets, make_race
+from .races import ARGUMENTS, MAIN, PackSender, RLlibArguments, ensure_assets
+from .sampler import sb3_names
 
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
 #: Arguments that may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
-#: Stable-Baselines3's names of the layers of RLlib's module.
-_LAYERS = {
-    "encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.",
-    "encoder.critic_encoder.net.mlp.": "mlp_extractor.value_net.",
-    "pi.net.mlp.0.": "action_net.",
-    "vf.net.mlp.0.": "value_net.",
-}
 
 
 def build_config(arguments: RLlibArguments) -> Any:
@@ -58,34 +52,33 @@ def build_config(arguments: RLlibArguments) -> Any:
     from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
     from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
     from ray.rllib.core.rl_module.rl_module import RLModuleSpec
-    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
-    from ray.tune.registry import register_env
 
     from .callbacks import SelfPlay
+    from .runner import RaceEnvRunner
 
-    register_env("stkzoo_races", lambda _: ParallelPettingZooEnv(make_race(arguments)))
     model = DefaultModelConfig(
         fcnet_hiddens=list(arguments.hidden), fcnet_activation="tanh", vf_share_layers=False
     )
     return (
         PPOConfig()
-        .environment("stkzoo_races")
+        .environment(env_config={ARGUMENTS: arguments})
         .env_runners(
+            env_runner_cls=RaceEnvRunner,
+            add_default_connectors_to_env_to_module_pipeline=False,  # the sampler needs none
+            add_default_connectors_to_module_to_env_pipeline=False,
             num_env_runners=arguments.env_runners,
-            num_envs_per_env_runner=arguments.envs_per_runner,
             num_cpus_per_env_runner=arguments.cpus_per_runner,
             sample_timeout_s=arguments.sample_timeout,
         )
         .fault_tolerance(
             restart_failed_env_runners=True,
-            restart_failed_sub_environments=True,  # after a crash of the game
             num_consecutive_env_runner_failures_tolerance=1000,
             env_runner_health_probe_timeout_s=30.0,
             env_runner_restore_timeout_s=300.0,
         )
         .multi_agent(
             policies=set(arguments.modules),
-            policy_mapping_fn=lambda agent, episode, **_: arguments.module_of(agent, episode.id_),
+            policy_mapping_fn=lambda *_, **__: MAIN,  # for the learner, which gets no other karts
             policies_to_train=[MAIN],
         )
         .rl_module(
@@ -233,16 +226,6 @@ def _save(algorithm: Any, folder: Path) -> None:
         lambda learner: {k: v.cpu().numpy() for k, v in learner.module[MAIN].state_dict().items()}
     )
     save_weights(folder / _POLICY, sb3_names(next(r.get() for r in state)))
-
-
-def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDArray[np.float32]]:
-    """Returns the weights of RLlib's module under Stable-Baselines3's names."""
-    return {
-        theirs + name.removeprefix(ours): array
-        for name, array in state.items()
-        for ours, theirs in _LAYERS.items()
-        if name.startswith(ours)
-    }
 
 
 def main(words: list[str] | None = None) -> int:

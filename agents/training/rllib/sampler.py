@@ -1,0 +1,260 @@
+"""Drives the races of an env runner, and records what the learner's karts do. Needs no Ray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo import RaceVectorEnv
+from stkzoo.agents.pretrained.mlp import MlpDriver, log_probability_of, sample_choices
+from stkzoo.wrappers.racing import CHOICES
+
+from .races import RLlibArguments, win_share
+
+FloatArray = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.intp]
+
+#: Stable-Baselines3's names of the layers of RLlib's module.
+_LAYERS = {
+    "encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.",
+    "encoder.critic_encoder.net.mlp.": "mlp_extractor.value_net.",
+    "pi.net.mlp.0.": "action_net.",
+    "vf.net.mlp.0.": "value_net.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fragment:
+    """Consecutive steps of one kart in one race.
+
+    Attributes:
+        slot: number of the kart among those of all races.
+        begin: number of the first step since the start of the race.
+        observations: ``(T + 1, F)``; the last one follows the last step.
+        actions: ``(T, 5)``.
+        rewards: ``(T,)``.
+        logits: ``(T, 31)`` of the policy that acted.
+        log_probabilities: ``(T,)`` of the actions.
+        is_terminated: whether the kart finished in the last step.
+        is_truncated: whether the race was truncated after the last step.
+    """
+
+    slot: int
+    begin: int
+    observations: FloatArray
+    actions: IntArray
+    rewards: FloatArray
+    logits: FloatArray
+    log_probabilities: FloatArray
+    is_terminated: bool
+    is_truncated: bool
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+
+@dataclass(slots=True)
+class SlotRecord:
+    """Steps of some slots, in the order in which they are made.
+
+    Attributes:
+        slots: ``(L,)`` numbers of the recorded slots.
+        steps: arrays of each step, with a row for each recorded slot.
+        finals: observation after the last step of an episode, by step and row.
+    """
+
+    slots: IntArray
+    steps: list[dict[str, npt.NDArray[np.generic]]] = field(default_factory=list)
+    finals: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+
+    def add(self, **arrays: npt.NDArray[np.generic]) -> None:
+        """Adds a step: the fields of :class:`Fragment` as arrays over slots, and ``active``."""
+        self.steps.append({name: array[self.slots] for name, array in arrays.items()})
+
+    def end(self, row: int, observation: FloatArray) -> None:
+        """Sets the last observation of a slot whose episode ended in the last step."""
+        self.finals[len(self.steps) - 1, row] = observation
+
+    def fragments(self, latest: FloatArray) -> list[Fragment]:
+        """Cuts the record into episodes; idle steps are left out.
+
+        Args:
+            latest: observations of all slots after the last step.
+        """
+        if not self.steps:
+            return []
+        found = {name: np.stack([step[name] for step in self.steps]) for name in self.steps[0]}
+        active = found.pop("active")
+        ended = found["is_terminated"] | found["is_truncated"]
+        fragments = []
+        for row, slot in enumerate(self.slots.tolist()):
+            steps = np.flatnonzero(active[:, row])
+            for part in np.split(steps, np.flatnonzero(ended[steps, row]) + 1):
+                if len(part):
+                    next_one = self.finals.get((int(part[-1]), row), latest[slot])
+                    fragments.append(_fragment(found, row, slot, part, next_one))
+        return fragments
+
+
+def _fragment(
+    found: Mapping[str, npt.NDArray[np.generic]],
+    row: int,
+    slot: int,
+    steps: IntArray,
+    next_observation: FloatArray,
+) -> Fragment:
+    own = {name: array[steps, row] for name, array in found.items()}
+    own["observations"] = np.concatenate([own["observations"], next_observation[None]])
+    flags = {name: bool(own.pop(name)[-1]) for name in ("is_terminated", "is_truncated")}
+    begin = int(own.pop("begin")[0])
+    return Fragment(slot=slot, begin=begin, **own, **flags)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True)
+class RaceResult:
+    """Result of a race.
+
+    Attributes:
+        reward: sum of the rewards of the learner's karts.
+        num_steps: steps until the last of the learner's karts ended.
+        win_share: see :func:`~stkzoo.agents.training.rllib.races.win_share`.
+    """
+
+    reward: float
+    num_steps: int
+    win_share: float | None
+
+
+class RaceSampler:
+    """Drives all races of an env runner at once: one network call for each module and step.
+
+    Args:
+        races: the races, whose agents are the learner's karts and its past selves.
+        arguments: arguments of the run.
+        seed: seed of the races and of the actions; ``None`` is random.
+
+    Attributes:
+        results: results of the races that ended since the caller last emptied the list. Races that
+            crashed have none.
+    """
+
+    def __init__(
+        self, races: RaceVectorEnv, arguments: RLlibArguments, seed: int | None = None
+    ) -> None:
+        self.results: list[RaceResult] = []
+        self._races, self._arguments = races, arguments
+        self._random = np.random.default_rng(seed)
+        self._networks: dict[str, MlpDriver] = {}
+        agents = races.num_agents
+        self._is_own = np.arange(races.num_envs) % agents < arguments.learners
+        self._modules = np.empty(races.num_envs, object)
+        self._positions = np.zeros(races.num_envs, np.intp)
+        self._returns = np.zeros(races.num_envs)
+        self._ages = np.zeros(races.num_envs, np.intp)
+        self._racing: BoolArray = np.zeros(races.num_envs, np.bool_)
+        self._observations: FloatArray = np.zeros((0, 0), np.float32)
+
+    def load(self, networks: Mapping[str, MlpDriver]) -> None:
+        """Replaces the networks of some modules, from the next step on."""
+        self._networks.update(networks)
+
+    def sample(self, kart_steps: int) -> list[Fragment]:
+        """Drives until the learner's karts have made a number of steps; returns these steps.
+
+        Episodes that continue are cut; the next call returns the rest of them.
+
+        Args:
+            kart_steps: minimum number of steps of the learner's karts, in total.
+        """
+        if not len(self._observations):
+            self._start()
+        record, count = SlotRecord(np.flatnonzero(self._is_own)), 0
+        while count < kart_steps:
+            count += self._step(record)
+        return record.fragments(self._observations)
+
+    def _start(self) -> None:
+        count = self._races.num_races
+        seeds = self._random.integers(2**31, size=count).tolist()
+        self._observations = self._races.reset_slots(seeds, [None] * count).observations
+        for race in range(count):
+            self._begin(race)
+        self._racing = self._races.racing
+
+    def _step(self, record: SlotRecord) -> int:
+        """Makes one step of all races; returns the number of the learner's karts in it."""
+        logits = self._logits()
+        actions = sample_choices(logits, self._random)
+        self._races.step_async(actions)
+        log_probabilities = log_probability_of(actions, logits)  # the races run meanwhile
+        steps = self._races.wait_slots()
+        record.add(
+            active=steps.active,
+            begin=self._ages,
+            observations=self._observations,
+            actions=actions,
+            rewards=steps.rewards.astype(np.float32),
+            logits=logits,
+            log_probabilities=log_probabilities,
+            is_terminated=steps.terminations,
+            is_truncated=steps.truncations,
+        )
+        self._ages += steps.active
+        self._returns += steps.rewards
+        for slot, (observation, info) in steps.finals.items():
+            self._positions[slot] = info["position"]
+            if self._is_own[slot]:
+                record.end(int(np.searchsorted(record.slots, slot)), observation)
+        self._observations = steps.observations
+        left = self._racing & ~(steps.terminations | steps.truncations)
+        for race, is_racing in enumerate(self._by_race(left).any(axis=1).tolist()):
+            if not is_racing:
+                if not self._by_race(steps.crashed)[race].any():
+                    self.results.append(self._result(race))
+                self._begin(race)
+        self._racing = self._races.racing
+        return int((steps.active & self._is_own).sum())
+
+    def _logits(self) -> FloatArray:
+        """Returns the logits of all karts; zeros for idle ones."""
+        logits = np.zeros((len(self._racing), sum(CHOICES)), np.float32)
+        for module, network in self._networks.items():
+            rows = np.flatnonzero((self._modules == module) & self._racing)
+            if len(rows):
+                logits[rows] = network.logits(self._observations[rows])
+        return logits
+
+    def _result(self, race: int) -> RaceResult:
+        own = self._by_race(self._is_own)[race]
+        positions = self._by_race(self._positions)[race]
+        return RaceResult(
+            reward=float(self._by_race(self._returns)[race][own].sum()),
+            num_steps=int(self._by_race(self._ages)[race][own].max()),
+            win_share=win_share(positions[own].tolist(), positions[~own].tolist()),
+        )
+
+    def _begin(self, race: int) -> None:
+        """Draws the past selves of a new race and resets its sums."""
+        number = int(self._random.integers(self._arguments.slots))
+        self._by_race(self._modules)[race] = self._arguments.modules_of(number)
+        self._by_race(self._ages)[race] = 0
+        self._by_race(self._returns)[race] = 0.0
+
+    def _by_race(self, array: Any) -> Any:
+        """Returns an array over slots as ``(races, agents)``, without a copy."""
+        return array.reshape(self._races.num_races, -1)
+
+
+def sb3_names(state: Mapping[str, npt.NDArray[np.float32]]) -> dict[str, npt.NDArray[np.float32]]:
+    """Returns the weights of RLlib's module under Stable-Baselines3's names."""
+    return {
+        theirs + name.removeprefix(ours): array
+        for name, array in state.items()
+        for ours, theirs in _LAYERS.items()
+        if name.startswith(ours)
+    }

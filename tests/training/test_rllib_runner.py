@@ -1,0 +1,146 @@
+"""RLlib's learner on the episodes of stkzoo's env runner. Needs Ray; skipped without it."""
+
+import os
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.pretrained.mlp import log_probability_of
+from stkzoo.agents.training.rllib.races import MAIN, RLlibArguments
+
+pytest.importorskip("ray.rllib")
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+GAMMA, GAE_LAMBDA = 0.9, 0.8
+ARGUMENTS = RLlibArguments(
+    env_runners=0,
+    envs_per_runner=2,
+    tracks=("lighthouse",),
+    max_cycles=20,
+    learners=2,
+    frozen=1,
+    bots=0,
+    slots=2,
+    hidden=(16,),
+    train_batch_size=50,
+    batch_size=25,
+    n_epochs=1,
+    promote_at=1.0,
+    gamma=GAMMA,
+    gae_lambda=GAE_LAMBDA,
+)
+
+
+@pytest.fixture(scope="module")
+def algorithm():
+    import ray
+
+    from stkzoo.agents.training.rllib.selfplay import build_config
+
+    ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False)
+    algorithm = build_config(ARGUMENTS).build_algo()
+    yield algorithm
+    algorithm.stop()
+    ray.shutdown()
+
+
+def learner_of(algorithm):
+    return algorithm.learner_group._learner
+
+
+def values_of(module, observations):
+    import torch
+
+    with torch.no_grad():
+        return module.compute_values({"obs": torch.as_tensor(observations)}).numpy()
+
+
+def targets_of(episode, module):
+    """Value targets by generalized advantage estimation, step by step."""
+    values = values_of(module, episode.get_observations())
+    rewards = episode.get_rewards()
+    if episode.is_terminated:
+        values[-1] = 0.0
+    advantage, targets = 0.0, []
+    for step in reversed(range(len(rewards))):
+        error = rewards[step] + GAMMA * values[step + 1] - values[step]
+        advantage = error + GAMMA * GAE_LAMBDA * advantage
+        targets.append(advantage + values[step])
+    return targets[::-1]
+
+
+def test_the_learner_bootstraps_chunks_and_truncated_episodes_but_not_the_finish(algorithm):
+    learner, runner = learner_of(algorithm), algorithm.env_runner
+    episodes = runner.sample(num_timesteps=60) + runner.sample(num_timesteps=60)
+    assert {episode.is_truncated for episode in episodes} == {True, False}
+    episodes[0].is_terminated, episodes[0].is_truncated = True, False
+    expected = [target for e in episodes for target in targets_of(e, learner.module[MAIN])]
+    batch = learner._learner_connector(
+        rl_module=learner.module,
+        batch={},
+        episodes=episodes,
+        shared_data={},
+        metrics=learner.metrics,
+    )
+    assert list(batch) == [MAIN]
+    mask = batch[MAIN]["loss_mask"].numpy()
+    assert mask.sum() == len(expected)
+    np.testing.assert_allclose(
+        batch[MAIN]["value_targets"].numpy()[mask], expected, rtol=1e-4, atol=1e-5
+    )
+
+
+def test_the_kernels_networks_and_the_learners_agree(algorithm):
+    import torch
+
+    module = learner_of(algorithm).module[MAIN]
+    for episode in algorithm.env_runner.sample(num_timesteps=20):
+        seen = torch.as_tensor(episode.get_observations(slice(0, len(episode))))
+        with torch.no_grad():
+            logits = module.forward_exploration({"obs": seen})["action_dist_inputs"].numpy()
+        outputs = episode.get_extra_model_outputs
+        np.testing.assert_allclose(outputs("action_dist_inputs"), logits, atol=1e-4)
+        expected = module.get_exploration_action_dist_cls().from_logits(torch.as_tensor(logits))
+        taken = expected.logp(torch.as_tensor(episode.get_actions())).numpy()
+        np.testing.assert_allclose(outputs("action_logp"), taken, atol=1e-4)
+        own = log_probability_of(episode.get_actions(), logits)
+        np.testing.assert_allclose(own, taken, atol=1e-4)
+
+
+def test_an_iteration_reports_the_learners_steps_and_the_races(algorithm):
+    figures = [algorithm.train()["env_runners"] for _ in range(2)]
+    steps = [found["num_module_steps_sampled_lifetime"][MAIN] for found in figures]
+    assert 50 <= steps[1] - steps[0] < 54
+    assert figures[1]["races"] >= 2
+    assert np.isfinite(figures[1]["module_episode_returns_mean"][MAIN])
+
+
+def test_a_snapshot_drives_from_the_next_sample_on(algorithm):
+    from stkzoo.agents.training.rllib.callbacks import copy_main
+
+    algorithm.train()
+    copy_main(algorithm, "past_1")
+    modules = algorithm.env_runner.module
+    main, past = (modules[name].state_dict() for name in (MAIN, "past_1"))
+    policy = [name for name in past if "actor" in name or name.startswith("pi.net")]
+    assert len(policy) == 4  # the critic stays with the learner
+    assert all((main[name] == past[name]).all() for name in policy)
+
+
+def test_an_env_runner_that_is_killed_comes_back(algorithm):
+    from stkzoo.agents.training.rllib.selfplay import build_config
+
+    remote = build_config(replace(ARGUMENTS, env_runners=1)).build_algo()
+    try:
+        before = remote.train()["env_runners"]["num_env_steps_sampled_lifetime"]
+        group = remote.env_runner_group
+        (pid,) = group.foreach_env_runner(lambda _: os.getpid(), local_env_runner=False)
+        os.kill(pid, signal.SIGKILL)
+        results = (remote.train() for _ in range(100))
+        result = next(found for found in results if found["restarted"])
+        while result["env_runners"]["num_env_steps_sampled_lifetime"] == before:
+            result = remote.train()
+    finally:
+        remote.stop()
