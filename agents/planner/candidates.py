@@ -18,7 +18,7 @@ Choose = Callable[[PolicyInput], IntArray]
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
 #: A manoeuvre that the plans do not have at the moment has at most this logit in the prior.
 _NO_PLAN = -29.0
-_BEGIN, _TURN = 0, 1
+_BEGIN, _TURN, _NITRO = range(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +30,13 @@ class Candidate:
             :data:`stkzoo.agents.planning.driver.OFFSETS`.
         steps: number of steps for which the change holds.
         manoeuvre: manoeuvre instead of the chosen one; ``None`` keeps the chosen one.
+        flips_nitro: whether nitro is used if the base policy does not use it, and the reverse.
     """
 
     shift: int = 0
     steps: int = 0
     manoeuvre: int | None = None
+    flips_nitro: bool = False
 
     def rest(self, done: int) -> Candidate:
         """Returns what remains of the candidate after some steps."""
@@ -52,11 +54,15 @@ class Candidate:
             return
         if self.manoeuvre is not None and begin[self.manoeuvre] > _NO_PLAN:
             choices[_BEGIN] = self.manoeuvre
+        choices[_NITRO] ^= self.flips_nitro
         choices[_TURN] = np.clip(choices[_TURN] + self.shift, 0, len(OFFSETS) - 1)
 
 
 def draw_candidate(
-    random: np.random.Generator, holds: Sequence[int], manoeuvre_chance: float
+    random: np.random.Generator,
+    holds: Sequence[int],
+    manoeuvre_chance: float = 0.0,
+    nitro_chance: float = 0.0,
 ) -> Candidate:
     """Draws a candidate.
 
@@ -64,11 +70,12 @@ def draw_candidate(
         random: source of random numbers.
         holds: numbers of steps for which a candidate may hold.
         manoeuvre_chance: probability that it has a manoeuvre of its own.
+        nitro_chance: probability that it changes the use of nitro.
     """
     shift, steps = int(random.choice(_SHIFTS)), int(random.choice(holds))
     manoeuvre = int(random.integers(MANOEUVRES))
-    is_other = random.random() < manoeuvre_chance
-    return Candidate(shift, steps, manoeuvre if is_other else None)
+    is_other, flips_nitro = random.random(2) < (manoeuvre_chance, nitro_chance)
+    return Candidate(shift, steps, manoeuvre if is_other else None, bool(flips_nitro))
 
 
 def changed(choose: Choose | None, candidates: Sequence[Candidate], step: int) -> Choose:

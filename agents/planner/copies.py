@@ -8,9 +8,7 @@ from typing import Any
 
 from stkzoo import RaceParallelEnv
 from stkzoo.agents.planning.driver import PlanDriver
-from stkzoo.agents.planning.road import LINE_MARKS
 from stkzoo.race.rescues import RescueCounter
-from stkzoo.wrappers.racing import surroundings_of
 
 from .candidates import Candidate, Choose, changed
 
@@ -83,11 +81,10 @@ class RaceCopy:
         """Forward speed of the kart [m/s]."""
         return float(self.observation["velocity"][2])
 
-    def forecast(self) -> float:
-        """Returns the worth of the best plan from here [m]."""
-        driver = copy.deepcopy(self.driver)
-        driver.plan(*surroundings_of([self.observation], LINE_MARKS))
-        return float(driver.options.worth.max())
+    @property
+    def energy(self) -> float:
+        """Remaining nitro [s]."""
+        return float(self.observation["energy"][0])
 
     def request_step(self, action: Mapping[str, Any]) -> None:
         """Starts a step and returns while the game computes it."""

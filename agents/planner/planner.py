@@ -36,22 +36,25 @@ class PlannerSettings:
         commitment: number of steps until the next decision.
         holds: numbers of steps for which a candidate may hold.
         manoeuvre_chance: probability that a candidate has a manoeuvre of its own.
+        nitro_chance: probability that a candidate changes the use of nitro.
         speed_weight: worth of a speed of 1 m/s at the end [m].
-        finish_speed: worth of a second that remains after the finish [m].
+        energy_weight: worth of nitro for 1 s at the end [m].
+        finish_speed: assumed speed after the finish, and of the nitro's use before it [m/s].
         rescue_cost: cost of a rescue [m].
     """
 
-    num_candidates: int = 6
+    num_candidates: int = 12
     horizon: int = 10
-    num_finalists: int = 3
-    final_steps: int = 14
+    num_finalists: int = 6
+    final_steps: int = 20
     commitment: int = 4
     holds: tuple[int, ...] = (3, 6, 9)
     manoeuvre_chance: float = 0.3
+    nitro_chance: float = 0.2
     speed_weight: float = 0.8
+    energy_weight: float = 6.0
     finish_speed: float = 30.0
     rescue_cost: float = 40.0
-    plan_weight: float = 0.0
 
     def __post_init__(self) -> None:
         check_whole("commitment", self.commitment, 1)
@@ -151,7 +154,9 @@ class Planner:
         settings = self.settings
         candidates = [Candidate(), self._candidate.rest(self._step)]
         while len(candidates) < settings.num_candidates:
-            drawn = draw_candidate(self._random, settings.holds, settings.manoeuvre_chance)
+            drawn = draw_candidate(
+                self._random, settings.holds, settings.manoeuvre_chance, settings.nitro_chance
+            )
             candidates.append(drawn)
         return candidates[: settings.num_candidates]
 
@@ -161,17 +166,17 @@ class Planner:
         return sorted(copies, key=lambda own: self._worth(own, seconds), reverse=True)
 
     def _worth(self, own: RaceCopy, seconds: float) -> float:
-        """Returns the distance that a copy reaches [m], with a bonus for its final speed.
+        """Returns the distance that a copy reaches [m], with bonuses for its speed and nitro.
 
-        After the finish, the kart counts as going on at a constant speed.
+        After the finish, the kart counts as going on at a constant speed. Nitro counts only as far
+        as it can be used before the finish.
         """
         settings = self.settings
         if own.seconds_to_finish is not None:
             left = seconds - own.seconds_to_finish
             return own.length + settings.finish_speed * (left + settings.speed_weight)
-        bonus = settings.speed_weight * own.speed
-        if settings.plan_weight:
-            bonus = settings.plan_weight * own.forecast()
+        usable = min(own.energy, max(own.length - own.distance, 0.0) / settings.finish_speed)
+        bonus = settings.speed_weight * own.speed + settings.energy_weight * usable
         return own.distance + bonus - settings.rescue_cost * own.num_rescues
 
 

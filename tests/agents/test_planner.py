@@ -177,6 +177,12 @@ def test_a_candidate_begins_no_manoeuvre_without_plans():
     assert choices_of(candidate, missing=[DRIFT_LEFT]) == [FREE, 4, 0, 0]
 
 
+@pytest.mark.parametrize("step", [0, 3])
+def test_a_candidate_uses_nitro_where_the_base_policy_does_not(step):
+    candidate = Candidate(shift=0, steps=3, flips_nitro=True)
+    assert choices_of(candidate, step) == [FREE, 3, int(step < 3), 0]
+
+
 def test_the_rest_of_a_candidate_is_shorter():
     assert Candidate(shift=2, steps=6).rest(4) == Candidate(shift=2, steps=2)
 
@@ -187,7 +193,7 @@ def test_a_candidate_that_is_over_has_no_rest():
 
 def test_drawn_candidates_change_the_offset():
     random = np.random.default_rng(0)
-    drawn = [draw_candidate(random, (3, 6), 0.0) for _ in range(50)]
+    drawn = [draw_candidate(random, (3, 6)) for _ in range(50)]
     assert all(own.shift and own.steps in (3, 6) and own.manoeuvre is None for own in drawn)
 
 
@@ -195,7 +201,7 @@ def test_drawn_candidates_change_the_offset():
     ("change", "message"),
     [
         ({"horizon": 3}, "horizon"),
-        ({"num_finalists": 9}, "num_finalists"),
+        ({"num_finalists": 13}, "num_finalists"),
         ({"holds": ()}, "holds"),
     ],
 )
