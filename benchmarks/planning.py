@@ -1,20 +1,24 @@
-"""Compares the planner, which looks ahead with the real game, with its own base policy.
+"""Compares the planner, which searches in copies of the race, with its own base policy.
 
-One kart races against two of the game's bots to the finish: once driven by the heuristic driver,
-and once by the planner, which tries changes of that driver's actions in copies of the race
+One kart races alone, or against the game's AI at its highest level: once driven by the base policy
+(pretrained:ace), and once by the planner, which searches around the choices of that driver
 (docs/how-to/planning.md). Both drive the same tracks and seeds, so the races start identically.
 
-    python benchmarks/planning.py
-    python benchmarks/planning.py --track olivermath --seeds 5
+    python -m benchmarks.planning
+    python -m benchmarks.planning --track hacienda lighthouse --seeds 3
+    python -m benchmarks.planning --rivals 4
+
+Each race is saved when it ends, and the same command resumes. Races that are already in the file
+are not repeated: use --again, or delete the file, after a change of the planner.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import statistics
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,16 +27,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stkzoo import RaceParallelEnv, race_v0
-from stkzoo.agents.heuristic import create_state
-from stkzoo.agents.planner import Planner, PlannerSettings
-from stkzoo.tracks import SPLITS
+from stkzoo._os import write_whole
+from stkzoo.agents.planner import PlannerSettings
+from stkzoo.evaluation import load_ai_times
+from stkzoo.race import run_race
+from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 RESULTS = Path(__file__).parent / "results" / "planning.json"
-#: The driver needs to see some way ahead, not the whole track at every step.
-MAX_PATHS = 60
-
-Act = Callable[[RaceParallelEnv, Any], dict[str, Any]]
+DIFFICULTY = 3
+BASE, PLANNER = DRIVERS = ("pretrained:ace", "planner")
 
 
 @dataclass(frozen=True)
@@ -41,50 +44,62 @@ class Result:
 
     Attributes:
         track: the track's name.
+        rivals: number of karts that the game's AI drives.
         seed: of the race.
         driver: who drove.
-        finish_time: on the game's clock [s]; ``None`` if the race was cut short.
-        position: rank at the end.
+        finish_time: on the game's clock [s]; ``None`` if the kart did not finish.
+        rank: rank at the end.
+        rescues: number of rescues.
         seconds: how long the race took to compute.
     """
 
     track: str
+    rivals: int
     seed: int
     driver: str
     finish_time: float | None
-    position: int
+    rank: int
+    rescues: int
     seconds: float
 
+    @property
+    def key(self) -> tuple[str, int, int, str]:
+        """What identifies the race."""
+        return self.track, self.rivals, self.seed, self.driver
 
-def heuristic() -> Act:
-    """The base policy alone."""
-    driver = create_state()
-    return lambda env, observation: driver.drive(observation)  # noqa: ARG005 - as the planner
+    @property
+    def ratio(self) -> float | None:
+        """The finish time as a fraction of the AI's median time on the track."""
+        median = load_ai_times().of(self.track, reverse=False, difficulty=DIFFICULTY).median
+        return self.finish_time / median if self.finish_time and median else None
 
 
-DRIVERS: dict[str, Callable[[int], Act]] = {
-    "heuristic": lambda _: heuristic(),
-    "planner": lambda seed: Planner(seed=seed).act,
-}
-
-
-def race(track: str, seed: int, driver: str) -> Result:
+def race(track: str, rivals: int, seed: int, driver: str) -> Result:
     """One race to the finish."""
-    act = DRIVERS[driver](seed)
     start = time.perf_counter()
-    with race_v0.parallel_env(agents=1, num_kart=3, track=track, max_paths=MAX_PATHS) as env:
-        observations, infos = env.reset(seed=seed)
-        while env.agents:
-            observations, _, _, _, infos = env.step({"kart_0": act(env, observations["kart_0"])})
-    info = infos["kart_0"]
-    return Result(
-        track=track,
-        seed=seed,
-        driver=driver,
-        finish_time=round(info["finish_time"], 2) or None,
-        position=info["position"],
-        seconds=round(time.perf_counter() - start, 1),
-    )
+    drivers = [driver, *["ai"] * rivals]
+    result = run_race(drivers, wait_for=[0], track=track, seed=seed, difficulty=DIFFICULTY)
+    (own,) = (row for row in result.agents if row.agent == "kart_0")
+    finish_time = own.finish_time and round(own.finish_time, 3)
+    seconds = round(time.perf_counter() - start, 1)
+    return Result(track, rivals, seed, driver, finish_time, own.rank, own.rescues, seconds)
+
+
+def load(path: Path) -> dict[Any, Result]:
+    """Returns the races in a file."""
+    if not path.exists():
+        return {}
+    races = [Result(**row) for row in json.loads(path.read_text())["races"]]
+    return {own.key: own for own in races}
+
+
+def save(path: Path, results: dict[Any, Result]) -> None:
+    """Writes all races."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    races = [asdict(results[key]) for key in sorted(results)]
+    report = {"settings": asdict(PlannerSettings()), "difficulty": DIFFICULTY, "races": races}
+    with write_whole(path) as temporary:
+        temporary.write_text(json.dumps(report, indent=1) + "\n")
 
 
 def main() -> None:
@@ -96,42 +111,48 @@ def main() -> None:
         "--track",
         nargs="+",
         choices=SPLITS["all"],
-        default=["olivermath", "lighthouse"],
+        default=TRAIN_TRACKS,
         metavar="NAME",
+        help="tracks (default: the training tracks)",
     )
-    parser.add_argument("--seeds", type=int, default=3, help="number of races of each (default: 3)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file to write")
+    parser.add_argument("--seeds", type=int, default=1, help="races on each track (default: 1)")
+    parser.add_argument("--rivals", type=int, default=0, help="karts of the AI (default: 0)")
+    parser.add_argument("--again", action="store_true", help="repeat races that are in the file")
+    parser.add_argument("--output", type=Path, default=RESULTS, help="JSON file")
     options = parser.parse_args()
-    results = [
-        race(track, seed, driver)
-        for track in options.track
-        for seed in range(1, options.seeds + 1)
-        for driver in DRIVERS
-    ]
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    report = {"settings": asdict(PlannerSettings()), "races": [asdict(r) for r in results]}
-    options.output.write_text(json.dumps(report, indent=2) + "\n")
-    Console().print(_table(results))
+    results = load(options.output)
+    races = list(itertools.product(options.track, [options.rivals], range(options.seeds), DRIVERS))
+    for key in races:
+        if options.again or key not in results:
+            results[key] = race(*key)
+            save(options.output, results)
+    Console().print(_table([results[key] for key in races]))
 
 
 def _table(results: list[Result]) -> Table:
-    table = Table(title="Finish time \\[s], lower is better", box=box.SIMPLE)
+    title = "Finish time as a fraction of the AI's median time, lower is better"
+    table = Table(title=title, box=box.SIMPLE)
     for name in ("track", "seed", *DRIVERS, "gain"):
         table.add_column(name, justify="left" if name == "track" else "right")
-    gains = []
+    pairs = []
     for base, planned in zip(results[::2], results[1::2], strict=True):
-        times = base.finish_time, planned.finish_time
-        gain = times[0] - times[1] if times[0] and times[1] else None
-        gains += [gain] if gain is not None else []
-        cells = [
-            f"{t:.2f} (place {r.position})" if t else "cut short"
-            for t, r in zip(times, (base, planned), strict=True)
-        ]
-        table.add_row(base.track, str(base.seed), *cells, "" if gain is None else f"{gain:+.2f}")
-    if gains:
+        cells = [_cell(base), _cell(planned), ""]
+        if base.ratio is not None and planned.ratio is not None:
+            pairs.append((base.ratio, planned.ratio))
+            cells[-1] = f"{base.ratio - planned.ratio:+.3f}"
+        table.add_row(base.track, str(base.seed), *cells)
+    if pairs:
+        means = [statistics.mean(ratios) for ratios in zip(*pairs, strict=True)]
         table.add_section()
-        table.add_row("mean", "", "", "", f"{statistics.mean(gains):+.2f}")
+        gain = f"{means[0] - means[1]:+.3f}"
+        table.add_row("mean", "", *(f"{mean:.3f}" for mean in means), gain)
     return table
+
+
+def _cell(result: Result) -> str:
+    if result.ratio is None:
+        return "not finished"
+    return f"{result.ratio:.3f}" + (f" (place {result.rank})" if result.rivals else "")
 
 
 if __name__ == "__main__":

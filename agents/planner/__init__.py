@@ -1,8 +1,11 @@
-"""A driver that plans with the game itself, by random shooting on saved states.
+"""A driver that plans with the game itself, by a two-stage search in copies of the race.
 
-Every few steps it saves the race, tries random changes of the heuristic driver's actions, each in a
-copy of the race, and continues with the best one. It needs the environment and not only
-observations, so it has no driver name; use it directly:
+Every few steps it drives candidates, each in a copy of the race. A candidate is a learned driver
+(by default, *ace*) with a change of its steering offset or its manoeuvre that holds for some steps.
+It drives the best candidates further and follows the best of them.
+
+It needs the environment and not only observations. In a race, it is the driver ``planner``; it must
+be the only one besides the game's AI. In a loop of your own:
 
     planner = Planner(seed=0)
     while env.agents:
@@ -11,19 +14,46 @@ observations, so it has no driver name; use it directly:
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NoReturn
 
+from stkzoo import RaceParallelEnv
 from stkzoo.errors import ConfigError
 
-from .planner import Plan, Planner, PlannerSettings
+from .candidates import Candidate
+from .planner import Planner, PlannerSettings, base_policy, only_agent
 
-__all__ = ["Plan", "Planner", "PlannerSettings", "env_name", "get_actor", "player_name"]
+__all__ = [
+    "Candidate",
+    "Planner",
+    "PlannerSettings",
+    "base_policy",
+    "env_name",
+    "get_actor",
+    "get_race_actor",
+    "player_name",
+]
 
 #: Id of the environment whose observations the planner reads.
 env_name = "supertuxkart/full-v0"
 
 #: Display name.
 player_name = "planner"
+
+
+def get_race_actor(env: RaceParallelEnv, seed: int) -> Callable[[Any], Any]:
+    """Returns the driver of the only agent of a race that the game's AI does not drive.
+
+    Args:
+        env: environment of the race.
+        seed: seed of the planner.
+
+    Raises:
+        ConfigError: there are several such agents.
+    """
+    only_agent(env)
+    return partial(Planner(seed=seed).act, env)
 
 
 def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> NoReturn:
@@ -34,6 +64,7 @@ def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> 
     """
     del module_dir, observation_space, action_space
     raise ConfigError(
-        "the planner needs the race's environment, which a driver chosen by name is not given; "
-        "use stkzoo.agents.planner.Planner with an environment of one agent"
+        "the planner copies the race, so it drives only in races of its own: run_race and the "
+        "commands race, demos and benchmark; in your own environment, use "
+        "stkzoo.agents.planner.Planner"
     )

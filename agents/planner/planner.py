@@ -1,24 +1,26 @@
-"""Random shooting: tries changes of a policy's actions in copies of the race and keeps the best."""
+"""Two-stage search: drives candidates in copies of the race and follows the best one."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from stkzoo import RaceParallelEnv
-from stkzoo.agents.heuristic import create_state
+from stkzoo import Phase, RaceParallelEnv
+from stkzoo.agents import heuristic, pretrained
 from stkzoo.agents.planning.driver import PlanDriver
-from stkzoo.errors import ConfigError
+from stkzoo.agents.planning.kart import STEP
+from stkzoo.agents.pretrained.driver import read_numbers, read_policy
+from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.errors import ConfigError, check_whole
 
-Action = dict[str, Any]
+from .candidates import Candidate, Choose, changed, draw_candidate
+from .copies import RaceCopy, drive_copies
 
-#: Worth of each remaining step after the finish line [m].
-_STEP_AFTER_FINISH = 3.0
+_PRETRAINED = "pretrained:"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,137 +28,170 @@ class PlannerSettings:
     """Settings of the search.
 
     Attributes:
-        horizon: length of a plan in steps.
-        commitment: steps after which a new plan is made.
-        num_plans: number of plans to try; the first one changes nothing.
-        num_parts: number of parts of equal length in a plan.
-        steer_spread: standard deviation of the steering changes.
-        drift_chance: probability that a part of a plan forbids or forces a drift.
-        speed_weight: worth of a speed of 1 m/s at the end of a plan [m].
+        num_candidates: number of candidates for each decision. The first one is the base policy
+            without changes, the second one continues the current candidate.
+        horizon: number of steps for which all candidates are driven.
+        num_finalists: number of the best candidates that are driven further.
+        final_steps: number of steps for which they are driven further, by the base policy.
+        commitment: number of steps until the next decision.
+        holds: numbers of steps for which a candidate may hold.
+        manoeuvre_chance: probability that a candidate has a manoeuvre of its own.
+        nitro_chance: probability that a candidate changes the use of nitro.
+        speed_weight: worth of a speed of 1 m/s at the end [m].
+        energy_weight: worth of nitro for 1 s at the end [m].
+        finish_speed: assumed speed after the finish, and of the nitro's use before it [m/s].
+        rescue_cost: cost of a rescue [m].
     """
 
-    horizon: int = 24
-    commitment: int = 8
-    num_plans: int = 8
-    num_parts: int = 3
-    steer_spread: float = 0.4
-    drift_chance: float = 0.3
+    num_candidates: int = 12
+    horizon: int = 10
+    num_finalists: int = 6
+    final_steps: int = 20
+    commitment: int = 4
+    holds: tuple[int, ...] = (3, 6, 9)
+    manoeuvre_chance: float = 0.3
+    nitro_chance: float = 0.2
     speed_weight: float = 0.8
+    energy_weight: float = 6.0
+    finish_speed: float = 30.0
+    rescue_cost: float = 40.0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.commitment <= self.horizon:
-            raise ConfigError(
-                f"commitment is {self.commitment}, expected 1 to the horizon, {self.horizon}"
-            )
+        check_whole("commitment", self.commitment, 1)
+        check_whole("horizon", self.horizon, self.commitment)
+        check_whole("num_candidates", self.num_candidates, 1)
+        check_whole("num_finalists", self.num_finalists, 1, self.num_candidates)
+        check_whole("final_steps", self.final_steps, 0)
+        if not self.holds:
+            raise ConfigError("holds is empty, expected numbers of steps, such as (3, 6, 9)")
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """Changes of the base policy's actions.
+def base_policy(name: str | Path) -> tuple[PlanDriver, Choose | None]:
+    """Returns the initial state of a driver and its policy over plans.
 
-    Attributes:
-        steer: ``(H,)`` float64, added to its steering.
-        drift: ``(H,)`` int64: 1 drifts, 0 does not, -1 keeps the base policy's choice.
+    Args:
+        name: ``"heuristic"``, ``"pretrained:NAME"``, or the folder of a learned driver.
+
+    Raises:
+        ConfigError: there is no such driver, or it does not choose among plans.
     """
-
-    steer: npt.NDArray[np.float64]
-    drift: npt.NDArray[np.int64]
-
-    @classmethod
-    def nothing(cls, settings: PlannerSettings) -> Plan:
-        """Returns the plan without changes."""
-        return cls(np.zeros(settings.horizon), np.full(settings.horizon, -1))
-
-    @classmethod
-    def draw(cls, settings: PlannerSettings, random: np.random.Generator) -> Plan:
-        """Draws a random plan that is constant in each of its parts."""
-        steer = random.normal(0.0, settings.steer_spread, settings.num_parts)
-        drift = random.integers(0, 2, settings.num_parts)
-        drift[random.random(settings.num_parts) >= settings.drift_chance] = -1
-        part = np.arange(settings.horizon) * settings.num_parts // settings.horizon
-        return cls(steer[part], drift[part])
-
-    def rest(self, done: int) -> Plan:
-        """Returns the remaining plan after some steps, padded with no change."""
-        steer = np.concatenate([self.steer[done:], np.zeros(done)])
-        return Plan(steer, np.concatenate([self.drift[done:], np.full(done, -1)]))
-
-    def change(self, action: Action, step: int) -> Action:
-        """Returns the base policy's action with the changes of a step."""
-        steer = np.clip(action["steer"] + self.steer[step], -1.0, 1.0).astype(np.float32)
-        drift = action["drift"] if self.drift[step] < 0 else int(self.drift[step])
-        return {**action, "steer": steer, "drift": drift}
+    if name == heuristic.player_name:
+        return heuristic.create_state(), None
+    shipped = str(name).removeprefix(_PRETRAINED)
+    folder = Path(name) if shipped == str(name) else Path(pretrained.__path__[0]) / shipped
+    policy = read_policy(folder)
+    if isinstance(policy, MlpDriver):
+        raise ConfigError(f"driver {str(name)!r} does not choose among plans; use another driver")
+    return PlanDriver(1, read_numbers(folder)), policy.best
 
 
-@dataclass(slots=True)
 class Planner:
     """Drives the only agent of an environment by searching in copies of its race.
 
-    It keeps its current plan, so use a new planner for every race.
+    It keeps its current candidate, so use a new planner for every race.
 
     Args:
         settings: settings of the search.
-        base: initial state of the heuristic driver, which is the base policy.
-        seed: seed of its random plans; the same seed drives the same race.
+        base: driver whose choices the search changes; see :func:`base_policy`.
+        seed: seed of its random candidates; the same seed drives the same race.
     """
 
-    settings: PlannerSettings = field(default_factory=PlannerSettings)
-    base: PlanDriver = field(default_factory=create_state)
-    seed: int = 0
-    _random: np.random.Generator = field(init=False)
-    _plan: Plan = field(init=False)
-    _step: int = field(init=False, default=0)
+    def __init__(
+        self,
+        settings: PlannerSettings | None = None,
+        base: str | Path = "pretrained:ace",
+        seed: int = 0,
+    ) -> None:
+        self.settings = settings or PlannerSettings()
+        self._driver, self._choose = base_policy(base)
+        self._random = np.random.default_rng(seed)
+        self._candidate, self._step = Candidate(), 0
+        self._copies: list[RaceCopy] = []
 
-    def __post_init__(self) -> None:
-        self._random = np.random.default_rng(self.seed)
-        self._plan = Plan.nothing(self.settings)
-
-    def act(self, env: RaceParallelEnv, observation: Mapping[str, Any]) -> Action:
+    def act(self, env: RaceParallelEnv, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the agent's action; the environment does not advance.
 
         Args:
-            env: an environment with one agent in the ``full`` view.
+            env: an environment in which one agent is not driven by the game's AI, and has the
+                ``full`` view.
             observation: current observation of the agent.
 
         Raises:
-            ConfigError: the environment has several agents.
-            EngineError: the environment does not support saved states.
+            ConfigError: the environment has several such agents.
+            EngineError: the environment does not support copies of its race.
         """
-        if len(env.possible_agents) != 1:
-            raise ConfigError(
-                f"the environment has {len(env.possible_agents)} agents, expected agents=1"
-            )
+        agent = only_agent(env)
+        if observation["phase"] < Phase.GO_PHASE:
+            return self._driver.drive(observation, self._choose)
         if self._step % self.settings.commitment == 0:
-            self._plan = self._best_plan(env, observation)
+            self._candidate = self._best_candidate(env, agent, observation)
             self._step = 0
-        action = self._plan.change(self.base.drive(observation), self._step)
+        policy = changed(self._choose, [self._candidate], self._step)
         self._step += 1
-        return action
+        return self._driver.drive(observation, policy)
 
-    def _best_plan(self, env: RaceParallelEnv, observation: Mapping[str, Any]) -> Plan:
-        plans = [Plan.nothing(self.settings), self._plan.rest(self._step)]
-        while len(plans) < self.settings.num_plans:
-            plans.append(Plan.draw(self.settings, self._random))
-        with env.save_state() as state, env.lookahead() as branch:
-            values = []
-            for plan in plans[: self.settings.num_plans]:
-                branch.restore_state(state)
-                values.append(self._value(branch, observation, plan))
-        return plans[int(np.argmax(values))]
+    def close(self) -> None:
+        """Ends the processes of the copies; the next decision starts new ones."""
+        for own in self._copies:
+            own.close()
+        self._copies = []
 
-    def _value(self, branch: RaceParallelEnv, observation: Mapping[str, Any], plan: Plan) -> float:
-        """Returns the distance that a plan reaches [m], with a bonus for the final speed."""
-        (agent,) = branch.possible_agents
-        base = copy.deepcopy(self.base)
-        distance = speed = 0.0
-        for step in range(self.settings.horizon):
-            action = plan.change(base.drive(observation), step)
-            observations, _, terminations, truncations, infos = branch.step({agent: action})
-            observation = observations[agent]
-            distance = float(infos[agent]["distance"])
-            speed = float(observation["velocity"][2])
-            if terminations[agent]:
-                return distance + _STEP_AFTER_FINISH * (self.settings.horizon - step)
-            if truncations[agent]:
-                break
-        return distance + self.settings.speed_weight * speed
+    def _best_candidate(
+        self, env: RaceParallelEnv, agent: str, observation: Mapping[str, Any]
+    ) -> Candidate:
+        settings, candidates = self.settings, self._draw()
+        while len(self._copies) < len(candidates):
+            self._copies.append(RaceCopy(env.clone(), agent))
+        for own, candidate in zip(self._copies, candidates, strict=True):
+            own.begin(env, self._driver, observation, candidate)
+        drive_copies(self._copies, self._choose, settings.horizon)
+        finalists = self._ranked(self._copies)[: settings.num_finalists]
+        if len(finalists) > 1:
+            drive_copies(finalists, self._choose, settings.final_steps)
+        return self._ranked(finalists)[0].candidate
+
+    def _draw(self) -> list[Candidate]:
+        settings = self.settings
+        candidates = [Candidate(), self._candidate.rest(self._step)]
+        while len(candidates) < settings.num_candidates:
+            drawn = draw_candidate(
+                self._random, settings.holds, settings.manoeuvre_chance, settings.nitro_chance
+            )
+            candidates.append(drawn)
+        return candidates[: settings.num_candidates]
+
+    def _ranked(self, copies: Sequence[RaceCopy]) -> list[RaceCopy]:
+        """Returns the copies in the order of their worth, best first."""
+        seconds = STEP * max(own.steps for own in copies)
+        return sorted(copies, key=lambda own: self._worth(own, seconds), reverse=True)
+
+    def _worth(self, own: RaceCopy, seconds: float) -> float:
+        """Returns the distance that a copy reaches [m], with bonuses for its speed and nitro.
+
+        After the finish, the kart counts as going on at a constant speed. Nitro counts only as far
+        as it can be used before the finish.
+        """
+        settings = self.settings
+        if own.seconds_to_finish is not None:
+            left = seconds - own.seconds_to_finish
+            return own.length + settings.finish_speed * (left + settings.speed_weight)
+        usable = min(own.energy, max(own.length - own.distance, 0.0) / settings.finish_speed)
+        bonus = settings.speed_weight * own.speed + settings.energy_weight * usable
+        return own.distance + bonus - settings.rescue_cost * own.num_rescues
+
+
+def only_agent(env: RaceParallelEnv) -> str:
+    """Returns the id of the only agent that the game's AI does not drive.
+
+    Raises:
+        ConfigError: there are several such agents, or none.
+    """
+    agents = [
+        agent for agent, spec in zip(env.possible_agents, env.specs, strict=True) if not spec.use_ai
+    ]
+    if len(agents) != 1:
+        raise ConfigError(
+            f"the planner plans for {len(agents)} agents, expected one agent and, if any, the "
+            "game's AI: agents=1, or in stkzoo demos --karts 1"
+        )
+    return agents[0]

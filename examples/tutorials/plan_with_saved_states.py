@@ -150,4 +150,4 @@ env.close()
 
 # %% [markdown]
 # [Save states and plan](../how-to/planning.md) lists all calls and their cost, and describes
-# `stkzoo.agents.planner`, a planner for the heuristic driver.
+# `stkzoo.agents.planner`, a planner that searches around a driver.

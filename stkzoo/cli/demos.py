@@ -14,6 +14,7 @@ Examples:
   stkzoo demos heuristic                 15 training tracks, in demos.npz
   stkzoo demos ai --difficulty 3 --seeds 5 --output ai.npz
   stkzoo demos heuristic --rivals ai ai --karts 1 --view flattened_discrete
+  stkzoo demos planner --karts 1         plans with the game; slow
   stkzoo demos my_agent/ --track lighthouse hacienda --check
   stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
 

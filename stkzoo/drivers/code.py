@@ -29,6 +29,9 @@ Actor = Callable[[Any], Any]
 #: Creates the actor for one race from an observation space, an action space and a seed.
 ActorMaker = Callable[[spaces.Space[Any], spaces.Space[Any], int], Actor]
 
+#: Creates the actor for one race from the environment of the race and a seed.
+RaceActorMaker = Callable[[object, int], Actor]
+
 #: Returns the actions of several karts for their actors and observations.
 BatchActor = Callable[[Sequence[Actor], Sequence[Any]], Sequence[Any]]
 
@@ -51,6 +54,8 @@ class AgentCode:
         scope: context in which the agent's code must run.
         act_together: returns the actions of several of the agent's karts; ``None`` if the agent
             does not support this.
+        make_race_actor: creates the actor of a driver that plans with copies of the race, instead
+            of ``make_actor``; ``None`` for drivers that decide from observations alone.
     """
 
     wrap: ViewFactory | None
@@ -58,6 +63,7 @@ class AgentCode:
     name: str = ""
     scope: AbstractContextManager[Any] = field(default_factory=nullcontext)
     act_together: BatchActor | None = None
+    make_race_actor: RaceActorMaker | None = None
 
 
 def load_agent(place: AgentPlace, adapter: str | None = None) -> AgentCode:

@@ -32,7 +32,7 @@ from stkzoo.views import CAMERA_VIEWS, ViewFactory, extras_for, find_view
 
 _AGENTS = "stkzoo.agents"
 #: Packages in ``stkzoo.agents`` that are not drivers.
-_NO_DRIVERS = {"planner", "pretrained", "planning", "training"}
+_NO_DRIVERS = {"pretrained", "planning", "training"}
 #: Package of the learned drivers; each of its subpackages is a driver.
 _PRETRAINED = "pretrained"
 _NAME_MARK = "@:"
@@ -217,11 +217,13 @@ def _unknown(source: str) -> ConfigError:
     return ConfigError(f"{first}{known} Or give the path of a folder or zip, or a module's name.")
 
 
-def _load_shipped(module: str, _: ExitStack) -> AgentCode:
+def _load_shipped(name: str, _: ExitStack) -> AgentCode:
+    """Loads a shipped driver. Only these can define ``get_race_actor``, which sees the race."""
     try:
-        return read_module(importlib.import_module(module))
+        module = importlib.import_module(name)
     except ImportError as error:
-        raise ConfigError(f"{module} cannot be loaded: {error}") from error
+        raise ConfigError(f"{name} cannot be loaded: {error}") from error
+    return replace(read_module(module), make_race_actor=getattr(module, "get_race_actor", None))
 
 
 def _load_files(files: AgentFiles, adapter: str | None, resources: ExitStack) -> AgentCode:

@@ -13,7 +13,7 @@ from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.drivers.code import AgentCode
+from stkzoo.drivers.code import Actor, AgentCode
 from stkzoo.drivers.failures import agent_trace, in_words, value_in_words
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.replies import receive_pending
@@ -61,8 +61,7 @@ class InlineInstance:
                     request.agent, *kart_spaces, self._code.wrap, is_strict=False
                 )
                 self._chain.action_space.seed(request.seed)
-                view = self._chain.observation_space, self._chain.action_space
-                self._actor = self._code.make_actor(*view, request.seed)
+                self._actor = self._make_actor()
             self.paths_used = self._chain.paths_used()
             self._is_ready = True
             return self._code.name
@@ -102,6 +101,13 @@ class InlineInstance:
                 with self._code.scope:
                     self._chain.close()
         self._resources.close()
+
+    def _make_actor(self) -> Actor:
+        request, make_race_actor = self._request, self._code.make_race_actor
+        if make_race_actor is not None and request.env is not None:
+            return make_race_actor(request.env, request.seed)
+        view = self._chain.observation_space, self._chain.action_space
+        return self._code.make_actor(*view, request.seed)
 
     def _see(self, observation: Any) -> Any:
         """Converts the observation by the wrappers' ``reset`` or their pending ``step``."""

@@ -81,6 +81,8 @@ class DriverRequest:
             output is not shown.
         clock: limits the total time of all decisions; the runner updates it.
         cores: processor cores on which an agent in its own process runs; empty for all.
+        env: environment of the race, for drivers that come with stkzoo and plan with copies of the
+            race; ``None`` if the race does not provide it. Other drivers must not use it.
     """
 
     agent: str
@@ -91,6 +93,7 @@ class DriverRequest:
     output_label: str = ""
     clock: ThinkingClock = field(default_factory=ThinkingClock)
     cores: tuple[int, ...] = ()
+    env: object | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -234,6 +234,7 @@ class _RaceRun:
                     settings.seed + number,
                     settings.limits,
                     cores=self._cores.get(agent, ()),
+                    env=env,
                 ),
                 settings,
             )

@@ -15,8 +15,6 @@ import numpy as np
 import pytest
 
 from stkzoo import AgentSpec, race_v0
-from stkzoo.agents import heuristic
-from stkzoo.agents.planner import Planner, PlannerSettings
 from stkzoo.checks.play import fingerprint
 from stkzoo.engine import fork_client
 from stkzoo.engine.assets import find_assets
@@ -662,28 +660,3 @@ def test_environments_in_threads_restore_one_state(env):
     for thread in threads:
         thread.join()
     assert results == [expected] * 9
-
-
-# ---------------------------------------------------------------------- the planner
-
-
-def race_of(env, act, seed=2):
-    observations, _ = env.reset(seed=seed)
-    while env.agents:
-        observations, _, _, _, infos = env.step({"kart_0": act(observations["kart_0"])})
-    return infos["kart_0"]["distance"], infos["kart_0"]["finish_time"]
-
-
-@pytest.mark.slow
-def test_the_planner_gets_further_than_the_driver_that_it_is_made_of():
-    with make("olivermath", agents=1, max_cycles=150, max_paths=20) as env:
-        base, _ = race_of(env, heuristic.create_state().drive)
-        planner = Planner(PlannerSettings(num_plans=4))
-        planned, _ = race_of(env, lambda observation: planner.act(env, observation))
-    assert planned > base
-
-
-def test_the_planner_refuses_an_environment_of_several_agents(env):
-    observations, _ = env.reset(seed=1)
-    with pytest.raises(ConfigError, match="agents=1"):
-        Planner().act(env, observations["kart_0"])

@@ -104,7 +104,7 @@ NOT_RUN = [
         "run_benchmark",
         "long: tests/evaluation/test_benchmark.py",
     ),
-    ("docs/how-to/planning.md", "planner.act", "a race of minutes: tests/env/test_state.py"),
+    ("docs/how-to/planning.md", "planner.act", "a race of minutes: tests/agents/test_planner.py"),
 ]
 
 

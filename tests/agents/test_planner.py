@@ -1,0 +1,210 @@
+"""The planner in real races, and its candidates."""
+
+import numpy as np
+import pytest
+
+from stkzoo import race_v0
+from stkzoo.agents.heuristic import create_state
+from stkzoo.agents.planner import Candidate, Planner, PlannerSettings, base_policy
+from stkzoo.agents.planner.candidates import changed, draw_candidate
+from stkzoo.agents.planning.driver import CHOICES, HEADS, OFFSETS, PolicyInput
+from stkzoo.agents.planning.plans import DRIFT_LEFT, FREE
+from stkzoo.errors import AgentError, ConfigError
+from stkzoo.evaluation import check_demonstrations, record_demonstrations
+from stkzoo.race import run_race
+
+SMALL = PlannerSettings(num_candidates=3, num_finalists=2, final_steps=4)
+#: Steps until the karts may drive, and some more.
+GRID, SOME = 20, 40
+
+
+def make(**options):
+    return race_v0.parallel_env(agents=1, track="olivermath", **options)
+
+
+def drive(env, act, steps, seed=2):
+    """Drives some steps; returns the actions and the distance."""
+    observations, infos = env.reset(seed=seed)
+    actions = []
+    while env.agents and len(actions) < steps:
+        actions.append(act(observations["kart_0"]))
+        observations, _, _, _, infos = env.step({"kart_0": actions[-1]})
+    return actions, infos["kart_0"]["distance"]
+
+
+def plan(env, steps, settings=SMALL, **options):
+    planner = Planner(settings, **options)
+    return drive(env, lambda observation: planner.act(env, observation), steps)
+
+
+@pytest.fixture
+def env():
+    with make(num_kart=1) as env:
+        yield env
+
+
+@pytest.mark.slow
+def test_gets_further_than_the_driver_whose_choices_it_changes(env):
+    driver, choose = base_policy("pretrained:ace")
+    _, base = drive(env, lambda observation: driver.drive(observation, choose), 120)
+    _, planned = plan(env, 120, PlannerSettings())
+    assert planned > base
+
+
+def test_drives_like_its_base_policy_without_other_candidates(env):
+    driver = create_state()
+    base, _ = drive(env, driver.drive, GRID + SOME)
+    alone = PlannerSettings(num_candidates=1, num_finalists=1)
+    planned, _ = plan(env, GRID + SOME, alone, base="heuristic")
+    assert planned == base
+
+
+def test_drives_the_same_race_with_the_same_seed(env):
+    first, second = (plan(env, GRID + SOME, seed=3) for _ in range(2))
+    assert first == second
+
+
+def test_drives_another_race_with_another_seed(env):
+    first, second = (plan(env, GRID + SOME, seed=seed)[0] for seed in (3, 4))
+    assert first != second
+
+
+def test_planning_does_not_affect_the_race(env):
+    actions, distance = plan(env, GRID + SOME)
+    recorded = iter(actions)
+    assert drive(env, lambda _: next(recorded), GRID + SOME) == (actions, distance)
+
+
+def test_plans_among_karts_of_the_game():
+    with make(num_kart=3) as env:
+        _, distance = plan(env, GRID + 12)
+    assert distance > 0
+
+
+def test_a_new_race_needs_copies_of_its_own_after_close(env):
+    planner = Planner(SMALL)
+    drive(env, lambda observation: planner.act(env, observation), GRID + 4)
+    planner.close()
+    _, distance = drive(env, lambda observation: planner.act(env, observation), GRID + 12)
+    assert distance > 0
+
+
+def test_refuses_an_environment_of_several_agents():
+    with race_v0.parallel_env(agents=2, num_kart=2, track="olivermath") as env:
+        observations, _ = env.reset(seed=1)
+        with pytest.raises(ConfigError, match="plans for 2 agents"):
+            Planner().act(env, observations["kart_0"])
+
+
+# ---------------------------------------------------------------------- as a driver
+
+
+def test_is_a_driver_of_races_against_the_game():
+    result = run_race(["planner", "ai"], track="olivermath", seed=1, max_steps=GRID + 12)
+    distances = {row.driver: row.distance for row in result.agents}
+    assert distances["planner"] > 0
+
+
+def test_a_race_with_another_driver_says_what_the_planner_expects():
+    with pytest.raises(AgentError, match="plans for 2 agents"):
+        run_race(["planner", "heuristic"], track="olivermath", error_handling="raise")
+
+
+def test_as_an_opponent_in_an_environment_it_says_where_it_can_drive(caplog):
+    env = race_v0.parallel_env(agents=1, num_kart=2, track="olivermath", opponents=["planner"])
+    with env:
+        env.reset(seed=1)
+    assert "races of its own" in caplog.text
+
+
+def test_its_demonstrations_are_repeatable(tmp_path):
+    demos = record_demonstrations(
+        "planner",
+        output=tmp_path / "demos.npz",
+        tracks="olivermath",
+        karts=1,
+        max_steps=GRID + 12,
+        jobs=1,
+    )
+    assert check_demonstrations(demos).is_exact
+
+
+# ---------------------------------------------------------------------- the base policy
+
+
+def test_knows_the_learned_drivers_that_choose_among_plans():
+    _, choose = base_policy("pretrained:ace")
+    assert choose is not None
+
+
+def test_refuses_a_base_that_is_no_driver(tmp_path):
+    with pytest.raises(ConfigError, match=r"card\.json"):
+        base_policy(tmp_path)
+
+
+# ---------------------------------------------------------------------- candidates
+
+
+def choices_of(candidate, step=0, offset=3, missing=()):
+    """Returns the choices with a candidate, where the base policy goes on with an offset."""
+    prior = np.zeros((1, sum(CHOICES)), np.float32)
+    prior[:, HEADS[0]][:, list(missing)] = -30.0
+    base = np.array([[FREE, offset, 0, 0]])
+    policy = changed(lambda _: base.copy(), [candidate], step)
+    return policy(PolicyInput(np.zeros((1, 0), np.float32), prior))[0].tolist()
+
+
+def test_a_candidate_shifts_the_offset():
+    assert choices_of(Candidate(shift=-2, steps=3)) == [FREE, 1, 0, 0]
+
+
+def test_a_shift_stays_among_the_offsets():
+    last = len(OFFSETS) - 1
+    assert choices_of(Candidate(shift=3, steps=3), offset=last - 1) == [FREE, last, 0, 0]
+
+
+def test_a_candidate_ends_after_its_steps():
+    assert choices_of(Candidate(shift=-2, steps=3), step=3) == [FREE, 3, 0, 0]
+
+
+def test_a_candidate_begins_a_manoeuvre():
+    candidate = Candidate(shift=1, steps=3, manoeuvre=DRIFT_LEFT)
+    assert choices_of(candidate) == [DRIFT_LEFT, 4, 0, 0]
+
+
+def test_a_candidate_begins_no_manoeuvre_without_plans():
+    candidate = Candidate(shift=1, steps=3, manoeuvre=DRIFT_LEFT)
+    assert choices_of(candidate, missing=[DRIFT_LEFT]) == [FREE, 4, 0, 0]
+
+
+@pytest.mark.parametrize("step", [0, 3])
+def test_a_candidate_uses_nitro_where_the_base_policy_does_not(step):
+    candidate = Candidate(shift=0, steps=3, flips_nitro=True)
+    assert choices_of(candidate, step) == [FREE, 3, int(step < 3), 0]
+
+
+def test_the_rest_of_a_candidate_is_shorter():
+    assert Candidate(shift=2, steps=6).rest(4) == Candidate(shift=2, steps=2)
+
+
+def test_a_candidate_that_is_over_has_no_rest():
+    assert Candidate(shift=2, steps=3).rest(4).steps == 0
+
+
+def test_drawn_candidates_change_the_offset():
+    random = np.random.default_rng(0)
+    drawn = [draw_candidate(random, (3, 6)) for _ in range(50)]
+    assert all(own.shift and own.steps in (3, 6) and own.manoeuvre is None for own in drawn)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"horizon": 3}, "horizon"),
+        ({"num_finalists": 13}, "num_finalists"),
+        ({"holds": ()}, "holds"),
+    ],
+)
+def test_settings_are_checked(change, message):
+    with pytest.raises(ConfigError, match=message):
+        PlannerSettings(**change)
