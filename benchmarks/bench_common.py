@@ -196,7 +196,8 @@ def save(
         settings: the command's arguments.
         results: what was measured; floats are rounded to five digits that count.
     """
-    arguments = {k: v for k, v in vars(settings).items() if k != "output"}
+    # Folders of this machine say nothing about the measurement.
+    arguments = {k: v for k, v in vars(settings).items() if k not in ("output", "folder")}
     report = {
         "benchmark": name,
         "command": _command(name, arguments),

@@ -1,5 +1,6 @@
-"""Which interpreter runs a contender of bench_learners."""
+"""Which interpreter runs a contender of bench_learners, and what is saved."""
 
+import json
 import sys
 
 import pytest
@@ -36,3 +37,13 @@ def test_an_installed_library_is_used_as_it_is(environments, tmp_path, monkeypat
     monkeypatch.setitem(bench_learners._LIBRARIES, "torchrl", ("json", "main"))
     assert bench_learners._python("torchrl", tmp_path) == sys.executable
     assert environments == {}
+
+
+def test_results_are_saved_without_folders_of_this_machine(monkeypatch, tmp_path):
+    monkeypatch.setattr(bench_learners, "_measure", lambda *_: {"rate": 2.0})
+    output = tmp_path / "learners.json"
+    words = ["--only", "ppo", "--rounds", "1", "--folder", str(tmp_path), "--output", str(output)]
+    assert bench_learners.main(words) == 0
+    assert str(tmp_path) not in output.read_text()
+    (result,) = json.loads(output.read_text())["results"]
+    assert result["kart_steps_per_second_per_core"]["median"] == 2.0

@@ -129,7 +129,8 @@ def test_a_snapshot_drives_from_the_next_sample_on(algorithm):
     assert all((main[name] == past[name]).all() for name in policy)
 
 
-def test_an_env_runner_that_is_killed_comes_back(algorithm):
+@pytest.mark.usefixtures("algorithm")  # starts Ray
+def test_an_env_runner_that_is_killed_comes_back():
     from stkzoo.agents.training.rllib.selfplay import build_config
 
     remote = build_config(replace(ARGUMENTS, env_runners=1)).build_algo()

@@ -31,7 +31,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver
 
 from .callbacks import RACES, WIN_SHARE
 from .races import ARGUMENTS, MAIN, RLlibArguments, make_races
-from .sampler import Fragment, RaceResult, RaceSampler, sb3_names
+from .sampler import Fragment, RaceSampler, SampledRace, sb3_names
 
 _WINDOW = 50
 
@@ -110,7 +110,7 @@ class RaceEnvRunner(MultiAgentEnvRunner):
         key = NUM_MODULE_STEPS_SAMPLED_LIFETIME, MAIN
         self.metrics.log_value(key, steps, reduce="lifetime_sum")
 
-    def _log_race(self, result: RaceResult) -> None:
+    def _log_race(self, result: SampledRace) -> None:
         self.metrics.log_value(NUM_EPISODES, 1, reduce="sum")
         for name in (NUM_EPISODES_LIFETIME, RACES):
             self.metrics.log_value(name, 1, reduce="lifetime_sum")

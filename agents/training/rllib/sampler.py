@@ -116,8 +116,8 @@ def _fragment(
 
 
 @dataclass(frozen=True, slots=True)
-class RaceResult:
-    """Result of a race.
+class SampledRace:
+    """Result of a race that a sampler drove.
 
     Attributes:
         reward: sum of the rewards of the learner's karts.
@@ -146,7 +146,7 @@ class RaceSampler:
     def __init__(
         self, races: RaceVectorEnv, arguments: RLlibArguments, seed: int | None = None
     ) -> None:
-        self.results: list[RaceResult] = []
+        self.results: list[SampledRace] = []
         self._races, self._arguments = races, arguments
         self._random = np.random.default_rng(seed)
         self._networks: dict[str, MlpDriver] = {}
@@ -229,10 +229,10 @@ class RaceSampler:
                 logits[rows] = network.logits(self._observations[rows])
         return logits
 
-    def _result(self, race: int) -> RaceResult:
+    def _result(self, race: int) -> SampledRace:
         own = self._by_race(self._is_own)[race]
         positions = self._by_race(self._positions)[race]
-        return RaceResult(
+        return SampledRace(
             reward=float(self._by_race(self._returns)[race][own].sum()),
             num_steps=int(self._by_race(self._ages)[race][own].max()),
             win_share=win_share(positions[own].tolist(), positions[~own].tolist()),
