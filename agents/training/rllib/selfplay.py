@@ -122,7 +122,7 @@ def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
     keep_arguments(folder, arguments, _FREE)
     ensure_assets(arguments.pack)
     ray.init(
-        address=arguments.address or None,
+        address=arguments.address or "local",
         ignore_reinit_error=True,
         log_to_driver=False,
         include_dashboard=False,
