@@ -15,6 +15,8 @@ import numpy.typing as npt
 CONFIDENCE = 0.95
 #: Number of draws of all bootstraps.
 DRAWS = 2000
+#: Number of resampled values that are in memory together.
+_VALUES_AT_ONCE = 1_000_000
 #: Fewer clusters say too little about how much clusters differ.
 FEWEST_CLUSTERS = 4
 
@@ -148,8 +150,10 @@ def resampled_medians(
     values = np.array(groups, float)
     values = np.where(np.isnan(values), np.nanmax(values), values)
     rows = generator.integers(len(values), size=(DRAWS, max(len(values) - 1, 1)))
-    medians: npt.NDArray[np.float64] = np.median(values[rows].reshape(DRAWS, -1), axis=1)
-    return medians
+    parts = np.array_split(rows, -(-rows.size * values.shape[1] // _VALUES_AT_ONCE))
+    return np.concatenate(
+        [np.median(values[part].reshape(len(part), -1), axis=1) for part in parts]
+    )
 
 
 def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:

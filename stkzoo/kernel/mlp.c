@@ -25,6 +25,7 @@ typedef struct {
 
 typedef struct {
     OBJECT_HEAD
+    PyObject *given; /* the layers as they came */
     npy_intp num_layers, widest;
     int is_tanh;
     Layer *layers;
@@ -174,7 +175,7 @@ static int mlp_set_up(Mlp *mlp, PyObject *args, PyObject *kwargs)
                                      &mlp->is_tanh)) {
         return -1;
     }
-    mlp->num_layers = PyTuple_GET_SIZE(layers);
+    mlp->given = layers, mlp->num_layers = PyTuple_GET_SIZE(layers);
     if (!mlp->num_layers) return refuse("there are no layers");
     if (!(mlp->layers = room_for(mlp, mlp->num_layers, sizeof(Layer)))) return -1;
     npy_intp inputs = 0;
@@ -190,5 +191,13 @@ static int mlp_set_up(Mlp *mlp, PyObject *args, PyObject *kwargs)
     return 0;
 }
 
+/* Pickles and copies are made again from the arguments. */
+static PyObject *mlp_reduce(PyObject *self, PyObject *Py_UNUSED(none))
+{
+    const Mlp *mlp = (const Mlp *)self;
+    return Py_BuildValue("O(Oi)", Py_TYPE(self), mlp->given, mlp->is_tanh);
+}
+
 KERNEL_TYPE(Mlp, mlp, "A multilayer perceptron.",
-            {"evaluate", mlp_evaluate, METH_VARARGS, "Writes the outputs for rows of inputs."})
+            {"evaluate", mlp_evaluate, METH_VARARGS, "Writes the outputs for rows of inputs."},
+            {"__reduce__", mlp_reduce, METH_NOARGS, "What a pickle consists of."})

@@ -328,7 +328,7 @@ ARGUMENTS = [
 
 
 #: Arguments that accept none of the oddities.
-REFUSE_ALL = {"render_backend", "render_size"}
+REFUSE_ALL = {"mode", "render_backend", "render_size"}
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)

@@ -394,3 +394,13 @@ def test_the_ai_is_as_good_as_the_ai():
         figures = result.group("form", form).figures
         for figure, truth in (("time_ratio", 1.0), ("win_rate", chance), ("mean_rank", 3.0)):
             assert figures[figure].low < truth < figures[figure].high
+
+
+@pytest.mark.parametrize(
+    ("races", "message"),
+    [(((30.0, 31.0), (30.0,)), r"\[1, 2\] karts"), (((None,), (None,)), "no kart")],
+)
+def test_times_of_races_that_do_not_belong_together_are_refused(races, message):
+    plan = plan_benchmark("ai", split="lighthouse", forms=["P"])
+    with pytest.raises(ConfigError, match=message):
+        replace(plan, ai_races={"lighthouse": {"forward": races}})

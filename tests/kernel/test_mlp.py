@@ -1,6 +1,8 @@
 """Networks, by the kernel, by its numpy twin and by PyTorch."""
 
+import copy
 import itertools
+import pickle
 
 import numpy as np
 import pytest
@@ -59,6 +61,12 @@ def test_a_row_of_a_batch_has_the_bits_that_it_has_alone(network, is_tanh):
     network, inputs = network(layers_of(3), is_tanh), inputs_of(4, 11)
     alone = [evaluated(network, inputs[[row]]) for row in range(len(inputs))]
     np.testing.assert_array_equal(evaluated(network, inputs), np.concatenate(alone))
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda n: pickle.loads(pickle.dumps(n))])
+def test_copies_and_pickles_of_a_network_have_its_outputs(duplicate):
+    network, inputs = kernel.Mlp(layers_of(5), True), inputs_of(6, 3)
+    np.testing.assert_array_equal(evaluated(duplicate(network), inputs), evaluated(network, inputs))
 
 
 def test_tanh_is_exact_to_a_few_bits_and_saturates():

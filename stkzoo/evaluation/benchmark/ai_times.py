@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from stkzoo._schema import Level, OneOf, Positive, Whole
+from stkzoo._schema import Level, OneOf, Positive, Whole, Within
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
@@ -28,6 +28,23 @@ _KARTS = 5
 _MAX_SEEDS = 1000
 
 RaceKey = tuple[str, bool, int]
+#: Finish times of the karts of each race [s]; ``None`` for a kart that did not finish.
+RaceTimes = Annotated[
+    tuple[Annotated[tuple[Positive | None, ...], Within(1, 20)], ...], Within(0, _MAX_SEEDS)
+]
+
+
+def check_race_times(races: RaceTimes) -> None:
+    """Checks that races have the same number of karts and that a kart finished.
+
+    Raises:
+        ConfigError: they do not, or none did. No race at all is correct.
+    """
+    sizes = {len(race) for race in races}
+    if len(sizes) > 1:
+        raise ConfigError(f"the races have {sorted(sizes)} karts, expected the same number in each")
+    if races and all(time is None for time in itertools.chain(*races)):
+        raise ConfigError("no kart of the races finished, expected finish times")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +60,7 @@ class AiTime:
         worst: longest finish time [s].
         karts: number of karts.
         finished: number of karts that finished.
-        races: finish times of the karts of each race [s]; ``None`` for a kart that did not finish.
-            Empty in files of older versions.
+        races: the times of each race; empty in files of older versions.
     """
 
     track: str
@@ -55,7 +71,10 @@ class AiTime:
     worst: Positive
     karts: Whole
     finished: Whole
-    races: tuple[tuple[Positive | None, ...], ...] = ()
+    races: RaceTimes = ()
+
+    def __post_init__(self) -> None:
+        check_race_times(self.races)
 
     @classmethod
     def of(cls, race: RaceKey, races: Sequence[Sequence[float | None]]) -> AiTime | None:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from stkzoo._schema import Positive, Within
+from stkzoo._schema import Within
 from stkzoo.config import NORMAL
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
@@ -26,7 +26,7 @@ from stkzoo.evaluation.batch.plan import (
     find_tracks,
 )
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
-from stkzoo.evaluation.benchmark.ai_times import load_ai_times
+from stkzoo.evaluation.benchmark.ai_times import RaceTimes, check_race_times, load_ai_times
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import (
     FIGURES,
@@ -84,9 +84,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     seeds: int
     ai_times: Mapping[str, Mapping[str, Annotated[float, Within(0, 1e5, is_above=True)]]]
     limit: Annotated[float, Within(0, 1000, is_above=True)] = _LIMIT
-    ai_races: Mapping[str, Mapping[str, tuple[tuple[Positive | None, ...], ...]]] = field(
-        default_factory=dict
-    )
+    ai_races: Mapping[str, Mapping[str, RaceTimes]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
@@ -97,6 +95,8 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         for track, reverse in itertools.product(self.tracks, self.directions):
             if direction_name(reverse) not in self.ai_times.get(track, {}):
                 raise ConfigError(f"ai_times has no {track} ({direction_name(reverse)})")
+        for times in itertools.chain(*(own.values() for own in self.ai_races.values())):
+            check_race_times(times)
 
     @property
     def agents(self) -> tuple[Entrant, ...]:
