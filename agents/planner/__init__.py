@@ -14,7 +14,8 @@ be the only one besides the game's AI. In a loop of your own:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from functools import partial
 from typing import Any, NoReturn
 
@@ -42,8 +43,11 @@ env_name = "supertuxkart/full-v0"
 player_name = "planner"
 
 
-def get_race_actor(env: RaceParallelEnv, seed: int) -> Callable[[Any], Any]:
-    """Returns the driver of the only agent of a race that the game's AI does not drive.
+@contextmanager
+def get_race_actor(env: RaceParallelEnv, seed: int) -> Iterator[Callable[[Any], Any]]:
+    """Yields the driver of the only agent of a race that the game's AI does not drive.
+
+    The copies of the race end with the context.
 
     Args:
         env: environment of the race.
@@ -53,7 +57,8 @@ def get_race_actor(env: RaceParallelEnv, seed: int) -> Callable[[Any], Any]:
         ConfigError: there are several such agents.
     """
     only_agent(env)
-    return partial(Planner(seed=seed).act, env)
+    with closing(Planner(seed=seed)) as planner:
+        yield partial(planner.act, env)
 
 
 def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> NoReturn:

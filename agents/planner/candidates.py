@@ -10,6 +10,7 @@ import numpy as np
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import HEADS, OFFSETS, PolicyInput, likeliest
 from stkzoo.agents.planning.plans import MANOEUVRES
+from stkzoo.agents.planning.worth import LEAST_LOGIT
 
 #: Returns a policy's choices ``(A, 4)``; ``None`` takes the prior's most likely ones.
 Choose = Callable[[PolicyInput], IntArray]
@@ -17,7 +18,7 @@ Choose = Callable[[PolicyInput], IntArray]
 #: Number by which a candidate changes the index of the offset.
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
 #: A manoeuvre that the plans do not have at the moment has at most this logit in the prior.
-_NO_PLAN = -29.0
+_NO_PLAN = LEAST_LOGIT + 1
 _BEGIN, _TURN, _NITRO = range(3)
 
 

@@ -42,11 +42,8 @@ class RaceCopy:
             candidate: the candidate to drive.
         """
         self._env.follow(env)
-        self.driver, self.observation, self.candidate = (
-            copy.deepcopy(driver),
-            observation,
-            candidate,
-        )
+        self.driver, self.candidate = copy.deepcopy(driver), candidate
+        self.observation = observation
         self.steps, self.distance, self.finish_time = 0, 0.0, 0.0
         assert self._env.race is not None  # noqa: S101 - since follow
         index = self._env.possible_agents.index(self._agent)
@@ -110,7 +107,7 @@ def drive_copies(copies: Sequence[RaceCopy], choose: Choose | None, steps: int) 
     One call of the policy decides for all copies, and their games compute each step in parallel.
 
     Args:
-        copies: the copies, all of which have taken the same number of steps or are over.
+        copies: the copies. Those whose kart is still racing have taken the same number of steps.
         choose: the base policy.
         steps: number of steps.
     """

@@ -55,7 +55,7 @@ _LEAST_LOCK = 0.02
 NEVER = -1e4
 
 #: Logit of the prior per metre of worth, and its smallest logit.
-_METRE, _LEAST_LOGIT = 2.0, -30.0
+_METRE, LEAST_LOGIT = 2.0, -30.0
 
 
 class OwnState(NamedTuple):
@@ -237,7 +237,7 @@ def _view_rules(rules: DriverParameters) -> DoubleArray:
             rules.straight_angle,
             rules.fire_every,
             _METRE,
-            _LEAST_LOGIT,
+            LEAST_LOGIT,
         ]
     )
 

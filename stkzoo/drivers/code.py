@@ -30,7 +30,7 @@ Actor = Callable[[Any], Any]
 ActorMaker = Callable[[spaces.Space[Any], spaces.Space[Any], int], Actor]
 
 #: Creates the actor for one race from the environment of the race and a seed.
-RaceActorMaker = Callable[[object, int], Actor]
+RaceActorMaker = Callable[[object, int], AbstractContextManager[Actor]]
 
 #: Returns the actions of several karts for their actors and observations.
 BatchActor = Callable[[Sequence[Actor], Sequence[Any]], Sequence[Any]]
@@ -54,8 +54,9 @@ class AgentCode:
         scope: context in which the agent's code must run.
         act_together: returns the actions of several of the agent's karts; ``None`` if the agent
             does not support this.
-        make_race_actor: creates the actor of a driver that plans with copies of the race, instead
-            of ``make_actor``; ``None`` for drivers that decide from observations alone.
+        make_race_actor: creates the actor of a driver that plans with copies of the race, for the
+            duration of a context and instead of ``make_actor``; ``None`` for drivers that decide
+            from observations alone.
     """
 
     wrap: ViewFactory | None

@@ -94,7 +94,7 @@ class InlineInstance:
         return Decision(action, seconds, is_clipped=self._chain.num_clipped != clipped)
 
     def close(self) -> None:
-        """Closes the driver's wrappers and removes its unpacked files."""
+        """Closes the driver's wrappers and copies of the race, and removes its unpacked files."""
         is_ready, self._is_ready = self._is_ready, False
         with suppress(Exception):
             if is_ready:
@@ -105,7 +105,7 @@ class InlineInstance:
     def _make_actor(self) -> Actor:
         request, make_race_actor = self._request, self._code.make_race_actor
         if make_race_actor is not None and request.env is not None:
-            return make_race_actor(request.env, request.seed)
+            return self._resources.enter_context(make_race_actor(request.env, request.seed))
         view = self._chain.observation_space, self._chain.action_space
         return self._code.make_actor(*view, request.seed)
 

@@ -30,7 +30,7 @@ _REFUSED = (
     # use of other agents' cores
     "sched_setaffinity",
 )
-#: Flags ``CLONE_NEW*``, each of which creates a namespace.
+#: Flags ``CLONE_NEW*``, one for each kind of namespace.
 _NAMESPACES = (1 << 7, *(1 << bit for bit in (17, 25, 26, 27, 28, 29, 30)))
 _AF_UNIX, _AF_PACKET, _AF_ALG, _AF_VSOCK = 1, 17, 38, 40
 

@@ -112,6 +112,7 @@ def _fragment(
     own["observations"] = np.concatenate([own["observations"], next_observation[None]])
     flags = {name: bool(own.pop(name)[-1]) for name in ("is_terminated", "is_truncated")}
     begin = int(own.pop("begin")[0])
+    # The arrays are named as the fields, which the type of a dict cannot express.
     return Fragment(slot=slot, begin=begin, **own, **flags)  # type: ignore[arg-type]
 
 

@@ -30,6 +30,20 @@ Result = TypeVar("Result")
 Plan = TypeVar("Plan", bound="BatchPlan[Any]")
 
 
+def check_num_races(what: str, count: int) -> None:
+    """Checks the number of races of a batch.
+
+    Args:
+        what: the batch in the error message, such as ``"benchmark"``.
+        count: the number.
+
+    Raises:
+        ConfigError: there are too many.
+    """
+    if count > MAX_RACES:
+        raise ConfigError(f"the {what} has {count:,} races, expected at most {MAX_RACES:,}")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchPlan(Document, Generic[Result]):
     """The plan of a batch. It determines the races.

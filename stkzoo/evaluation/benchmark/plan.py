@@ -18,10 +18,10 @@ from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
-    MAX_RACES,
     MAX_RESULT_BYTES,
     BatchPlan,
     check_directions,
+    check_num_races,
     describe_differences,
     find_tracks,
 )
@@ -29,6 +29,7 @@ from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.benchmark.ai_times import RaceTimes, check_race_times, load_ai_times
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import (
+    DECIDED_SETTINGS,
     FIGURES,
     FORMS,
     BenchmarkForm,
@@ -65,17 +66,14 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         seeds: number of races for each track, direction, form and end of the grid.
         limit: time limit of a race, as a multiple of the AI's median time.
         ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``.
-        ai_races: the finish times of which these are medians, as in ``AiTime.races``; empty if
-            they are unknown.
+        ai_races: the finish times behind these medians, as in ``AiTime.races``; empty if they are
+            unknown.
     """
 
     kind: ClassVar[str] = "benchmark-plan"
     noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
-    decided: ClassVar[tuple[str, ...]] = (
-        *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
-        *("max_steps", "max_steps_after_first", "karts_finished"),
-    )
+    decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
 
     agent: Entrant
     split: str
@@ -89,9 +87,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
         ends = sum(len(form.ends) for form in self._forms())
-        races = len(self.tracks) * len(self.directions) * ends * self.seeds
-        if races > MAX_RACES:
-            raise ConfigError(f"the benchmark has {races:,} races, expected at most {MAX_RACES:,}")
+        check_num_races("benchmark", len(self.tracks) * len(self.directions) * ends * self.seeds)
         for track, reverse in itertools.product(self.tracks, self.directions):
             if direction_name(reverse) not in self.ai_times.get(track, {}):
                 raise ConfigError(f"ai_times has no {track} ({direction_name(reverse)})")

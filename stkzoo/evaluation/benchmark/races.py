@@ -26,6 +26,11 @@ from stkzoo.race.result import AgentResult, RaceResult
 
 #: The race forms of the benchmark protocol.
 FORMS = ("PAAAA", "PPAAA", "P")
+#: Settings of the races that the benchmark and its time trials set themselves.
+DECIDED_SETTINGS = (
+    *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
+    *("max_steps", "max_steps_after_first", "karts_finished"),
+)
 _FORM = re.compile(r"(P+)(A*)")
 _MAX_KARTS = 20
 _SEED_BYTES = 4

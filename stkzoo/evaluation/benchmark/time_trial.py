@@ -16,10 +16,10 @@ from stkzoo.config import TIME_TRIAL
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import MAX_RACES, MAX_RESULT_BYTES, BatchPlan, find_tracks
+from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES, BatchPlan, check_num_races, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.benchmark.plot import plot_time_trial
-from stkzoo.evaluation.benchmark.races import FRONT, race_seed, steps_within
+from stkzoo.evaluation.benchmark.races import DECIDED_SETTINGS, FRONT, race_seed, steps_within
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
@@ -109,10 +109,7 @@ class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
     kind: ClassVar[str] = "time-trial-plan"
     noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --time-trial --output {folder}"
-    decided: ClassVar[tuple[str, ...]] = (
-        *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
-        *("max_steps", "max_steps_after_first", "karts_finished"),
-    )
+    decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
 
     agent: Entrant
     split: str
@@ -126,9 +123,7 @@ class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
             found = getattr(self.settings, name)
             if found != expected:
                 raise ConfigError(f"{name} is {found!r}, expected {expected!r} as in the records")
-        races = len(self.tracks) * self.seeds
-        if races > MAX_RACES:
-            raise ConfigError(f"the benchmark has {races:,} races, expected at most {MAX_RACES:,}")
+        check_num_races("benchmark", len(self.tracks) * self.seeds)
         for track in self.tracks:
             if track not in self.records:
                 raise ConfigError(f"{track} has no human record; leave it out of --track")

@@ -20,7 +20,7 @@ from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import MAX_RACES, BatchPlan, check_directions, find_tracks
+from stkzoo.evaluation.batch.plan import BatchPlan, check_directions, check_num_races, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, run_batch
 from stkzoo.evaluation.demonstrations.dataset import (
     Demonstrations,
@@ -125,9 +125,7 @@ class DemoPlan(BatchPlan[Demonstrations]):
     substeps: Annotated[int, OneOf(_SUBSTEPS)]
 
     def __post_init__(self) -> None:
-        races = len(self.tracks) * len(self.directions) * len(self.seeds)
-        if races > MAX_RACES:
-            raise ConfigError(f"the data set has {races:,} races, expected at most {MAX_RACES:,}")
+        check_num_races("data set", len(self.tracks) * len(self.directions) * len(self.seeds))
 
     @property
     def agents(self) -> tuple[Entrant, ...]:
