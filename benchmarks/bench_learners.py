@@ -39,6 +39,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.bench_common import (
     Table,
     cores,
@@ -67,6 +69,8 @@ from benchmarks.bench_shares import (
 from benchmarks.ecosystem import ROOT, SETS, environment
 from stkzoo._os import cpu_count
 
+#: Parts of an actor's time that are measured.
+_ACTOR_PARTS = ("networks", "observing")
 CONTENDERS = ("engine", "ppo", "sb3", "rllib", "torchrl")
 #: What a contender needs: its module, and its environment in ``ecosystem.SETS``.
 _LIBRARIES = {"rllib": ("ray", "rllib"), "torchrl": ("torchrl", "main")}
@@ -184,17 +188,18 @@ def _engine_rate(setting: Setting, options: argparse.Namespace) -> float:
 
 
 def _ppo(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
-    from stkzoo.agents.training.common.actors import ActorPool
+    from stkzoo.agents.training.common.actors import ActorPool, SharedArray
     from stkzoo.agents.training.ppo import selfplay
 
     class Learner(selfplay.PPOLearner):
         def _new_actors(self, arguments: Sequence[Any]) -> ActorPool:
-            return ActorPool(_measured_actor, arguments)
+            self._meters = [SharedArray((len(_ACTOR_PARTS),), np.float64) for _ in arguments]
+            pairs = zip(arguments, self._meters, strict=True)
+            return ActorPool(_measured_actor, [(*own, meter) for own, meter in pairs])
 
         def parts(self) -> dict[str, float]:
-            self._actors.forget()
-            found = self._actors.call("parts", [()] * len(self._actors))
-            return {name: sum(own[name] for own in found) for name in ("networks", "observing")}
+            total = sum(meter.array() for meter in self._meters)
+            return dict(zip(_ACTOR_PARTS, total.tolist(), strict=True))
 
         def pids(self) -> list[int]:
             return self._actors.pids
@@ -229,23 +234,23 @@ def _moment(actors: Sequence[int]) -> tuple[float, float]:
     return engine_time(actors), programs
 
 
-def _measured_actor(*arguments: Any) -> Any:
+def _measured_actor(arguments: Any, memory: Any, seconds: Any) -> Any:
     from stkzoo.agents.training.ppo import rollouts
 
-    meter = Meter()
+    meter, shared = Meter(), seconds.array()
 
     class Actor(rollouts.RaceActor):
-        def parts(self) -> dict[str, float]:
-            return meter.seconds
+        def _own_outcome(self, outcome: Any) -> Any:  # called once per step
+            shared[:] = [meter.seconds.get(name, 0.0) for name in _ACTOR_PARTS]
+            return outcome
 
-    actor = Actor(*arguments)
+    actor = Actor(arguments, memory)
     rollouts.predict_values = meter.timed("networks", rollouts.predict_values)
     for owner, method, name in (
         (actor, "_choose", "networks"),
         (actor._fleet, "_look", "observing"),
     ):
         setattr(owner, method, meter.timed(name, getattr(owner, method)))
-    meter.seconds = dict.fromkeys(("networks", "observing"), 0.0)
     return actor
 
 

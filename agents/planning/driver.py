@@ -43,6 +43,8 @@ CHOICES = (MANOEUVRES, len(OFFSETS), 2, 2)
 _ENDS = np.cumsum(CHOICES)
 HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=True))
 
+_TURN = CHOICE_NAMES.index("turn")
+
 #: Distances at which the road is observed [m].
 ALL_LOOKS = np.concatenate([LOOKS, LINE_MARKS])
 
@@ -53,6 +55,11 @@ _LOGITS = (
     np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32),
 )
 
+#: Logits of offsets that hold for several steps; smaller differences, so that training tries them.
+_HELD_LOGITS = np.array([-4.5, -3.0, -2.0, 0.0, -2.0, -3.0, -4.5], np.float32)
+#: Logit of an offset other than the held one.
+_NOT_HELD = np.float32(-1e3)
+
 #: Buttons in the order of the controls.
 _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 
@@ -61,10 +68,14 @@ START_STEER = 0.3
 
 _OPTION_SIGNS = np.array([1, 1, -1, 1], np.float32)
 _ROAD_SIGNS = np.array([-1, -1, 1], np.float32)
+#: Signs of the held offset and of its remaining time.
+_HOLD_SIGNS = np.array([-1, 1], np.float32)
 _OPTIONS_AT = SIZE + len(MEMORY_MIRROR)
 _PLAN_TURNS = _OPTIONS_AT + 4 * np.arange(MANOEUVRES) + 2
 _DRIFT_TIME = SIZE + MEMORY_NAMES.index("drift time [3 s]")
-INPUT_SIZE = _OPTIONS_AT + 4 * MANOEUVRES + 3 + len(RIVALS_MIRROR)
+#: Number of inputs of a policy whose offsets do not hold; the held offset and its time follow.
+INPUT_SIZE_WITHOUT_HOLD = _OPTIONS_AT + 4 * MANOEUVRES + len(_ROAD_SIGNS) + len(RIVALS_MIRROR)
+INPUT_SIZE = INPUT_SIZE_WITHOUT_HOLD + len(_HOLD_SIGNS)
 
 
 def _mirror() -> tuple[IntArray, FloatArray]:
@@ -73,7 +84,7 @@ def _mirror() -> tuple[IntArray, FloatArray]:
     left, right = (_OPTIONS_AT + 4 * drift + np.arange(4) for drift in (DRIFT_LEFT, DRIFT_RIGHT))
     order[left], order[right] = right, left
     options = np.tile(_OPTION_SIGNS, MANOEUVRES)
-    signs = [MIRROR, MEMORY_MIRROR, options, _ROAD_SIGNS, RIVALS_MIRROR]
+    signs = [MIRROR, MEMORY_MIRROR, options, _ROAD_SIGNS, RIVALS_MIRROR, _HOLD_SIGNS]
     return order, np.concatenate(signs)
 
 
@@ -142,6 +153,8 @@ class PlanDriver:
     def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
         parameters = rules or DriverParameters()
         self._rules = plan_rules(parameters)
+        offsets = _LOGITS[0] if parameters.turn_hold == 1 else _HELD_LOGITS
+        self._logits = (offsets, _LOGITS[1])
         self.memory = DriverMemory(count, parameters)
         self._tracker = RivalTracker(count)
         self._options: PlanOptions | None = None
@@ -242,7 +255,7 @@ class PlanDriver:
         prior = np.empty((len(angle), sum(CHOICES)), np.float32)
         present_plans(
             rules.view,
-            _LOGITS,
+            self._logits,
             memory,
             state,
             options.best,
@@ -252,7 +265,17 @@ class PlanDriver:
             inputs,
             _OPTIONS_AT,
         )
+        self._hold(prior, inputs)
         return prior
+
+    def _hold(self, prior: FloatArray, inputs: FloatArray) -> None:
+        """Makes a held offset the only choice; writes it and its time to the inputs, if any."""
+        offset, left = self.memory.held()
+        if len(inputs):
+            inputs[:, INPUT_SIZE_WITHOUT_HOLD:] = np.stack([offset, left], axis=1)
+        if self._rules.parameters.turn_hold > 1 and (rows := np.flatnonzero(left)).size:
+            is_held = offset[rows, None] == OFFSETS
+            prior[rows, HEADS[_TURN]] = np.where(is_held, np.float32(0), _NOT_HELD)
 
     def forget(self, rows: IntArray) -> None:
         """Resets some karts."""
@@ -290,6 +313,7 @@ class PlanDriver:
         is_driven = ~(backs | calls)
         side = np.where(is_driven, side, 0)
         turn = np.where(backs, away, turn).astype(np.float32)
+        self.memory.hold(OFFSETS[choices[:, _TURN]])
         uses = is_driven & (nitro == 1)
         fires = is_driven & (fire == 1)
         begins = self.memory.act(side, turn, uses, fires)

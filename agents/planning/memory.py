@@ -70,7 +70,7 @@ class DriverMemory:
         rules: durations, and thresholds for crashes and for standing still.
 
     Attributes:
-        rows: ``(20, A)`` float32, in the order of :class:`stkzoo.kernel.PlanMemory`.
+        rows: ``(22, A)`` float32, in the order of :class:`stkzoo.kernel.PlanMemory`.
     """
 
     def __init__(self, count: int, rules: DriverParameters) -> None:
@@ -152,6 +152,21 @@ class DriverMemory:
     def write(self, out: FloatArray, first: int) -> None:
         """Writes :meth:`numbers` into columns of an array ``(A, F)``, from ``first`` on."""
         write_memory(self._numbers, self.rows, out, first)
+
+    def held(self) -> tuple[FloatArray, FloatArray]:
+        """Returns the held offsets and the fractions of their time that remain, ``(A,)``."""
+        return self._of.held_offset, self._of.hold_steps / np.float32(self._rules.turn_hold)
+
+    def hold(self, offset: FloatArray) -> None:
+        """Records the steering offsets of karts that hold none, if offsets hold for several steps.
+
+        Args:
+            offset: ``(A,)`` offset from the plan [fraction of full lock].
+        """
+        if self._rules.turn_hold > 1:
+            is_free = self._of.hold_steps == 0
+            self._of.held_offset[is_free] = offset[is_free]
+            self._of.hold_steps[is_free] = self._rules.turn_hold
 
     @property
     def may_boost(self) -> BoolArray:

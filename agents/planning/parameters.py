@@ -65,6 +65,7 @@ class DriverParameters:
         bump_cost: cost of hitting a slower kart ahead, per m/s of speed difference [m]; 0 ignores
             other karts.
         bump_width: a kart within this distance of the path is hit [m].
+        turn_hold: number of steps for which a steering offset from the plan holds.
     """
 
     wheel_base: float = 0.89
@@ -114,6 +115,7 @@ class DriverParameters:
     lost_time: float = 1.0
     bump_cost: float = 1.0
     bump_width: float = 1.5
+    turn_hold: Whole = 1
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DriverParameters:

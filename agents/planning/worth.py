@@ -171,7 +171,7 @@ def weigh(
 
     Args:
         rules: parameters of the plans.
-        memory: ``(20, A)``, see :class:`stkzoo.kernel.PlanMemory`.
+        memory: ``(22, A)``, see :class:`stkzoo.kernel.PlanMemory`.
         own: own state of the karts.
         max_steer_angle: ``(A, 1)`` [rad].
         around: their surroundings; the road at :data:`.road.LINE_MARKS` comes last.

@@ -7,7 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
-from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput, likeliest
+from stkzoo.agents.planning.driver import (
+    CHOICES,
+    HEADS,
+    INPUT_SIZE,
+    INPUT_SIZE_WITHOUT_HOLD,
+    PolicyInput,
+    likeliest,
+)
 from stkzoo.kernel import Mlp
 
 #: Largest absolute value of a normalized input.
@@ -19,7 +26,8 @@ class Network:
 
     Args:
         weights: ``mean`` and ``scale`` ``(F,)`` of the input, and ``w0``, ``b0``, ``w1``, ``b1``,
-            ``w2``, ``b2``: matrices ``(inputs, outputs)`` and biases of the layers.
+            ``w2``, ``b2``: matrices ``(inputs, outputs)`` and biases of the layers. A network with
+            fewer inputs takes the first ones.
     """
 
     def __init__(self, weights: Mapping[str, FloatArray]) -> None:
@@ -29,16 +37,23 @@ class Network:
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Returns the outputs ``(A, outputs)`` for inputs ``(A, F)``, each from its row alone."""
-        seen = np.clip((inputs - self._mean) * self._scale, -INPUT_CLIP, INPUT_CLIP)
+        seen = inputs[:, : len(self._mean)]
+        seen = np.clip((seen - self._mean) * self._scale, -INPUT_CLIP, INPUT_CLIP)
         outputs = np.empty((len(inputs), self._outputs), np.float32)
         self._mlp.evaluate(seen, outputs)
         return outputs
 
 
-def network_shapes(hidden: Sequence[int]) -> dict[str, tuple[int, ...]]:
-    """Returns the shapes of the weights of a policy's :class:`Network` with these hidden layers."""
-    sizes = (INPUT_SIZE, *hidden, sum(CHOICES))
-    shapes: dict[str, tuple[int, ...]] = {"mean": (INPUT_SIZE,), "scale": (INPUT_SIZE,)}
+def network_shapes(hidden: Sequence[int], *, holds: bool = True) -> dict[str, tuple[int, ...]]:
+    """Returns the shapes of the weights of a policy's :class:`Network`.
+
+    Args:
+        hidden: units of the hidden layers.
+        holds: whether the policy observes which steering offset it holds.
+    """
+    inputs = INPUT_SIZE if holds else INPUT_SIZE_WITHOUT_HOLD
+    sizes = (inputs, *hidden, sum(CHOICES))
+    shapes: dict[str, tuple[int, ...]] = {"mean": (inputs,), "scale": (inputs,)}
     for layer in range(3):
         shapes |= {f"w{layer}": sizes[layer : layer + 2], f"b{layer}": (sizes[layer + 1],)}
     return shapes

@@ -108,7 +108,9 @@ class PlanMemory(NamedTuple):
         reverses: how often it has reversed without getting free.
         lost_steps: for how long it has been far off the road.
         since_fire: time since the last shot.
-        hop_steps: time until another drift can begin; this and all below count down to 0.
+        held_offset: steering offset from the plan that is held [fraction of full lock].
+        hold_steps: remaining time of that offset; this and all below count down to 0.
+        hop_steps: time until another drift can begin.
         release_steps: remaining time of the turn after a drift.
         boost_steps: remaining time of the boost of a short drift.
         big_boost_steps: remaining time of the boost of a long drift.
@@ -130,6 +132,8 @@ class PlanMemory(NamedTuple):
     reverses: npt.NDArray[np.float32]
     lost_steps: npt.NDArray[np.float32]
     since_fire: npt.NDArray[np.float32]
+    held_offset: npt.NDArray[np.float32]
+    hold_steps: npt.NDArray[np.float32]
     hop_steps: npt.NDArray[np.float32]
     release_steps: npt.NDArray[np.float32]
     boost_steps: npt.NDArray[np.float32]

@@ -43,7 +43,7 @@ PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
     }
     const double *rule = rules.data;
     for (npy_intp i = 0; i < count; i++) {
-        for (int row = HOP_STEPS; row <= RESCUE_STEPS; row++) {
+        for (int row = HOLD_STEPS; row <= RESCUE_STEPS; row++) {
             float *clock = at(memory, count, row, i);
             *clock = *clock - 1 > 0 ? *clock - 1 : 0;
         }

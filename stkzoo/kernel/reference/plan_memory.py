@@ -13,7 +13,7 @@ FloatArray = npt.NDArray[np.float32]
 
 _NAMES = PlanMemory._fields
 #: Rows of the countdowns, which are contiguous.
-_CLOCKS = slice(_NAMES.index("hop_steps"), _NAMES.index("rescue_steps") + 1)
+_CLOCKS = slice(_NAMES.index("hold_steps"), _NAMES.index("rescue_steps") + 1)
 
 
 class _MemoryRules(NamedTuple):
@@ -41,7 +41,7 @@ def age_memory(
 
     Args:
         rules: ``(13,)``, in the order of ``_MemoryRules``.
-        memory: ``(20, A)``, in the order of :class:`~stkzoo.kernel.PlanMemory`.
+        memory: ``(22, A)``, in the order of :class:`~stkzoo.kernel.PlanMemory`.
         speed: ``(A,)`` forward speed [m/s].
         skeed_factor: ``(A,)`` skid factor.
     """

@@ -89,7 +89,7 @@ def survey_road(
     Args:
         rules: ``(34,)``: what holds for all karts, in the order of ``_ViewRules``.
         worths: ``(2, types)``: the worth of item types to karts without and with a powerup [m].
-        memory: ``(20, A)``: what karts remember, in the order of
+        memory: ``(22, A)``: what karts remember, in the order of
             :class:`~stkzoo.kernel.PlanMemory`.
         own: entries of the ``full`` view in batch form, in the order of ``_Own``: ``velocity``
             ``(A, 3)`` and ``energy`` float32, the others ``(A,)`` int64.

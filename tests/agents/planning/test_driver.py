@@ -19,6 +19,7 @@ from stkzoo.agents.planning.driver import (
     mirrored_prior,
 )
 from stkzoo.agents.planning.memory import MEMORY_MIRROR
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import (
     DRIFT_LEFT,
     DRIFT_RIGHT,
@@ -30,16 +31,19 @@ STRAIGHT = CHOICES[1] // 2
 SIDE = np.array([-1, 1, 1], np.float32)
 
 
+HOLD = DriverParameters(turn_hold=4)
+
+
 def best(prior):
     return np.stack([prior[:, head].argmax(axis=1) for head in HEADS], axis=1)
 
 
-def driven_race(steps, karts=3, track="lighthouse"):
-    """Moments of a race that the prior drives: what the karts know, and the drivers then."""
+def driven_race(steps, karts=3, track="lighthouse", rules=None, choose=best):
+    """Moments of a race that a policy drives: what the karts know, and the drivers then."""
     controls_of = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
     with race_v0.parallel_env(num_kart=karts, track=track, max_paths=96) as env:
         env.reset(seed=3)
-        drivers = PlanDriver(karts)
+        drivers = PlanDriver(karts, rules)
         for _ in range(steps):
             own, around = surroundings_of(env.observe_batch(env.agents), ALL_LOOKS)
             if env.snapshot.phase < 2:
@@ -48,7 +52,7 @@ def driven_race(steps, karts=3, track="lighthouse"):
             else:
                 view = drivers.look(own, around)
                 yield env, own, around, drivers, view
-                controls, _ = drivers.act(best(view.prior))
+                controls, _ = drivers.act(choose(view.prior))
             env.step(
                 {
                     agent: {
@@ -142,7 +146,7 @@ def mirrored_race(own, around):
 
 def test_the_mirrored_race_is_seen_mirrored():
     signs = dict.fromkeys(remembered(PlanDriver(1)), 1.0)
-    signs |= {"turn": -1.0, "drift_turn": -1.0, "drift_side": -1.0}
+    signs |= dict.fromkeys(("turn", "drift_turn", "drift_side", "held_offset"), -1.0)
     signs |= dict.fromkeys(("rivals spots", "rivals velocity"), np.array([-1, 1], np.float32))
     signs |= {"rivals headings": -1.0}
     for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
@@ -179,3 +183,45 @@ def test_mirrored_choices_steer_the_other_way():
     theirs, _ = there.act(mirrored_choices(choices))
     np.testing.assert_allclose(theirs[:, 1], -ours[:, 1], atol=1e-3)
     np.testing.assert_allclose(np.delete(theirs, 1, 1), np.delete(ours, 1, 1))
+
+
+def offsets_of(seed):
+    """A policy that draws its offsets, and the choices that it has made."""
+    random, made = np.random.default_rng(seed), []
+
+    def choose(prior):
+        noise = random.gumbel(size=prior.shape)
+        noise[:, HEADS[1]] *= 9  # all offsets are likely
+        made.append(best(prior + noise))
+        return made[-1]
+
+    return choose, made
+
+
+def test_an_offset_holds_for_the_given_number_of_steps():
+    choose, made = offsets_of(0)
+    for *_, drivers, view in driven_race(60, rules=HOLD, choose=choose):
+        if len(made) % 4:
+            held, left = drivers.memory.held()
+            np.testing.assert_allclose(left, 1 - len(made) % 4 / 4)
+            np.testing.assert_array_equal(view.inputs[:, -2], held)
+            np.testing.assert_array_equal(view.inputs[:, -1], left)
+    drawn = np.array(made[: len(made) // 4 * 4])[:, :, 1].reshape(-1, 4, 3)
+    assert (drawn == drawn[:, :1]).all()
+    assert len(np.unique(drawn[:, 0])) == CHOICES[1]
+
+
+def test_a_new_race_holds_no_offset():
+    choose, _ = offsets_of(1)
+    *_, (*_, drivers, _) = driven_race(40, rules=HOLD, choose=choose)
+    drivers.act(choose(np.zeros((3, sum(CHOICES)), np.float32)))
+    drivers.forget(np.array([0, 2]))
+    held, left = drivers.memory.held()
+    assert left[[0, 2]].tolist() == held[[0, 2]].tolist() == [0, 0]
+    assert left[1] > 0
+
+
+def test_an_offset_of_one_step_is_not_an_input():
+    choose, _ = offsets_of(2)
+    for *_, view in driven_race(40, choose=choose):
+        assert not view.inputs[:, -2:].any()
