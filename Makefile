@@ -74,6 +74,7 @@ sanitize: $(VENV)/.dev
 		$(CURDIR)/$(BIN)/python -m pytest -p no:cacheprovider --capture=sys $(or $(ARGS),$(SANITIZED_TESTS))
 
 check: $(VENV)/.dev
+	! git grep -nE '^(<{7}|>{7}) '
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell --dictionary - --dictionary .codespell.txt $(PROSE)

@@ -74,6 +74,7 @@ class VideoArguments:
         render_sub_steps: frames per step; there are ten steps per second
         render_backend: engine films in the game; map draws the race from above, ten times as fast;
             auto uses the game if it can draw here
+        ghost: draw the winner of a replay (.stkz) of the same track on the map
     """
 
     cameras: int | None = option(metavar="N", type=_number_of_cameras)
@@ -81,6 +82,7 @@ class VideoArguments:
     height: int = option(480, metavar="PIXELS")
     render_sub_steps: int = 3
     render_backend: str = option("auto", choices=("auto", "engine", "map"))
+    ghost: str | None = option(metavar="FILE")
 
 
 @dataclass
@@ -168,6 +170,7 @@ def _video(arguments: argparse.Namespace) -> RaceListener:
     if arguments.races > 1:
         raise ConfigError("--video makes a video of one race; leave out --races")
     from stkzoo.race import RaceVideo
+    from stkzoo.race.replay import ghost_of, load_replay
 
     return RaceVideo(
         arguments.video,
@@ -175,6 +178,7 @@ def _video(arguments: argparse.Namespace) -> RaceListener:
         size=(arguments.width, arguments.height),
         sub_steps=arguments.render_sub_steps,
         backend=arguments.render_backend,
+        ghost=ghost_of(load_replay(arguments.ghost)) if arguments.ghost else None,
     )
 
 

@@ -20,6 +20,7 @@ from stkzoo.race.replay.file import (
     load_replay,
     save_replay,
 )
+from stkzoo.race.replay.ghost import ghost_of
 from stkzoo.race.replay.playback import Playback, play_replay, recorded_driver
 from stkzoo.race.replay.writer import ReplayWriter
 
@@ -31,6 +32,7 @@ __all__ = [
     "ReplayWriter",
     "action_of",
     "controls_of",
+    "ghost_of",
     "load_replay",
     "play_replay",
     "recorded_driver",
