@@ -8,19 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-
 from stkzoo._reading import Unreadable, load_json, reading
 from stkzoo._schema import Matching, typed
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.errors import ConfigError
 
 from .action_filter import ActionFilter
-from .ensemble import EnsemblePolicy, networks_of
+from .ensemble import EnsemblePolicy, members_of
 from .mlp import MlpDriver, is_network
-from .policy import RacingPolicy, network_shapes
+from .policy import RacingPolicy, check_shapes
 from .weights import load_weights
 
 #: Policies over plans, ensembles, and networks without plans.
@@ -39,8 +36,9 @@ def read_policy(folder: str | Path) -> Policy:
     file = Path(folder) / WEIGHTS
     card = read_card(folder)
     weights = load_weights(file, card.sha256)
-    if networks := networks_of(weights, repr(str(file))):
-        return EnsemblePolicy(networks, card.ensemble_weight)
+    networks, policies = members_of(weights, repr(str(file)))
+    if networks or policies:
+        return EnsemblePolicy(networks, card.ensemble_weight, policies)
     return policy_of(weights, str(file))
 
 
@@ -58,28 +56,6 @@ def policy_of(weights: Mapping[str, FloatArray], name: str) -> RacingPolicy | Ml
         return MlpDriver(weights, repr(name))
     check_shapes(weights, name)
     return RacingPolicy(weights)
-
-
-def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
-    """Checks that arrays are the weights of a policy over plans.
-
-    Args:
-        weights: arrays by name.
-        name: name of the weights in error messages.
-
-    Raises:
-        ConfigError: a name or a shape is wrong.
-    """
-    hidden = [weights[key].size if key in weights else 0 for key in ("b0", "b1")]
-    found = {key: array.shape for key, array in weights.items()}
-    wanted = network_shapes(hidden)
-    if found not in (wanted, network_shapes(hidden, holds=False)) or not all(
-        np.isfinite(array).all() for array in weights.values()
-    ):
-        raise ConfigError(
-            f"the weights {name!r} have the shapes {found}, expected finite numbers of "
-            f"{wanted}; they are of another version of stkzoo, or of something else"
-        )
 
 
 def new_state(folder: str | Path) -> PlanDriver | ActionFilter:

@@ -1,4 +1,4 @@
-"""An ensemble of plans and networks.
+"""An ensemble of plans, policies over plans, and networks.
 
 Networks from self-play know how races develop; plans know the road ahead. Both give probabilities
 of choices, and the ensemble multiplies them (product of experts: Hinton, 2002).
@@ -6,12 +6,19 @@ of choices, and the ensemble multiplies them (product of experts: Hinton, 2002).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
-from stkzoo.agents.planning.driver import HEADS, OFFSETS, PolicyInput, is_drifting, plan_turns
+from stkzoo.agents.planning.driver import (
+    HEADS,
+    OFFSETS,
+    PolicyInput,
+    is_drifting,
+    likeliest,
+    plan_turns,
+)
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.planning.plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
 from stkzoo.errors import ConfigError
@@ -19,13 +26,14 @@ from stkzoo.wrappers.racing import BRAKE
 
 from .action_filter import steering
 from .mlp import SPLITS, MlpDriver, log_probabilities
+from .policy import RacingPolicy, check_shapes
 
 #: Pedal, drift and side of each manoeuvre.
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
-#: Prefix of the arrays of each network in a file.
-_IN_FILE = "adviser{}."
+#: Prefixes of the arrays of each network and of each policy over plans in a file.
+_NETWORK, _POLICY = "adviser{}.", "policy{}."
 
 
 def check_ensemble_weight(weight: object) -> None:
@@ -45,24 +53,34 @@ class EnsemblePolicy:
 
     The logit of a manoeuvre with a turn is the prior's logit plus ``weight`` times the networks'
     mean log-probability of the equivalent steering, pedal and drift. The logits of nitro and fire
-    are computed in the same way.
+    are computed in the same way. The mean of what policies over plans have learned is added to the
+    prior first.
 
     Args:
-        networks: one or more networks on the view ``racing``.
-        weight: weight of the networks; with 0, only the plans count.
+        networks: networks on the view ``racing``.
+        weight: weight of the networks; with 0, they do not count.
+        policies: policies over plans.
 
     Raises:
         ConfigError: see :func:`check_ensemble_weight`.
     """
 
-    def __init__(self, networks: Sequence[MlpDriver], weight: float) -> None:
+    def __init__(
+        self,
+        networks: Sequence[MlpDriver],
+        weight: float,
+        policies: Sequence[RacingPolicy] = (),
+    ) -> None:
         check_ensemble_weight(weight)
-        self.networks, self.weight = tuple(networks), weight
+        self.networks, self.weight, self.policies = tuple(networks), weight, tuple(policies)
 
     def best(self, view: PolicyInput) -> IntArray:
         """Returns the most likely choices ``(A, 4)``, in the form of a policy over plans."""
+        logits = self._plan_logits(view)
+        if not self.networks:
+            return likeliest(logits)
         steer, pedal, drift, nitro, fire = self._log_probabilities(view.inputs)
-        begin, turn, *buttons = (view.prior[:, head] for head in HEADS)
+        begin, turn, *buttons = (logits[:, head] for head in HEADS)
         rows = np.arange(len(begin))[:, None, None]
         liked = (
             steer[rows, _steering(view.inputs)] + (pedal[:, _PEDALS] + drift[:, _DRIFTS])[..., None]
@@ -75,6 +93,14 @@ class EnsemblePolicy:
         ]
         choices: IntArray = np.array([*divmod(best, len(OFFSETS)), *presses]).T
         return choices
+
+    def _plan_logits(self, view: PolicyInput) -> FloatArray:
+        """Returns the prior with what the policies have learned."""
+        if not self.policies:
+            return view.prior
+        learned = [policy.learned_logits(view) for policy in self.policies]
+        logits: FloatArray = view.prior + np.mean(learned, axis=0)
+        return logits
 
     def _log_probabilities(self, seen: FloatArray) -> list[FloatArray]:
         """Returns the networks' mean log-probabilities, one array per choice."""
@@ -90,34 +116,51 @@ def _steering(inputs: FloatArray) -> IntArray:
     return steering(sides, turn, begins)
 
 
-def join_networks(networks: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
-    """Returns the arrays of several networks with names for a single file."""
+def join_members(
+    networks: Iterable[Mapping[str, FloatArray]], policies: Iterable[Mapping[str, FloatArray]]
+) -> dict[str, FloatArray]:
+    """Returns the arrays of networks and of policies over plans with names for a single file."""
     return {
-        _IN_FILE.format(number) + name: array
-        for number, weights in enumerate(networks)
+        prefix.format(number) + name: array
+        for prefix, members in ((_NETWORK, networks), (_POLICY, policies))
+        for number, weights in enumerate(members)
         for name, array in weights.items()
     }
 
 
-def networks_of(weights: Mapping[str, FloatArray], name: str) -> list[MlpDriver]:
-    """Returns the networks from :func:`join_networks`; an empty list if there are none.
+def members_of(
+    weights: Mapping[str, FloatArray], name: str
+) -> tuple[list[MlpDriver], list[RacingPolicy]]:
+    """Returns the networks and policies from :func:`join_members`; empty lists if there are none.
 
     Args:
         weights: arrays of a file.
         name: name of the file in error messages.
 
     Raises:
-        ConfigError: an array set is not a network on the view ``racing``.
+        ConfigError: an array set is not a network on the view ``racing`` or a policy over plans.
     """
-    networks: list[MlpDriver] = []
-    while own := _own(weights, _IN_FILE.format(len(networks))):
-        networks.append(MlpDriver(own, f"network {len(networks)} of {name}"))
-    return networks
+    networks, policies = split_members(weights)
+    for number, own in enumerate(policies):
+        check_shapes(own, f"policy {number} of {name}")
+    return (
+        [MlpDriver(own, f"network {number} of {name}") for number, own in enumerate(networks)],
+        [RacingPolicy(own) for own in policies],
+    )
 
 
-def _own(weights: Mapping[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    return {
-        name.removeprefix(prefix): array
-        for name, array in weights.items()
-        if name.startswith(prefix)
-    }
+def split_members(
+    weights: Mapping[str, FloatArray],
+) -> tuple[list[dict[str, FloatArray]], list[dict[str, FloatArray]]]:
+    """Returns the arrays of each network and each policy of :func:`join_members`."""
+    return _members(weights, _NETWORK), _members(weights, _POLICY)
+
+
+def _members(weights: Mapping[str, FloatArray], pattern: str) -> list[dict[str, FloatArray]]:
+    found: list[dict[str, FloatArray]] = []
+    while True:
+        prefix = pattern.format(len(found))
+        own = {n.removeprefix(prefix): a for n, a in weights.items() if n.startswith(prefix)}
+        if not own:
+            return found
+        found.append(own)

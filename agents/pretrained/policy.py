@@ -15,6 +15,7 @@ from stkzoo.agents.planning.driver import (
     PolicyInput,
     likeliest,
 )
+from stkzoo.errors import ConfigError
 from stkzoo.kernel import Mlp
 
 #: Largest absolute value of a normalized input.
@@ -59,6 +60,28 @@ def network_shapes(hidden: Sequence[int], *, holds: bool = True) -> dict[str, tu
     return shapes
 
 
+def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
+    """Checks that arrays are the weights of a policy over plans.
+
+    Args:
+        weights: arrays by name.
+        name: name of the weights in error messages.
+
+    Raises:
+        ConfigError: a name or a shape is wrong.
+    """
+    hidden = [weights[key].size if key in weights else 0 for key in ("b0", "b1")]
+    found = {key: array.shape for key, array in weights.items()}
+    wanted = network_shapes(hidden)
+    if found not in (wanted, network_shapes(hidden, holds=False)) or not all(
+        np.isfinite(array).all() for array in weights.values()
+    ):
+        raise ConfigError(
+            f"the weights {name!r} have the shapes {found}, expected finite numbers of "
+            f"{wanted}; they are of another version of stkzoo, or of something else"
+        )
+
+
 def log_sum(logits: FloatArray) -> FloatArray:
     """Returns the log-sum-exp along the last axis, which is kept with size 1."""
     top = logits.max(axis=-1, keepdims=True)
@@ -88,8 +111,12 @@ class RacingPolicy:
 
     def logits(self, view: PolicyInput) -> FloatArray:
         """Returns the logits, ``(A, sum(CHOICES))``; a kart's do not depend on other karts."""
-        learned: FloatArray = view.prior + self._network(view.inputs)
-        return learned
+        logits: FloatArray = view.prior + self.learned_logits(view)
+        return logits
+
+    def learned_logits(self, view: PolicyInput) -> FloatArray:
+        """Returns what is added to the prior, ``(A, sum(CHOICES))``."""
+        return self._network(view.inputs)
 
     def best(self, view: PolicyInput) -> IntArray:
         """Returns the most likely choices, ``(A, 4)``; a kart's do not depend on other karts."""

@@ -6,6 +6,8 @@ r"""Exports learned weights as an agent: a folder that you can race and share.
 The weights come from a run of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``league``. With
 ``--ensemble-weight 1``, one or more networks without plans form an ensemble with the plans: the
 agent chooses a plan by its worth and, with this weight, by its probability under the networks.
+Policies over plans can be members too; what they have learned is added to the plans' logits. The
+folder of an ensemble adds its members.
 
 The folder contains the weights; ``card.json`` with their digest, the training arguments (from
 ``arguments.json`` beside the weights, if it exists) and, for policies over plans, the parameters of
@@ -27,12 +29,17 @@ import numpy.typing as npt
 import stkzoo
 from stkzoo._arguments import option, positional
 from stkzoo._os import write_text
-from stkzoo._reading import reading
+from stkzoo._reading import load_json, reading
 from stkzoo._schema import typed
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, check_shapes
-from stkzoo.agents.pretrained.ensemble import check_ensemble_weight, join_networks
+from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_card, read_numbers
+from stkzoo.agents.pretrained.ensemble import (
+    check_ensemble_weight,
+    join_members,
+    split_members,
+)
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
+from stkzoo.agents.pretrained.policy import check_shapes
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.errors import ConfigError
 
@@ -96,7 +103,8 @@ def export_policy(
     """Writes the folder of an agent; replaces an existing agent, but no other folder.
 
     Args:
-        weights: a policy of a run; with ``ensemble_weight``, one or more networks for the ensemble.
+        weights: a policy of a run; with ``ensemble_weight``, one or more members of the ensemble:
+            networks, policies over plans, and folders of ensembles, which add their members.
         name: name of the agent, a Python identifier.
         folder: folder of the agent.
         ensemble_weight: weight of the networks relative to the worth of plans; ``None`` for no
@@ -123,7 +131,7 @@ def export_policy(
         "sha256": digest_of(target / WEIGHTS),
         "size": (target / WEIGHTS).stat().st_size,
         "parameters": sum(array.size for array in arrays.values()),
-        "runs": [_run_of(source) for source in sources],
+        "runs": [run for source in sources for run in _runs_of(source)],
         "stkzoo": stkzoo.__version__,
         **rules,
     }
@@ -143,9 +151,8 @@ def _agent_of(
     """Returns an agent's arrays, its view, and the parameters of its plans."""
     if ensemble_weight is not None:
         check_ensemble_weight(ensemble_weight)
-        joined = join_networks([_network(source) for source in sources])
-        rules = asdict(DriverParameters())
-        return joined, "full", {"ensemble_weight": ensemble_weight, "rules": rules}
+        joined, rules = _ensemble_of(sources)
+        return joined, "full", {"ensemble_weight": ensemble_weight, "rules": asdict(rules)}
     if len(sources) > 1:
         raise ConfigError(
             f"there are {len(sources)} files of weights, expected one; several networks can "
@@ -154,8 +161,33 @@ def _agent_of(
     arrays = load_weights(sources[0])
     if is_network(arrays):
         return _network(sources[0]), "racing", {}
-    check_shapes(arrays, str(sources[0]))
-    return arrays, "full", {"rules": asdict(run_parameters(sources[0].parent))}
+    return _plan_policy(sources[0]), "full", {"rules": asdict(run_parameters(sources[0].parent))}
+
+
+def _ensemble_of(sources: Sequence[Path]) -> tuple[Arrays, DriverParameters]:
+    """Returns the arrays of an ensemble, and the parameters of its plans."""
+    networks: list[Arrays] = []
+    policies: list[Arrays] = []
+    rules: list[DriverParameters] = []
+    for source in sources:
+        if source.is_dir():
+            own = split_members(load_weights(source / WEIGHTS, read_card(source).sha256))
+            if not any(own):
+                raise ConfigError(f"{str(source)!r} is not an ensemble; name its {WEIGHTS}")
+        elif is_network(load_weights(source)):
+            own = [_network(source)], []
+        else:
+            own = [], [_plan_policy(source)]
+        networks += own[0]
+        policies += own[1]
+        if own[1]:
+            rules.append(read_numbers(source) if source.is_dir() else run_parameters(source.parent))
+    if any(other != rules[0] for other in rules):
+        raise ConfigError(
+            "the policies over plans have runs with different plans; use policies of runs with "
+            "the same --plans"
+        )
+    return join_members(networks, policies), rules[0] if rules else DriverParameters()
 
 
 def _network(source: Path) -> Arrays:
@@ -165,8 +197,18 @@ def _network(source: Path) -> Arrays:
     return {name: array for name, array in arrays.items() if _VALUES not in name}
 
 
-def _run_of(source: Path) -> dict[str, Any]:
-    """Returns the training run's arguments."""
+def _plan_policy(source: Path) -> Arrays:
+    """Returns the arrays of a policy over plans."""
+    arrays = load_weights(source)
+    check_shapes(arrays, str(source))
+    return arrays
+
+
+def _runs_of(source: Path) -> list[dict[str, Any]]:
+    """Returns the training runs of a file of weights, or of an agent by its card."""
+    if source.is_dir():
+        runs: list[dict[str, Any]] = load_json(source / CARD)["runs"]
+        return runs
     arguments = source.with_name(ARGUMENTS)
     digits = source.stem.rpartition("-")[2]
     history: Any = read_run_file(Any, arguments) if arguments.exists() else []
@@ -174,7 +216,7 @@ def _run_of(source: Path) -> dict[str, Any]:
         history = [{"from": 0, "arguments": history}]
     with reading(f"{str(arguments)!r} cannot be read", "the file that the run wrote"):
         typed(tuple[_Learned, ...], history)
-    return {"kart_steps": int(digits) if digits.isdigit() else None, "history": history}
+    return [{"kart_steps": int(digits) if digits.isdigit() else None, "history": history}]
 
 
 def _describe(run: dict[str, Any]) -> str:
@@ -207,7 +249,7 @@ class ExportOptions:
     """Options of the command.
 
     Attributes:
-        weights: policy-STEPS.safetensors of a run.
+        weights: policy-STEPS.safetensors of a run, or for an ensemble the folder of another one.
         name: name of the agent.
         output: folder of the agent.
         ensemble_weight: make an ensemble of networks and plans with this weight; 1 is usual.

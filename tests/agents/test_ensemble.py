@@ -5,13 +5,19 @@ import json
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.driver import OFFSETS, START_STEER, is_drifting, plan_turns
+from stkzoo.agents.planning.driver import (
+    OFFSETS,
+    START_STEER,
+    PolicyInput,
+    is_drifting,
+    plan_turns,
+)
 from stkzoo.agents.planning.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
 from stkzoo.agents.pretrained import action_filter
-from stkzoo.agents.pretrained.driver import read_policy
-from stkzoo.agents.pretrained.ensemble import EnsemblePolicy, join_networks, networks_of
+from stkzoo.agents.pretrained.driver import read_numbers, read_policy
+from stkzoo.agents.pretrained.ensemble import EnsemblePolicy, join_members, members_of
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.fleet import Fleet, Lineup
 from stkzoo.agents.training.common.matches import match_driver
@@ -117,11 +123,13 @@ def test_several_networks_count_by_their_mean(views):
 
 
 def test_networks_come_back_from_one_file():
-    found = networks_of(join_networks([small_network(seed=1), small_network(seed=2)]), "both")
+    joined = join_members([small_network(seed=1), small_network(seed=2)], [])
+    found, policies = members_of(joined, "both")
     seen = np.random.default_rng(0).normal(size=(3, action_filter.INPUT_SIZE)).astype(np.float32)
     for driver, seed in zip(found, (1, 2), strict=True):
         assert (driver.logits(seen) == MlpDriver(small_network(seed=seed)).logits(seen)).all()
-    assert networks_of(small_network(), "one that drives") == []
+    assert policies == []
+    assert members_of(small_network(), "one that drives") == ([], [])
 
 
 @pytest.fixture
@@ -199,8 +207,81 @@ def test_a_card_of_an_older_version_says_what_to_rename(files, tmp_path):
         read_policy(folder)
 
 
-def test_a_policy_over_plans_is_no_network_of_an_ensemble(tmp_path):
-    file = tmp_path / "plans.safetensors"
-    save_weights(file, RacingPolicy.of_plans_alone().weights)
-    with pytest.raises(ConfigError, match="MlpPolicy"):
+def plan_policy(seed):
+    """A policy over plans that has learned something at random."""
+    random, shapes = np.random.default_rng(seed), network_shapes((4, 4))
+    return {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+
+
+def test_what_policies_over_plans_have_learned_is_added_to_the_prior(views):
+    one, other = (RacingPolicy(plan_policy(seed)) for seed in (0, 1))
+    network = MlpDriver(small_network())
+    both, plain = EnsemblePolicy([network], 1.0, [one, other]), EnsemblePolicy([network], 1.0)
+    differences = 0
+    for view in views:
+        mean = (one.learned_logits(view) + other.learned_logits(view)) / 2
+        raised = PolicyInput(view.inputs, view.prior + mean)
+        assert (both.best(view) == plain.best(raised)).all()
+        differences += (both.best(view) != plain.best(view)).sum()
+    assert differences > 10
+
+
+def test_an_ensemble_of_one_policy_over_plans_is_that_policy(views):
+    policy = RacingPolicy(plan_policy(2))
+    assert all(
+        (EnsemblePolicy([], 1.0, [policy]).best(view) == policy.best(view)).all() for view in views
+    )
+
+
+@pytest.fixture
+def plan_file(tmp_path):
+    """A policy over plans of a run whose offsets hold."""
+    run = tmp_path / "plans"
+    run.mkdir()
+    rules = {"turn_hold": 4}
+    arguments = {"from": 0, "arguments": {"seed": 7, "tracks": ["mines"]}, "rules": rules}
+    (run / "arguments.json").write_text(json.dumps([arguments]))
+    save_weights(run / "policy-000000456.safetensors", plan_policy(3))
+    return run / "policy-000000456.safetensors"
+
+
+def test_policies_over_plans_and_networks_become_one_agent(files, plan_file, tmp_path):
+    folder = export_policy([*files, plan_file], "wise", tmp_path / "wise", ensemble_weight=1.0)
+    policy = read_policy(folder)
+    assert isinstance(policy, EnsemblePolicy)
+    assert (len(policy.networks), len(policy.policies)) == (2, 1)
+    assert read_numbers(folder).turn_hold == 4
+    result = run_race([str(folder)], track="olivermath", seed=1, max_steps=60)
+    assert result.agents[0].errors == ()
+
+
+def test_the_folder_of_an_ensemble_adds_its_members(files, plan_file, tmp_path):
+    networks = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
+    once = export_policy([*files, plan_file], "once", tmp_path / "once", ensemble_weight=1.0)
+    again = export_policy([networks, plan_file], "again", tmp_path / "again", ensemble_weight=1.0)
+    one, other = (json.loads((folder / "card.json").read_text()) for folder in (once, again))
+    assert one["sha256"] == other["sha256"]
+    assert one["runs"] == other["runs"]
+
+
+def test_a_folder_that_is_no_ensemble_is_refused(plan_file, tmp_path):
+    folder = export_policy(plan_file, "plain", tmp_path / "plain")
+    with pytest.raises(ConfigError, match="is not an ensemble"):
+        export_policy([folder], "wise", tmp_path / "wise", ensemble_weight=1.0)
+
+
+def test_policies_of_runs_with_different_plans_are_refused(plan_file, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    save_weights(other / "policy-000000789.safetensors", plan_policy(4))
+    (other / "arguments.json").write_text(json.dumps([{"from": 0, "arguments": {}, "rules": {}}]))
+    files = [plan_file, other / "policy-000000789.safetensors"]
+    with pytest.raises(ConfigError, match="runs with different plans"):
+        export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
+
+
+def test_weights_that_are_no_policy_are_no_member(tmp_path):
+    file = tmp_path / "odd.safetensors"
+    save_weights(file, {"w0": np.zeros((2, 2), np.float32)})
+    with pytest.raises(ConfigError, match="another version of stkzoo, or of something else"):
         export_policy([file], "wise", tmp_path / "wise", ensemble_weight=1.0)

@@ -12,14 +12,9 @@ from stkzoo import race_v0
 from stkzoo.agents.planning.driver import ALL_LOOKS, CHOICES, INPUT_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained import action_filter
-from stkzoo.agents.pretrained.driver import (
-    check_shapes,
-    make_actor,
-    new_state,
-    read_policy,
-)
+from stkzoo.agents.pretrained.driver import make_actor, new_state, read_policy
 from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
-from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.policy import RacingPolicy, check_shapes
 from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
 from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError

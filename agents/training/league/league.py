@@ -32,8 +32,7 @@ import numpy as np
 from stkzoo._arguments import option
 from stkzoo._os import write_text
 from stkzoo._schema import Count, Matching, Within, typed
-from stkzoo.agents.pretrained.driver import check_shapes
-from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.policy import RacingPolicy, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
