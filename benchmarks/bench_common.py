@@ -290,7 +290,9 @@ def _whole(text: str) -> int:
 def _command(name: str, arguments: Mapping[str, Any]) -> str:
     words = ["python", "-m", f"benchmarks.bench_{name}"]
     for key, value in arguments.items():
-        parts = value if isinstance(value, list) else [value]
+        if value is None:
+            continue
+        parts = value if isinstance(value, (list, tuple)) else [value]
         words += [f"--{key.replace('_', '-')}", *map(str, parts)]
     return " ".join(words)
 

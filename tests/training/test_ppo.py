@@ -122,6 +122,23 @@ def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
     assert (weights["w2"][:, begin] != before["w2"][:, begin]).any()
 
 
+def test_an_offset_that_holds_is_chosen_once_for_its_steps(tmp_path):
+    changes = {"n_steps": 32, "races": ("4x1",), "learns": ("begin", "turn"), "turn_hold": 4}
+    learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
+    learner.iterate()
+    rollout = learner._rollouts[0][0].copy()
+    learner.close()
+    chosen = rollout["choices"][..., 1].reshape(8, 4, 4)  # from the start of the race on
+    assert (chosen == chosen[:, :1]).all()
+    assert len(np.unique(chosen)) > 1
+    assert run_parameters(tmp_path).turn_hold == 4
+
+
+def test_a_hold_of_no_steps_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="turn_hold is 0, expected a whole number of 1 or more"):
+        PPOLearner(tmp_path, SelfPlayArguments(**SMALL | {"turn_hold": 0}))
+
+
 @pytest.mark.parametrize("names", [("steer",), ()])
 def test_unknown_choices_are_refused(tmp_path, names):
     with pytest.raises(ConfigError, match="begin, turn, nitro, fire"):

@@ -25,7 +25,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -36,8 +36,9 @@ from stkzoo._arguments import option
 from stkzoo._os import cpu_count
 from stkzoo._schema import Count, Within
 from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 
 from ..common.actors import ActorPool, SharedArray
 from ..common.arguments import QUICK_TRACKS, PPOArguments, ScriptOptions
@@ -74,6 +75,8 @@ class SelfPlayArguments(PPOArguments):
         races: parallel races: 8x5 is five races of eight learners, 4+2x3 three races of four
             learners and two karts of the game's AI at its highest difficulty.
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
+        turn_hold: steps for which a steering offset holds; with 1, the policy chooses it in every
+            step. None is as in plans.
         actors: number of processes that drive the races; 0 is one for each processor core.
             Results depend on their number.
         on_policy: drive each rollout with the latest networks. By default, the actors drive the
@@ -98,6 +101,7 @@ class SelfPlayArguments(PPOArguments):
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
     plans: str = ""
+    turn_hold: int | None = None
     actors: int = 0
     on_policy: bool = False
     n_steps: int = 128
@@ -158,7 +162,7 @@ class PPOLearner:
         self._network = ActorCritic(
             arguments.hidden, arguments.seed, arguments.learns, arguments.init
         )
-        self._rules = plan_parameters(arguments.plans)
+        self._rules = _plan_rules(arguments)
         lineups = parse_races(arguments.races)
         self.kart_steps = self.iteration = 0
         self._history: list[dict[str, Any]] = [self._chapter()]
@@ -379,6 +383,14 @@ class PPOLearner:
         self._recent.extend(facts.recent)
         with reading_checkpoint(self.folder):
             self._network.restore(state["network"])
+
+
+def _plan_rules(arguments: SelfPlayArguments) -> DriverParameters:
+    """Returns the parameters of the plans."""
+    rules, hold = plan_parameters(arguments.plans), arguments.turn_hold
+    if hold is None:
+        return rules
+    return replace(rules, turn_hold=check_whole("turn_hold", hold, 1))
 
 
 def _company(lineup: Lineup) -> str:
