@@ -185,7 +185,7 @@ def _ensemble_of(sources: Sequence[Path]) -> tuple[Arrays, DriverParameters]:
     if any(other != rules[0] for other in rules):
         raise ConfigError(
             "the policies over plans have runs with different plans; use policies of runs with "
-            "the same --plans"
+            "the same --plans and --turn-hold"
         )
     return join_members(networks, policies), rules[0] if rules else DriverParameters()
 
@@ -207,7 +207,7 @@ def _plan_policy(source: Path) -> Arrays:
 def _runs_of(source: Path) -> list[dict[str, Any]]:
     """Returns the training runs of a file of weights, or of an agent by its card."""
     if source.is_dir():
-        runs: list[dict[str, Any]] = load_json(source / CARD)["runs"]
+        runs: list[dict[str, Any]] = load_json(source / CARD).get("runs", [])
         return runs
     arguments = source.with_name(ARGUMENTS)
     digits = source.stem.rpartition("-")[2]
