@@ -153,8 +153,8 @@ class PlanDriver:
     def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
         parameters = rules or DriverParameters()
         self._rules = plan_rules(parameters)
-        offsets = _LOGITS[0] if parameters.turn_hold == 1 else _HELD_LOGITS
-        self._logits = (offsets, _LOGITS[1])
+        self._holds_turns = parameters.turn_hold > 1
+        self._logits = (_HELD_LOGITS if self._holds_turns else _LOGITS[0], _LOGITS[1])
         self.memory = DriverMemory(count, parameters)
         self._tracker = RivalTracker(count)
         self._options: PlanOptions | None = None
@@ -270,12 +270,15 @@ class PlanDriver:
 
     def _hold(self, prior: FloatArray, inputs: FloatArray) -> None:
         """Makes a held offset the only choice; writes it and its time to the inputs, if any."""
+        if not self._holds_turns:
+            inputs[:, INPUT_SIZE_WITHOUT_HOLD:] = 0
+            return
         offset, left = self.memory.held()
         if len(inputs):
             inputs[:, INPUT_SIZE_WITHOUT_HOLD:] = np.stack([offset, left], axis=1)
-        if self._rules.parameters.turn_hold > 1 and (rows := np.flatnonzero(left)).size:
-            is_held = offset[rows, None] == OFFSETS
-            prior[rows, HEADS[_TURN]] = np.where(is_held, np.float32(0), _NOT_HELD)
+        rows = np.flatnonzero(left)
+        is_held = offset[rows, None] == OFFSETS
+        prior[rows, HEADS[_TURN]] = np.where(is_held, np.float32(0), _NOT_HELD)
 
     def forget(self, rows: IntArray) -> None:
         """Resets some karts."""
@@ -313,7 +316,8 @@ class PlanDriver:
         is_driven = ~(backs | calls)
         side = np.where(is_driven, side, 0)
         turn = np.where(backs, away, turn).astype(np.float32)
-        self.memory.hold(OFFSETS[choices[:, _TURN]])
+        if self._holds_turns:
+            self.memory.hold(OFFSETS[choices[:, _TURN]])
         uses = is_driven & (nitro == 1)
         fires = is_driven & (fire == 1)
         begins = self.memory.act(side, turn, uses, fires)

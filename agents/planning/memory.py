@@ -158,15 +158,14 @@ class DriverMemory:
         return self._of.held_offset, self._of.hold_steps / np.float32(self._rules.turn_hold)
 
     def hold(self, offset: FloatArray) -> None:
-        """Records the steering offsets of karts that hold none, if offsets hold for several steps.
+        """Records the steering offsets of karts that hold none.
 
         Args:
             offset: ``(A,)`` offset from the plan [fraction of full lock].
         """
-        if self._rules.turn_hold > 1:
-            is_free = self._of.hold_steps == 0
-            self._of.held_offset[is_free] = offset[is_free]
-            self._of.hold_steps[is_free] = self._rules.turn_hold
+        is_free = self._of.hold_steps == 0
+        self._of.held_offset[is_free] = offset[is_free]
+        self._of.hold_steps[is_free] = self._rules.turn_hold
 
     @property
     def may_boost(self) -> BoolArray:

@@ -160,8 +160,9 @@ def _agent_of(
         )
     arrays = load_weights(sources[0])
     if is_network(arrays):
-        return _network(sources[0]), "racing", {}
-    return _plan_policy(sources[0]), "full", {"rules": asdict(run_parameters(sources[0].parent))}
+        return _network(arrays, sources[0]), "racing", {}
+    check_shapes(arrays, str(sources[0]))
+    return arrays, "full", {"rules": asdict(run_parameters(sources[0].parent))}
 
 
 def _ensemble_of(sources: Sequence[Path]) -> tuple[Arrays, DriverParameters]:
@@ -174,14 +175,18 @@ def _ensemble_of(sources: Sequence[Path]) -> tuple[Arrays, DriverParameters]:
             own = split_members(load_weights(source / WEIGHTS, read_card(source).sha256))
             if not any(own):
                 raise ConfigError(f"{str(source)!r} is not an ensemble; name its {WEIGHTS}")
-        elif is_network(load_weights(source)):
-            own = [_network(source)], []
+            networks += own[0]
+            policies += own[1]
+            if own[1]:
+                rules.append(read_numbers(source))
+            continue
+        arrays = load_weights(source)
+        if is_network(arrays):
+            networks.append(_network(arrays, source))
         else:
-            own = [], [_plan_policy(source)]
-        networks += own[0]
-        policies += own[1]
-        if own[1]:
-            rules.append(read_numbers(source) if source.is_dir() else run_parameters(source.parent))
+            check_shapes(arrays, str(source))
+            policies.append(arrays)
+            rules.append(run_parameters(source.parent))
     if any(other != rules[0] for other in rules):
         raise ConfigError(
             "the policies over plans have runs with different plans; use policies of runs with "
@@ -190,18 +195,10 @@ def _ensemble_of(sources: Sequence[Path]) -> tuple[Arrays, DriverParameters]:
     return join_members(networks, policies), rules[0] if rules else DriverParameters()
 
 
-def _network(source: Path) -> Arrays:
-    """Returns the arrays that a network needs for driving."""
-    arrays = load_weights(source)
+def _network(arrays: Arrays, source: Path) -> Arrays:
+    """Returns the arrays of a file that a network needs for driving."""
     MlpDriver(arrays, repr(str(source)))
     return {name: array for name, array in arrays.items() if _VALUES not in name}
-
-
-def _plan_policy(source: Path) -> Arrays:
-    """Returns the arrays of a policy over plans."""
-    arrays = load_weights(source)
-    check_shapes(arrays, str(source))
-    return arrays
 
 
 def _runs_of(source: Path) -> list[dict[str, Any]]:

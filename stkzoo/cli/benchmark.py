@@ -167,11 +167,10 @@ def _time_trial_plan(arguments: argparse.Namespace) -> TimeTrialPlan:
                 f"--time-trial has the conditions of the human records; leave out "
                 f"--{name.replace('_', '-')}"
             )
-    split = arguments.split or ["all"]
     return plan_time_trial(
         arguments.agent,
-        split=split[0] if len(split) == 1 else split,
-        seeds=_TIME_TRIAL_SEEDS if arguments.seeds is None else arguments.seeds,
+        split=_split(arguments, "all"),
+        seeds=_seeds(arguments, _TIME_TRIAL_SEEDS),
         **values_of(arguments, RaceSettings, without=TimeTrialPlan.decided),
     )
 
@@ -185,9 +184,8 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
     from stkzoo.evaluation import FORMS, BenchmarkPlan, plan_benchmark
 
     _check_agent(arguments)
-    split = arguments.split or ["test"]
     return plan_benchmark(
-        split=split[0] if len(split) == 1 else split,
+        split=_split(arguments, "test"),
         forms=arguments.forms or FORMS,
         reverse=chosen_directions(arguments),
         seeds=_seeds(arguments),
@@ -196,8 +194,13 @@ def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
     )
 
 
-def _seeds(arguments: argparse.Namespace) -> int:
-    return _SEEDS if arguments.seeds is None else int(arguments.seeds)
+def _split(arguments: argparse.Namespace, default: str) -> str | Sequence[str]:
+    names: Sequence[str] = arguments.split or [default]
+    return names[0] if len(names) == 1 else names
+
+
+def _seeds(arguments: argparse.Namespace, default: int = _SEEDS) -> int:
+    return default if arguments.seeds is None else int(arguments.seeds)
 
 
 def _baseline(arguments: argparse.Namespace) -> int:
