@@ -248,7 +248,8 @@ class PlanDriver:
     ) -> FloatArray:
         """Weighs the plans, writes a policy's inputs, if any, and returns the prior."""
         state, memory, rules = OwnState.of(own), self.memory.rows, self._rules
-        is_watching = len(inputs) or rules.parameters.bump_cost
+        needed = rules.parameters.bump_cost or rules.parameters.learned_motion
+        is_watching = len(inputs) or needed
         tracker = self._tracker if is_watching else None
         angle = np.asarray(own["max_steer_angle"], np.float32)
         self._options = options = weigh(rules, memory, state, angle, around, tracker)

@@ -66,6 +66,8 @@ class DriverParameters:
             other karts.
         bump_width: a kart within this distance of the path is hit [m].
         turn_hold: number of steps for which a steering offset from the plan holds.
+        learned_motion: whether plans are simulated with the network of :mod:`.motion`; otherwise,
+            karts drive arcs at constant speed.
     """
 
     wheel_base: float = 0.89
@@ -116,6 +118,7 @@ class DriverParameters:
     bump_cost: float = 1.0
     bump_width: float = 1.5
     turn_hold: Whole = 1
+    learned_motion: bool = False
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DriverParameters:

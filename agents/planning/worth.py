@@ -21,6 +21,7 @@ from stkzoo.wrappers.racing import Surroundings
 
 from .arrays import FloatArray
 from .kart import BOOST_LASTS, RELEASE_STEPS, RELEASE_TURN, STEERING_LAG, STEP
+from .motion import learned_motion
 from .parameters import DriverParameters
 from .plans import LONGEST_DRIFT, MANOEUVRES, plan_table
 from .rivals import FASTEST, MOST_TURNED, NOWHERE, REACH, RIVALS, RivalMoment, RivalTracker
@@ -94,9 +95,10 @@ class PlanRules:
         view: the rules of :func:`stkzoo.kernel.survey_road`.
         worths: ``(2, types)`` worth of item types for karts without and with a powerup [m].
         costs: the rules of :func:`stkzoo.kernel.weigh_plans`.
+        motion: the network of the karts' motion, or an empty tuple.
     """
 
-    __slots__ = ("costs", "parameters", "table", "view", "worths")
+    __slots__ = ("costs", "motion", "parameters", "table", "view", "worths")
 
     def __init__(self, parameters: DriverParameters) -> None:
         self.parameters = parameters
@@ -104,6 +106,7 @@ class PlanRules:
         self.view = _view_rules(parameters)
         self.worths = _worths(parameters)
         self.costs = _costs(parameters)
+        self.motion = learned_motion() if parameters.learned_motion else ()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return plan_rules, (self.parameters,)
@@ -188,13 +191,13 @@ def weigh(
         spots = np.empty((count, RIVALS, 2), np.float32)
         before, now = tracker.before, RivalMoment(spots, np.empty((count, 2), np.float32), headings)
         tracker.now = now
-    rows, karts = np.empty(count, np.intp), np.empty((count, 11), np.float32)
+    rows, karts = np.empty(count, np.intp), np.empty((count, 16), np.float32)
     road, items = np.empty((count, 3, MARK_COUNT), np.float32), np.empty((count, _ITEMS, 4))
     scene, best = np.empty((count, 5), np.float32), np.empty((3, count, MANOEUVRES), np.float32)
     seen = (line, headings, tangents, around.karts, around.items, around.item_types)
     out = (rows, karts, road, items, rivals, scene)
     survey_road(rules.view, rules.worths, memory, own, seen, before, now[:2], out)
-    weigh_plans(rules.table, rules.costs, rows, karts, road, items, rivals, best)
+    weigh_plans(rules.table, rules.costs, rules.motion, rows, karts, road, items, rivals, best)
     return PlanOptions(best, scene, rivals)
 
 

@@ -1,10 +1,9 @@
 """The inner loops of a step, once in C and once in numpy.
 
-Every name here but :class:`PlanTable` and :class:`PlanMemory` is a class or function of the
-compiled extension ``_kernel``, or its twin in :mod:`stkzoo.kernel.reference`, which does the same
-in numpy. This module alone decides which: the extension, unless it is not built here or
-``STKZOO_KERNEL=off`` is set. The stub ``_kernel.pyi`` types both, and ``tests/kernel`` runs each
-name against its twin.
+Every name here but the named tuples is a class or function of the compiled extension ``_kernel``,
+or its twin in :mod:`stkzoo.kernel.reference`, which does the same in numpy. This module alone
+decides which: the extension, unless it is not built here or ``STKZOO_KERNEL=off`` is set. The stub
+``_kernel.pyi`` types both, and ``tests/kernel`` runs each name against its twin.
 
 Attributes:
     IS_COMPILED: whether the names are those of the extension.
@@ -48,7 +47,7 @@ _TWINS = {
     "write_memory": "plan_memory",
 }
 
-__all__ = sorted(["IS_COMPILED", "PlanMemory", "PlanTable", *_TWINS])
+__all__ = sorted(["IS_COMPILED", "MotionRules", "MotionState", "PlanMemory", "PlanTable", *_TWINS])
 
 
 def _extension() -> ModuleType | None:
@@ -142,6 +141,71 @@ class PlanMemory(NamedTuple):
     caution_steps: npt.NDArray[np.float32]
     reverse_steps: npt.NDArray[np.float32]
     rescue_steps: npt.NDArray[np.float32]
+
+
+class MotionRules(NamedTuple):
+    """What the network of the karts' motion needs to know; times in its steps.
+
+    Attributes:
+        step: length of a step [s].
+        small_drift: duration of a drift that earns the small boost.
+        big_drift: duration of a drift that earns the big boost.
+        small_lasts: duration of the small boost.
+        big_lasts: duration of the big boost.
+        release_lasts: longest time for which a kart turns on after a drift.
+        brake_lasts: duration of braking in a plan that brakes.
+    """
+
+    step: float
+    small_drift: float
+    big_drift: float
+    small_lasts: float
+    big_lasts: float
+    release_lasts: float
+    brake_lasts: float
+
+
+class MotionState(NamedTuple):
+    """Karts at a step, with what their drivers remember after they have acted.
+
+    Attributes:
+        speed: forward speed [m/s].
+        slide: speed to the right [m/s].
+        yaw: turn in the step before, positive to the right [rad].
+        turn: turn, positive to the right [fraction of full lock].
+        turn_before: turn in the step before.
+        side: side of the drift: 1 right, -1 left, 0 none.
+        steps: duration of the drift so far.
+        release: remaining time of the turn after a drift.
+        drift_turn: turn in the last step of a drift.
+        boost: remaining time of the boost of a short drift.
+        big_boost: remaining time of the boost of a long drift.
+        brake: 1 if the kart brakes.
+    """
+
+    speed: npt.NDArray[np.float32]
+    slide: npt.NDArray[np.float32]
+    yaw: npt.NDArray[np.float32]
+    turn: npt.NDArray[np.float32]
+    turn_before: npt.NDArray[np.float32]
+    side: npt.NDArray[np.float32]
+    steps: npt.NDArray[np.float32]
+    release: npt.NDArray[np.float32]
+    drift_turn: npt.NDArray[np.float32]
+    boost: npt.NDArray[np.float32]
+    big_boost: npt.NDArray[np.float32]
+    brake: npt.NDArray[np.float32]
+
+    def inputs(self, rules: MotionRules) -> npt.NDArray[np.float32]:
+        """Returns the inputs of the network, ``(..., 16)``."""
+        columns = (
+            *self._replace(steps=np.minimum(self.steps, rules.big_drift)),
+            self.side / (1.0 + self.steps),
+            self.steps >= rules.small_drift,
+            self.turn * self.side,
+            np.where(self.release > 0, self.turn, 0),
+        )
+        return np.stack([np.asarray(column, np.float32) for column in columns], axis=-1)
 
 
 _compiled = _extension()

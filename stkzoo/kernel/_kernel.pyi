@@ -197,6 +197,7 @@ def join_rows(rows: tuple[Any, ...]) -> bytes | None: ...
 def weigh_plans(
     table: tuple[npt.NDArray[Any], ...],
     rules: npt.NDArray[np.float64],
+    motion: tuple[npt.NDArray[Any], ...],
     rows: npt.NDArray[np.intp],
     karts: npt.NDArray[np.float32],
     road: npt.NDArray[np.float32],

@@ -7,7 +7,7 @@
 #include "plan_memory.h"
 #include "vectors.h"
 
-enum { MANOEUVRES = 4, BRAKE = 1, OFFSETS = 7, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
+enum { MANOEUVRES = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
 static const double PI = 3.14159265358979323846;
 
 /* What holds for all karts, in the order in which it is given. */
@@ -234,9 +234,10 @@ FORCE_INLINE void turn_right(Spots *spots, npy_intp i, float sine, float cosine)
     spots->ahead[i] = right * sine + ahead * cosine;
 }
 
-/* Where karts would be now that stood still at the earlier spots. */
-FORCE_INLINE void move_spots(const Survey *s, npy_intp kart, const Road *road, const float *velocity,
-                             Spots *stayed)
+/* Where karts would be now that stood still at the earlier spots; how far the own kart has turned
+   to the right since then. */
+FORCE_INLINE float move_spots(const Survey *s, npy_intp kart, const Road *road,
+                              const float *velocity, Spots *stayed)
 {
     const float *before = s->velocity_before.data + 2 * kart, half_step = (float)(s->rules[STEP] / 2);
     const float *spots = s->spots_before.data + 2 * s->num_rivals * kart;
@@ -244,18 +245,21 @@ FORCE_INLINE void move_spots(const Survey *s, npy_intp kart, const Road *road, c
     const float ahead = (velocity[1] + before[1]) * half_step;
     const float *headings = s->headings_before.data + s->marks * kart;
     const float way = sqrtf(right * right + ahead * ahead);
+    const float turned = turned_since(s->rules, road, headings, way);
     float sine, cosine;
-    sine_and_cosine(turned_since(s->rules, road, headings, way) * 0.5f, &sine, &cosine);
+    sine_and_cosine(turned * 0.5f, &sine, &cosine);
     for (npy_intp i = 0; i < s->num_rivals; i++) {
         stayed->right[i] = spots[2 * i], stayed->ahead[i] = spots[2 * i + 1];
         turn_right(stayed, i, sine, cosine);
         stayed->right[i] -= right, stayed->ahead[i] -= ahead;
         turn_right(stayed, i, sine, cosine);
     }
+    return turned;
 }
 
-/* The nearest karts with their speeds, from where they were in the step before. */
-FORCE_INLINE void survey_rivals(const Survey *s, npy_intp kart, Road *road)
+/* The nearest karts with their speeds, from where they were in the step before; how far the own
+   kart has turned to the right since then. */
+FORCE_INLINE float survey_rivals(const Survey *s, npy_intp kart, Road *road)
 {
     const double *rules = s->rules;
     const npy_intp num_rivals = s->num_rivals;
@@ -272,7 +276,7 @@ FORCE_INLINE void survey_rivals(const Survey *s, npy_intp kart, Road *road)
         count = add_near(nearest, count, num_rivals, &one);
     }
     Spots stayed;
-    move_spots(s, kart, road, velocity, &stayed);
+    const float turned = move_spots(s, kart, road, velocity, &stayed);
     double *out = s->out_rivals.data + 5 * num_rivals * kart;
     memset(out, 0, (size_t)(5 * num_rivals) * sizeof *out);
     for (npy_intp i = 0; i < num_rivals; i++, out += 5) {
@@ -295,6 +299,7 @@ FORCE_INLINE void survey_rivals(const Survey *s, npy_intp kart, Road *road)
         out[3] = moved[0] * place.sine + moved[1] * place.cosine - pace;
         out[4] = moved[0] * place.cosine - moved[1] * place.sine;
     }
+    return turned;
 }
 
 /* ---------------------------------------------------------------- what plans depend on */
@@ -322,7 +327,7 @@ FORCE_INLINE void survey_kart(const Survey *s, npy_intp kart)
     Road road = {.marks = marks, .line = s->line.data + 4 * (marks + 1) * kart,
                  .headings = s->headings.data + marks * kart};
     read_road(&road, rules);
-    if (s->num_rivals) survey_rivals(s, kart, &road);
+    const float turned = s->num_rivals ? survey_rivals(s, kart, &road) : 0;
     survey_items(s, kart, &road);
 
     const float speed = s->own.velocity.data[3 * kart + 2];
@@ -341,8 +346,13 @@ FORCE_INLINE void survey_kart(const Survey *s, npy_intp kart)
         remembered(s, BIG_BOOST_STEPS, kart),
         speed > (float)rules[DRIFT_SPEED] && !is_jumping && remembered(s, HOP_STEPS, kart) == 0,
         speed > (float)rules[BRAKE_SPEED],
+        s->own.velocity.data[3 * kart],
+        turned,
+        remembered(s, DRIFT_SIDE, kart),
+        remembered(s, DRIFT_COUNT, kart),
+        remembered(s, RELEASE_LEFT, kart),
     };
-    memcpy(s->out_karts.data + 11 * kart, numbers, sizeof numbers);
+    memcpy(s->out_karts.data + KART_SIZE * kart, numbers, sizeof numbers);
     s->rows.data[kart] = state_of(s, kart);
 
     const int is_cautious = remembered(s, CAUTION_STEPS, kart) > 0;
@@ -411,7 +421,7 @@ static int survey_fits(Survey *s, Doubles rules)
         {s->karts.size, 3 * s->num_karts * count},
         {s->items.size, 3 * s->num_items * count},
         {s->types.size, s->num_items * count},
-        {s->out_karts.size, 11 * count},
+        {s->out_karts.size, KART_SIZE * count},
         {s->out_road.size, 3 * marks * count},
         {s->out_items.size, 4 * s->num_kept * count},
         {s->out_rivals.size, 5 * rivals * count},

@@ -1,7 +1,9 @@
-/* The plans of karts: driven over the road ahead by a simple model of a kart, and weighed.
+/* The plans of karts: driven over the road ahead by a model of a kart, and weighed.
 
-   The formulas are those of stkzoo.kernel.reference.plan_weigher, which says what the numbers
-   are. Results agree with numpy's to the last bit where numpy uses fused multiply-adds. */
+   There are two models: arcs at constant speed, and a small network that has learned how karts
+   move. The formulas are those of stkzoo.kernel.reference.plan_weigher, which says what the
+   numbers are. Results agree with numpy's to the last bit where numpy uses fused multiply-adds;
+   those of the network do not depend on the processor. */
 
 #include "kernel.h"
 #include "vectors.h"
@@ -17,6 +19,9 @@
 
 enum { MANOEUVRES = 4, BRAKE = 1, ITEM_LANES = 2 };
 static const float NEVER = -1e4f;
+/* The largest turn in a step [rad], and the lowest speed [m/s], of the network's plans. */
+static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
+
 
 /* The plans of all states, in the order in which they are given. */
 typedef struct {
@@ -37,8 +42,45 @@ enum {
 /* A kart's own numbers, in the order in which they are given. */
 typedef struct {
     float speed, lock, reach, turn, drift_turn, offset, angle, boost_steps, big_boost_steps;
-    float may_drift, may_brake;
+    float may_drift, may_brake, slide, yaw, drift_side, drift_steps, release_steps;
 } PlanKart;
+enum { KART_SIZE = sizeof(PlanKart) / sizeof(float) };
+
+/* Numbers of a vector, the vectors whose sums are kept in registers for as many units, and the
+   plans of a block. */
+#ifdef __GNUC__
+typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
+#else
+typedef float Lanes;
+#endif
+enum { LANES = sizeof(Lanes) / sizeof(float), VECTORS = 2, UNITS = 4, BLOCK = VECTORS * LANES };
+
+/* What the network sees of a plan at a step, and what it says. */
+enum {
+    SEEN_SPEED, SEEN_SLIDE, SEEN_YAW, SEEN_TURN, SEEN_TURN_BEFORE, SEEN_SIDE, SEEN_DRIFT_STEPS,
+    SEEN_RELEASE, SEEN_DRIFT_TURN, SEEN_BOOST, SEEN_BIG_BOOST, SEEN_BRAKE, SEEN_DRIFT_BEGIN,
+    SEEN_EARNED, SEEN_INWARDS, SEEN_RELEASED_TURN, NUM_SEEN
+};
+enum { NEXT_YAW, MORE_SPEED, MORE_SLIDE, NUM_NEXT };
+enum { LAYERS = 3, MOST_UNITS = 64 };
+
+/* The network: (outputs, inputs) and (outputs,) of each layer; without layers, karts drive arcs. */
+typedef struct {
+    Floats matrices[LAYERS], biases[LAYERS];
+    npy_intp units[LAYERS + 1];
+} Network;
+
+/* The rules of the network, in the order in which they are given. */
+enum {
+    MOTION_STEP, SMALL_DRIFT, BIG_DRIFT, SMALL_LASTS, BIG_LASTS, RELEASE_LASTS, BRAKE_LASTS,
+    NUM_MOTION_RULES
+};
+
+/* Plans in motion, (C,) each. */
+typedef struct {
+    float *speed, *slide, *yaw, *side, *steps, *release, *boost, *big_boost, *turn;
+    float *seen, *hidden[2], *next; /* (units, C) */
+} Motion;
 
 typedef struct {
     double along, across, worth, radius;
@@ -60,6 +102,12 @@ typedef struct {
     float *bends, *curves, *first_rooms;      /* (C,) of the road where a moment begins */
     npy_int32 *places;                        /* (C,) */
     float *ends;                              /* (T,) of the moments */
+    const Network *network;
+    const double *motion_rules;
+    npy_intp driven; /* the plans of the kart's state are among the first ones */
+    npy_intp stride; /* the plans, rounded up to whole blocks */
+    float *along_now, *across_now; /* (C,) */
+    Motion motion;
 } Forecast;
 
 /* One moment of all plans, from where the moment before it ended. */
@@ -128,15 +176,193 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
 /* The road where all plans are; apart, because compilers do not look numbers up side by side. */
 static void look_up(const Forecast *f, const float *road, float *rooms)
 {
-    for (npy_intp i = 0; i < f->plans; i++) {
+    for (npy_intp i = 0; i < f->driven; i++) {
         const float *mark = road + f->places[i];
         f->bends[i] = mark[0], rooms[i] = mark[f->marks], f->curves[i] = mark[2 * f->marks];
     }
 }
 
-/* All moments of all plans. */
+/* ---------------------------------------------------------------- plans driven by the network */
+
+/* Some units of a layer for a block of plans. A sum is in the order of the inputs. */
+FORCE_INLINE void sum_units(const float *matrix, const float *bias, npy_intp inputs,
+                            const float *in, npy_intp stride, int is_last, float *out,
+                            const int units)
+{
+    Lanes sums[UNITS][VECTORS];
+    for (int u = 0; u < units; u++) {
+        for (int v = 0; v < VECTORS; v++) sums[u][v] = (Lanes){0} + bias[u];
+    }
+    for (npy_intp i = 0; i < inputs; i++) {
+        const Lanes *column = (const Lanes *)(in + i * stride);
+        for (int u = 0; u < units; u++) {
+            for (int v = 0; v < VECTORS; v++) sums[u][v] += matrix[u * inputs + i] * column[v];
+        }
+    }
+    for (int u = 0; u < units; u++) {
+        float *own = out + u * stride;
+        memcpy(own, sums[u], sizeof sums[u]);
+        for (int i = 0; i < BLOCK && !is_last; i++) own[i] = own[i] > 0 ? own[i] : 0;
+    }
+}
+
+/* What the network says about what it sees, for all plans. */
+FORCE_INLINE void infer(const Forecast *f)
+{
+    const Network *network = f->network;
+    const Motion *m = &f->motion;
+    const float *ins[LAYERS] = {m->seen, m->hidden[0], m->hidden[1]};
+    float *outs[LAYERS] = {m->hidden[0], m->hidden[1], m->next};
+    for (npy_intp block = 0; block < f->driven; block += BLOCK) {
+        for (int n = 0; n < LAYERS; n++) {
+            const npy_intp inputs = network->units[n], outputs = network->units[n + 1];
+            const float *matrix = network->matrices[n].data, *bias = network->biases[n].data;
+            const float *in = ins[n] + block;
+            npy_intp unit = 0;
+            for (; unit + UNITS <= outputs; unit += UNITS) {
+                sum_units(matrix + unit * inputs, bias + unit, inputs, in, f->stride,
+                          n + 1 == LAYERS, outs[n] + unit * f->stride + block, UNITS);
+            }
+            for (; unit < outputs; unit++) {
+                sum_units(matrix + unit * inputs, bias + unit, inputs, in, f->stride,
+                          n + 1 == LAYERS, outs[n] + unit * f->stride + block, 1);
+            }
+        }
+    }
+}
+
+/* What the network sees at a step, after what the driver would remember of the plan. */
+FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp moment,
+                               npy_intp step)
+{
+    const Table *t = f->table;
+    const Motion *m = &f->motion;
+    const double *rules = f->motion_rules;
+    const npy_intp in_table = f->row * f->moments + moment * f->plans, stride = f->stride;
+    const float *least = t->least.data + in_table, *most = t->most.data + in_table;
+    const float *drifts = t->drifts.data + in_table, *lanes = t->lanes.data + in_table;
+    const npy_intp *manoeuvres = t->manoeuvres.data + f->row;
+    const float pull = 2.0f / (kart->reach * kart->reach * kart->lock), reach = kart->reach;
+    const float small = (float)rules[SMALL_DRIFT], big = (float)rules[BIG_DRIFT];
+    const float small_lasts = (float)rules[SMALL_LASTS], big_lasts = (float)rules[BIG_LASTS];
+    const float most_release = (float)rules[RELEASE_LASTS], aged = step ? 1.0f : 0;
+    const int is_braking = (double)step < rules[BRAKE_LASTS];
+    const float *across = f->across_now, *angles = f->angle, *extra = f->extra;
+    const float *bends = f->bends, *rooms = f->first_rooms, *speeds = m->speed;
+    float *last_turns = f->last_turn, *sides = m->side, *all_steps = m->steps;
+    float *releases = m->release, *boosts = m->boost, *big_boosts = m->big_boost;
+    float *turns_before = m->turn, *seen = m->seen, *turns = f->turns;
+    NO_OVERLAP
+    for (npy_intp i = 0; i < f->driven; i++) {
+        float turn = (lanes[i] * rooms[i] + extra[i] - across[i] + bends[i] - angles[i] * reach) *
+                     (speeds[i] * pull);
+        turn = turn > least[i] ? turn : least[i];
+        turn = turn < most[i] ? turn : most[i];
+        const float middle = least[i] + most[i];
+        const float side = drifts[i] > 0 ? (middle > 0 ? 1.0f : middle < 0 ? -1.0f : 0) : 0;
+        const float side_before = sides[i], driven = all_steps[i];
+        const int ends = side_before != 0 && side == 0, begins = side != 0 && side_before == 0;
+        float release = releases[i] - aged, boost = boosts[i] - aged, big_boost = big_boosts[i] - aged;
+        release = release > 0 ? release : 0;
+        boost = boost > 0 ? boost : 0;
+        big_boost = big_boost > 0 ? big_boost : 0;
+        boost = ends && driven >= small && driven < big ? small_lasts : boost;
+        big_boost = ends && driven >= big ? big_lasts : big_boost;
+        release = ends ? (driven < most_release ? driven : most_release) : release;
+        const float steps = side != 0 ? (begins ? 0 : driven) + 1.0f : 0;
+        const float last_turn = side != 0 ? turn : last_turns[i];
+        sides[i] = side, all_steps[i] = steps, releases[i] = release;
+        boosts[i] = boost, big_boosts[i] = big_boost, last_turns[i] = last_turn;
+        turns[i] = step ? turns[i] : turn;
+        seen[SEEN_SPEED * stride + i] = speeds[i];
+        seen[SEEN_SLIDE * stride + i] = m->slide[i];
+        seen[SEEN_YAW * stride + i] = m->yaw[i];
+        seen[SEEN_TURN * stride + i] = turn;
+        seen[SEEN_TURN_BEFORE * stride + i] = turns_before[i];
+        seen[SEEN_SIDE * stride + i] = side;
+        seen[SEEN_DRIFT_STEPS * stride + i] = steps < big ? steps : big;
+        seen[SEEN_RELEASE * stride + i] = release;
+        seen[SEEN_DRIFT_TURN * stride + i] = last_turn;
+        seen[SEEN_BOOST * stride + i] = boost;
+        seen[SEEN_BIG_BOOST * stride + i] = big_boost;
+        seen[SEEN_BRAKE * stride + i] = is_braking && manoeuvres[i] == BRAKE ? 1.0f : 0;
+        seen[SEEN_DRIFT_BEGIN * stride + i] = side / (1.0f + steps);
+        seen[SEEN_EARNED * stride + i] = steps >= small ? 1.0f : 0;
+        seen[SEEN_INWARDS * stride + i] = turn * side;
+        seen[SEEN_RELEASED_TURN * stride + i] = release > 0 ? turn : 0;
+        turns_before[i] = turn;
+    }
+}
+
+/* Moves all plans by a step, as the network says. */
+FORCE_INLINE void move_plans(const Forecast *f)
+{
+    const Motion *m = &f->motion;
+    const float half = (float)(0.5 * f->motion_rules[MOTION_STEP]);
+    const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
+    const float last_mark = (float)(f->marks - 1);
+    const float *next_yaws = m->next + NEXT_YAW * f->stride;
+    const float *more_speeds = m->next + MORE_SPEED * f->stride;
+    const float *more_slides = m->next + MORE_SLIDE * f->stride, *curves = f->curves;
+    float *speeds = m->speed, *slides = m->slide, *yaws = m->yaw, *angles = f->angle;
+    float *along = f->along_now, *across = f->across_now;
+    npy_int32 *places = f->places;
+    NO_OVERLAP
+    for (npy_intp i = 0; i < f->driven; i++) {
+        float yaw = next_yaws[i] < MOST_YAW ? next_yaws[i] : MOST_YAW;
+        yaw = yaw > -MOST_YAW ? yaw : -MOST_YAW;
+        float speed = speeds[i] + more_speeds[i];
+        speed = speed > LEAST_SPEED ? speed : LEAST_SPEED;
+        const float slide = slides[i] + more_slides[i];
+        const float ahead = half * (speeds[i] + speed), aside = half * (slides[i] + slide);
+        float sine, cosine;
+        sine_and_cosine(angles[i] + 0.5f * yaw, &sine, &cosine);
+        /* along the road the inner side of a curve is the shorter one */
+        const float inner = 1.0f - across[i] * curves[i];
+        const float way = (ahead * cosine - aside * sine) / (inner > 0.3f ? inner : 0.3f);
+        along[i] = along[i] + way;
+        across[i] = across[i] + (ahead * sine + aside * cosine);
+        angles[i] = angles[i] + (yaw - way * curves[i]);
+        speeds[i] = speed, slides[i] = slide, yaws[i] = yaw;
+        float next = along[i] * per_mark; /* which may be too large for a whole number, or NaN */
+        next = next > 0 ? next : 0;
+        places[i] = (npy_int32)(next < last_mark ? next : last_mark);
+    }
+}
+
+/* All moments of all plans, step by step. */
 FOR_ALL_PROCESSORS
-static void drive(const Forecast *f, const PlanKart *kart, const float *road)
+static void drive_by_network(const Forecast *f, const PlanKart *kart, const float *road)
+{
+    const Motion *m = &f->motion;
+    const npy_intp driven = f->driven;
+    const size_t size = (size_t)driven * sizeof(float);
+    for (npy_intp i = 0; i < driven; i++) {
+        f->along_now[i] = 0, f->across_now[i] = kart->offset;
+        m->speed[i] = kart->speed, m->slide[i] = kart->slide, m->yaw[i] = kart->yaw;
+        m->side[i] = kart->drift_side, m->steps[i] = kart->drift_steps;
+        m->release[i] = kart->release_steps, m->turn[i] = kart->turn;
+        m->boost[i] = kart->boost_steps, m->big_boost[i] = kart->big_boost_steps;
+    }
+    look_up(f, road, f->first_rooms);
+    npy_intp step = 0;
+    for (npy_intp moment = 0; moment < f->moments; moment++) {
+        const float end = f->ends[moment] - (float)(0.5 * f->motion_rules[MOTION_STEP]);
+        for (; (float)step * (float)f->motion_rules[MOTION_STEP] < end; step++) {
+            look_at_step(f, kart, moment, step);
+            infer(f);
+            move_plans(f);
+            look_up(f, road, f->first_rooms);
+        }
+        memcpy(f->along + moment * f->plans, f->along_now, size);
+        memcpy(f->across + moment * f->plans, f->across_now, size);
+        memcpy(f->ahead + moment * f->plans, f->first_rooms, size);
+    }
+}
+
+/* All moments of all plans, in arcs. */
+FOR_ALL_PROCESSORS
+static void drive_arcs(const Forecast *f, const PlanKart *kart, const float *road)
 {
     look_up(f, road, f->first_rooms);
     for (npy_intp moment = 0; moment < f->moments; moment++) {
@@ -270,19 +496,29 @@ static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_kart
     }
 }
 
+/* How many of the first plans of a state contain all that exist. */
+static npy_intp plans_of(const Forecast *f)
+{
+    npy_intp plans = f->plans;
+    while (plans && f->table->manoeuvres.data[f->row + plans - 1] < 0) plans--;
+    return plans;
+}
+
 /* Drives and weighs the plans of one kart. */
-static void weigh(const Forecast *f, const PlanKart *kart, const float *road,
+static void weigh(Forecast *f, const PlanKart *kart, const float *road,
                   const RoadItem *items, npy_intp num_items, const RoadRival *rivals,
                   npy_intp num_rivals)
 {
     const npy_intp plans = f->plans;
+    f->driven = f->network->units[0] ? plans_of(f) : plans;
     set_item_lanes(f, items, num_items);
     for (npy_intp i = 0; i < plans; i++) {
         f->angle[i] = kart->angle;
         f->last_turn[i] = kart->drift_turn;
         f->places[i] = 0;
     }
-    drive(f, kart, road);
+    if (f->network->units[0]) drive_by_network(f, kart, road);
+    else drive_arcs(f, kart, road);
     weigh_danger(f, kart);
     const float *along = f->along + (f->moments - 1) * plans;
     const float angle_cost = (float)f->rules[ANGLE_COST];
@@ -327,37 +563,74 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
     return fits ? 0 : refuse("the arrays of the table do not fit together");
 }
 
+/* The network and its rules; an empty tuple is none. */
+static int read_motion(PyObject *tuple, Network *network, Doubles *rules)
+{
+    *network = (Network){.units = {0}};
+    if (!PyTuple_GET_SIZE(tuple)) return 0;
+    Floats *matrices = network->matrices, *biases = network->biases;
+    if (!PyArg_ParseTuple(tuple, "O&O&O&O&O&O&O&", as_doubles, rules, as_floats, &matrices[0],
+                          as_floats, &biases[0], as_floats, &matrices[1], as_floats, &biases[1],
+                          as_floats, &matrices[2], as_floats, &biases[2])) {
+        return -1;
+    }
+    network->units[0] = NUM_SEEN;
+    for (int n = 0; n < LAYERS; n++) {
+        const npy_intp units = network->units[n + 1] = biases[n].size;
+        if (units < 1 || units > MOST_UNITS || matrices[n].size != units * network->units[n]) {
+            return refuse("the layers of the network do not fit together");
+        }
+    }
+    if (network->units[LAYERS] != NUM_NEXT) return refuse("the network has other outputs");
+    const int fits = rules->size == NUM_MOTION_RULES && rules->data[MOTION_STEP] >= 0.01;
+    return fits ? 0 : refuse("the rules of the network are wrong");
+}
+
 /* Room for a forecast, all of it in one block; NULL with an exception set if there is none. */
 static void *make_room(Forecast *f)
 {
-    const size_t plans = (size_t)f->plans, all = plans * (size_t)f->moments;
-    float *block = PyMem_Malloc((3 * all + 11 * plans + (size_t)f->moments) * sizeof(float));
+    const npy_intp *units = f->network->units;
+    const size_t plans = (size_t)((f->plans + BLOCK - 1) / BLOCK * BLOCK);
+    const size_t all = (size_t)f->plans * (size_t)f->moments;
+    const size_t num_units = (size_t)(units[0] + units[1] + units[2] + units[3]);
+    Motion *m = &f->motion;
+    float **columns[] = {
+        &f->angle,     &f->last_turn,  &f->turns,   &f->extra,   &f->danger,    &f->worth,
+        &f->gain,      &f->bends,      &f->curves,  &f->first_rooms,
+        &f->along_now, &f->across_now, &m->speed,   &m->slide,   &m->yaw,       &m->side,
+        &m->steps,     &m->release,    &m->boost,   &m->big_boost, &m->turn,
+    };
+    const size_t num_columns = sizeof columns / sizeof *columns;
+    float *block = PyMem_Calloc(3 * all + (num_columns + 1 + num_units) * plans + (size_t)f->moments,
+                                sizeof *block);
     if (!block) return PyErr_NoMemory();
+    f->stride = (npy_intp)plans;
     f->along = block, f->across = f->along + all, f->ahead = f->across + all;
-    float **columns[] = {&f->angle,  &f->last_turn, &f->turns, &f->extra,  &f->danger,
-                         &f->worth,  &f->gain,      &f->bends, &f->curves, &f->first_rooms};
     float *next = f->ahead + all;
-    for (size_t i = 0; i < sizeof columns / sizeof *columns; i++, next += plans) *columns[i] = next;
+    for (size_t i = 0; i < num_columns; i++, next += plans) *columns[i] = next;
+    float **layers[] = {&m->seen, &m->hidden[0], &m->hidden[1], &m->next};
+    for (int n = 0; n <= LAYERS; n++) *layers[n] = next, next += (size_t)units[n] * plans;
     f->places = (npy_int32 *)next, f->ends = next + plans;
     const float *spans = f->table->spans.data;
     for (npy_intp i = 0; i < f->moments; i++) f->ends[i] = spans[i] + (i ? f->ends[i - 1] : 0);
     return block;
 }
 
-/* weigh_plans(table, rules, rows, karts, road, items, rivals, out) */
+/* weigh_plans(table, rules, motion, rows, karts, road, items, rivals, out) */
 PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    PyObject *tuple;
+    PyObject *tuple, *motion;
     Table table;
+    Network network;
     Forecast forecast;
-    Doubles rules, item_numbers, rival_numbers;
+    Doubles rules, motion_rules = {0}, item_numbers, rival_numbers;
     Indices rows;
     Floats kart_numbers, road, out;
-    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O&O&O&", &PyTuple_Type, &tuple, as_doubles, &rules,
-                          as_indices, &rows, as_floats, &kart_numbers, as_floats, &road,
+    if (!PyArg_ParseTuple(args, "O!O&O!O&O&O&O&O&O&", &PyTuple_Type, &tuple, as_doubles, &rules,
+                          &PyTuple_Type, &motion, as_indices, &rows, as_floats, &kart_numbers, as_floats, &road,
                           as_doubles, &item_numbers, as_doubles, &rival_numbers,
                           as_written_floats, &out) ||
-        read_table(tuple, &table, &forecast) < 0) {
+        read_table(tuple, &table, &forecast) < 0 || read_motion(motion, &network, &motion_rules) < 0) {
         return NULL;
     }
     const npy_intp count = rows.size;
@@ -365,7 +638,7 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
     const npy_intp num_items = item_numbers.size / (4 * count);
     const npy_intp num_rivals = rival_numbers.size / (5 * count);
     forecast.marks = road.size / (3 * count);
-    if (rules.size != NUM_RULES || kart_numbers.size != 11 * count ||
+    if (rules.size != NUM_RULES || kart_numbers.size != KART_SIZE * count ||
         road.size != 3 * count * forecast.marks || forecast.marks < 1 ||
         item_numbers.size != 4 * count * num_items ||
         rival_numbers.size != 5 * count * num_rivals || out.size != 3 * MANOEUVRES * count) {
@@ -378,6 +651,7 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
     const RoadItem *items = (const RoadItem *)item_numbers.data;
     const RoadRival *rivals = (const RoadRival *)rival_numbers.data;
     forecast.rules = rules.data;
+    forecast.network = &network, forecast.motion_rules = motion_rules.data;
     void *block = make_room(&forecast);
     if (!block) return NULL;
     for (npy_intp i = 0; i < count; i++) {

@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from stkzoo import RaceVectorEnv, kernel, race_v0
+from stkzoo.agents.planning.motion import learned_motion
 from stkzoo.drivers import codec
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, KART_DTYPE
 from stkzoo.engine.track import decode_track
@@ -86,8 +87,15 @@ def cases():
         codec.decode(codec.encode((np.arange(3.0), np.arange(3.0))))
         for cache in (decode_track, racing_view_of, _writer):
             cache.cache_clear()
-    plans = (*random_arguments(0, count=2), np.empty((3, 2, 4), np.float32))
-    kept["weigh_plans"] = [(plans, {}, None, ())]
+    kept["weigh_plans"] = [
+        (
+            (*random_arguments(0, count=2, motion=motion), np.empty((3, 2, 4), np.float32)),
+            {},
+            None,
+            (),
+        )
+        for motion in ((), learned_motion())
+    ]
     kept["survey_road"] = [(scene_arguments(0, count=2), {}, None, ())]
     kept["age_memory"] = [(age_arguments(0, count=2), {}, None, ())]
     kept["write_memory"] = [(write_arguments(0, count=2), {}, None, ())]

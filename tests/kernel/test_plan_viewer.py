@@ -68,7 +68,7 @@ def scene_arguments(seed, count=60, num_karts=6, num_items=14, rivals=RIVALS):
     now = np.empty_like(spots), np.empty((count, 2), np.float32)
     out = (
         np.empty(count, np.intp),
-        np.empty((count, 11), np.float32),
+        np.empty((count, 16), np.float32),
         np.empty((count, 3, MARK_COUNT), np.float32),
         np.empty((count, ITEMS, 4)),
         np.empty((count, rivals, 5)),

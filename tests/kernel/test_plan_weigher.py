@@ -5,6 +5,7 @@ import pytest
 
 from stkzoo import kernel
 from stkzoo.agents.planning.kart import DRIFT_TURN, RELEASE_STEPS
+from stkzoo.agents.planning.motion import learned_motion
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, LONGEST_DRIFT, plan_table
 from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
@@ -15,6 +16,13 @@ from stkzoo.kernel.reference.road_ahead import RoadAhead
 
 RADIUS, LOCK, SPEED, REACH = 60.0, 1.45, 25.0, 12.0
 RULES = DriverParameters()
+#: Drift side, drift steps and release steps of all states in the table.
+STATES = np.array(
+    [
+        *((0, 0, left) for left in range(RELEASE_STEPS + 1)),
+        *((side, steps, 0) for side in (-1, 1) for steps in range(LONGEST_DRIFT + 1)),
+    ]
+)
 
 
 def road_of(x, z, half_width=6.0):
@@ -40,21 +48,31 @@ class Ways:
         changes: lanes between which plans change.
         state: drift side, drift steps and release steps.
         items: how far across the road the next good items are [m].
+        motion: the network of the karts' motion, or nothing.
     """
 
-    def __init__(self, road, *, changes=RULES.lane_changes, state=(0, 0, 0), items=(0.0, 0.0)):
+    def __init__(
+        self,
+        road,
+        *,
+        changes=RULES.lane_changes,
+        state=(0, 0, 0),
+        items=(0.0, 0.0),
+        motion=(),
+    ):
         table = plan_table(changes)
         rows = table_rows(*(np.array([number]) for number in state), (RELEASE_STEPS, LONGEST_DRIFT))
         (offset,), (angle,) = road.offset, road.angle
-        kart = [SPEED, LOCK, REACH, 0, 0, offset, angle, 0, 0, 1, 1]
+        kart = [SPEED, LOCK, REACH, 0, 0, offset, angle, 0, 0, 1, 1, 0, 0, *state]
         columns = np.zeros((1, 2, 4))
         columns[0, :, 1], columns[0, :, 2] = items, 1.0
         room = road.half_widths - 1.0
         marks = np.empty((1, 3, MARK_COUNT), np.float32)
         write_road(road, np.array([REACH], np.float32), room, marks)
         karts = np.array([kart], np.float32)
-        self.along, self.across, _, _, turns = plan_weigher.drive_plans(
-            table, plan_rules(RULES).costs, rows, karts, marks, columns
+        drive = plan_weigher.drive_by_network if motion else plan_weigher.drive_arcs
+        self.along, self.across, _, _, turns = drive(
+            table, plan_rules(RULES).costs, motion, rows, karts, marks, columns
         )
         exists = table.manoeuvres[rows[0]] >= 0
         self.along, self.across = self.along[:, 0, exists], self.across[:, 0, exists]
@@ -120,7 +138,23 @@ def test_a_drift_turns_at_least_so_much(side):
     assert (turns <= DRIFT_TURN[1] + 1e-6).all()
 
 
-def random_arguments(seed, count=9):
+def test_the_network_knows_that_boosts_are_faster_and_brakes_slower():
+    ways = Ways(straight_road(), state=(1, 11, 0), motion=learned_motion())
+    boosted = ways.free & (ways.lanes[0] == 0)  # ends a drift that has earned a boost
+    assert ways.along[-1, ways.boosts == 0].max() > SPEED * 2.0
+    assert ways.along[-1, ways.manoeuvres == BRAKE].max() < SPEED * 1.9
+    assert boosted.sum() <= 1
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_network_drifts_to_the_side_of_the_drift(side):
+    ways = Ways(straight_road(), state=(side, 3, 0), motion=learned_motion())
+    drifting = ways.drifts[:4].all(axis=0)
+    assert drifting.any()
+    assert (ways.across[3, drifting] * side > 0).all()
+
+
+def random_arguments(seed, count=9, motion=()):
     """Karts in all states, between items and rivals, on roads that bend."""
     chance = np.random.default_rng(seed)
     rules = plan_rules(RULES).costs
@@ -135,6 +169,8 @@ def random_arguments(seed, count=9):
             draw(count, 4, low=[-1, -0.8, -6, -0.8], high=[1, 0.8, 6, 0.8]),
             draw(count, 2, low=0, high=45),
             chance.integers(0, 2, (count, 2)),
+            draw(count, 2, low=[-2, -0.2], high=[2, 0.2]),
+            np.zeros((count, 3)),
         ],
         axis=1,
     ).astype(np.float32)
@@ -145,27 +181,46 @@ def random_arguments(seed, count=9):
     rivals[..., 0] = rivals[..., 0] > 0
     rivals[..., 2:] = rivals[..., 2:].astype(np.float32)
     rows = chance.integers(0, len(table.lanes), count)
-    return table, rules, rows, karts, road.astype(np.float32), items, rivals
+    side, steps, release = STATES[rows % len(STATES)].T
+    karts[:, 13:] = np.stack([side, steps, release], axis=1)
+    rows = table_rows(side, steps, release, (RELEASE_STEPS, LONGEST_DRIFT))
+    return table, rules, motion, rows, karts, road.astype(np.float32), items, rivals
 
 
 @pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize("seed", range(20))
 def test_the_kernel_weighs_as_its_twin(seed):
     arguments = random_arguments(seed)
-    ours, theirs = (np.empty((3, len(arguments[2]), 4), np.float32) for _ in range(2))
-    kernel.weigh_plans(*arguments, ours)
-    plan_weigher.weigh_plans(*arguments, theirs)
+    ours, theirs = weighed_by_both(arguments)
     np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-4)
 
 
+@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+@pytest.mark.parametrize("seed", range(20))
+def test_the_kernel_drives_by_the_network_as_its_twin(seed):
+    ours, theirs = weighed_by_both(random_arguments(seed, motion=learned_motion()))
+    np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-4, atol=1e-2)
+    # where two plans are worth the same to the last digits, either may be the best
+    assert np.isclose(ours[1:], theirs[1:], rtol=1e-3, atol=1e-2).mean() > 0.95
+
+
+def weighed_by_both(arguments):
+    """The results of the kernel and of its twin."""
+    ours, theirs = (np.empty((3, len(arguments[3]), 4), np.float32) for _ in range(2))
+    kernel.weigh_plans(*arguments, ours)
+    plan_weigher.weigh_plans(*arguments, theirs)
+    return ours, theirs
+
+
+@pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
 @pytest.mark.parametrize("weigh", [kernel.weigh_plans, plan_weigher.weigh_plans])
-def test_a_kart_is_weighed_alone_as_among_others(weigh):
-    table, rules, *of_karts = random_arguments(0)
+def test_a_kart_is_weighed_alone_as_among_others(weigh, motion):
+    table, rules, _, *of_karts = random_arguments(0)
     together = np.empty((3, len(of_karts[0]), 4), np.float32)
-    weigh(table, rules, *of_karts, together)
+    weigh(table, rules, motion, *of_karts, together)
     for kart in range(len(of_karts[0])):
         alone = np.empty((3, 1, 4), np.float32)
-        weigh(table, rules, *(array[kart : kart + 1] for array in of_karts), alone)
+        weigh(table, rules, motion, *(array[kart : kart + 1] for array in of_karts), alone)
         assert (alone[:, 0] == together[:, kart]).all()
 
 
@@ -175,11 +230,16 @@ def test_a_kart_is_weighed_alone_as_among_others(weigh):
     [
         (0, (), TypeError),
         (1, np.zeros(3), ValueError),
-        (2, np.array([10_000]), IndexError),
-        (3, np.zeros((1, 3), np.float32), ValueError),
-        (4, np.zeros((1, 3, 36)), TypeError),
-        (5, np.zeros(7), ValueError),
-        (7, np.zeros((3, 1, 4)), TypeError),
+        (2, learned_motion()[:-1], TypeError),
+        (2, (np.zeros(3), *learned_motion()[1:]), ValueError),
+        (2, (*learned_motion()[:-1], np.zeros(4, np.float32)), ValueError),
+        (2, (learned_motion()[0], *learned_motion()[3:], *learned_motion()[1:3]), ValueError),
+        (2, (0 * learned_motion()[0], *learned_motion()[1:]), ValueError),
+        (3, np.array([10_000]), IndexError),
+        (4, np.zeros((1, 3), np.float32), ValueError),
+        (5, np.zeros((1, 3, 36)), TypeError),
+        (6, np.zeros(7), ValueError),
+        (8, np.zeros((3, 1, 4)), TypeError),
     ],
 )
 def test_the_kernel_refuses_arrays_that_do_not_fit(place, value, error):

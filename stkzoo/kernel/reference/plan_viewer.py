@@ -112,8 +112,9 @@ def survey_road(
     rows, kart_columns, road_columns, item_columns, rival_columns, scene = out
     road = RoadAhead.of(line, headings, known.mark_spacing)
     headings[:] = road.headings
+    turned = np.zeros(len(rows), np.float32)
     if rival_columns.shape[1]:
-        rival_columns[:] = _rivals(karts, state.velocity, road, before, now, known)
+        turned, rival_columns[:] = _rivals(karts, state.velocity, road, before, now, known)
     item_columns[:] = _items(road, items, types, worths, state, item_columns.shape[1], known)
     speed = state.velocity[:, 2]
     assumed = np.maximum(speed, known.slowest)
@@ -131,6 +132,11 @@ def survey_road(
         remembered.big_boost_steps,
         (speed > known.drift_speed) & ~is_jumping & (remembered.hop_steps == 0),
         speed > known.brake_speed,
+        state.velocity[:, 0],
+        turned,
+        remembered.drift_side,
+        remembered.drift_steps,
+        remembered.release_steps,
     )
     for number, column in enumerate(columns):
         kart_columns[:, number] = column
@@ -235,15 +241,19 @@ def _rivals(
     before: Arrays,
     now: Arrays,
     rules: _ViewRules,
-) -> DoubleArray:
-    """Returns the nearest karts, nearest first, ``(A, R, 5)``, and writes ``now``."""
+) -> tuple[FloatArray, DoubleArray]:
+    """Returns the turn since the last step and the nearest karts; writes ``now``.
+
+    Returns:
+        ``(A,)``, positive to the right [rad], and ``(A, R, 5)``, nearest first.
+    """
     near, own = now
     spots, is_there = _nearest(karts, near.shape[1], rules)
     at = road.place(spots)
     is_there &= np.abs(at.above) < rules.level
     near[:] = np.where(is_there[..., None], spots[..., ::2], rules.nowhere)
     own[:] = velocity[:, ::2]
-    moved = _moved(road, before, near, own, rules)
+    turned, moved = _moved(road, before, near, own, rules)
     is_known = is_there & (_length(moved) < rules.fastest)
     sines, cosines = np.sin(at.headings), np.cos(at.headings)
     gain = moved[..., 0] * sines + moved[..., 1] * cosines - _length(own)[:, None]
@@ -254,13 +264,17 @@ def _rivals(
     columns[..., 2] = np.where(is_there, at.across, 0)
     columns[..., 3] = np.where(is_known, gain, 0)
     columns[..., 4] = np.where(is_known, drift, 0)
-    return columns
+    return turned, columns
 
 
 def _moved(
     road: RoadAhead, before: Arrays, near: FloatArray, own: FloatArray, rules: _ViewRules
-) -> FloatArray:
-    """Returns velocities of nearby karts, right and forward, ``(A, R, 2)`` [m/s]."""
+) -> tuple[FloatArray, FloatArray]:
+    """Returns the turn since the last step and velocities of nearby karts.
+
+    Returns:
+        ``(A,)``, positive to the right [rad], and ``(A, R, 2)``, right and forward [m/s].
+    """
     spots, velocity, headings = before
     way = (own + velocity) * np.float32(rules.step / 2)
     turned = road.turned_since(headings, _length(way), rules.most_turned)
@@ -272,7 +286,7 @@ def _moved(
     strangeness = np.abs(moved - own[:, None, None]).sum(-1)
     same = strangeness.argmin(axis=2)
     found: FloatArray = moved[np.arange(len(same))[:, None], np.arange(same.shape[1]), same]
-    return found
+    return turned, found
 
 
 def _length(vectors: FloatArray) -> FloatArray:

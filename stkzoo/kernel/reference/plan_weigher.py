@@ -1,4 +1,4 @@
-"""The twin of ``plan_weigher.c``: plans driven by a simple model of a kart, and weighed."""
+"""The twin of ``plan_weigher.c``: plans driven by a model of a kart, and weighed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import PlanTable
+from stkzoo.kernel import MotionRules, MotionState, PlanTable
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
@@ -18,6 +18,8 @@ Arrays = tuple[npt.NDArray[Any], ...]
 _MANOEUVRES, _BRAKE = 4, 1
 #: The worth of a manoeuvre that no plan begins with.
 _NEVER = -1e4
+#: The largest turn in a step [rad], and the lowest speed [m/s], of the network's plans.
+_MOST_YAW, _LEAST_SPEED = np.float32(0.4), np.float32(2.0)
 
 
 class _Rules(NamedTuple):
@@ -47,6 +49,7 @@ class _Rules(NamedTuple):
 def weigh_plans(
     table: Arrays,
     rules: DoubleArray,
+    motion: Arrays,
     rows: IntArray,
     karts: FloatArray,
     road: FloatArray,
@@ -61,11 +64,17 @@ def weigh_plans(
     Args:
         table: the plans of all states, in the order of :class:`~stkzoo.kernel.PlanTable`.
         rules: ``(19,)``: what holds for all karts, in the order of ``_Rules``.
+        motion: empty for karts that drive arcs at constant speed; else ``(7,)`` float64 in the
+            order of :class:`~stkzoo.kernel.MotionRules`, and three layers of a network,
+            ``(outputs, inputs)`` and ``(outputs,)`` each, with rectified linear units between
+            them. It maps :meth:`~stkzoo.kernel.MotionState.inputs` to the turn to the right in a
+            step [rad] and the changes of the speed ahead and to the right [m/s].
         rows: ``(A,)``: the karts' states.
-        karts: ``(A, 11)``: speed [m/s], turn at full lock [rad/s], how far ahead it aims [m],
+        karts: ``(A, 16)``: speed [m/s], turn at full lock [rad/s], how far ahead it aims [m],
             share of full lock of the last step and of the last drift, distance from the middle of
             the road [m], angle to it [rad], how much longer a small and a big boost last [steps],
-            whether it may drift, whether it may brake.
+            whether it may drift, whether it may brake, speed to the right [m/s], turn in the last
+            step [rad], side and duration of a drift, remaining turn after a drift [steps].
         road: ``(A, 3, M)`` at marks: how far the road bends aside within that distance [m], how
             far from its middle karts may be [m], its curvature [1/m].
         items: ``(A, I, 4)``, nearest first: along the road, across it, worth, radius [m].
@@ -75,7 +84,8 @@ def weigh_plans(
             share of full lock that it turns by now, and what it costs beyond the edge of the road
             [m].
     """
-    along, across, ahead, angles, turns = drive_plans(table, rules, rows, karts, road, items)
+    drive = drive_by_network if motion else drive_arcs
+    along, across, ahead, angles, turns = drive(table, rules, motion, rows, karts, road, items)
     plans, costs, speed = PlanTable(*table), _Rules(*rules.tolist()), karts[:, 0]
     danger = _danger(plans.spans, across, ahead, angles, speed, costs)
     worth = along[-1] - danger - np.float32(costs.angle_cost) * angles * angles
@@ -96,20 +106,22 @@ def weigh_plans(
             out[part, :, manoeuvre] = np.where(exists, found, missing)
 
 
-def drive_plans(
+def drive_arcs(
     table: Arrays,
     rules: DoubleArray,
+    motion: Arrays,
     rows: IntArray,
     karts: FloatArray,
     road: FloatArray,
     items: DoubleArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Drives all plans of all karts, as :func:`weigh_plans` does.
+    """Drives all plans of all karts in arcs at constant speed, as :func:`weigh_plans` does.
 
     Returns:
         Along the road, across it and how far across they may be, ``(T, A, C)`` each [m]; their
         last angle to the road [rad] and the turns by now, ``(A, C)`` each.
     """
+    del motion
     known, physics = PlanTable(*table), _Rules(*rules.tolist())
     speed, lock, reach, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
     # what turns into a share of full lock, for each m/s of speed
@@ -153,6 +165,109 @@ def drive_plans(
         marks = first + np.clip((at * per_mark).astype(np.intp), 0, last_mark)
         along[moment], across[moment], ahead[moment] = at, beside, at_marks[1].take(marks)
     return along, across, ahead, angle, turns
+
+
+def drive_by_network(
+    table: Arrays,
+    rules: DoubleArray,
+    motion: Arrays,
+    rows: IntArray,
+    karts: FloatArray,
+    road: FloatArray,
+    items: DoubleArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Drives all plans of all karts with the network; see :func:`drive_arcs`."""
+    known, physics = PlanTable(*table), _Rules(*rules.tolist())
+    settings, layers = MotionRules(*motion[0].tolist()), motion[1:]
+    speed, lock, reach, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
+    boost, big_boost = karts[:, 7:9, None].swapaxes(0, 1)
+    slide, yaw, drift_side, drift_steps, release = karts[:, 11:, None].swapaxes(0, 1)
+    pull = 2.0 / (reach * reach * lock)
+    lanes, which = known.lanes[rows], known.items[rows]
+    item_lanes = _item_lanes(items, int(which.max()) + 1)
+    extra = np.where(which < 0, 0, np.take_along_axis(item_lanes, np.maximum(which, 0), axis=1))
+    moments, (count, plans) = len(known.spans), which.shape
+    along, across, ahead = (np.empty((moments, count, plans), np.float32) for _ in range(3))
+    zeros = np.zeros((count, plans), np.float32)
+    at, beside, angle, turns = zeros, zeros + offset, zeros + own_angle, zeros
+    of_karts = (drift_side, drift_steps, release, drift_turn, boost, big_boost, 0)
+    own = MotionState(*(zeros + x for x in (speed, slide, yaw, own_turn, own_turn, *of_karts)))
+    last_mark = road.shape[2] - 1
+    at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(3, -1)
+    first = (last_mark + 1) * np.arange(count)[:, None]
+    marks = np.repeat(first, plans, axis=1)
+    per_mark = np.float32(1.0 / physics.mark_spacing)
+    half = np.float32(0.5 * settings.step)
+    brakers = (known.manoeuvres[rows] == _BRAKE).astype(np.float32)
+    step = 0
+    for moment, end in enumerate(np.cumsum(known.spans, dtype=np.float32)):
+        least, most = known.least[rows, moment], known.most[rows, moment]
+        side = np.where(known.drifts[rows, moment] > 0, np.sign(least + most), 0)
+        while np.float32(step) * np.float32(settings.step) < end - half:
+            bend, width, curvature = at_marks.take(marks, axis=1)
+            turn = (lanes[:, moment] * width + extra - beside + bend - angle * reach) * (
+                own.speed * pull
+            )
+            turn = np.minimum(np.maximum(turn, least), most)
+            turns = turn if step == 0 else turns
+            brakes = brakers if step < settings.brake_lasts else zeros
+            own = _act(own, turn, side, brakes, settings, is_first=step == 0)
+            yaw, more_speed, more_slide = _infer(layers, own.inputs(settings))
+            yaw = np.minimum(np.maximum(yaw, -_MOST_YAW), _MOST_YAW)
+            speed = np.maximum(own.speed + more_speed, _LEAST_SPEED)
+            slide = own.slide + more_slide
+            forward, aside = half * (own.speed + speed), half * (own.slide + slide)
+            heading = angle + np.float32(0.5) * yaw
+            sine, cosine = np.sin(heading), np.cos(heading)
+            # along the road the inner side of a curve is the shorter one
+            inner = np.maximum(1.0 - beside * curvature, np.float32(0.3))
+            way = (forward * cosine - aside * sine) / inner
+            at, beside = at + way, beside + (forward * sine + aside * cosine)
+            angle = angle + (yaw - way * curvature)
+            own = own._replace(speed=speed, slide=slide, yaw=yaw)
+            marks = first + np.clip((at * per_mark).astype(np.intp), 0, last_mark)
+            step += 1
+        along[moment], across[moment], ahead[moment] = at, beside, at_marks[1].take(marks)
+    return along, across, ahead, angle, turns
+
+
+def _act(
+    own: MotionState,
+    turn: FloatArray,
+    side: FloatArray,
+    brake: FloatArray,
+    rules: MotionRules,
+    *,
+    is_first: bool,
+) -> MotionState:
+    """What drivers would remember after a step of their plans."""
+    aged = 0 if is_first else 1
+    release, boost, big_boost = (
+        np.maximum(left - aged, 0) for left in (own.release, own.boost, own.big_boost)
+    )
+    ends, begins = (own.side != 0) & (side == 0), (side != 0) & (own.side == 0)
+    is_big = ends & (own.steps >= rules.big_drift)
+    is_small = ends & ~is_big & (own.steps >= rules.small_drift)
+    return own._replace(
+        turn=turn,
+        turn_before=own.turn,
+        side=side,
+        steps=np.where(side != 0, np.where(begins, 0, own.steps) + 1, 0),
+        release=np.where(ends, np.minimum(own.steps, rules.release_lasts), release),
+        drift_turn=np.where(side != 0, turn, own.drift_turn),
+        boost=np.where(is_small, rules.small_lasts, boost),
+        big_boost=np.where(is_big, rules.big_lasts, big_boost),
+        brake=brake,
+    )
+
+
+def _infer(layers: Arrays, inputs: FloatArray) -> FloatArray:
+    """The outputs of the network, ``(3, A, C)``."""
+    x = inputs
+    for matrix, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
+        x = np.maximum(x @ matrix.T + bias, 0)
+    outputs: FloatArray = np.moveaxis(x @ layers[-2].T + layers[-1], -1, 0)
+    return outputs.astype(np.float32)
 
 
 def _item_lanes(items: DoubleArray, count: int) -> FloatArray:

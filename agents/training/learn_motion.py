@@ -1,0 +1,336 @@
+"""Trains the network that simulates how karts move in plans.
+
+    python -m stkzoo.agents.training.learn_motion --output motion
+
+Karts driven by their plans, with random offsets to the steering, race each other on training
+tracks. From what their drivers remember and do, a small network learns how much each kart turns in
+the next 0.1 s, and how its speeds ahead and to the side change. Steps in which a kart flies,
+crashes or is rescued are left out; each step is also learned mirrored.
+
+The folder contains ``motion.safetensors``, which replaces the file in ``agents/planning``. The
+command prints how far forecasts of one second miss on the validation tracks, from which it does not
+learn, next to forecasts of arcs at constant speed.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo._arguments import option
+from stkzoo.agents.planning.driver import PlanDriver
+from stkzoo.agents.planning.kart import RELEASE_TURN
+from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES
+from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.kernel import MotionState, PlanMemory
+from stkzoo.tracks import SPLITS
+
+from .common.arguments import RunArguments, ScriptOptions
+from .common.command import ProgressBar, run_command, training_torch
+from .common.fleet import Lineup, RaceFleet
+
+FloatArray = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+
+#: First starting point; other programs use other numbers.
+_FIRST_NUMBER = 9000
+#: Races side by side, karts in each, and steps of a race.
+_RACES, _KARTS, _STEPS = 4, 6, 450
+#: Probability per step of a new steering offset, probability that it is zero, and its size.
+_NEW_OFFSET, _NO_OFFSET, _OFFSET = 0.1, 0.5, 0.25
+#: Limits of ordinary steps: turn [rad], change of speed [m/s], way [m], and speed [m/s].
+_MOST_TURN, _MOST_GAIN, _MOST_WAY, _LEAST_SPEED = 0.4, 3.0, 6.0, 3.0
+#: Units of the outputs: turn [rad], changes of speed [m/s].
+_UNITS = np.array([0.05, 0.3, 0.3], np.float32)
+#: Inputs whose sign changes in a mirrored race; the last input is nitro, which plans do not use.
+_ODD = np.array([0, 1, 1, 1, 1, 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 1, 0], bool)
+_MIRROR = np.where(_ODD, -1, 1).astype(np.float32)
+_OUTPUT_MIRROR = np.array([-1, 1, -1], np.float32)
+#: Error at which the loss becomes linear, in the units of the outputs.
+_LINEAR_FROM = 0.3
+#: Steps of the printed forecasts.
+_FORECAST = 10
+
+
+@dataclass(frozen=True, slots=True)
+class MotionArguments(RunArguments):
+    """Arguments of the training.
+
+    Attributes:
+        rounds: rounds of four races of six karts each.
+        hidden: units of the two hidden layers.
+        n_epochs: passes over all steps.
+        batch_size: steps per gradient step.
+        learning_rate: highest learning rate of Adam.
+        learned_motion: whether the plans of the karts use the present network already.
+    """
+
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
+
+    rounds: int = 30
+    hidden: tuple[int, int] = (24, 16)
+    n_epochs: int = 20
+    batch_size: int = 1024
+    learning_rate: float = option(4e-3, metavar="X")
+    learned_motion: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Logged steps of the karts of some races, ``(T, A)`` each.
+
+    Attributes:
+        state: the karts with what their drivers remember after they have acted.
+        nitro: whether they use nitro.
+        heading: direction in the world, positive to the right [rad].
+        place: ``(T, A, 2)`` position in the world [m].
+        lock: turn at full lock [rad/s].
+        is_ordinary: whether a step and the way to it are ordinary.
+    """
+
+    state: MotionState
+    nitro: FloatArray
+    heading: FloatArray
+    place: FloatArray
+    lock: FloatArray
+    is_ordinary: BoolArray
+
+    def examples(self) -> tuple[FloatArray, FloatArray]:
+        """Returns inputs ``(N, 17)`` and outputs ``(N, 3)`` of ordinary steps."""
+        ordinary = self.is_ordinary
+        kept = ordinary[:-2] & ordinary[1:-1] & ordinary[2:]
+        now, after = self.at(slice(1, -1)), self.at(slice(2, None))
+        inputs = np.concatenate([now.inputs(MOTION_RULES), self.nitro[1:-1, :, None]], axis=-1)
+        outputs = (after.yaw, after.speed - now.speed, after.slide - now.slide)
+        return inputs[kept], np.stack(outputs, axis=-1)[kept]
+
+    def at(self, steps: slice | int) -> MotionState:
+        """Returns the state at some steps."""
+        return MotionState(*(column[steps] for column in self.state))
+
+
+class _Noisy(PlanDriver):
+    """Drives by the plans, with an offset to the steering of each kart."""
+
+    offset: FloatArray = np.zeros(0, np.float32)
+
+    def moves(self, choices: npt.NDArray[np.intp]) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        side, turn = super().moves(choices)
+        return side, np.clip(turn + self.offset, -1, 1).astype(np.float32)
+
+
+def drive(
+    tracks: Sequence[str], rounds: int, rules: DriverParameters, seed: int
+) -> Iterator[Drive]:
+    """Drives rounds of races and yields what was logged.
+
+    Args:
+        tracks: tracks, drawn uniformly and in both directions.
+        rounds: number of rounds.
+        rules: parameters of the plans.
+        seed: seed of the races and offsets.
+    """
+    random = np.random.default_rng(seed)
+    plans, count = RacingPolicy.of_plans_alone(), _RACES * _KARTS
+    for number in range(rounds):
+        fleet = RaceFleet([Lineup(_KARTS, 0)] * _RACES)
+        driver = _Noisy(count, rules)
+        rows: list[tuple[npt.NDArray[Any], ...]] = []
+        driver.offset, look = np.zeros(count, np.float32), driver.view
+        try:
+            fleet.start_at(
+                [
+                    (str(random.choice(tracks)), bool(random.integers(2)), _FIRST_NUMBER + number)
+                    for _ in range(_RACES)
+                ]
+            )
+            while fleet.active.any() and len(rows) < _STEPS:
+                view, look = look(*fleet.surroundings()), driver.look
+                is_new = random.random(count) < _NEW_OFFSET
+                drawn = random.normal(0, _OFFSET, count) * (random.random(count) > _NO_OFFSET)
+                driver.offset = np.where(is_new, drawn, driver.offset).astype(np.float32)
+                controls, _ = driver.act(plans.best(view))
+                karts = np.concatenate([race.snapshot.karts[race.karts] for race in fleet.races])
+                rows.append((karts, controls, driver.memory.rows.copy(), fleet.active))
+                fleet.send_controls(controls.copy())
+                fleet.receive_step()
+        finally:
+            fleet.close()
+        karts, controls, memory, active = map(np.array, zip(*rows, strict=True))
+        yield _logged(karts, controls, memory, active, rules.wheel_base)
+
+
+def _logged(
+    karts: npt.NDArray[np.void],
+    controls: FloatArray,
+    memory: FloatArray,
+    active: BoolArray,
+    wheel_base: float,
+) -> Drive:
+    remembered = PlanMemory(*memory.swapaxes(0, 1))
+    w, x, y, z = np.moveaxis(karts["rotation"], -1, 0)
+    heading = np.arctan2(2 * (x * z - w * y), 1 - 2 * (x * x + y * y))
+    place, velocity = karts["location"][..., ::2], karts["velocity_lc"]
+    speed = velocity[..., 2]
+    yaw, gain, way = (np.zeros_like(speed) for _ in range(3))
+    yaw[1:] = (np.diff(heading, axis=0) + np.pi) % (2 * np.pi) - np.pi
+    gain[1:], way[1:] = np.diff(speed, axis=0), np.abs(np.diff(place, axis=0)).max(axis=-1)
+    before = np.zeros_like(remembered.turn)
+    before[1:] = remembered.turn[:-1]
+    frees_itself = (remembered.reverse_steps > 0) | (remembered.rescue_steps > 0)
+    is_ordinary = active & (karts["jumping"] == 0) & ~frees_itself & (speed > _LEAST_SPEED)
+    is_ordinary &= (np.abs(yaw) < _MOST_TURN) & (np.abs(gain) < _MOST_GAIN) & (way < _MOST_WAY)
+    state = MotionState(
+        speed=speed,
+        slide=velocity[..., 0],
+        yaw=yaw,
+        turn=remembered.turn,
+        turn_before=before,
+        side=remembered.drift_side,
+        steps=remembered.drift_steps,
+        release=remembered.release_steps,
+        drift_turn=remembered.drift_turn,
+        boost=remembered.boost_steps,
+        big_boost=remembered.big_boost_steps,
+        brake=controls[..., 2],
+    )
+    nitro = controls[..., 5] * (karts["energy"] > 0)
+    lock = speed * np.tan(karts["max_steer_angle"]) / wheel_base
+    return Drive(state, nitro.astype(np.float32), heading, place, lock, is_ordinary)
+
+
+def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> list[FloatArray]:
+    """Trains the network.
+
+    Args:
+        inputs: ``(N, 17)``.
+        outputs: ``(N, 3)``.
+        arguments: arguments of the training.
+
+    Returns:
+        The arrays of :data:`~stkzoo.agents.planning.motion.LAYERS`.
+    """
+    torch = training_torch()
+    torch.manual_seed(arguments.seed)
+    nn, (first, second) = torch.nn, arguments.hidden
+    mean, scale = inputs.mean(axis=0), 1 / (inputs.std(axis=0) + np.float32(1e-3))
+    mean[_ODD] = 0
+    x = torch.from_numpy((np.concatenate([inputs, inputs * _MIRROR]) - mean) * scale)
+    y = torch.from_numpy(np.concatenate([outputs, outputs * _OUTPUT_MIRROR]) / _UNITS)
+    layers = nn.Linear(x.shape[1], first), nn.Linear(first, second), nn.Linear(second, 3)
+    network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
+    optimiser = torch.optim.Adam(network.parameters())
+    batches = -(-len(x) // arguments.batch_size)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, arguments.learning_rate, total_steps=arguments.n_epochs * batches
+    )
+    random = np.random.default_rng(arguments.seed)
+    with ProgressBar(arguments.n_epochs, unit="epochs") as bar:
+        for epoch in range(arguments.n_epochs):
+            order = torch.from_numpy(random.permutation(len(x)))
+            for rows in order.split(arguments.batch_size):
+                missed = nn.functional.smooth_l1_loss(network(x[rows]), y[rows], beta=_LINEAR_FROM)
+                optimiser.zero_grad()
+                missed.backward()
+                optimiser.step()
+                schedule.step()
+            bar.report(epoch + 1, f"loss of the last batch {float(missed.detach()):.4f}")
+    arrays = [parameter.detach().numpy().copy() for parameter in network.parameters()]
+    arrays[0] *= scale
+    arrays[1] -= arrays[0] @ mean
+    arrays[0] = arrays[0][:, :-1]  # plans use no nitro
+    arrays[4] *= _UNITS[:, None]
+    arrays[5] *= _UNITS
+    return arrays
+
+
+def misses(log: Drive, layers: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Returns by how much forecasts of one second miss, aside and ahead, ``(N, 2)`` [m].
+
+    Returns:
+        The misses of the network, and of arcs at constant speed.
+    """
+    found: tuple[list[FloatArray], list[FloatArray]] = ([], [])
+    for start in range(1, len(log.heading) - _FORECAST, _FORECAST):
+        kept = np.asarray(log.is_ordinary[start - 1 : start + _FORECAST + 1].all(axis=0))
+        sine, cosine = np.sin(log.heading[start, kept]), np.cos(log.heading[start, kept])
+        east, north = (log.place[start + _FORECAST] - log.place[start])[kept].T
+        actual = np.stack([east * cosine - north * sine, east * sine + north * cosine], axis=-1)
+        for forecast, list_of in zip((_by_network, _by_arcs), found, strict=True):
+            list_of.append(forecast(log, start, kept, layers) - actual)
+    return np.concatenate(found[0]), np.concatenate(found[1])
+
+
+def _by_network(log: Drive, start: int, kept: BoolArray, layers: Sequence[FloatArray]) -> Any:
+    own = MotionState(*(column[kept] for column in log.at(start)))
+    speed, slide, yaw = own.speed, own.slide, own.yaw
+    angle = aside = ahead = np.zeros_like(speed)
+    for step in range(start, start + _FORECAST):
+        own = MotionState(*(column[kept] for column in log.at(step)))
+        x = own._replace(speed=speed, slide=slide, yaw=yaw).inputs(MOTION_RULES)
+        for matrix, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
+            x = np.maximum(x @ matrix.T + bias, 0)
+        yaw, gain, slip = (x @ layers[-2].T + layers[-1]).T
+        way, side = (speed + gain / 2) * MOTION_RULES.step, (slide + slip / 2) * MOTION_RULES.step
+        middle = angle + yaw / 2
+        aside = aside + way * np.sin(middle) + side * np.cos(middle)
+        ahead = ahead + way * np.cos(middle) - side * np.sin(middle)
+        angle, speed, slide = angle + yaw, speed + gain, slide + slip
+    return np.stack([aside, ahead], axis=-1)
+
+
+def _by_arcs(log: Drive, start: int, kept: BoolArray, layers: Sequence[FloatArray]) -> Any:
+    del layers
+    way, lock = log.state.speed[start, kept] * MOTION_RULES.step, log.lock[start, kept]
+    angle = aside = ahead = np.zeros_like(way)
+    for step in range(start, start + _FORECAST):
+        own = MotionState(*(column[kept] for column in log.at(step)))
+        released = np.where(own.release > 0, own.drift_turn * RELEASE_TURN, 0)
+        yaw = (own.turn * lock + released) * MOTION_RULES.step
+        aside, ahead = aside + way * np.sin(angle + yaw / 2), ahead + way * np.cos(angle + yaw / 2)
+        angle = angle + yaw
+    return np.stack([aside, ahead], axis=-1)
+
+
+def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
+    """Trains the network, writes it and prints its misses."""
+    rules = replace(DriverParameters(), learned_motion=arguments.learned_motion)
+    logs = []
+    with ProgressBar(arguments.rounds, unit="rounds") as bar:
+        for log in drive(SPLITS["train_only"], arguments.rounds, rules, arguments.seed):
+            logs.append(log.examples())
+            bar.report(len(logs), f"{sum(len(inputs) for inputs, _ in logs):,} steps")
+    inputs, outputs = (np.concatenate(column) for column in zip(*logs, strict=True))
+    layers = fit(inputs, outputs, arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
+    save_weights(_file(options.output), dict(zip(LAYERS, layers, strict=True)))
+    tests = list(drive(SPLITS["validation"], 4, rules, arguments.seed + 1))
+    pairs = [misses(log, layers) for log in tests]
+    print("misses of forecasts of one second, aside and ahead [m]:")
+    for name, column in zip(("network", "arcs"), zip(*pairs, strict=True), strict=True):
+        missed = np.concatenate(column)
+        middle, mean = np.median(np.abs(missed), axis=0), np.sqrt((missed**2).mean(axis=0))
+        print(f"  {name}: median {middle.round(2)}, root mean square {mean.round(2)}")
+
+
+def _file(folder: Path) -> Path:
+    return folder / "motion.safetensors"
+
+
+def main(words: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    return run_command(
+        "learn_motion", __doc__, learn_motion, (ScriptOptions, MotionArguments), words
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
