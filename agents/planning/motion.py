@@ -23,7 +23,9 @@ from .plans import BRAKE_TIME
 WEIGHTS = Path(__file__).with_name("motion.safetensors")
 
 #: Times that the network knows.
-MOTION_RULES = MotionRules(STEP, *BOOST_STEPS, *BOOST_LASTS, RELEASE_STEPS, BRAKE_TIME / STEP)
+MOTION_RULES = MotionRules(
+    STEP, *BOOST_STEPS, *BOOST_LASTS, RELEASE_STEPS, round(BRAKE_TIME / STEP)
+)
 
 #: Names of the network's layers, in order: matrices ``(outputs, inputs)`` and biases.
 LAYERS = ("w0", "b0", "w1", "b1", "w2", "b2")

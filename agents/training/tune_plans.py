@@ -23,6 +23,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -71,13 +72,18 @@ _FIRST_NUMBER = 5000
 _BEST = "best.json"
 
 
-def from_unit(point: Sequence[float]) -> DriverParameters:
-    """Returns the parameters for a point of the unit cube; clips the point to the cube."""
+def from_unit(point: Sequence[float], *, learned_motion: bool = False) -> DriverParameters:
+    """Returns the parameters for a point of the unit cube; clips the point to the cube.
+
+    Args:
+        point: the tuned parameters.
+        learned_motion: the parameter of this name, which is not tuned.
+    """
     values: dict[str, Any] = {
         name: low + min(max(float(share), 0.0), 1.0) * (high - low)
         for (name, (low, high)), share in zip(BOUNDS.items(), point, strict=True)
     }
-    return DriverParameters(**values)
+    return DriverParameters(**values, learned_motion=learned_motion)
 
 
 def to_unit(parameters: DriverParameters) -> list[float]:
@@ -125,6 +131,7 @@ class TuningArguments(RunArguments):
         population: sets per generation.
         bots: karts of the game's AI.
         sigma: initial step size, as a fraction of the ranges.
+        learned_motion: whether plans are simulated with the network of learn_motion.
         tracks: training tracks, or train_only.
     """
 
@@ -134,6 +141,7 @@ class TuningArguments(RunArguments):
     population: int = 14
     bots: int = 0
     sigma: float = 0.07
+    learned_motion: bool = False
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
 
     def __post_init__(self) -> None:
@@ -163,7 +171,7 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     """
     cma = training_library("cma")
     limit_threads()
-    folder = options.output
+    folder, read = options.output, partial(from_unit, learned_motion=arguments.learned_motion)
     folder.mkdir(parents=True, exist_ok=True)
     present = to_unit(DriverParameters())
     settings = {"popsize": arguments.population, "seed": arguments.seed + 1}
@@ -181,12 +189,12 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
         places = list(itertools.product(arguments.tracks, (False, True), [number]))
         asked = [list(map(float, point)) for point in strategy.ask()]
         points = [*asked, present]  # the last one is the reference
-        *told, default = drive_all([from_unit(point) for point in points], arguments.bots, places)
+        *told, default = drive_all(list(map(read, points)), arguments.bots, places)
         strategy.tell(asked, told)
         line = {"generation": generation, "asked": asked, "told": told}
         with (folder / LOG).open("a") as file:
             file.write(json.dumps({**line, "default": default, "number": number}) + "\n")
-        mean = from_unit(list(map(float, strategy.result.xfavorite)))
+        mean = read(list(map(float, strategy.result.xfavorite)))
         write_json(folder / _BEST, asdict(mean))
         print(
             f"generation {generation}: time ratio {math.exp(np.mean(told)):.4f} on average, "

@@ -27,6 +27,7 @@ def test_present_numbers_are_within_their_bounds_and_come_back():
         asdict(DriverParameters())
     )
     assert all(0 <= share <= 1 for share in to_unit(DriverParameters()))
+    assert from_unit(to_unit(DriverParameters()), learned_motion=True).learned_motion
 
 
 def test_a_point_outside_is_moved_inside():
