@@ -7,7 +7,7 @@ The weights come from a run of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``l
 ``--ensemble-weight 1``, one or more networks without plans form an ensemble with the plans: the
 agent chooses a plan by its worth and, with this weight, by its probability under the networks.
 Policies over plans can be members too; what they have learned is added to the plans' logits. The
-folder of an ensemble adds its members.
+folder of an ensemble adds its members. ``--plans FILE`` gives an ensemble of networks other plans.
 
 The folder contains the weights; ``card.json`` with their digest, the training arguments (from
 ``arguments.json`` beside the weights, if it exists) and, for policies over plans, the parameters of
@@ -44,7 +44,13 @@ from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weigh
 from stkzoo.errors import ConfigError
 
 from .common.command import run_command
-from .common.run_folder import ARGUMENTS, read_run_file, run_parameters, write_json
+from .common.run_folder import (
+    ARGUMENTS,
+    plan_parameters,
+    read_run_file,
+    run_parameters,
+    write_json,
+)
 
 #: Arrays with this in their name belong to the value network.
 _VALUES = "value"
@@ -99,6 +105,7 @@ def export_policy(
     name: str,
     folder: str | Path,
     ensemble_weight: float | None = None,
+    plans: str | Path = "",
 ) -> Path:
     """Writes the folder of an agent; replaces an existing agent, but no other folder.
 
@@ -109,6 +116,7 @@ def export_policy(
         folder: folder of the agent.
         ensemble_weight: weight of the networks relative to the worth of plans; ``None`` for no
             ensemble.
+        plans: JSON file of plan parameters for an ensemble of networks; empty for the default ones.
 
     Returns:
         The folder.
@@ -121,7 +129,7 @@ def export_policy(
         raise ConfigError(f"the name {name!r} is invalid; expected letters, digits and _")
     sources = [Path(weights)] if isinstance(weights, (str, Path)) else [Path(w) for w in weights]
     target = Path(folder)
-    arrays, view, rules = _agent_of(sources, ensemble_weight)
+    arrays, view, rules = _agent_of(sources, ensemble_weight, plans)
     if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
         raise ConfigError(f"{str(target)!r} is not the folder of an agent; give another --output")
     target.mkdir(parents=True, exist_ok=True)
@@ -146,13 +154,18 @@ def export_policy(
 
 
 def _agent_of(
-    sources: Sequence[Path], ensemble_weight: float | None
+    sources: Sequence[Path], ensemble_weight: float | None, plans: str | Path
 ) -> tuple[Arrays, str, dict[str, Any]]:
     """Returns an agent's arrays, its view, and the parameters of its plans."""
     if ensemble_weight is not None:
         check_ensemble_weight(ensemble_weight)
-        joined, rules = _ensemble_of(sources)
+        joined, rules = _ensemble_of(sources, plans)
         return joined, "full", {"ensemble_weight": ensemble_weight, "rules": asdict(rules)}
+    if plans:
+        raise ConfigError(
+            "only ensembles of networks take other plans; add --ensemble-weight 1, or leave out "
+            "--plans"
+        )
     if len(sources) > 1:
         raise ConfigError(
             f"there are {len(sources)} files of weights, expected one; several networks can "
@@ -165,7 +178,7 @@ def _agent_of(
     return arrays, "full", {"rules": asdict(run_parameters(sources[0].parent))}
 
 
-def _ensemble_of(sources: Sequence[Path]) -> tuple[Arrays, DriverParameters]:
+def _ensemble_of(sources: Sequence[Path], plans: str | Path) -> tuple[Arrays, DriverParameters]:
     """Returns the arrays of an ensemble, and the parameters of its plans."""
     networks: list[Arrays] = []
     policies: list[Arrays] = []
@@ -192,7 +205,11 @@ def _ensemble_of(sources: Sequence[Path]) -> tuple[Arrays, DriverParameters]:
             "the policies over plans have runs with different plans; use policies of runs with "
             "the same --plans and --turn-hold"
         )
-    return join_members(networks, policies), rules[0] if rules else DriverParameters()
+    if plans and rules:
+        raise ConfigError(
+            "policies over plans keep the plans with which they learned; leave out --plans"
+        )
+    return join_members(networks, policies), rules[0] if rules else plan_parameters(plans)
 
 
 def _network(arrays: Arrays, source: Path) -> Arrays:
@@ -250,12 +267,15 @@ class ExportOptions:
         name: name of the agent.
         output: folder of the agent.
         ensemble_weight: make an ensemble of networks and plans with this weight; 1 is usual.
+        plans: JSON file of plan parameters for an ensemble of networks, such as best.json of
+            tune_plans; empty is the default.
     """
 
     weights: tuple[Path, ...] = positional()
     name: str = option(required=True)
     output: Path = option(required=True, metavar="FOLDER")
     ensemble_weight: float | None = None
+    plans: str = ""
 
 
 def main(words: list[str] | None = None) -> int:
@@ -265,7 +285,7 @@ def main(words: list[str] | None = None) -> int:
 
 def _export(options: ExportOptions) -> None:
     weight = options.ensemble_weight
-    folder = export_policy(options.weights, options.name, options.output, weight)
+    folder = export_policy(options.weights, options.name, options.output, weight, options.plans)
     print(f"{folder} is an agent; try: stkzoo race {folder} ai ai ai ai --difficulty 3")
 
 

@@ -475,19 +475,23 @@ static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp nu
     }
 }
 
+/* Whether a plan exists and the kart may follow it. */
+FORCE_INLINE int has_plan(const Forecast *f, const PlanKart *kart, npy_intp i)
+{
+    const npy_intp manoeuvre = f->table->manoeuvres.data[f->row + i];
+    return manoeuvre >= 0 && (kart->may_drift || !f->table->needs_drift.data[f->row + i]) &&
+           (kart->may_brake || manoeuvre != BRAKE);
+}
+
 static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_karts, float *out)
 {
     const npy_intp *manoeuvres = f->table->manoeuvres.data + f->row;
-    const npy_bool *needs_drift = f->table->needs_drift.data + f->row;
     float *worth = out, *turn = worth + MANOEUVRES * num_karts;
     float *danger = turn + MANOEUVRES * num_karts;
     for (int m = 0; m < MANOEUVRES; m++) {
         npy_intp best = -1;
         for (npy_intp i = 0; i < f->plans; i++) {
-            if (manoeuvres[i] != m || (needs_drift[i] && !kart->may_drift) ||
-                (m == BRAKE && !kart->may_brake)) {
-                continue;
-            }
+            if (manoeuvres[i] != m || !has_plan(f, kart, i)) continue;
             if (best < 0 || f->worth[i] > f->worth[best]) best = i;
         }
         worth[m] = best < 0 ? NEVER : f->worth[best];
@@ -496,11 +500,11 @@ static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_kart
     }
 }
 
-/* How many of the first plans of a state contain all that exist. */
-static npy_intp plans_of(const Forecast *f)
+/* How many of the first plans of a kart contain all that it has. */
+static npy_intp plans_of(const Forecast *f, const PlanKart *kart)
 {
     npy_intp plans = f->plans;
-    while (plans && f->table->manoeuvres.data[f->row + plans - 1] < 0) plans--;
+    while (plans && !has_plan(f, kart, plans - 1)) plans--;
     return plans;
 }
 
@@ -510,7 +514,7 @@ static void weigh(Forecast *f, const PlanKart *kart, const float *road,
                   npy_intp num_rivals)
 {
     const npy_intp plans = f->plans;
-    f->driven = f->network->units[0] ? plans_of(f) : plans;
+    f->driven = f->network->units[0] ? plans_of(f, kart) : plans;
     set_item_lanes(f, items, num_items);
     for (npy_intp i = 0; i < plans; i++) {
         f->angle[i] = kart->angle;

@@ -12,6 +12,7 @@ from stkzoo.agents.planning.driver import (
     is_drifting,
     plan_turns,
 )
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
 from stkzoo.agents.pretrained import action_filter
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
@@ -262,6 +263,21 @@ def test_the_folder_of_an_ensemble_adds_its_members(files, plan_file, tmp_path):
     one, other = (json.loads((folder / "card.json").read_text()) for folder in (once, again))
     assert one["sha256"] == other["sha256"]
     assert one["runs"] == other["runs"]
+
+
+def test_an_ensemble_of_networks_takes_other_plans_and_one_with_policies_keeps_its_own(
+    files, plan_file, tmp_path
+):
+    plans = tmp_path / "best.json"
+    plans.write_text(json.dumps({"learned_motion": True, "margin": 0.5}))
+    folder = export_policy(files, "wise", tmp_path / "wise", 1.0, plans)
+    assert read_numbers(folder) == DriverParameters(learned_motion=True, margin=0.5)
+    result = run_race([str(folder)], track="olivermath", seed=1, max_steps=60)
+    assert result.agents[0].errors == ()
+    with pytest.raises(ConfigError, match="keep the plans with which they learned"):
+        export_policy([*files, plan_file], "mixed", tmp_path / "mixed", 1.0, plans)
+    with pytest.raises(ConfigError, match="add --ensemble-weight 1"):
+        export_policy(plan_file, "plain", tmp_path / "plain", plans=plans)
 
 
 def test_a_folder_that_is_no_ensemble_is_refused(plan_file, tmp_path):
