@@ -1,8 +1,8 @@
 """Computes the worth of plans for the next two seconds, for any number of karts at once.
 
-For each kart, a few dozen plans (:mod:`.plans`) are simulated on the road ahead with a simple model
-of a kart. The results are grouped by the manoeuvre with which a plan begins: go on, brake, drift
-left, drift right. A policy sees the best plan of each and chooses among them.
+For each kart, a few dozen plans (:mod:`.plans`) are simulated on the road ahead. The results are
+grouped by the manoeuvre with which a plan begins: go on, brake, drift left, drift right. A policy
+sees the best plan of each and chooses among them.
 """
 
 from __future__ import annotations

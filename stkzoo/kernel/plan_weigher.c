@@ -50,8 +50,11 @@ enum { KART_SIZE = sizeof(PlanKart) / sizeof(float) };
    plans of a block. */
 #ifdef __GNUC__
 typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
+typedef npy_int32 Masks __attribute__((vector_size(32), aligned(4), may_alias));
+#define RECTIFIED(X) (Lanes)(((X) > 0) & (Masks)(X))
 #else
 typedef float Lanes;
+#define RECTIFIED(X) ((X) > 0 ? (X) : 0)
 #endif
 enum { LANES = sizeof(Lanes) / sizeof(float), VECTORS = 2, UNITS = 4, BLOCK = VECTORS * LANES };
 
@@ -200,9 +203,8 @@ FORCE_INLINE void sum_units(const float *matrix, const float *bias, npy_intp inp
         }
     }
     for (int u = 0; u < units; u++) {
-        float *own = out + u * stride;
-        memcpy(own, sums[u], sizeof sums[u]);
-        for (int i = 0; i < BLOCK && !is_last; i++) own[i] = own[i] > 0 ? own[i] : 0;
+        Lanes *own = (Lanes *)(out + u * stride);
+        for (int v = 0; v < VECTORS; v++) own[v] = is_last ? sums[u][v] : RECTIFIED(sums[u][v]);
     }
 }
 
@@ -246,37 +248,43 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     const float small = (float)rules[SMALL_DRIFT], big = (float)rules[BIG_DRIFT];
     const float small_lasts = (float)rules[SMALL_LASTS], big_lasts = (float)rules[BIG_LASTS];
     const float most_release = (float)rules[RELEASE_LASTS], aged = step ? 1.0f : 0;
-    const int is_braking = (double)step < rules[BRAKE_LASTS];
+    const float braking = (double)step < rules[BRAKE_LASTS] ? 1.0f : 0;
     const float *across = f->across_now, *angles = f->angle, *extra = f->extra;
     const float *bends = f->bends, *rooms = f->first_rooms, *speeds = m->speed;
     float *last_turns = f->last_turn, *sides = m->side, *all_steps = m->steps;
     float *releases = m->release, *boosts = m->boost, *big_boosts = m->big_boost;
     float *turns_before = m->turn, *seen = m->seen, *turns = f->turns;
+    const float *slides = m->slide, *yaws = m->yaw;
+    const npy_intp driven_plans = f->driven;
     NO_OVERLAP
-    for (npy_intp i = 0; i < f->driven; i++) {
+    for (npy_intp i = 0; i < driven_plans; i++) {
         float turn = (lanes[i] * rooms[i] + extra[i] - across[i] + bends[i] - angles[i] * reach) *
                      (speeds[i] * pull);
         turn = turn > least[i] ? turn : least[i];
         turn = turn < most[i] ? turn : most[i];
-        const float middle = least[i] + most[i];
-        const float side = drifts[i] > 0 ? (middle > 0 ? 1.0f : middle < 0 ? -1.0f : 0) : 0;
+        const float middle = least[i] + most[i], drift = drifts[i] > 0 ? 1.0f : 0;
+        const float side = drift * ((middle > 0) - (middle < 0));
         const float side_before = sides[i], driven = all_steps[i];
-        const int ends = side_before != 0 && side == 0, begins = side != 0 && side_before == 0;
+        const int ends = (side_before != 0) & (side == 0), earns_big = ends & (driven >= big);
+        const int earns = ends & (driven >= small) & !earns_big;
+        const float new_release = driven < most_release ? driven : most_release;
         float release = releases[i] - aged, boost = boosts[i] - aged, big_boost = big_boosts[i] - aged;
         release = release > 0 ? release : 0;
         boost = boost > 0 ? boost : 0;
         big_boost = big_boost > 0 ? big_boost : 0;
-        boost = ends && driven >= small && driven < big ? small_lasts : boost;
-        big_boost = ends && driven >= big ? big_lasts : big_boost;
-        release = ends ? (driven < most_release ? driven : most_release) : release;
-        const float steps = side != 0 ? (begins ? 0 : driven) + 1.0f : 0;
-        const float last_turn = side != 0 ? turn : last_turns[i];
+        release = ends ? new_release : release;
+        boost = earns ? small_lasts : boost;
+        big_boost = earns_big ? big_lasts : big_boost;
+        const float steps = drift * ((side_before != 0 ? driven : 0) + 1.0f);
+        const float turn_before = last_turns[i], last_turn = side != 0 ? turn : turn_before;
+        const float first_turn = step ? turns[i] : turn;
+        const float brake = manoeuvres[i] == BRAKE ? braking : 0;
         sides[i] = side, all_steps[i] = steps, releases[i] = release;
         boosts[i] = boost, big_boosts[i] = big_boost, last_turns[i] = last_turn;
-        turns[i] = step ? turns[i] : turn;
+        turns[i] = first_turn;
         seen[SEEN_SPEED * stride + i] = speeds[i];
-        seen[SEEN_SLIDE * stride + i] = m->slide[i];
-        seen[SEEN_YAW * stride + i] = m->yaw[i];
+        seen[SEEN_SLIDE * stride + i] = slides[i];
+        seen[SEEN_YAW * stride + i] = yaws[i];
         seen[SEEN_TURN * stride + i] = turn;
         seen[SEEN_TURN_BEFORE * stride + i] = turns_before[i];
         seen[SEEN_SIDE * stride + i] = side;
@@ -285,7 +293,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
         seen[SEEN_DRIFT_TURN * stride + i] = last_turn;
         seen[SEEN_BOOST * stride + i] = boost;
         seen[SEEN_BIG_BOOST * stride + i] = big_boost;
-        seen[SEEN_BRAKE * stride + i] = is_braking && manoeuvres[i] == BRAKE ? 1.0f : 0;
+        seen[SEEN_BRAKE * stride + i] = brake;
         seen[SEEN_DRIFT_BEGIN * stride + i] = side / (1.0f + steps);
         seen[SEEN_EARNED * stride + i] = steps >= small ? 1.0f : 0;
         seen[SEEN_INWARDS * stride + i] = turn * side;
@@ -301,30 +309,35 @@ FORCE_INLINE void move_plans(const Forecast *f)
     const float half = (float)(0.5 * f->motion_rules[MOTION_STEP]);
     const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
     const float last_mark = (float)(f->marks - 1);
+    const float most_yaw = MOST_YAW, least_speed = LEAST_SPEED;
     const float *next_yaws = m->next + NEXT_YAW * f->stride;
     const float *more_speeds = m->next + MORE_SPEED * f->stride;
     const float *more_slides = m->next + MORE_SLIDE * f->stride, *curves = f->curves;
     float *speeds = m->speed, *slides = m->slide, *yaws = m->yaw, *angles = f->angle;
     float *along = f->along_now, *across = f->across_now;
     npy_int32 *places = f->places;
+    const npy_intp driven = f->driven;
     NO_OVERLAP
-    for (npy_intp i = 0; i < f->driven; i++) {
-        float yaw = next_yaws[i] < MOST_YAW ? next_yaws[i] : MOST_YAW;
-        yaw = yaw > -MOST_YAW ? yaw : -MOST_YAW;
-        float speed = speeds[i] + more_speeds[i];
-        speed = speed > LEAST_SPEED ? speed : LEAST_SPEED;
-        const float slide = slides[i] + more_slides[i];
-        const float ahead = half * (speeds[i] + speed), aside = half * (slides[i] + slide);
+    for (npy_intp i = 0; i < driven; i++) {
+        const float speed_before = speeds[i], slide_before = slides[i], angle = angles[i];
+        const float curve = curves[i], beside = across[i], next_yaw = next_yaws[i];
+        float yaw = next_yaw < most_yaw ? next_yaw : most_yaw;
+        yaw = yaw > -most_yaw ? yaw : -most_yaw;
+        const float next_speed = speed_before + more_speeds[i];
+        const float speed = next_speed > least_speed ? next_speed : least_speed;
+        const float slide = slide_before + more_slides[i];
+        const float ahead = half * (speed_before + speed), aside = half * (slide_before + slide);
         float sine, cosine;
-        sine_and_cosine(angles[i] + 0.5f * yaw, &sine, &cosine);
+        sine_and_cosine(angle + 0.5f * yaw, &sine, &cosine);
         /* along the road the inner side of a curve is the shorter one */
-        const float inner = 1.0f - across[i] * curves[i];
+        const float inner = 1.0f - beside * curve;
         const float way = (ahead * cosine - aside * sine) / (inner > 0.3f ? inner : 0.3f);
-        along[i] = along[i] + way;
-        across[i] = across[i] + (ahead * sine + aside * cosine);
-        angles[i] = angles[i] + (yaw - way * curves[i]);
+        const float there = along[i] + way;
+        along[i] = there;
+        across[i] = beside + (ahead * sine + aside * cosine);
+        angles[i] = angle + (yaw - way * curve);
         speeds[i] = speed, slides[i] = slide, yaws[i] = yaw;
-        float next = along[i] * per_mark; /* which may be too large for a whole number, or NaN */
+        float next = there * per_mark; /* which may be too large for a whole number, or NaN */
         next = next > 0 ? next : 0;
         places[i] = (npy_int32)(next < last_mark ? next : last_mark);
     }
