@@ -4,7 +4,7 @@ Each driver gets a kart:
 
   ai               the game's AI at --difficulty; ai:3 sets its own difficulty
   heuristic        a rule-based driver that comes with stkzoo
-  pretrained:ace   a learned driver, the best that comes with stkzoo
+  pretrained:apex  a learned driver, the best that comes with stkzoo
   random           random actions
   FOLDER, ZIP      your agent: a pystk_actor.py with get_actor(...)
   MODULE           your agent, by the name of a Python module

@@ -102,7 +102,7 @@ typedef struct {
     float *along, *across, *ahead;            /* (T, C) */
     float *angle, *last_turn, *turns, *extra; /* (C,) */
     float *danger, *worth, *gain;             /* (C,) */
-    float *bends, *curves, *first_rooms;      /* (C,) of the road where a moment begins */
+    float *bends, *curves, *rooms_now;        /* (C,) of the road where plans are */
     npy_int32 *places;                        /* (C,) */
     float *ends;                              /* (T,) of the moments */
     const Network *network;
@@ -138,7 +138,7 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
     npy_int32 *places = f->places;
     const float *along_before = f->along + at - (is_first ? 0 : plans);
     const float *across_before = f->across + at - (is_first ? 0 : plans);
-    const float *rooms = is_first ? f->first_rooms : f->ahead + at - plans;
+    const float *rooms = is_first ? f->rooms_now : f->ahead + at - plans;
     NO_OVERLAP
     for (npy_intp i = 0; i < plans; i++) {
         const float curve = curves[i];
@@ -250,7 +250,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     const float most_release = (float)rules[RELEASE_LASTS], aged = step ? 1.0f : 0;
     const float braking = (double)step < rules[BRAKE_LASTS] ? 1.0f : 0;
     const float *across = f->across_now, *angles = f->angle, *extra = f->extra;
-    const float *bends = f->bends, *rooms = f->first_rooms, *speeds = m->speed;
+    const float *bends = f->bends, *rooms = f->rooms_now, *speeds = m->speed;
     float *last_turns = f->last_turn, *sides = m->side, *all_steps = m->steps;
     float *releases = m->release, *boosts = m->boost, *big_boosts = m->big_boost;
     float *turns_before = m->turn, *seen = m->seen, *turns = f->turns;
@@ -357,7 +357,7 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
         m->release[i] = kart->release_steps, m->turn[i] = kart->turn;
         m->boost[i] = kart->boost_steps, m->big_boost[i] = kart->big_boost_steps;
     }
-    look_up(f, road, f->first_rooms);
+    look_up(f, road, f->rooms_now);
     npy_intp step = 0;
     for (npy_intp moment = 0; moment < f->moments; moment++) {
         const float end = f->ends[moment] - (float)(0.5 * f->motion_rules[MOTION_STEP]);
@@ -365,11 +365,11 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
             look_at_step(f, kart, moment, step);
             infer(f);
             move_plans(f);
-            look_up(f, road, f->first_rooms);
+            look_up(f, road, f->rooms_now);
         }
         memcpy(f->along + moment * f->plans, f->along_now, size);
         memcpy(f->across + moment * f->plans, f->across_now, size);
-        memcpy(f->ahead + moment * f->plans, f->first_rooms, size);
+        memcpy(f->ahead + moment * f->plans, f->rooms_now, size);
     }
 }
 
@@ -377,7 +377,7 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
 FOR_ALL_PROCESSORS
 static void drive_arcs(const Forecast *f, const PlanKart *kart, const float *road)
 {
-    look_up(f, road, f->first_rooms);
+    look_up(f, road, f->rooms_now);
     for (npy_intp moment = 0; moment < f->moments; moment++) {
         if (moment) drive_moment(f, kart, moment, 0);
         else drive_moment(f, kart, moment, 1);
@@ -613,7 +613,7 @@ static void *make_room(Forecast *f)
     Motion *m = &f->motion;
     float **columns[] = {
         &f->angle,     &f->last_turn,  &f->turns,   &f->extra,   &f->danger,    &f->worth,
-        &f->gain,      &f->bends,      &f->curves,  &f->first_rooms,
+        &f->gain,      &f->bends,      &f->curves,  &f->rooms_now,
         &f->along_now, &f->across_now, &m->speed,   &m->slide,   &m->yaw,       &m->side,
         &m->steps,     &m->release,    &m->boost,   &m->big_boost, &m->turn,
     };
