@@ -248,8 +248,8 @@ class PlanDriver:
     ) -> FloatArray:
         """Weighs the plans, writes a policy's inputs, if any, and returns the prior."""
         state, memory, rules = OwnState.of(own), self.memory.rows, self._rules
-        needed = rules.parameters.bump_cost or rules.parameters.learned_motion
-        is_watching = len(inputs) or needed
+        numbers = rules.parameters
+        is_watching = len(inputs) or numbers.bump_cost or numbers.learned_motion
         tracker = self._tracker if is_watching else None
         angle = np.asarray(own["max_steer_angle"], np.float32)
         self._options = options = weigh(rules, memory, state, angle, around, tracker)

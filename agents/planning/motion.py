@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import safetensors.numpy
 
 from stkzoo.kernel import MotionRules
 
@@ -34,5 +33,7 @@ LAYERS = ("w0", "b0", "w1", "b1", "w2", "b2")
 @lru_cache(maxsize=1)
 def learned_motion() -> tuple[npt.NDArray[Any], ...]:
     """Returns the argument ``motion`` of :func:`stkzoo.kernel.weigh_plans`."""
-    weights = safetensors.numpy.load(WEIGHTS.read_bytes())
-    return np.array(MOTION_RULES), *(np.ascontiguousarray(weights[name]) for name in LAYERS)
+    from stkzoo.agents.pretrained.weights import load_weights  # only plans with the network need it
+
+    weights = load_weights(WEIGHTS)
+    return np.array(MOTION_RULES), *(weights[name] for name in LAYERS)

@@ -16,9 +16,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,11 +25,12 @@ import numpy.typing as npt
 from stkzoo._arguments import option
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.kart import RELEASE_TURN
-from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES
+from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, WEIGHTS
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.kernel import MotionState, PlanMemory
+from stkzoo.kernel import Mlp, MotionState, PlanMemory
+from stkzoo.mdp import rotation_matrices
 from stkzoo.tracks import SPLITS
 
 from .common.arguments import RunArguments, ScriptOptions
@@ -73,8 +73,6 @@ class MotionArguments(RunArguments):
         learned_motion: whether the plans of the karts use the present network already.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
-
     rounds: int = 30
     hidden: tuple[int, int] = (24, 16)
     n_epochs: int = 20
@@ -112,8 +110,8 @@ class Drive:
         outputs = (after.yaw, after.speed - now.speed, after.slide - now.slide)
         return inputs[kept], np.stack(outputs, axis=-1)[kept]
 
-    def at(self, steps: slice | int) -> MotionState:
-        """Returns the state at some steps."""
+    def at(self, steps: slice | tuple[int, BoolArray]) -> MotionState:
+        """Returns the state at some steps, or that of some karts at one step."""
         return MotionState(*(column[steps] for column in self.state))
 
 
@@ -176,8 +174,8 @@ def _logged(
     wheel_base: float,
 ) -> Drive:
     remembered = PlanMemory(*memory.swapaxes(0, 1))
-    w, x, y, z = np.moveaxis(karts["rotation"], -1, 0)
-    heading = np.arctan2(2 * (x * z - w * y), 1 - 2 * (x * x + y * y))
+    forward = rotation_matrices(karts["rotation"])[..., 2, :]
+    heading = np.arctan2(forward[..., 0], forward[..., 2])
     place, velocity = karts["location"][..., ::2], karts["velocity_lc"]
     speed = velocity[..., 2]
     yaw, gain, way = (np.zeros_like(speed) for _ in range(3))
@@ -258,27 +256,28 @@ def misses(log: Drive, layers: Sequence[FloatArray]) -> tuple[FloatArray, FloatA
     Returns:
         The misses of the network, and of arcs at constant speed.
     """
-    found: tuple[list[FloatArray], list[FloatArray]] = ([], [])
+    pairs = zip(layers[::2], layers[1::2], strict=True)
+    network = Mlp(tuple((np.ascontiguousarray(w.T), bias) for w, bias in pairs), False)
+    of_network, of_arcs = [], []
     for start in range(1, len(log.heading) - _FORECAST, _FORECAST):
         kept = np.asarray(log.is_ordinary[start - 1 : start + _FORECAST + 1].all(axis=0))
         sine, cosine = np.sin(log.heading[start, kept]), np.cos(log.heading[start, kept])
         east, north = (log.place[start + _FORECAST] - log.place[start])[kept].T
         actual = np.stack([east * cosine - north * sine, east * sine + north * cosine], axis=-1)
-        for forecast, list_of in zip((_by_network, _by_arcs), found, strict=True):
-            list_of.append(forecast(log, start, kept, layers) - actual)
-    return np.concatenate(found[0]), np.concatenate(found[1])
+        of_network.append(_by_network(log, start, kept, network) - actual)
+        of_arcs.append(_by_arcs(log, start, kept) - actual)
+    return np.concatenate(of_network), np.concatenate(of_arcs)
 
 
-def _by_network(log: Drive, start: int, kept: BoolArray, layers: Sequence[FloatArray]) -> Any:
-    own = MotionState(*(column[kept] for column in log.at(start)))
+def _by_network(log: Drive, start: int, kept: BoolArray, network: Mlp) -> FloatArray:
+    own = log.at((start, kept))
     speed, slide, yaw = own.speed, own.slide, own.yaw
     angle = aside = ahead = np.zeros_like(speed)
+    found = np.empty((len(speed), 3), np.float32)
     for step in range(start, start + _FORECAST):
-        own = MotionState(*(column[kept] for column in log.at(step)))
-        x = own._replace(speed=speed, slide=slide, yaw=yaw).inputs(MOTION_RULES)
-        for matrix, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
-            x = np.maximum(x @ matrix.T + bias, 0)
-        yaw, gain, slip = (x @ layers[-2].T + layers[-1]).T
+        own = log.at((step, kept))._replace(speed=speed, slide=slide, yaw=yaw)
+        network.evaluate(own.inputs(MOTION_RULES), found)
+        yaw, gain, slip = found.T.copy()
         way, side = (speed + gain / 2) * MOTION_RULES.step, (slide + slip / 2) * MOTION_RULES.step
         middle = angle + yaw / 2
         aside = aside + way * np.sin(middle) + side * np.cos(middle)
@@ -287,12 +286,11 @@ def _by_network(log: Drive, start: int, kept: BoolArray, layers: Sequence[FloatA
     return np.stack([aside, ahead], axis=-1)
 
 
-def _by_arcs(log: Drive, start: int, kept: BoolArray, layers: Sequence[FloatArray]) -> Any:
-    del layers
+def _by_arcs(log: Drive, start: int, kept: BoolArray) -> FloatArray:
     way, lock = log.state.speed[start, kept] * MOTION_RULES.step, log.lock[start, kept]
     angle = aside = ahead = np.zeros_like(way)
     for step in range(start, start + _FORECAST):
-        own = MotionState(*(column[kept] for column in log.at(step)))
+        own = log.at((step, kept))
         released = np.where(own.release > 0, own.drift_turn * RELEASE_TURN, 0)
         yaw = (own.turn * lock + released) * MOTION_RULES.step
         aside, ahead = aside + way * np.sin(angle + yaw / 2), ahead + way * np.cos(angle + yaw / 2)
@@ -302,7 +300,7 @@ def _by_arcs(log: Drive, start: int, kept: BoolArray, layers: Sequence[FloatArra
 
 def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
     """Trains the network, writes it and prints its misses."""
-    rules = replace(DriverParameters(), learned_motion=arguments.learned_motion)
+    rules = DriverParameters(learned_motion=arguments.learned_motion)
     logs = []
     with ProgressBar(arguments.rounds, unit="rounds") as bar:
         for log in drive(SPLITS["train_only"], arguments.rounds, rules, arguments.seed):
@@ -311,7 +309,7 @@ def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
     inputs, outputs = (np.concatenate(column) for column in zip(*logs, strict=True))
     layers = fit(inputs, outputs, arguments)
     options.output.mkdir(parents=True, exist_ok=True)
-    save_weights(_file(options.output), dict(zip(LAYERS, layers, strict=True)))
+    save_weights(options.output / WEIGHTS.name, dict(zip(LAYERS, layers, strict=True)))
     tests = list(drive(SPLITS["validation"], 4, rules, arguments.seed + 1))
     pairs = [misses(log, layers) for log in tests]
     print("misses of forecasts of one second, aside and ahead [m]:")
@@ -319,10 +317,6 @@ def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
         missed = np.concatenate(column)
         middle, mean = np.median(np.abs(missed), axis=0), np.sqrt((missed**2).mean(axis=0))
         print(f"  {name}: median {middle.round(2)}, root mean square {mean.round(2)}")
-
-
-def _file(folder: Path) -> Path:
-    return folder / "motion.safetensors"
 
 
 def main(words: list[str] | None = None) -> int:

@@ -8,13 +8,6 @@
 
 #include <string.h>
 
-/* Numbers of a vector. They have the same results as one number after the other. */
-#ifdef __GNUC__
-typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
-#else
-typedef float Lanes;
-#endif
-
 /* Rows whose sums are kept in registers, vectors of each, and the columns of these. */
 enum { ROWS = 4, VECTORS = 2, BLOCK = VECTORS * sizeof(Lanes) / sizeof(float) };
 

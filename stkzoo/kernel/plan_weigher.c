@@ -46,17 +46,16 @@ typedef struct {
 } PlanKart;
 enum { KART_SIZE = sizeof(PlanKart) / sizeof(float) };
 
-/* Numbers of a vector, the vectors whose sums are kept in registers for as many units, and the
-   plans of a block. */
+/* Rectified linear units. A mask, because compilers refuse a choice between vectors in C. */
 #ifdef __GNUC__
-typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
 typedef npy_int32 Masks __attribute__((vector_size(32), aligned(4), may_alias));
 #define RECTIFIED(X) (Lanes)(((X) > 0) & (Masks)(X))
 #else
-typedef float Lanes;
 #define RECTIFIED(X) ((X) > 0 ? (X) : 0)
 #endif
-enum { LANES = sizeof(Lanes) / sizeof(float), VECTORS = 2, UNITS = 4, BLOCK = VECTORS * LANES };
+
+/* Units whose sums are kept in registers, vectors of each, and the plans of these. */
+enum { UNITS = 4, VECTORS = 2, BLOCK = VECTORS * sizeof(Lanes) / sizeof(float) };
 
 /* What the network sees of a plan at a step, and what it says. */
 enum {
@@ -112,6 +111,14 @@ typedef struct {
     float *along_now, *across_now; /* (C,) */
     Motion motion;
 } Forecast;
+
+/* The mark at a distance, which may be too large for a whole number, or NaN. */
+FORCE_INLINE npy_int32 mark_at(float along, float per_mark, float last_mark)
+{
+    float mark = along * per_mark;
+    mark = mark > 0 ? mark : 0;
+    return (npy_int32)(mark < last_mark ? mark : last_mark);
+}
 
 /* One moment of all plans, from where the moment before it ended. */
 FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp moment,
@@ -170,9 +177,7 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
         along[i] = there;
         across[i] = beside + step * sine;
         angles[i] = angle + turn;
-        float next = there * per_mark; /* which may be too large for a whole number, or NaN */
-        next = next > 0 ? next : 0;
-        places[i] = (npy_int32)(next < last_mark ? next : last_mark);
+        places[i] = mark_at(there, per_mark, last_mark);
     }
 }
 
@@ -255,19 +260,19 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     float *releases = m->release, *boosts = m->boost, *big_boosts = m->big_boost;
     float *turns_before = m->turn, *seen = m->seen, *turns = f->turns;
     const float *slides = m->slide, *yaws = m->yaw;
-    const npy_intp driven_plans = f->driven;
+    const npy_intp driven = f->driven;
     NO_OVERLAP
-    for (npy_intp i = 0; i < driven_plans; i++) {
+    for (npy_intp i = 0; i < driven; i++) {
         float turn = (lanes[i] * rooms[i] + extra[i] - across[i] + bends[i] - angles[i] * reach) *
                      (speeds[i] * pull);
         turn = turn > least[i] ? turn : least[i];
         turn = turn < most[i] ? turn : most[i];
         const float middle = least[i] + most[i], drift = drifts[i] > 0 ? 1.0f : 0;
         const float side = drift * ((middle > 0) - (middle < 0));
-        const float side_before = sides[i], driven = all_steps[i];
-        const int ends = (side_before != 0) & (side == 0), earns_big = ends & (driven >= big);
-        const int earns = ends & (driven >= small) & !earns_big;
-        const float new_release = driven < most_release ? driven : most_release;
+        const float side_before = sides[i], lasted = all_steps[i];
+        const int ends = (side_before != 0) & (side == 0), earns_big = ends & (lasted >= big);
+        const int earns = ends & (lasted >= small) & !earns_big;
+        const float new_release = lasted < most_release ? lasted : most_release;
         float release = releases[i] - aged, boost = boosts[i] - aged, big_boost = big_boosts[i] - aged;
         release = release > 0 ? release : 0;
         boost = boost > 0 ? boost : 0;
@@ -275,7 +280,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
         release = ends ? new_release : release;
         boost = earns ? small_lasts : boost;
         big_boost = earns_big ? big_lasts : big_boost;
-        const float steps = drift * ((side_before != 0 ? driven : 0) + 1.0f);
+        const float steps = drift * ((side_before != 0 ? lasted : 0) + 1.0f);
         const float turn_before = last_turns[i], last_turn = side != 0 ? turn : turn_before;
         const float first_turn = step ? turns[i] : turn;
         const float brake = manoeuvres[i] == BRAKE ? braking : 0;
@@ -337,9 +342,7 @@ FORCE_INLINE void move_plans(const Forecast *f)
         across[i] = beside + (ahead * sine + aside * cosine);
         angles[i] = angle + (yaw - way * curve);
         speeds[i] = speed, slides[i] = slide, yaws[i] = yaw;
-        float next = there * per_mark; /* which may be too large for a whole number, or NaN */
-        next = next > 0 ? next : 0;
-        places[i] = (npy_int32)(next < last_mark ? next : last_mark);
+        places[i] = mark_at(there, per_mark, last_mark);
     }
 }
 
@@ -522,19 +525,19 @@ static npy_intp plans_of(const Forecast *f, const PlanKart *kart)
 }
 
 /* Drives and weighs the plans of one kart. */
-static void weigh(Forecast *f, const PlanKart *kart, const float *road,
-                  const RoadItem *items, npy_intp num_items, const RoadRival *rivals,
-                  npy_intp num_rivals)
+static void weigh(Forecast *f, const PlanKart *kart, const float *road, const RoadItem *items,
+                  npy_intp num_items, const RoadRival *rivals, npy_intp num_rivals)
 {
     const npy_intp plans = f->plans;
-    f->driven = f->network->units[0] ? plans_of(f, kart) : plans;
+    const int has_network = f->network->units[0] > 0;
+    f->driven = has_network ? plans_of(f, kart) : plans;
     set_item_lanes(f, items, num_items);
     for (npy_intp i = 0; i < plans; i++) {
         f->angle[i] = kart->angle;
         f->last_turn[i] = kart->drift_turn;
         f->places[i] = 0;
     }
-    if (f->network->units[0]) drive_by_network(f, kart, road);
+    if (has_network) drive_by_network(f, kart, road);
     else drive_arcs(f, kart, road);
     weigh_danger(f, kart);
     const float *along = f->along + (f->moments - 1) * plans;
@@ -603,7 +606,8 @@ static int read_motion(PyObject *tuple, Network *network, Doubles *rules)
     return fits ? 0 : refuse("the rules of the network are wrong");
 }
 
-/* Room for a forecast, all of it in one block; NULL with an exception set if there is none. */
+/* Room for a forecast, all of it in one block; NULL with an exception set if there is none. It begins
+   with zeros, because plans that are not driven are weighed too, though never chosen. */
 static void *make_room(Forecast *f)
 {
     const npy_intp *units = f->network->units;
@@ -644,10 +648,11 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
     Indices rows;
     Floats kart_numbers, road, out;
     if (!PyArg_ParseTuple(args, "O!O&O!O&O&O&O&O&O&", &PyTuple_Type, &tuple, as_doubles, &rules,
-                          &PyTuple_Type, &motion, as_indices, &rows, as_floats, &kart_numbers, as_floats, &road,
-                          as_doubles, &item_numbers, as_doubles, &rival_numbers,
+                          &PyTuple_Type, &motion, as_indices, &rows, as_floats, &kart_numbers,
+                          as_floats, &road, as_doubles, &item_numbers, as_doubles, &rival_numbers,
                           as_written_floats, &out) ||
-        read_table(tuple, &table, &forecast) < 0 || read_motion(motion, &network, &motion_rules) < 0) {
+        read_table(tuple, &table, &forecast) < 0 ||
+        read_motion(motion, &network, &motion_rules) < 0) {
         return NULL;
     }
     const npy_intp count = rows.size;

@@ -25,6 +25,13 @@
 #define FORCE_INLINE static inline
 #endif
 
+/* Numbers of a vector. They have the same results as one number after the other. */
+#ifdef __GNUC__
+typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
+#else
+typedef float Lanes;
+#endif
+
 /* Sine and cosine as numpy computes them in float32 (Cody-Waite reduction, then polynomials). */
 FORCE_INLINE void sine_and_cosine(float x, float *sine, float *cosine)
 {

@@ -3,7 +3,7 @@
 All functions process the whole race at once, as arrays with a leading axis of karts or agents.
 """
 
-from stkzoo.mdp.geometry import squared
+from stkzoo.mdp.geometry import rotation_matrices, squared
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 
-__all__ = ["kart_action_space", "kart_observation_space", "squared"]
+__all__ = ["kart_action_space", "kart_observation_space", "rotation_matrices", "squared"]

@@ -106,6 +106,67 @@ def weigh_plans(
             out[part, :, manoeuvre] = np.where(exists, found, missing)
 
 
+class _Course:
+    """Where the plans of karts steer, and the road below them.
+
+    Args:
+        known: the plans.
+        rows: the karts' states.
+        karts: as for :func:`weigh_plans`; likewise the others.
+        road: ``(A, 3, M)``.
+        items: ``(A, I, 4)``.
+        mark_spacing: distance between two marks [m].
+
+    Attributes:
+        bend: how far the road bends aside ahead of each plan [m], ``(A, C)``; likewise
+        width: how far from its middle plans may be [m], and
+        curvature: of the road [1/m].
+    """
+
+    def __init__(
+        self,
+        known: PlanTable,
+        rows: IntArray,
+        karts: FloatArray,
+        road: FloatArray,
+        items: DoubleArray,
+        mark_spacing: float,
+    ) -> None:
+        lock, self._reach = karts[:, 1:3, None].swapaxes(0, 1)
+        # what turns into a share of full lock, for each m/s of speed
+        self._pull = 2.0 / (self._reach * self._reach * lock)
+        self._least, self._most = known.least[rows], known.most[rows]
+        self._lanes, which = known.lanes[rows], known.items[rows]
+        lanes = _item_lanes(items, int(which.max()) + 1)
+        own = np.take_along_axis(lanes, np.maximum(which, 0), axis=1)
+        self._extra = np.where(which < 0, 0, own)
+        self._last_mark = road.shape[2] - 1
+        self._at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(3, -1)
+        self._first = road.shape[2] * np.arange(len(karts))[:, None]
+        self._per_mark = np.float32(1.0 / mark_spacing)
+        self.reach_to(np.zeros(which.shape, np.float32))
+
+    def reach_to(self, along: FloatArray) -> None:
+        """Looks up the road at the plans' distances [m]."""
+        marks = np.clip((along * self._per_mark).astype(np.intp), 0, self._last_mark)
+        self.bend, self.width, self.curvature = self._at_marks.take(self._first + marks, axis=1)
+
+    def turn(
+        self, moment: int, beside: FloatArray, angle: FloatArray, speed: FloatArray
+    ) -> FloatArray:
+        """Returns how far the plans turn [fraction of full lock]."""
+        aside = self._lanes[:, moment] * self.width + self._extra - beside
+        turn = (aside + self.bend - angle * self._reach) * (speed * self._pull)
+        limited: FloatArray = np.maximum(turn, self._least[:, moment])
+        return np.minimum(limited, self._most[:, moment])
+
+    def way(self, step: FloatArray, beside: FloatArray) -> FloatArray:
+        """Returns the way along the road, whose inner side is the shorter one in a curve [m]."""
+        inner = np.maximum(1.0 - beside * self.curvature, np.float32(0.3))
+        way: FloatArray = step / inner
+        return way
+
+
 def drive_arcs(
     table: Arrays,
     rules: DoubleArray,
@@ -123,47 +184,34 @@ def drive_arcs(
     """
     del motion
     known, physics = PlanTable(*table), _Rules(*rules.tolist())
-    speed, lock, reach, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
-    # what turns into a share of full lock, for each m/s of speed
-    pull = 2.0 / (reach * reach * lock)
-    least, most = known.least[rows], known.most[rows]
+    speed, lock, _, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
     drifts, releases, slower = known.drifts[rows] > 0, known.releases[rows], known.slower[rows]
-    lanes, which = known.lanes[rows], known.items[rows]
-    item_lanes = _item_lanes(items, int(which.max()) + 1)
-    extra = np.where(which < 0, 0, np.take_along_axis(item_lanes, np.maximum(which, 0), axis=1))
-    moments, (count, plans) = len(known.spans), which.shape
-    along, across, ahead = (np.empty((moments, count, plans), np.float32) for _ in range(3))
-    at = np.zeros((count, plans), np.float32)
+    course = _Course(known, rows, karts, road, items, physics.mark_spacing)
+    plans = known.items.shape[1]
+    along, across, ahead = _room_for(known, len(rows))
+    at = np.zeros((len(rows), plans), np.float32)
     beside, angle, last_turn = (
         np.repeat(x, plans, axis=1) for x in (offset, own_angle, drift_turn)
     )
-    last_mark = road.shape[2] - 1
-    at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(3, -1)
-    first = (last_mark + 1) * np.arange(count)[:, None]
-    marks = np.repeat(first, plans, axis=1)
-    per_mark = np.float32(1.0 / physics.mark_spacing)
     turns = last_turn
     for moment, span in enumerate(known.spans):
-        bend, width, curvature = at_marks.take(marks, axis=1)
         speeds = np.maximum(speed + slower[:, moment], 4.0)
-        turn = (lanes[:, moment] * width + extra - beside + bend - angle * reach) * (speeds * pull)
-        turn = np.minimum(np.maximum(turn, least[:, moment]), most[:, moment])
+        turn = course.turn(moment, beside, angle, speeds)
         last_turn = np.where(drifts[:, moment], turn, last_turn)
         if moment == 0:
             turns = turn
             turn = turn + (own_turn - turn) * np.float32(physics.steering_lag)
         release = releases[:, moment] * (np.float32(physics.release_turn) / lock)
         turn = (turn + last_turn * release) * (lock * span)
-        # along the road the inner side of a curve is the shorter one
         step = speeds * span
-        way = step / np.maximum(1.0 - beside * curvature, 0.3)
-        turn = 0.5 * (turn - way * curvature)
+        way = course.way(step, beside)
+        turn = 0.5 * (turn - way * course.curvature)
         angle = angle + turn
         at = at + way * np.cos(angle)
         beside = beside + step * np.sin(angle)
         angle = angle + turn
-        marks = first + np.clip((at * per_mark).astype(np.intp), 0, last_mark)
-        along[moment], across[moment], ahead[moment] = at, beside, at_marks[1].take(marks)
+        course.reach_to(at)
+        along[moment], across[moment], ahead[moment] = at, beside, course.width
     return along, across, ahead, angle, turns
 
 
@@ -179,36 +227,23 @@ def drive_by_network(
     """Drives all plans of all karts with the network; see :func:`drive_arcs`."""
     known, physics = PlanTable(*table), _Rules(*rules.tolist())
     settings, layers = MotionRules(*motion[0].tolist()), motion[1:]
-    speed, lock, reach, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
+    speed, _, _, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
     boost, big_boost = karts[:, 7:9, None].swapaxes(0, 1)
     slide, yaw, drift_side, drift_steps, release = karts[:, 11:, None].swapaxes(0, 1)
-    pull = 2.0 / (reach * reach * lock)
-    lanes, which = known.lanes[rows], known.items[rows]
-    item_lanes = _item_lanes(items, int(which.max()) + 1)
-    extra = np.where(which < 0, 0, np.take_along_axis(item_lanes, np.maximum(which, 0), axis=1))
-    moments, (count, plans) = len(known.spans), which.shape
-    along, across, ahead = (np.empty((moments, count, plans), np.float32) for _ in range(3))
-    zeros = np.zeros((count, plans), np.float32)
+    course = _Course(known, rows, karts, road, items, physics.mark_spacing)
+    along, across, ahead = _room_for(known, len(rows))
+    zeros = np.zeros((len(rows), known.items.shape[1]), np.float32)
     at, beside, angle, turns = zeros, zeros + offset, zeros + own_angle, zeros
     of_karts = (drift_side, drift_steps, release, drift_turn, boost, big_boost, 0)
     own = MotionState(*(zeros + x for x in (speed, slide, yaw, own_turn, own_turn, *of_karts)))
-    last_mark = road.shape[2] - 1
-    at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(3, -1)
-    first = (last_mark + 1) * np.arange(count)[:, None]
-    marks = np.repeat(first, plans, axis=1)
-    per_mark = np.float32(1.0 / physics.mark_spacing)
     half = np.float32(0.5 * settings.step)
     brakers = (known.manoeuvres[rows] == _BRAKE).astype(np.float32)
     step = 0
     for moment, end in enumerate(np.cumsum(known.spans, dtype=np.float32)):
-        least, most = known.least[rows, moment], known.most[rows, moment]
-        side = np.where(known.drifts[rows, moment] > 0, np.sign(least + most), 0)
+        middle = known.least[rows, moment] + known.most[rows, moment]
+        side = np.where(known.drifts[rows, moment] > 0, np.sign(middle), 0)
         while np.float32(step) * np.float32(settings.step) < end - half:
-            bend, width, curvature = at_marks.take(marks, axis=1)
-            turn = (lanes[:, moment] * width + extra - beside + bend - angle * reach) * (
-                own.speed * pull
-            )
-            turn = np.minimum(np.maximum(turn, least), most)
+            turn = course.turn(moment, beside, angle, own.speed)
             turns = turn if step == 0 else turns
             brakes = brakers if step < settings.brake_lasts else zeros
             own = _act(own, turn, side, brakes, settings, is_first=step == 0)
@@ -219,16 +254,20 @@ def drive_by_network(
             forward, aside = half * (own.speed + speed), half * (own.slide + slide)
             heading = angle + np.float32(0.5) * yaw
             sine, cosine = np.sin(heading), np.cos(heading)
-            # along the road the inner side of a curve is the shorter one
-            inner = np.maximum(1.0 - beside * curvature, np.float32(0.3))
-            way = (forward * cosine - aside * sine) / inner
+            way = course.way(forward * cosine - aside * sine, beside)
             at, beside = at + way, beside + (forward * sine + aside * cosine)
-            angle = angle + (yaw - way * curvature)
+            angle = angle + (yaw - way * course.curvature)
             own = own._replace(speed=speed, slide=slide, yaw=yaw)
-            marks = first + np.clip((at * per_mark).astype(np.intp), 0, last_mark)
+            course.reach_to(at)
             step += 1
-        along[moment], across[moment], ahead[moment] = at, beside, at_marks[1].take(marks)
+        along[moment], across[moment], ahead[moment] = at, beside, course.width
     return along, across, ahead, angle, turns
+
+
+def _room_for(known: PlanTable, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Returns three arrays for the moments of all plans of karts, ``(T, A, C)``."""
+    along, across, ahead = np.empty((3, len(known.spans), count, known.items.shape[1]), np.float32)
+    return along, across, ahead
 
 
 def _act(
