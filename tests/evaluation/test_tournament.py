@@ -119,6 +119,18 @@ def test_a_finished_tournament_runs_nothing_again(small):
     assert stamps == [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
 
 
+@pytest.mark.slow
+def test_incomplete_files_of_a_killed_program_are_removed(small):
+    folder = small[0]
+    places = [path for path in folder.rglob("*") if path.is_dir()]
+    assert {"races", "replays", "films"} <= {place.name for place in places}
+    parts = [place / ".name.abcdefgh.part" for place in (folder, *places)]
+    for part in parts:
+        part.touch()
+    resume_tournament(folder)
+    assert not [part for part in parts if part.exists()]
+
+
 def test_the_plot_is_a_picture(small, tmp_path):
     folder, result, _ = small
     assert (folder / "tournament.png").read_bytes()[:4] == b"\x89PNG"

@@ -203,8 +203,8 @@ def _locked(folder: Path, noun: str) -> Iterator[None]:
                 f"another program runs the {noun} in {folder}; wait until it ends, or choose "
                 "another folder"
             )
-        for place in (folder, folder / RACES):
-            for part in place.glob(PART_FILES):  # a killed program leaves incomplete files
+        for pattern in (PART_FILES, f"*/{PART_FILES}"):
+            for part in folder.glob(pattern):  # a killed program leaves incomplete files
                 part.unlink(missing_ok=True)
         yield
 
