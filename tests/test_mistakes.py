@@ -275,7 +275,7 @@ CALLS = [
     (lambda: make(render_mode="rgb"), "rgb_array"),
     (lambda: make(max_cycles=-1), "max_cycles is -1"),
     (lambda: make(step_size=60), "step_size is 60"),
-    (lambda: make(reverse="yes"), "reverse is 'yes', expected True or False"),
+    (lambda: make(reverse="yes"), "reverse is 'yes', expected True, False or None"),
     (lambda: make().step({}), "reset"),
     (lambda: make().reset(seed="x"), "seed is 'x', expected a whole number of 0 or more"),
     (lambda: make().reset(seed=1.5), "seed is 1.5, expected a whole number of 0 or more"),

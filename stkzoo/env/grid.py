@@ -71,7 +71,7 @@ def draw_race(
     random: np.random.Generator,
     opponents: Sequence[AgentSpec] = (),
 ) -> tuple[RaceSetup, tuple[int, ...]]:
-    """Draws the random parts of a race: the track, the engine's seed and free grid positions.
+    """Draws the random parts of a race: track, direction, the engine's seed, free grid positions.
 
     If the race has a window and neither ``num_cameras`` nor any agent requests a camera, all agents
     that the game's AI does not drive get one, or else the first agent.
@@ -90,6 +90,9 @@ def draw_race(
             those of the opponents.
     """
     track = tracks[int(random.integers(len(tracks)))]
+    reverse = options.reverse
+    if reverse is None:
+        reverse = bool(random.integers(2))
     seed = int(random.integers(2**16))
     everyone = [*agents, *opponents]
     kart_indices = _draw_places(everyone, options.num_kart, random)
@@ -112,7 +115,7 @@ def draw_race(
         track=track,
         karts=tuple(karts),
         laps=int(options.laps),
-        reverse=options.reverse,
+        reverse=reverse,
         mode=options.mode,
         difficulty=int(options.difficulty),
         seed=seed,

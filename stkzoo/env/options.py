@@ -47,7 +47,8 @@ class RaceOptions:
             (:mod:`stkzoo.tracks`).
         laps: number of laps.
         difficulty: level of the game's bots, 0 (easiest) to 3 (hardest).
-        reverse: drive the track in the opposite direction.
+        reverse: drive the track in the opposite direction; ``None`` draws a direction at every
+            reset.
         mode: ``"normal"``, or ``"time_trial"`` for the game's time trial: no item boxes,
             and each kart starts with one zipper per lap.
         max_paths: number of track segments ahead in observations; ``None`` for all.
@@ -70,7 +71,7 @@ class RaceOptions:
     track: str | Sequence[str] | None = None
     laps: int = 1
     difficulty: int = 2
-    reverse: bool = False
+    reverse: bool | None = False
     mode: str = NORMAL
     max_paths: int | None = None
     step_size: float = 0.1
@@ -89,9 +90,10 @@ class RaceOptions:
             if value is not None or name not in _OPTIONAL:
                 object.__setattr__(self, name, check_whole(name, value, low, high))
         check_mode(self.mode)
-        for name in ("reverse", "events"):
-            if not isinstance(getattr(self, name), bool):
-                raise ConfigError(f"{name} is {getattr(self, name)!r}, expected True or False")
+        if not isinstance(self.events, bool):
+            raise ConfigError(f"events is {self.events!r}, expected True or False")
+        if self.reverse is not None and not isinstance(self.reverse, bool):
+            raise ConfigError(f"reverse is {self.reverse!r}, expected True, False or None")
         for name in _SECONDS:
             if getattr(self, name) is not None:
                 check_number(name, getattr(self, name), 0.0, unit="seconds")

@@ -116,7 +116,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         step_size: float | None = 0.1,
         view: Any = "full",
         reward: Any = None,
-        reverse: bool = False,
+        reverse: bool | None = False,
         max_cycles: int | None = 1500,
         render_backend: str = "auto",
         render_size: Sequence[int] = (640, 480),
