@@ -57,6 +57,7 @@ from stkzoo.race.document import Document
 from stkzoo.race.remote.access import read_servers
 from stkzoo.race.remote.keys import new_key_files, read_publics, read_secret
 from stkzoo.race.replay import ReplayWriter, load_replay
+from stkzoo.suite import Entry, EntryPlan, plan_entry
 
 _TRACK = "lighthouse"
 _SERVERS = f"# ours\ntcp://a:1 a.public\ntcp://b:2 {'k' * 40}\n"
@@ -177,6 +178,16 @@ def _tournament_result() -> TournamentResult:
 
 def _benchmark_result() -> BenchmarkResult:
     return _benchmark().summarize(_results(4), Path())
+
+
+def _entry_plan() -> EntryPlan:
+    return plan_entry("solo-1", "heuristic")
+
+
+def _entry() -> Entry:
+    plan = _entry_plan()
+    races = BenchmarkPlan.summarize(plan, _results(len(plan.races())), Path()).races
+    return Entry(plan, races, replays=("0" * 64,) * len(races))
 
 
 def _time_trial() -> TimeTrialPlan:
@@ -432,6 +443,8 @@ def _all_kinds() -> list[FileKind]:
         _document(BenchmarkResult, _benchmark_result),
         _document(TimeTrialPlan, _time_trial),
         _document(TimeTrialResult, _time_trial_result),
+        _document(EntryPlan, _entry_plan),
+        _document(Entry, _entry),
         _document(AiTimes, _few_ai_times),
         _document(AiTimesPlan, partial(plan_ai_times, tracks=[_TRACK], seeds=1)),
         _document(DemoPlan, partial(plan_demonstrations, "ai", tracks=[_TRACK])),

@@ -64,7 +64,7 @@ LAYERS = [
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
     ("front", ["stkzoo", "stkzoo.compat", "stkzoo._pystk2_gymnasium", "stkzoo.checks"]),
     ("race", ["stkzoo.race", "stkzoo.play", "stkzoo.sb3"]),
-    ("evaluation", ["stkzoo.evaluation"]),
+    ("evaluation", ["stkzoo.evaluation", "stkzoo.suite"]),
     ("agents", ["stkzoo.agents"]),
     ("cli", ["stkzoo.cli", "stkzoo.__main__"]),
 ]

@@ -141,7 +141,7 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 
     plan = _plan(arguments)
     folder = _folder(arguments, plan.agent.label)
-    return run_plan(arguments, plan, folder, lambda result: _show_results([result]))
+    return run_plan(arguments, plan, folder, lambda result: show_results([result]))
 
 
 def _folder(arguments: argparse.Namespace, name: str) -> Path:
@@ -228,7 +228,7 @@ def _compare(arguments: argparse.Namespace) -> int:
         texts += [comparison.to_json() for comparison in comparisons]
         print("[" + ",\n".join(texts) + "]")
         return 0
-    _show_results(results)
+    show_results(results)
     for comparison in comparisons:
         _show_comparison(comparison)
     if arguments.output:
@@ -239,7 +239,7 @@ def _compare(arguments: argparse.Namespace) -> int:
 # ------------------------------------------------------------------ tables
 
 
-def _show_results(results: Sequence[BenchmarkResult]) -> None:
+def show_results(results: Sequence[BenchmarkResult]) -> None:
     """Prints the metrics of one agent, or the main metrics of several agents."""
     from stkzoo.cli._console import say
 

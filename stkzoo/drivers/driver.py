@@ -36,8 +36,8 @@ _NO_DRIVERS = {"pretrained", "planning", "training"}
 #: Package of the learned drivers; each of its subpackages is a driver.
 _PRETRAINED = "pretrained"
 _NAME_MARK = "@:"
-#: Names of the game's AI, and the difficulty that each name requires.
-_GAME_AI = {"ai": None, "ai:0": 0, "ai:1": 1, "ai:2": 2, "ai:3": 3}
+#: Names of the game's AI, and the difficulty that each name requires; ``None`` for any.
+GAME_AI = {"ai": None, "ai:0": 0, "ai:1": 1, "ai:2": 2, "ai:3": 3}
 
 
 #: Loads a driver's code. Closing the stack releases its resources.
@@ -177,18 +177,18 @@ def declared_name(source: str) -> str:
     Args:
         source: see ``text`` of :func:`find_driver`, without ``@:Name``.
     """
-    files = None if source in (*_GAME_AI, *driver_names()) else find_files(source)
+    files = None if source in (*GAME_AI, *driver_names()) else find_files(source)
     name = "" if files is None else declared(files, "player_name")
     return name if isinstance(name, str) else ""
 
 
 def _find(source: str, inline: bool, adapter: str | None) -> Driver:
-    if source in _GAME_AI:
-        return Driver(source, None, difficulty=_GAME_AI[source])
+    if source in GAME_AI:
+        return Driver(source, None, difficulty=GAME_AI[source])
     if source.startswith("ai:"):
         raise ConfigError(
             f"driver {source!r} is the game's AI at an unknown level; expected "
-            f"{', '.join([*_GAME_AI][1:])}, or ai for that of --difficulty"
+            f"{', '.join([*GAME_AI][1:])}, or ai for that of --difficulty"
         )
     if source == "random":
         return Driver.of_actor(source, _random_actor)

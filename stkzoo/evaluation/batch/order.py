@@ -16,8 +16,8 @@ from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
-#: Name of the folder of races in a batch's folder.
-RACES = "races"
+#: Names of the folders of races and of their replays in a batch's folder.
+RACES, REPLAYS = "races", "replays"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +122,14 @@ class RaceOrder:
         """
         return folder / RACES / f"{self.number:05d}{ending}"
 
+    def replay_file(self, folder: Path) -> Path:
+        """Returns the file of the race's replay, which some batches store.
+
+        Args:
+            folder: folder of the batch.
+        """
+        return replay_file(folder, self.number)
+
     def _matches(self, result: RaceResult) -> bool:
         rows = sorted(result.agents, key=lambda row: (len(row.agent), row.agent))
         found = [
@@ -132,6 +140,16 @@ class RaceOrder:
             getattr(result, name) == getattr(self.settings, name)
             for name in ("seed", "track", "reverse", "mode", "laps", "difficulty")
         )
+
+
+def replay_file(folder: Path, number: int) -> Path:
+    """Returns the file of the replay of a batch's race.
+
+    Args:
+        folder: folder of the batch.
+        number: number of the race.
+    """
+    return folder / REPLAYS / f"{number:05d}.stkz"
 
 
 def _absent(driver: str | Driver) -> Driver:

@@ -74,6 +74,8 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
     decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
+    #: Whether rivals can be drivers of a population.
+    has_population: ClassVar[bool] = False
 
     agent: Entrant
     split: str
@@ -86,6 +88,12 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
 
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        for form in self._forms():
+            if form.has_population and not self.has_population:
+                raise ConfigError(
+                    f"race form {form.name!r} has karts of a population (B), which only tasks of "
+                    "`stkzoo suite` have; expected A for each kart of the game's AI"
+                )
         ends = sum(len(form.ends) for form in self._forms())
         check_num_races("benchmark", len(self.tracks) * len(self.directions) * ends * self.seeds)
         for track, reverse in itertools.product(self.tracks, self.directions):

@@ -31,7 +31,7 @@ DECIDED_SETTINGS = (
     *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
     *("max_steps", "max_steps_after_first", "karts_finished"),
 )
-_FORM = re.compile(r"(P+)(A*)")
+_FORM = re.compile(r"(P+)(A*|B*)")
 _MAX_KARTS = 20
 _SEED_BYTES = 4
 
@@ -43,12 +43,13 @@ _STEP, _COUNTDOWN = 0.1, 20  # step size [s], and number of steps before the rac
 
 @dataclass(frozen=True, slots=True)
 class BenchmarkForm:
-    """A race form: the numbers of karts that the agent and the game's AI drive.
+    """A race form: the numbers of karts of the agent and of its rivals.
 
     Attributes:
-        name: name of the form; ``"PPAAA"`` means two karts of the agent and three of the AI.
+        name: name of the form; ``"PPAAA"`` means two karts of the agent and three of the game's AI.
+            The letter B instead of A stands for drivers of a population (:mod:`stkzoo.suite`).
         agents: number of karts of the agent.
-        rivals: number of karts of the AI.
+        rivals: number of other karts.
     """
 
     name: str
@@ -77,6 +78,11 @@ class BenchmarkForm:
     def ends(self) -> tuple[str, ...]:
         """The ends of the grid from which the agent starts; only the front without rivals."""
         return (FRONT, BACK) if self.rivals else (FRONT,)
+
+    @property
+    def has_population(self) -> bool:
+        """Whether the rivals are drivers of a population."""
+        return self.name.endswith("B")
 
     @property
     def chance(self) -> float:
@@ -255,6 +261,23 @@ class RaceOutcome(BenchmarkRace):
         if not self.lineup.rivals:
             return None
         return float(any(kart.rank == 1 and kart.time is not None for kart in self.karts))
+
+    @property
+    def beaten(self) -> float | None:
+        """Mean share of rivals behind a kart of the agent; ``None`` without rivals.
+
+        A kart of the agent that did not finish has beaten nobody.
+        """
+        rivals = self.lineup.rivals
+        if not rivals:
+            return None
+        taken = {kart.rank for kart in self.karts}
+        others = [rank for rank in range(1, len(self.form) + 1) if rank not in taken]
+        shares = [
+            0.0 if kart.time is None else sum(rank > kart.rank for rank in others) / rivals
+            for kart in self.karts
+        ]
+        return _mean(shares)
 
     @property
     def rank(self) -> float | None:

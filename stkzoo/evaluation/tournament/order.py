@@ -35,7 +35,7 @@ class TournamentOrder(RaceOrder):
         Args:
             folder: folder of the tournament.
         """
-        replay, film = replay_file(folder, self.number), film_file(folder, self.number)
+        replay, film = self.replay_file(folder), film_file(folder, self.number)
         for file in (replay, film):
             file.parent.mkdir(exist_ok=True)
         recorder = FilmRecorder()
@@ -71,11 +71,6 @@ class TournamentOrder(RaceOrder):
             replace(next(connected), name=text.rpartition(NAME_MARK)[2]) if agent else text
             for text, agent in zip(self.drivers, self.served, strict=True)
         ]
-
-
-def replay_file(folder: Path, number: int) -> Path:
-    """Returns the file of a race's replay in the tournament's folder."""
-    return folder / "replays" / f"{number:05d}.stkz"
 
 
 def film_file(folder: Path, number: int) -> Path:

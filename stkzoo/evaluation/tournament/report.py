@@ -17,8 +17,9 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from stkzoo._os import write_text
+from stkzoo.evaluation.batch.order import replay_file
 from stkzoo.evaluation.tournament.film import MapFilm, draw_film
-from stkzoo.evaluation.tournament.order import film_file, replay_file
+from stkzoo.evaluation.tournament.order import film_file
 from stkzoo.race.result import AgentResult, RaceResult
 
 if TYPE_CHECKING:

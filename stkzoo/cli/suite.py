@@ -1,0 +1,260 @@
+"""Tasks with fixed rules, for comparisons in papers and courses.
+
+stkzoo-suite-1 has six tasks: what to learn, on which tracks, in how many kart-steps, and in which
+races the result is evaluated. An evaluated agent is an entry: a folder with its scores and a
+replay of each race. `verify` runs all races of an entry again, without the agent, and compares
+every number.
+
+Examples:
+  stkzoo suite list                                the tasks and the population
+  stkzoo suite evaluate versus my_agent/           120 races on the test tracks
+  stkzoo suite verify suite/versus-my_agent        run all races again
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
+from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
+from stkzoo.race import RaceSettings
+
+if TYPE_CHECKING:
+    from stkzoo.suite import Entry, Task
+
+#: Options that are also fields of ``About``.
+_ABOUT = ("authors", "description", "kart_steps")
+
+
+@dataclass
+class ListArguments:
+    """Options of ``stkzoo suite list``.
+
+    Attributes:
+        task: show all rules of one task
+        json: write JSON instead of tables
+    """
+
+    task: str | None = positional(None)
+    json: bool = False
+
+
+@dataclass
+class EvaluateArguments:
+    """Options of ``stkzoo suite evaluate``.
+
+    Attributes:
+        task: the task, as listed by `stkzoo suite list`
+        agent: the agent: a driver's name, a folder, a zip or a module; append @:Name to rename it
+        authors: names of the authors, for the entry
+        description: how the agent was made and where to find it, for the entry
+        kart_steps: number of kart-steps that the agent learned from, for the entry
+        output: folder of the entry (default: suite/TASK-AGENT)
+        json: write only the entry's JSON to stdout
+    """
+
+    task: str = positional()
+    agent: str = positional()
+    authors: str = option("", metavar="NAMES", group="entry")
+    description: str = option("", metavar="TEXT", group="entry")
+    kart_steps: int | None = option(group="entry")
+    output: Path | None = option(metavar="FOLDER", group="entry")
+    json: bool = option(False, group="entry")
+
+
+@dataclass
+class VerifyArguments:
+    """Options of ``stkzoo suite verify``.
+
+    Attributes:
+        entry: folder of the entry
+        json: write JSON to stdout
+    """
+
+    entry: Path = positional(metavar="ENTRY")
+    json: bool = False
+
+
+def add_arguments(parser: CommandParser) -> None:
+    """Declares the arguments."""
+    from stkzoo.suite import EntryPlan
+
+    listing, evaluation, verification = add_actions(parser, _list, _evaluate, _verify)
+    add_options(listing, ListArguments)
+    add_options(evaluation, EvaluateArguments)
+    add_batch_options(evaluation, EntryPlan.decided)
+    add_options(verification, VerifyArguments)
+    add_options(verification, BatchArguments)
+    for child in (listing, evaluation, verification):
+        child.set_defaults(fail=child.fail)
+
+
+@usage_errors
+def _list(arguments: argparse.Namespace) -> int:
+    """List the tasks and the population.
+
+    Shows for each task what is learned from how many kart-steps, and the races of its evaluation:
+    P is a kart of the agent, A one of the game's hardest AI, B one of the population. Tracks are
+    driven in both directions, with other karts from both ends of the grid.
+
+    Examples:
+      stkzoo suite list
+      stkzoo suite list versus          all rules of one task
+      stkzoo suite list --json
+    """
+    from stkzoo.suite import TASKS, find_task
+
+    tasks = [find_task(arguments.task)] if arguments.task else [*TASKS.values()]
+    if arguments.json:
+        _list_json(tasks)
+    elif arguments.task:
+        _show_task(tasks[0])
+    else:
+        _show_tasks(tasks)
+    return 0
+
+
+@usage_errors
+def _evaluate(arguments: argparse.Namespace) -> int:
+    """Evaluate an agent in a task.
+
+    Drives the races of the task and writes an entry: entry.json with the scores, and a replay of
+    each race. Each race is stored as soon as it ends. After an interruption, the same command
+    resumes.
+
+    Examples:
+      stkzoo suite evaluate solo-1 heuristic
+      stkzoo suite evaluate versus my_agent/ --authors "Ada Lovelace" --kart-steps 2000000
+      stkzoo suite evaluate team-2v2 my_agent.zip@:Nova --output entries/nova
+
+    exit codes:
+      0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
+      failed in some race, 130 interrupted
+    """
+    from stkzoo.cli._batch import run_plan
+    from stkzoo.suite import About, EntryPlan, plan_entry
+
+    about = About(**values_of(arguments, EvaluateArguments, only=_ABOUT))
+    settings = values_of(arguments, RaceSettings, without=EntryPlan.decided)
+    plan = plan_entry(arguments.task, arguments.agent, about=about, **settings)
+    name = f"{plan.task}-{plan.agent.label}".replace("/", "_").replace(":", "-")
+    folder = arguments.output or Path("suite", name)
+    return run_plan(arguments, plan, folder, _show_entry)
+
+
+@usage_errors
+def _verify(arguments: argparse.Namespace) -> int:
+    """Run all races of an entry again, and compare every number.
+
+    The agent is not needed: its karts repeat the recorded controls, and all other karts drive
+    again. Every position, rotation and velocity must be equal to the last bit, and every number
+    of entry.json must follow from the races.
+
+    This proves that the races took place as the entry says. It does not prove who chose the
+    controls, how often the agent failed, or what the entry says about its authors.
+
+    Examples:
+      stkzoo suite verify suite/versus-my_agent
+      stkzoo suite verify entries/nova --jobs 1
+
+    exit codes:
+      0 verified, 1 refused, 2 invalid command line, 130 interrupted
+    """
+    from stkzoo.cli._batch import run_batch
+    from stkzoo.cli._console import say
+    from stkzoo.evaluation import RunOptions
+    from stkzoo.suite import verify_entry
+
+    def verify(options: RunOptions) -> Entry:
+        limits = {"jobs": options.jobs, "race_timeout": options.race_timeout}
+        return verify_entry(arguments.entry, on_race=options.on_race, **limits)
+
+    entry, code = run_batch(arguments, verify)
+    if entry is None:
+        return code
+    if arguments.json:
+        print(entry.to_json())
+        return code
+    _show_entry(entry)
+    say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
+    return code
+
+
+# ------------------------------------------------------------------ tables
+
+
+def _list_json(tasks: list[Task]) -> None:
+    import json
+    from dataclasses import asdict
+
+    from stkzoo.suite import POPULATION, SUITE
+
+    found = {
+        "suite": SUITE,
+        "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
+        "population": [asdict(member) for member in POPULATION],
+    }
+    print(json.dumps(found, indent=2))
+
+
+def _show_tasks(tasks: list[Task]) -> None:
+    from stkzoo.cli._console import say, show_table
+    from stkzoo.suite import POPULATION, SUITE
+
+    rows = [
+        (
+            task.name,
+            task.goal,
+            f"{task.budget / 1e6:g} M",
+            " ".join(task.forms),
+            str(task.num_races),
+            task.metric.replace("_", " "),
+        )
+        for task in tasks
+    ]
+    columns = ("task", "goal", "kart-steps", "forms", "races", "metric")
+    show_table(columns, rows, left=("task", "goal", "forms", "metric"), title=SUITE)
+    members = [
+        (member.driver, "held out" if member.is_held_out else "", member.digest)
+        for member in POPULATION
+    ]
+    show_table(("population", "in training", "digest"), members, left=("population", "in training"))
+    say("`stkzoo suite list TASK` shows all rules of a task.")
+
+
+def _show_task(task: Task) -> None:
+    from dataclasses import asdict
+
+    from stkzoo.cli._console import show_table
+
+    values = {**asdict(task), "races": task.num_races, "digest": task.digest}
+    rows = [
+        (name.replace("_", " "), _text(value))
+        for name, value in values.items()
+        if value not in ((), None)
+    ]
+    show_table(("rule", task.name), rows, left=("rule", task.name))
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _show_entry(entry: Entry) -> None:
+    """Prints the scores of an entry."""
+    from stkzoo.cli._console import say
+    from stkzoo.cli.benchmark import show_results
+
+    show_results([entry])
+    score, task = entry.score, entry.task
+    if score is not None:
+        low, high = score.interval
+        say(
+            f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
+            f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {task.num_races} races."
+        )

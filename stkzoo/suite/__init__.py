@@ -1,0 +1,30 @@
+"""stkzoo-suite-1: tasks, a population of opponents, and verified results for multi-agent racing.
+
+>>> from stkzoo.suite import find_task
+>>> env = find_task("versus").make()
+>>> env.possible_agents
+['kart_0']
+>>> env.close()
+"""
+
+from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
+from stkzoo.suite.population import POPULATION, Member, behaviour
+from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
+from stkzoo.suite.verification import EntryRefused, verify_entry
+
+__all__ = [
+    "POPULATION",
+    "SUITE",
+    "TASKS",
+    "About",
+    "Entry",
+    "EntryPlan",
+    "EntryRefused",
+    "Member",
+    "Task",
+    "behaviour",
+    "evaluate",
+    "find_task",
+    "plan_entry",
+    "verify_entry",
+]

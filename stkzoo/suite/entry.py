@@ -1,0 +1,253 @@
+"""Entries: the recorded races of an agent in a task of the suite, and its scores."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+from stkzoo._os import file_digest
+from stkzoo._schema import Count, Matching, Within
+from stkzoo.drivers.driver import GAME_AI
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.order import RaceOrder, replay_file
+from stkzoo.evaluation.batch.plan import BatchPlan
+from stkzoo.evaluation.batch.run import RunOptions, run_batch
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult, plan_benchmark
+from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind
+from stkzoo.evaluation.statistics import Estimate
+from stkzoo.race.replay import ReplayWriter
+from stkzoo.race.result import RaceResult
+from stkzoo.race.runner import run_race
+from stkzoo.race.settings import RaceSettings
+from stkzoo.suite.population import POPULATION, draw_rivals
+from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
+
+#: Name of the file with the scores in the folder of an entry.
+ENTRY_FILE = "entry.json"
+#: Settings of the races that the task sets.
+DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths")
+_BEATEN = FigureKind(BEATEN, lambda race: race.beaten, (0.0, 1.0))
+_Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
+_Text = Annotated[str, Within(0, 2000)]
+
+
+@dataclass(frozen=True, slots=True)
+class EntryOrder(RaceOrder):
+    """A race of an entry, which stores its replay."""
+
+    def run(self, folder: Path) -> RaceResult:
+        """Runs the race in a worker process, and stores its replay.
+
+        Args:
+            folder: folder of the entry.
+        """
+        replay = self.replay_file(folder)
+        replay.parent.mkdir(exist_ok=True)
+        return run_race(
+            self.without_absent(self.drivers),
+            listeners=[ReplayWriter(replay)],
+            start_positions=range(1, len(self.drivers) + 1),
+            wait_for=self.wait_for,
+            settings=self.settings,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What an entry says about itself. Nothing of it can be verified.
+
+    Attributes:
+        authors: names of the authors.
+        description: how the agent was made, and where to find it.
+        kart_steps: number of kart-steps that it learned from; ``None`` if unknown.
+    """
+
+    authors: _Text = ""
+    description: _Text = ""
+    kart_steps: Count | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EntryPlan(BenchmarkPlan):
+    """The plan of an entry. It determines the races.
+
+    Attributes:
+        task: name of the task.
+        task_digest: :attr:`Task.digest <stkzoo.suite.Task.digest>`.
+        population: digests of the population's drivers, by name.
+        about: what the entry says about itself.
+    """
+
+    kind: ClassVar[str] = "suite-plan"
+    noun: ClassVar[str] = "entry"
+    resume_command: ClassVar[str] = "stkzoo suite evaluate TASK AGENT --output {folder}"
+    decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
+    result_file: ClassVar[str] = ENTRY_FILE
+    has_population: ClassVar[bool] = True
+
+    task: str
+    task_digest: _Digest
+    population: Mapping[str, str]
+    about: About = field(default_factory=About)
+
+    def orders(self) -> list[RaceOrder]:
+        """Returns the orders of all races."""
+        races = self.races()
+        rivals = draw_rivals(races)
+        return [self._entry_order(race, rivals.get(race.number, ())) for race in races]
+
+    def _entry_order(self, race: BenchmarkRace, rivals: tuple[str, ...]) -> RaceOrder:
+        order, others = BenchmarkPlan._order(self, race), iter(rivals)
+        drivers = tuple(next(others, "ai") if text == "ai" else text for text in order.drivers)
+        level = next((GAME_AI[text] for text in drivers if GAME_AI.get(text) is not None), None)
+        settings = order.settings if level is None else replace(order.settings, difficulty=level)
+        return EntryOrder(order.number, drivers, settings, order.wait_for)
+
+    def summarize(self, results: Mapping[int, RaceResult], folder: Path) -> Entry:
+        """Returns the entry with the races that have been run.
+
+        Args:
+            results: results of races by number.
+            folder: folder of the entry.
+
+        Raises:
+            ConfigError: a replay is missing.
+        """
+        found = BenchmarkPlan.summarize(self, results, folder)
+        replays = tuple(replay_digest(folder, race.number) for race in found.races)
+        return Entry(self, found.races, found.sandboxes, found.protections, replays)
+
+    def shown_like(self, other: EntryPlan) -> EntryPlan:
+        """Returns this plan with what another plan says about the agent."""
+        return replace(BatchPlan.shown_like(self, other), about=other.about)
+
+    def _comparable(self) -> dict[str, Any]:
+        values = BenchmarkPlan._comparable(self)
+        del values["about"]
+        return values
+
+
+def replay_digest(folder: Path, number: int) -> str:
+    """Returns the SHA-256 of a replay in the folder of an entry.
+
+    Raises:
+        ConfigError: the replay cannot be read.
+    """
+    file = replay_file(folder, number)
+    try:
+        return file_digest(file, hashlib.sha256())
+    except OSError as error:
+        raise ConfigError(
+            f"{file} cannot be read; delete the result of the race, races/{file.stem}.json, to "
+            "run it again"
+        ) from error
+
+
+@dataclass(frozen=True)
+class Entry(BenchmarkResult):
+    """The recorded races of an agent in a task, and its scores.
+
+    Attributes:
+        plan: the races.
+        races: the races that have been run.
+        sandboxes: as in :class:`~stkzoo.evaluation.BenchmarkResult`.
+        protections: as in :class:`~stkzoo.evaluation.BenchmarkResult`.
+        replays: SHA-256 of the replays of these races.
+    """
+
+    kind: ClassVar[str] = "suite-entry"
+    origin: ClassVar[str] = f"the {ENTRY_FILE} of `stkzoo suite evaluate`"
+
+    plan: EntryPlan
+    replays: tuple[_Digest, ...] = ()
+
+    def __post_init__(self) -> None:
+        BenchmarkResult.__post_init__(self)
+        if len(self.replays) != len(self.races):
+            raise ConfigError(f"{len(self.races)} races have {len(self.replays)} replays")
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return find_task(self.plan.task)
+
+    def figure_kinds(self) -> tuple[FigureKind, ...]:
+        """Returns the metrics: those of a benchmark, and the share of beaten rivals."""
+        return (*BenchmarkResult.figure_kinds(self), _BEATEN)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the entry as JSON values."""
+        values = BenchmarkResult.to_dict(self)
+        return {"metric": self.task.metric, "score": self.score and asdict(self.score), **values}
+
+    @cached_property
+    def score(self) -> Estimate | None:
+        """The task's metric over all races; ``None`` without races."""
+        return self.group().figures[self.task.metric] if self.races else None
+
+
+def plan_entry(
+    task: str | Task,
+    agent: str,
+    *,
+    about: About | None = None,
+    settings: RaceSettings | None = None,
+    **changes: Any,
+) -> EntryPlan:
+    """Plans the evaluation of an agent in a task.
+
+    Args:
+        task: the task, or its name.
+        agent: the agent; see :func:`~stkzoo.evaluation.plan_benchmark`.
+        about: what the entry says about itself.
+        settings: settings of every race, such as time limits of agents. The task sets the fields in
+            ``EntryPlan.decided``.
+        changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of ``settings``.
+
+    Raises:
+        ConfigError: the task or the agent does not exist, or a setting is invalid.
+        AssetError: the game's data is missing.
+    """
+    task = find_task(task) if isinstance(task, str) else task
+    base = plan_benchmark(
+        agent,
+        split=task.test_tracks,
+        difficulty=DIFFICULTY,
+        forms=("P",),
+        seeds=task.seeds,
+        settings=replace(EntryPlan.choose_settings(settings, changes), max_paths=None),
+    )
+    values = {own.name: getattr(base, own.name) for own in fields(base)}
+    return EntryPlan(
+        **{**values, "forms": task.forms},
+        task=task.name,
+        task_digest=task.digest,
+        population={member.driver: member.digest for member in POPULATION},
+        about=about or About(),
+    )
+
+
+def evaluate(
+    task: str | Task, agent: str, *, output: str | os.PathLike[str], **options: Any
+) -> Entry:
+    """Evaluates an agent in a task, or resumes the evaluation that was started in ``output``.
+
+    Args:
+        task: the task, or its name.
+        agent: the agent; see :func:`~stkzoo.evaluation.plan_benchmark`.
+        output: folder for ``entry.json``, the replays and the result of each race.
+        options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
+            :class:`~stkzoo.evaluation.RunOptions`; all others as for :func:`plan_entry`.
+
+    Raises:
+        ConfigError: an argument is invalid, or ``output`` contains another evaluation.
+        AssetError: the game's data is missing.
+        BatchError: some races could not be run.
+    """
+    run, plan = RunOptions.split(options)
+    return run_batch(plan_entry(task, agent, **plan), output, run)  # type: ignore[return-value]

@@ -1,0 +1,121 @@
+"""The background population of the suite: frozen drivers that entries race against."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from stkzoo.drivers.driver import GAME_AI
+from stkzoo.evaluation.benchmark.races import BenchmarkRace
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.replay.file import next_digest
+from stkzoo.race.runner import run_race
+from stkzoo.suite.tasks import DIFFICULTY
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A driver of the population.
+
+    Attributes:
+        driver: its name for :func:`~stkzoo.race.find_driver`.
+        digest: see :func:`behaviour`. It identifies the driver.
+        is_held_out: whether agents must not meet it during training.
+    """
+
+    driver: str
+    digest: str
+    is_held_out: bool = False
+
+    @property
+    def level(self) -> int | None:
+        """Difficulty that the driver requires for the race; ``None`` for any."""
+        return GAME_AI.get(self.driver)
+
+
+#: The members of the population.
+POPULATION = (
+    Member("ai:1", "8b779db5539ae7e6"),
+    Member("ai:2", "df25f0a35915209c"),
+    Member("ai:3", "b2608ce6a4c13123"),
+    Member("pursuit", "e7a0dd3e7c727757", is_held_out=True),
+    Member("heuristic", "f50bcd7ad90b57a8"),
+    Member("pretrained:scout", "12d27e85940cf506", is_held_out=True),
+    Member("pretrained:ace", "3dc4f4629e43edf8"),
+    Member("pretrained:apex", "81f088bd499bc1d3", is_held_out=True),
+)
+
+
+def behaviour(driver: str) -> str:
+    """Returns a digest of how a driver drives: of all karts' motion in one race.
+
+    The driver starts ahead of a kart of the game's AI. Every change of its decisions changes the
+    digest (:func:`~stkzoo.race.replay.next_digest`).
+
+    Args:
+        driver: name of the driver.
+
+    Returns:
+        The digest in 16 hexadecimal digits.
+    """
+    recorder = _DigestRecorder()
+    run_race(
+        [driver, "ai"],
+        listeners=[recorder],
+        start_positions=(1, 2),
+        wait_for=(0,),
+        track="lighthouse",
+        difficulty=DIFFICULTY,
+        seed=1,
+    )
+    return recorder.digest.hex()
+
+
+class _DigestRecorder(RaceListener):
+    """Computes the digest of a race's karts."""
+
+    digest = b""
+
+    def started(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        self.digest = next_digest(b"", race.snapshot)
+
+    def stepped(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        self.digest = next_digest(self.digest, race.snapshot)
+
+
+def draw_rivals(races: Iterable[BenchmarkRace]) -> Mapping[int, tuple[str, ...]]:
+    """Draws the population's drivers in the races of an evaluation.
+
+    The members take turns, in a random order that depends on the races' seeds only. No driver
+    occurs twice in a race, and all members that require a difficulty require the same one.
+
+    Args:
+        races: the races.
+
+    Returns:
+        Names of drivers for each race with karts of the population, by its number.
+    """
+    planned = [race for race in races if race.lineup.has_population]
+    seeds = ",".join(str(race.seed) for race in planned)
+    chance = random.Random(hashlib.sha256(seeds.encode()).hexdigest())
+    waiting: list[Member] = []
+    return {race.number: _next_rivals(waiting, race.lineup.rivals, chance) for race in planned}
+
+
+def _next_rivals(waiting: list[Member], count: int, chance: random.Random) -> tuple[str, ...]:
+    """Takes the first members that can race together from a queue, which is refilled if needed."""
+    chosen: list[Member] = []
+    while len(chosen) < count:
+        levels = {member.level for member in chosen} - {None}
+        for member in waiting:
+            if member not in chosen and len({*levels, member.level} - {None}) < 2:
+                chosen.append(member)
+                waiting.remove(member)
+                break
+        else:
+            waiting += chance.sample(POPULATION, len(POPULATION))
+    return tuple(member.driver for member in chosen)

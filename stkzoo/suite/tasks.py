@@ -1,0 +1,227 @@
+"""The six tasks of stkzoo-suite-1: what agents learn, on which tracks, and how they are evaluated.
+
+A task never changes. :attr:`Task.digest` identifies its definition; another definition is another
+suite.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
+
+import gymnasium as gym
+from pettingzoo import ParallelEnv
+
+from stkzoo._schema import Count, OneOf, Whole, Within
+from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.errors import unknown_name
+from stkzoo.evaluation.benchmark.races import BenchmarkForm
+from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
+from stkzoo.views import find_view
+from stkzoo.wrappers.marl import MessageChannel, PartialObservations, Teams
+
+#: Name of the suite, with its version.
+SUITE = "stkzoo-suite-1"
+#: Difficulty of the game's AI, where the population does not require another one.
+DIFFICULTY = 3
+#: Metrics by which tasks are ranked.
+TIME_RATIO, BEATEN = "time_ratio", "beaten"
+
+_HARDEST_AI = f"ai:{DIFFICULTY}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """A task: an environment to learn in, a budget, and the races of the evaluation.
+
+    All races have one lap. Tracks are driven forward and in reverse.
+
+    Attributes:
+        name: name of the task.
+        goal: description in one sentence.
+        train_tracks: tracks to learn on.
+        test_tracks: tracks of the evaluation.
+        learners: number of karts that learn.
+        rivals: drivers of the other karts during learning.
+        view: view of the learners.
+        reward: reward of the learners.
+        teams: numbers of the learners of each team; empty without teams. A team shares its rewards.
+        sight: distance at which learners see other karts [m]; ``None`` for all distances.
+        words: number of words, of which each learner says one in each step; 0 without messages.
+        forms: race forms of the evaluation (:class:`~stkzoo.evaluation.BenchmarkForm`): ``P`` is a
+            kart of the agent, ``A`` of the game's hardest AI, ``B`` of the population.
+        seeds: races for each form, end of the grid, track and direction.
+        metric: metric of the score: ``"time_ratio"`` or ``"beaten"``
+            (:class:`~stkzoo.evaluation.RaceOutcome`).
+        budget: number of kart-steps to learn from.
+        long_budget: number of kart-steps of the long tier.
+    """
+
+    name: str
+    goal: str
+    train_tracks: tuple[str, ...] = TRAIN_TRACKS
+    test_tracks: tuple[str, ...] = TEST_TRACKS
+    learners: Whole
+    rivals: tuple[str, ...] = ()
+    view: str = "racing"
+    reward: str = "race"
+    teams: tuple[tuple[Count, ...], ...] = ()
+    sight: Annotated[float, Within(0)] | None = None
+    words: Count = 0
+    forms: tuple[str, ...]
+    seeds: Whole
+    metric: Annotated[str, OneOf((TIME_RATIO, BEATEN))] = BEATEN
+    budget: Whole = 2_000_000
+    long_budget: Whole = 10_000_000
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the definition, including the suite's name and all defaults."""
+        text = json.dumps({"suite": SUITE, **asdict(self)}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def num_kart(self) -> int:
+        """Number of karts of a race during learning."""
+        return self.learners + len(self.rivals)
+
+    @property
+    def num_races(self) -> int:
+        """Number of races of the evaluation."""
+        ends = sum(len(BenchmarkForm.of(form).ends) for form in self.forms)
+        return len(self.test_tracks) * 2 * ends * self.seeds
+
+    def options(self, split: str = "train") -> dict[str, Any]:
+        """Returns the task's arguments of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
+
+        :class:`~stkzoo.RaceVectorEnv` and :class:`~stkzoo.sb3.RaceVecEnv` take the same arguments.
+
+        Args:
+            split: ``"train"`` for the tracks to learn on, ``"test"`` for those of the evaluation.
+
+        Raises:
+            ConfigError: there is no such split.
+        """
+        tracks = {"train": self.train_tracks, "test": self.test_tracks}
+        if split not in tracks:
+            raise unknown_name("split", split, tracks)
+        view = self.view if self.sight is None else ShortSighted(self.view, self.sight)
+        return {
+            "num_kart": self.num_kart,
+            "agents": self.learners,
+            **({"opponents": list(self.rivals)} if self.rivals else {}),
+            "track": tracks[split],
+            "reverse": None,
+            "difficulty": DIFFICULTY,
+            "view": view,
+            "reward": self.reward,
+        }
+
+    def make(self, split: str = "train", **options: Any) -> ParallelEnv[str, Any, Any]:
+        """Returns the task's environment, with its teams and messages.
+
+        Args:
+            split: as for :meth:`options`.
+            **options: more arguments of :class:`~stkzoo.env.parallel.RaceParallelEnv`, such as
+                ``render_mode``. Other tracks, karts, views or rewards make another task.
+
+        Raises:
+            ConfigError: an argument is invalid.
+            AssetError: the game's data is missing.
+        """
+        env: ParallelEnv[str, Any, Any] = RaceParallelEnv(**{**self.options(split), **options})
+        if self.teams:
+            env = Teams(env, teams=self.teams, share=1.0)
+        if self.words:
+            env = MessageChannel(env, words=self.words, within_teams=bool(self.teams))
+        return env
+
+
+@dataclass(frozen=True, slots=True)
+class ShortSighted:
+    """A view in which other karts are visible only nearby.
+
+    Attributes:
+        view: name of the view.
+        sight: distance at which karts are visible [m].
+    """
+
+    view: str
+    sight: float
+
+    def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+        """Wraps an environment in the ``full`` view."""
+        return find_view(self.view)(PartialObservations(env, radius=self.sight, of=["karts"]))
+
+
+#: The tasks by name.
+TASKS = {
+    task.name: task
+    for task in (
+        Task(
+            name="solo-1",
+            goal="Drive one track alone, in both directions.",
+            train_tracks=("lighthouse",),
+            test_tracks=("lighthouse",),
+            learners=1,
+            forms=("P",),
+            seeds=10,
+            metric=TIME_RATIO,
+            budget=1_000_000,
+        ),
+        Task(
+            name="solo-general",
+            goal="Drive alone on tracks that were never seen.",
+            learners=1,
+            forms=("P",),
+            seeds=5,
+            metric=TIME_RATIO,
+        ),
+        Task(
+            name="versus",
+            goal="Beat four karts of the game's hardest AI.",
+            learners=1,
+            rivals=(_HARDEST_AI,) * 4,
+            forms=("PAAAA",),
+            seeds=5,
+        ),
+        Task(
+            name="selfplay-5",
+            goal="Learn among five learners, and race against drivers of other kinds.",
+            learners=5,
+            forms=("PBBBB", "PPPPB"),
+            seeds=3,
+        ),
+        Task(
+            name="team-2v2",
+            goal="Win as a team of two that shares its rewards.",
+            learners=4,
+            teams=((0, 3), (1, 2)),
+            forms=("PPBB",),
+            seeds=5,
+        ),
+        Task(
+            name="talk-2v2",
+            goal="Win as a team of two that sees 25 m far and can say eight words.",
+            learners=4,
+            teams=((0, 3), (1, 2)),
+            sight=25.0,
+            words=8,
+            forms=("PPBB",),
+            seeds=5,
+        ),
+    )
+}
+
+
+def find_task(name: str) -> Task:
+    """Returns the task with a name.
+
+    Raises:
+        ConfigError: there is no such task.
+    """
+    if name not in TASKS:
+        raise unknown_name("task", name, TASKS)
+    return TASKS[name]

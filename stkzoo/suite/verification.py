@@ -1,0 +1,278 @@
+"""Verification of entries: every race is run again, and every number is computed again."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from stkzoo._os import cpu_count
+from stkzoo._reading import read_text, reading
+from stkzoo.drivers.driver import GAME_AI
+from stkzoo.errors import StkzooError, shortened
+from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
+from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.batch.run import BatchProgress
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
+from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.replay import Replay, load_replay, play_replay
+from stkzoo.race.result import RaceResult
+from stkzoo.suite.entry import ENTRY_FILE, Entry, EntryPlan, plan_entry, replay_digest
+from stkzoo.suite.tasks import SUITE, find_task
+
+_MAX_SHOWN = 10
+#: Fields of a replay that are also settings of the race.
+_SETTINGS = ("track", "reverse", "mode", "kart", "laps", "difficulty", "max_paths", "seed")
+_STEP_SIZE = 0.1
+#: Allowed difference of numbers: bootstraps may round differently on another machine.
+_TOLERANCE = 1e-9
+
+
+class EntryRefused(StkzooError):
+    """Raised when an entry is not what it says."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyOrder(RaceOrder):
+    """A recorded race to run again: the agent's karts by their recorded controls, the others live.
+
+    Attributes:
+        replay: SHA-256 of the replay.
+    """
+
+    replay: str = ""
+
+    @classmethod
+    def of(cls, order: RaceOrder, replay: str) -> VerifyOrder:
+        """Returns the order that repeats the race of another order.
+
+        Args:
+            order: the other order.
+            replay: SHA-256 of its replay.
+        """
+        own = order.wait_for or ()
+        drivers = tuple("" if n in own else text for n, text in enumerate(order.drivers))
+        return cls(order.number, drivers, order.settings, own, replay=replay)
+
+    def run(self, folder: Path) -> RaceResult:
+        """Runs the race again in a worker process.
+
+        Args:
+            folder: folder of the entry.
+
+        Returns:
+            The result of the new race.
+
+        Raises:
+            StkzooError: the replay is of another race, or differs from the new race.
+        """
+        replay = load_replay(self.replay_file(folder))
+        self._check_facts(replay)
+        own = tuple(self.wait_for or ())
+        ending = _Ending(tuple(f"kart_{number}" for number in own))
+        live = {n: text for n, text in enumerate(self.drivers) if n not in own}
+        playback = play_replay(replay, listeners=[ending], live=live)
+        if playback.first_difference is not None:
+            raise EntryRefused(f"step {playback.first_difference} differs from the recording")
+        if playback.result_differences:
+            raise EntryRefused(f"step {replay.steps}: {'; '.join(playback.result_differences)}")
+        if replay_digest(folder, self.number) != self.replay:
+            raise EntryRefused(f"the replay is not the one of {ENTRY_FILE} (SHA-256)")
+        limit = self.settings.max_steps or replay.steps
+        if replay.steps > limit or ending.step not in (None, replay.steps):
+            last = min(limit, ending.step or limit)
+            raise EntryRefused(f"step {last} ends the race, and the recording has {replay.steps}")
+        return playback.measured
+
+    def suspects(self) -> tuple[int, ...]:
+        """See :meth:`RaceOrder.suspects`. No code of agents runs."""
+        return ()
+
+    def _check_facts(self, replay: Replay) -> None:
+        """Checks that a replay is of this race."""
+        facts = {name: (getattr(replay, name), getattr(self.settings, name)) for name in _SETTINGS}
+        count = len(self.drivers)
+        facts |= {
+            "step_size": (replay.step_size, _STEP_SIZE),
+            "num_tracks": (replay.num_tracks, 1),
+            "start_positions": (replay.start_positions, tuple(range(1, count + 1))),
+            "number of karts": (len(replay.agents), count),
+            "karts of the game's AI": (
+                [n for n, agent in enumerate(replay.agents) if agent.is_game_ai],
+                [n for n, text in enumerate(self.drivers) if text in GAME_AI],
+            ),
+            "is_partial": (replay.is_partial, False),
+        }
+        for name, (found, expected) in facts.items():
+            if found != expected:
+                raise EntryRefused(
+                    f"step 0: {name} is {shortened(found)}, expected {shortened(expected)}"
+                )
+
+
+class _Ending(RaceListener):
+    """Finds the step in which the last of some agents finishes.
+
+    Args:
+        agents: ids of the agents.
+
+    Attributes:
+        step: the step; ``None`` if some have not finished.
+    """
+
+    def __init__(self, agents: tuple[str, ...]) -> None:
+        self._agents = agents
+        self.step: int | None = None
+
+    def stepped(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        if self.step is None and not set(self._agents) & set(race.env.agents):
+            self.step = race.steps
+
+
+def verify_entry(
+    folder: str | os.PathLike[str],
+    *,
+    jobs: int | None = None,
+    race_timeout: float = 3600.0,
+    on_race: Callable[[BatchProgress], object] | None = None,
+) -> Entry:
+    """Runs all races of an entry again and compares every number, without the agent's code.
+
+    The agent's karts repeat their recorded controls; the game's AI and the population drive again.
+    All positions, rotations and velocities must be equal to the last bit.
+
+    Verified are the races and their results. Not verified are who chose the controls, the number
+    of failures of the agent, and what the entry says about itself.
+
+    Args:
+        folder: folder of the entry, with ``entry.json`` and ``replays``.
+        jobs: number of races at the same time; by default one per processor core.
+        race_timeout: time limit of a race [s].
+        on_race: function that is called after each race.
+
+    Returns:
+        The entry.
+
+    Raises:
+        EntryRefused: the entry is incomplete, or a race or a number differs.
+        ConfigError: there is no entry, or its file is damaged.
+    """
+    place = Path(folder)
+    text = _read(place / ENTRY_FILE)
+    entry = Entry.from_json(text, str(place / ENTRY_FILE))
+    _check_conditions(entry, place)
+    pairs = zip(entry.plan.orders(), entry.replays, strict=True)
+    orders = [VerifyOrder.of(order, digest) for order, digest in pairs]
+    report = on_race or (lambda _: None)
+    results: dict[int, RaceResult] = {}
+    problems: dict[int, str] = {}
+    running = run_in_parallel(orders, place, jobs or cpu_count(), race_timeout)
+    with closing(running) as outcomes:
+        for outcome in outcomes:
+            last, number = None, outcome.order.number
+            if outcome.error:
+                problems[number] = f"{_name(outcome.order)}: {outcome.error}"
+            else:
+                last = results[number] = RaceResult.from_json(outcome.result)
+            report(BatchProgress(len(results), len(orders), last, outcome.error))
+    _refuse([problems[number] for number in sorted(problems)])
+    _compare(entry, json.loads(text), results)
+    return entry
+
+
+def _read(file: Path) -> str:
+    with reading(f"{file} is no entry", Entry.origin):
+        return read_text(file, Entry.max_bytes)
+
+
+def _refuse(problems: Sequence[str]) -> None:
+    """Raises an error with the first problems, if there are any."""
+    more = [f"... and {len(problems) - _MAX_SHOWN} more"] if len(problems) > _MAX_SHOWN else []
+    if problems:
+        raise EntryRefused("\n".join(["the entry is refused:", *problems[:_MAX_SHOWN], *more]))
+
+
+def _name(order: RaceOrder) -> str:
+    direction = direction_name(order.settings.reverse)
+    return f"race {order.number} ({order.settings.track} {direction})"
+
+
+def _check_conditions(entry: Entry, folder: Path) -> None:
+    """Checks that an entry has all races of its task, under the conditions of the suite."""
+    plan, problems = entry.plan, []
+    task = find_task(plan.task)
+    expected = plan_entry(task, "random")
+    conditions = {name: getattr(expected.settings, name) for name in EntryPlan.decided}
+    expected = replace(
+        expected,
+        agent=plan.agent,
+        about=plan.about,
+        versions=plan.versions,
+        settings=replace(plan.settings, **conditions),
+    )
+    for entry_field in fields(plan):
+        found, needed = getattr(plan, entry_field.name), getattr(expected, entry_field.name)
+        if found != needed:
+            problems.append(f"{entry_field.name} of the plan is not that of {task.name} in {SUITE}")
+    if not entry.is_complete:
+        problems.append(f"it has {len(entry.races)} of {len(expected.races())} races")
+    names = {order.replay_file(folder).name for order in expected.orders()}
+    if strange := names ^ {file.name for file in (folder / REPLAYS).glob("*")}:
+        shown = ", ".join(sorted(strange)[:_MAX_SHOWN])
+        problems.append(f"{REPLAYS} does not have exactly one replay per race; see {shown}")
+    _refuse(problems)
+
+
+def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceResult]) -> None:
+    """Compares all numbers of an entry with those of the races that were run again."""
+    plan = entry.plan
+    measured = BenchmarkPlan.summarize(plan, results, Path()).races
+    races = tuple(_with_errors(race, own) for race, own in zip(measured, entry.races, strict=True))
+    problems = [
+        f"race {race.number} ({race.track} {direction_name(race.reverse)}), step "
+        f"{results[race.number].steps}: {difference}"
+        for race, own in zip(races, entry.races, strict=True)
+        if (difference := _difference(_plain(own), _plain(race)))
+    ]
+    _refuse(problems)
+    fresh = json.loads(replace(entry, races=races).to_json())
+    if difference := _difference(claimed, fresh):
+        _refuse([f"{ENTRY_FILE}: {difference}"])
+
+
+def _with_errors(race: RaceOutcome, claimed: RaceOutcome) -> RaceOutcome:
+    """Returns an outcome with the claimed numbers of failures, which no replay can show."""
+    karts = tuple(
+        replace(kart, errors=own.errors)
+        for kart, own in zip(race.karts, claimed.karts, strict=True)
+    )
+    return replace(race, karts=karts, status=claimed.status)
+
+
+def _plain(race: RaceOutcome) -> Any:
+    return json.loads(json.dumps(asdict(race)))
+
+
+def _difference(claimed: Any, found: Any, place: str = "") -> str:
+    """Describes the first difference between two JSON values; an empty text if there is none."""
+    if isinstance(claimed, dict) and isinstance(found, dict):
+        for name in sorted({*claimed, *found}):
+            inner = f"{place}.{name}" if place else name
+            if text := _difference(claimed.get(name), found.get(name), inner):
+                return text
+        return ""
+    if isinstance(claimed, list) and isinstance(found, list) and len(claimed) == len(found):
+        pairs = enumerate(zip(claimed, found, strict=True))
+        return next((t for n, pair in pairs if (t := _difference(*pair, f"{place}[{n}]"))), "")
+    if type(claimed) is type(found) is float:
+        is_equal = math.isclose(claimed, found, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+    else:
+        is_equal = type(claimed) is type(found) and claimed == found
+    return "" if is_equal else f"{place} is {shortened(claimed)}, and the races give {found!r}"

@@ -1,0 +1,110 @@
+"""The tasks are frozen, can be made, and have the races that they promise."""
+
+import json
+
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.suite import POPULATION, TASKS, behaviour, find_task, plan_entry
+from stkzoo.suite.population import draw_rivals
+from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
+
+#: The definitions of stkzoo-suite-1. Another digest is another suite.
+DIGESTS = {
+    "solo-1": "40b16f2ebc830040",
+    "solo-general": "17f4d82c61b3ae54",
+    "versus": "d87d9b505248c8b1",
+    "selfplay-5": "dc7ab2dc02c72860",
+    "team-2v2": "2c7e2813924fbf3f",
+    "talk-2v2": "07cfdeab13bf4d59",
+}
+
+
+def test_the_tasks_are_those_of_the_suite():
+    assert {name: task.digest[:16] for name, task in TASKS.items()} == DIGESTS
+
+
+@pytest.mark.parametrize("name", DIGESTS)
+def test_a_task_can_be_made_and_raced(name):
+    task = find_task(name)
+    env = task.make(max_cycles=60)
+    parallel_api_test(env, num_cycles=40)
+    assert len(env.possible_agents) == task.learners
+    race = env.unwrapped
+    assert race.options.num_kart == task.num_kart
+    env.reset(seed=1)
+    assert race.race.track in task.train_tracks
+    assert race.race.difficulty == 3
+    env.close()
+
+
+def test_both_splits_and_both_directions_are_driven():
+    assert set(find_task("versus").options()["track"]) == set(TRAIN_TRACKS)
+    with find_task("solo-general").make("test") as env:
+        seen = set()
+        for seed in range(12):
+            env.reset(seed=seed)
+            seen.add((env.race.track in TEST_TRACKS, env.race.reverse))
+    assert seen == {(True, False), (True, True)}
+    with pytest.raises(ConfigError, match="unknown split 'validation'"):
+        find_task("solo-1").options("validation")
+
+
+def test_a_team_shares_its_rewards_and_hears_only_its_words():
+    env = find_task("talk-2v2").make(max_cycles=60)
+    env.reset(seed=1)
+    said = {"action": np.array([10, 0, 0, 0, 0]), "message": 3}
+    for _ in range(30):
+        observations, rewards, *_ = env.step(dict.fromkeys(env.agents, said))
+    assert rewards["kart_0"] == rewards["kart_3"] != rewards["kart_1"] == rewards["kart_2"]
+    assert observations["kart_0"]["heard"].tolist() == [0, 0, 1]
+    assert observations["kart_0"]["messages"][2].tolist() == np.eye(8)[3].tolist()
+    env.close()
+
+
+@pytest.mark.parametrize("member", POPULATION, ids=lambda member: member.driver)
+def test_a_member_of_the_population_drives_as_ever(member):
+    assert behaviour(member.driver) == member.digest
+
+
+@pytest.mark.parametrize("name", DIGESTS)
+def test_the_evaluation_has_balanced_races_that_depend_on_nothing_else(name):
+    task, plan = find_task(name), plan_entry(name, "random")
+    orders = plan.orders()
+    assert len(orders) == task.num_races
+    assert orders == plan_entry(name, "random").orders()
+    assert {order.settings.track for order in orders} == set(task.test_tracks)
+    assert sum(order.settings.reverse for order in orders) == len(orders) / 2
+    assert len({order.settings.seed for order in orders}) == len(orders)
+    for order in orders:
+        assert len(order.drivers) in map(len, task.forms)
+        assert sum("random" in text for text in order.drivers) == len(order.wait_for)
+
+
+def test_members_of_the_population_take_turns():
+    races = plan_entry("selfplay-5", "random").races()
+    drawn = draw_rivals(races)
+    assert sorted(drawn) == [race.number for race in races if race.lineup.has_population]
+    times = {member.driver: 0 for member in POPULATION}
+    for rivals in drawn.values():
+        assert len({text for text in rivals if text.startswith("ai:")}) <= 1
+        assert len(set(rivals)) == len(rivals)
+        for text in rivals:
+            times[text] += 1
+    assert max(times.values()) - min(times.values()) < 0.2 * min(times.values())
+
+
+def test_the_command_lists_tasks_with_their_rules(capsys):
+    assert main(["suite", "list"]) == 0
+    told = capsys.readouterr().out
+    assert all(name in told for name in (*TASKS, "pretrained:ace"))
+    assert main(["suite", "list", "versus"]) == 0
+    assert find_task("versus").digest in capsys.readouterr().out
+    assert main(["suite", "list", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [task["name"] for task in told["tasks"]] == list(TASKS)
+    assert main(["suite", "list", "verse"]) == 2
+    assert "Did you mean 'versus'?" in capsys.readouterr().err

@@ -1,0 +1,181 @@
+"""Honest entries are verified, tampered ones are refused with the race and the step."""
+
+import re
+import shutil
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.suite import TASKS, EntryRefused, evaluate, verify_entry
+from tests.support.entries import (
+    SMALL,
+    change_controls,
+    change_header,
+    change_replay,
+    name_replays,
+    read_entry,
+    replay_of,
+    write_entry,
+)
+
+ALONE, WITH_RIVAL = 0, 1
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory):
+    """The folder of an entry with six races."""
+    folder = tmp_path_factory.mktemp("entry") / "honest"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(TASKS, SMALL.name, SMALL)
+        evaluate(SMALL, "heuristic@:Ada", output=folder, plot=False)
+        yield folder
+
+
+@pytest.fixture
+def entry(honest, tmp_path):
+    """A copy of that folder."""
+    return shutil.copytree(honest, tmp_path / "entry")
+
+
+def refusal(folder):
+    with pytest.raises(EntryRefused) as caught:
+        verify_entry(folder)
+    return str(caught.value)
+
+
+@pytest.mark.slow
+def test_an_honest_entry_is_verified_without_the_results_of_its_races(entry, capsys):
+    shutil.rmtree(entry / "races")
+    (entry / "plan.json").unlink()
+    verified = verify_entry(entry)
+    assert [race.form for race in verified.races] == ["P", "PB", "PB"] * 2
+    assert main(["suite", "verify", str(entry)]) == 0
+    assert "Verified: all 6 races are as recorded" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_an_action_that_changes_the_race_is_refused_at_its_step(entry):
+    def brake(controls):
+        controls[200, 0, :3] = 0, 0, 1
+        return controls
+
+    change_controls(entry, ALONE, brake)
+    name_replays(entry)
+    assert re.search(r"race 0 \(lighthouse forward\): step 20[1-9] differs", refusal(entry))
+
+
+@pytest.mark.slow
+def test_an_action_that_changes_nothing_is_refused_too(entry):
+    def fire(controls):
+        controls[100, 0, 4] = 1 - controls[100, 0, 4]
+        return controls
+
+    change_controls(entry, ALONE, fire)
+    assert "race 0 (lighthouse forward): " in refusal(entry)
+
+
+@pytest.mark.slow
+def test_a_rival_that_drove_otherwise_is_refused(entry):
+    def stand(controls):
+        controls[50:, 1] = 0
+        return controls
+
+    order = read_entry(entry)["races"][WITH_RIVAL]
+    assert order["form"] == "PB"
+    change_header(entry, WITH_RIVAL, lambda header: header["agents"].reverse())
+    change_controls(entry, WITH_RIVAL, stand)
+    name_replays(entry)
+    assert "race 1 (lighthouse forward): " in refusal(entry)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [50, 250])
+def test_a_race_that_is_cut_off_is_refused(entry, steps):
+    change_controls(entry, ALONE, lambda controls: controls[:steps])
+    name_replays(entry)
+    assert f"race 0 (lighthouse forward): step {steps}: " in refusal(entry)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("seed", 1), ("engine_seed", 1), ("difficulty", 0), ("track", "hacienda"), ("laps", 2)],
+)
+def test_a_race_under_other_conditions_is_refused(entry, name, value):
+    change_header(entry, ALONE, lambda header: header.update({name: value}))
+    name_replays(entry)
+    text = refusal(entry)
+    assert text.startswith("the entry is refused:\nrace 0 (lighthouse forward): ")
+    assert "step 0" in text
+
+
+@pytest.mark.slow
+def test_positions_that_were_not_there_are_refused(entry):
+    def change(members):
+        digests = bytearray(members["digests.u1"])
+        digests[8 * 120] ^= 1
+        members["digests.u1"] = bytes(digests)
+
+    change_replay(entry, ALONE, change)
+    name_replays(entry)
+    assert "race 0 (lighthouse forward): step 120 differs" in refusal(entry)
+
+
+@pytest.mark.slow
+def test_a_better_time_in_the_replay_is_refused(entry):
+    def change(header):
+        header["result"]["agents"][0]["finish_time"] -= 1
+
+    change_header(entry, ALONE, change)
+    name_replays(entry)
+    assert re.search(r"race 0 \(lighthouse forward\): step \d+: .*finish_time", refusal(entry))
+
+
+@pytest.mark.slow
+def test_a_better_time_in_the_entry_is_refused(entry):
+    told = read_entry(entry)
+    told["races"][ALONE]["karts"][0]["time"] -= 0.001
+    write_entry(entry, told)
+    assert re.search(r"race 0 \(lighthouse forward\), step \d+: karts\[0\].time is", refusal(entry))
+
+
+@pytest.mark.slow
+def test_a_better_score_is_refused(entry):
+    told = read_entry(entry)
+    told["score"]["value"] += 0.01
+    write_entry(entry, told)
+    assert "entry.json: score.value is" in refusal(entry)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda told: told["plan"].update(seeds=2), "seeds of the plan is not that of small"),
+        (lambda told: told["plan"]["settings"].update(difficulty=1), "settings of the plan"),
+        (lambda told: told["plan"].update(task_digest="0" * 64), "task_digest of the plan"),
+        (lambda told: told["plan"]["population"].pop("ai:1"), "population of the plan"),
+        (lambda told: told["plan"]["ai_times"]["lighthouse"].update(forward=99.0), "ai_times"),
+        (lambda told: [told[name].pop() for name in ("races", "replays")], "it has 5 of 6 races"),
+    ],
+)
+def test_other_rules_are_refused_before_any_race(entry, change, message):
+    told = read_entry(entry)
+    change(told)
+    write_entry(entry, told)
+    assert message in refusal(entry)
+
+
+def test_missing_and_other_replays_are_refused(entry):
+    replay_of(entry, 3).rename(entry / "replays" / "extra.stkz")
+    assert "one replay per race; see 00003.stkz, extra.stkz" in refusal(entry)
+
+
+def test_an_entry_of_an_unknown_task_and_no_entry_at_all_are_one_error(entry, tmp_path):
+    told = read_entry(entry)
+    told["plan"]["task"] = "smal"
+    write_entry(entry, told)
+    with pytest.raises(ConfigError, match="unknown task 'smal'"):
+        verify_entry(entry)
+    with pytest.raises(ConfigError, match="is no entry"):
+        verify_entry(tmp_path / "nothing")
