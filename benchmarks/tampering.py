@@ -152,7 +152,7 @@ def change_condition(folder: Path, chance: random.Random) -> str:
 
     def edit(header: dict[str, Any]) -> None:
         others = {"track": "hacienda", "reverse": not header["reverse"], "mode": "time_trial"}
-        header[name] = others.get(name, (header[name] if name in header else 0) + 1)
+        header[name] = others[name] if name in others else header[name] + 1
         header["difficulty"] %= 4
 
     change_header(folder, number, edit)

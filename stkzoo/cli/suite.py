@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
@@ -127,7 +127,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
 
     Examples:
       stkzoo suite evaluate solo-1 heuristic
-      stkzoo suite evaluate versus my_agent/ --authors "Ada Lovelace" --kart-steps 2000000
+      stkzoo suite evaluate versus my_agent/ --authors "Ada Lovelace"
       stkzoo suite evaluate team-2v2 my_agent.zip@:Nova --output entries/nova
 
     exit codes:
@@ -142,7 +142,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     plan = plan_entry(arguments.task, arguments.agent, about=about, **settings)
     name = f"{plan.task}-{plan.agent.label}".replace("/", "_").replace(":", "-")
     folder = arguments.output or Path("suite", name)
-    return run_plan(arguments, plan, folder, _show_entry)
+    return run_plan(arguments, plan, folder, lambda entry: _show_entry(cast("Entry", entry)))
 
 
 @usage_errors
@@ -169,8 +169,12 @@ def _verify(arguments: argparse.Namespace) -> int:
     from stkzoo.suite import verify_entry
 
     def verify(options: RunOptions) -> Entry:
-        limits = {"jobs": options.jobs, "race_timeout": options.race_timeout}
-        return verify_entry(arguments.entry, on_race=options.on_race, **limits)
+        return verify_entry(
+            arguments.entry,
+            jobs=options.jobs,
+            race_timeout=options.race_timeout,
+            on_race=options.on_race,
+        )
 
     entry, code = run_batch(arguments, verify)
     if entry is None:

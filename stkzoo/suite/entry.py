@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, cast
 
 from stkzoo._os import file_digest
 from stkzoo._schema import Count, Matching, Within
@@ -250,4 +250,4 @@ def evaluate(
         BatchError: some races could not be run.
     """
     run, plan = RunOptions.split(options)
-    return run_batch(plan_entry(task, agent, **plan), output, run)  # type: ignore[return-value]
+    return cast("Entry", run_batch(plan_entry(task, agent, **plan), output, run))
