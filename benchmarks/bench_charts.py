@@ -1,4 +1,4 @@
-"""Draws the three charts of ``docs/explanation/benchmarks.md`` from the saved results.
+"""Draws the charts of ``docs/explanation`` from the saved results.
 
 python -m benchmarks.bench_charts
 """
@@ -18,7 +18,8 @@ from stkzoo.evaluation.plotting import GREY, PALETTE, new_figure, style_axes
 
 PICTURES = Path(__file__).parents[1] / "docs" / "images" / "benchmarks"
 SIZE = (8.0, 3.0)  # [in]
-_DRIVERS = ("random", "ai", "heuristic", "scout", "ace")
+_DRIVERS = ("random", "ai", "scout", "heuristic", "ace", "apex")
+_FORMS = {"P": "alone", "PAAAA": "one against four", "PPAAA": "two against three"}
 
 
 def throughput(results: Path, axes: Any) -> None:
@@ -63,16 +64,49 @@ def scaling(results: Path, axes: Any) -> None:
 def drivers(results: Path, axes: Any) -> None:
     """Races won against four of the hardest AI karts, with 95 % intervals."""
     for row, name in enumerate(_DRIVERS):
-        form = json.loads((results / "benchmark" / f"{name}.json").read_text())
-        group = next(g for g in form["groups"] if (g["by"], g["name"]) == ("form", "PAAAA"))
-        won = {key: 100 * group["figures"]["win_rate"][key] for key in ("value", "low", "high")}
+        figures = _figures(results, name, "PAAAA")
+        won = {key: 100 * figures["win_rate"][key] for key in ("value", "low", "high")}
         axes.plot([won["low"], won["high"]], [row, row], color=PALETTE[0], linewidth=3, alpha=0.5)
         axes.plot(won["value"], row, "o", color=PALETTE[0])
         axes.text(won["high"] + 1, row, f"{won['value']:.0f} %", va="center", fontsize=9)
     axes.axvline(20, color=GREY, linewidth=1, linestyle="--", zorder=0)
     axes.set_yticks(range(len(_DRIVERS)), _DRIVERS)
-    axes.set_xlim(-1, 55)
+    axes.set_xlim(-1, 75)
     style_axes(axes, "Races won against four of the hardest AI karts [%]; the line is chance")
+
+
+def time_ratios(results: Path, axes: Any) -> None:
+    """Time ratios on the test tracks by form, with 95 % intervals."""
+    names = _DRIVERS[1:]  # random never finishes
+    for number, (form, title) in enumerate(_FORMS.items()):
+        colour = PALETTE[number]
+        for row, name in enumerate(names):
+            ratio = _figures(results, name, form)["time_ratio"]
+            place = row + 0.22 * (1 - number)
+            interval = [ratio["low"], ratio["high"]]
+            axes.plot(interval, [place, place], color=colour, linewidth=3, alpha=0.5)
+            axes.plot(ratio["value"], place, "o", color=colour, label=None if row else title)
+    axes.axvline(1, color=GREY, linewidth=1, linestyle="--", zorder=0)
+    axes.set_yticks(range(len(names)), names)
+    axes.legend(frameon=False, fontsize=9, loc="upper right")
+    style_axes(axes, "Finish time on the test tracks over the AI's median time; less is better")
+
+
+def ratings(results: Path, axes: Any) -> None:
+    """Ratings of the policies of a run over kart-steps, with 95 % intervals."""
+    found = json.loads((results / "learning" / "apex" / "ratings.json").read_text())
+    rows = {row["name"]: row for row in found["ratings"]}
+    ai, start = rows.pop("ai"), rows.pop("start")
+    kept = sorted((float(name.split()[-1]), row) for name, row in rows.items())
+    steps, own = [0.0, *(at for at, _ in kept)], [start, *(row for _, row in kept)]
+    low, value, high = ([row[key] for row in own] for key in ("low", "value", "high"))
+    axes.fill_between(steps, low, high, color=PALETTE[0], alpha=0.2, linewidth=0)
+    axes.plot(steps, value, "o-", color=PALETTE[0])
+    axes.axhspan(ai["low"], ai["high"], color=GREY, alpha=0.15, linewidth=0)
+    axes.axhline(ai["value"], color=GREY, linewidth=1, linestyle="--")
+    axes.text(steps[-1], ai["value"], "the hardest AI", va="bottom", ha="right", fontsize=9)
+    axes.set_xlabel("millions of kart-steps; 0 is the plans", fontsize=9)
+    style_axes(axes, "Rating of the policy of apex while it learns; more is better")
 
 
 #: What draws each picture, by the picture's name.
@@ -80,6 +114,8 @@ CHARTS: dict[str, Callable[[Path, Any], None]] = {
     "throughput": throughput,
     "scaling": scaling,
     "drivers": drivers,
+    "time_ratios": time_ratios,
+    "ratings": ratings,
 }
 
 
@@ -97,6 +133,14 @@ def main(arguments: list[str] | None = None) -> int:
             figure.savefig(part, format="svg", metadata={"Date": None})
     print(f"written to {options.output}")
     return 0
+
+
+def _figures(results: Path, driver: str, form: str) -> Mapping[str, Any]:
+    """The figures of a driver's races in a form on the test tracks."""
+    found = json.loads((results / "benchmark" / f"{driver}.json").read_text())
+    own = (group for group in found["groups"] if (group["by"], group["name"]) == ("form", form))
+    figures: Mapping[str, Any] = next(own)["figures"]
+    return figures
 
 
 def _load(path: Path) -> list[Mapping[str, Any]]:

@@ -7,6 +7,7 @@ every number.
 
 Examples:
   stkzoo suite list                                the tasks and the population
+  stkzoo suite train versus ippo                   train an agent of a reference algorithm
   stkzoo suite evaluate versus my_agent/           120 races on the test tracks
   stkzoo suite verify suite/versus-my_agent        run all races again
 """
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, cast
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
+from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
@@ -40,6 +42,25 @@ class ListArguments:
 
     task: str | None = positional(None)
     json: bool = False
+
+
+@dataclass
+class TrainArguments:
+    """Options of ``stkzoo suite train``.
+
+    Attributes:
+        task: the task, as listed by `stkzoo suite list`
+        algorithm: the algorithm; see above
+        kart_steps: number of kart-steps to learn from (default: the task's budget)
+        seed: seed of all random numbers
+        output: folder of the run (default: runs/TASK-ALGORITHM-SEED)
+    """
+
+    task: str = positional()
+    algorithm: str = positional()
+    kart_steps: int | None = None
+    seed: int = 0
+    output: Path | None = option(metavar="FOLDER")
 
 
 @dataclass
@@ -82,13 +103,15 @@ def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.suite import EntryPlan
 
-    listing, evaluation, verification = add_actions(parser, _list, _evaluate, _verify)
+    actions = add_actions(parser, _list, _train, _evaluate, _verify)
+    listing, training, evaluation, verification = actions
     add_options(listing, ListArguments)
+    add_options(training, TrainArguments)
     add_options(evaluation, EvaluateArguments)
     add_batch_options(evaluation, EntryPlan.decided)
     add_options(verification, VerifyArguments)
     add_options(verification, BatchArguments)
-    for child in (listing, evaluation, verification):
+    for child in actions:
         child.set_defaults(fail=child.fail)
 
 
@@ -114,6 +137,39 @@ def _list(arguments: argparse.Namespace) -> int:
         _show_task(tasks[0])
     else:
         _show_tasks(tasks)
+    return 0
+
+
+@usage_errors
+def _train(arguments: argparse.Namespace) -> int:
+    """Train an agent in a task with a reference algorithm.
+
+    Learns from as many kart-steps as the task allows, on all cores. The folder contains
+    checkpoints, a log, TensorBoard files, policies and at the end the agent. To continue a run,
+    also after a kill, repeat the command.
+
+    Algorithms:
+      ippo     independent PPO: one policy learns from each kart's own view and reward
+
+    Examples:
+      stkzoo suite train solo-1 ippo
+      stkzoo suite train versus ippo --seed 2 --output runs/second
+      stkzoo suite train versus ippo --kart-steps 10000000       the long tier
+    """
+    from importlib import import_module
+
+    from stkzoo.cli._console import say
+    from stkzoo.suite import ALGORITHMS, find_task
+
+    task, name = find_task(arguments.task), arguments.algorithm
+    if name not in ALGORITHMS:
+        raise unknown_name("algorithm", name, ALGORITHMS)
+    kart_steps = task.budget if arguments.kart_steps is None else arguments.kart_steps
+    folder = arguments.output or Path("runs", f"{task.name}-{name}-{arguments.seed}")
+    # imported by name, because the package must not depend on its agents
+    algorithm = import_module(f"stkzoo.agents.training.suite.{name}")
+    agent = algorithm.run(folder, task.name, kart_steps, arguments.seed)
+    say(f"Trained {agent}. Evaluate it: stkzoo suite evaluate {task.name} {agent}")
     return 0
 
 

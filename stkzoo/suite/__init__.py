@@ -12,7 +12,11 @@ from stkzoo.suite.population import POPULATION, Member, behaviour
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
+#: Reference algorithms: modules of ``stkzoo.agents.training.suite``.
+ALGORITHMS = ("ippo",)
+
 __all__ = [
+    "ALGORITHMS",
     "POPULATION",
     "SUITE",
     "TASKS",

@@ -15,12 +15,13 @@ from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.common.fleet import Fleet, Lineup
 from stkzoo.agents.training.common.matches import match_driver
+from stkzoo.agents.training.common.ppo import advantages_of
 from stkzoo.agents.training.common.run_folder import plan_parameters, run_parameters
 from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
-from stkzoo.agents.training.ppo.rollouts import ROLLOUT, advantages_of
+from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
 from tests.support.paths import ROOT
@@ -112,10 +113,10 @@ def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
     begin, turn, *_ = HEADS
     changes = {"warm_up": 0, "learns": ("begin", "fire")}
     learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
-    before = learner._network.actor().weights
+    before = learner._network.weights()[0]
     learner.iterate()
     drawn = np.concatenate([memory[0]["choices"][..., 1].ravel() for memory in learner._rollouts])
-    weights = learner._network.actor().weights
+    weights = learner._network.weights()[0]
     learner.close()
     assert set(drawn.tolist()) == {CHOICES[1] // 2}
     assert not weights["w2"][:, turn].any()

@@ -1,4 +1,4 @@
-"""Files of Stable-Baselines3 policies."""
+"""Networks on the racing view: their initial biases, and files of Stable-Baselines3 policies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.racing import SIZE
+from stkzoo.wrappers.racing import CHOICES, RESCUE, SIZE
+
+#: Initial biases by index of the logit: prefer going to braking, and rarely drift or call the
+#: rescue. Without them, karts stand still for most of their first races.
+FIRST_BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
 
 
 def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:

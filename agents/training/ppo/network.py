@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
@@ -14,6 +15,7 @@ from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 
 from ..common.command import training_torch
+from ..common.ppo import Weights
 from .rollouts import NUM_LOGITS, choice_columns
 
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.
@@ -28,6 +30,7 @@ class ActorCritic:
         seed: seed of the initial weights.
         learns: names of the choices to train.
         init: file with initial weights; empty for new weights.
+        penalty_coef: coefficient of the KL penalty towards the plans' prior.
 
     Attributes:
         policy: layers of the policy, a PyTorch module.
@@ -39,8 +42,16 @@ class ActorCritic:
         ConfigError: a name or the file is invalid, or PyTorch is not installed.
     """
 
-    def __init__(self, hidden: Sequence[int], seed: int, learns: Sequence[str], init: str) -> None:
+    def __init__(
+        self,
+        hidden: Sequence[int],
+        seed: int,
+        learns: Sequence[str],
+        init: str,
+        penalty_coef: float = 0.0,
+    ) -> None:
         self.torch = torch = training_torch()
+        self.penalty_coef, self._is_given = penalty_coef, bool(init)
         torch.manual_seed(seed)
         size = INPUT_SIZE
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
@@ -85,9 +96,9 @@ class ActorCritic:
         """Returns the current policy in numpy."""
         return RacingPolicy(self._arrays(self.policy))
 
-    def critic(self) -> dict[str, FloatArray]:
-        """Returns the current value weights in numpy, for :func:`.rollouts.predict_values`."""
-        return self._arrays(self.value)
+    def weights(self) -> tuple[Weights, Weights]:
+        """See :class:`..common.ppo.PPONetwork`."""
+        return self.actor().weights, self._arrays(self.value)
 
     def fit_normalisation(self, inputs: FloatArray) -> None:
         """Sets mean and scale from inputs ``(N, F)``, equal for a race and its mirror image."""
@@ -95,25 +106,21 @@ class ActorCritic:
         self.mean = both.mean(axis=0)
         self.scale = 1.0 / np.maximum(both.std(axis=0), _LEAST_SCALE)
 
-    def normalised(self, inputs: FloatArray) -> Any:
-        """Returns normalized inputs as a tensor."""
-        return self.torch.from_numpy(
-            np.clip((inputs - self.mean) * self.scale, -INPUT_CLIP, INPUT_CLIP)
-        )
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
+        """See :class:`..common.ppo.PPONetwork`: fits the normalization unless it is given."""
+        if not self._is_given:
+            self.fit_normalisation(seen["inputs"])
+        return not self._is_given
 
-    def evaluate(self, inputs: Any, prior: Any, choices: Any) -> tuple[Any, Any, Any, Any]:
-        """Evaluates choices.
+    def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
+        """Returns inputs ``(N, F)``, normalized, prior and choices in rows of a rollout."""
+        inputs = np.clip((seen["inputs"] - self.mean) * self.scale, -INPUT_CLIP, INPUT_CLIP)
+        arrays = inputs, seen["prior"].copy(), seen["choices"].copy()
+        return [self.torch.from_numpy(array) for array in arrays]
 
-        Args:
-            inputs: normalized inputs, ``(B, F)``.
-            prior: logits of the plans, ``(B, NUM_LOGITS)``.
-            choices: ``(B, 4)``.
-
-        Returns:
-            Tensors ``(B,)``: log-probability of the choices, entropy of the policy, its KL
-                divergence from the prior [nats], and the value of the inputs in units of
-                :data:`.rollouts.VALUE_UNIT`.
-        """
+    def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
+        """See :class:`..common.ppo.PPONetwork`; the penalty is the KL from the prior [nats]."""
+        inputs, prior, choices = columns
         logits = prior + self.policy(inputs)
         log_softmax = self.torch.log_softmax
         log_probability, entropy, prior_kl = 0.0, 0.0, 0.0

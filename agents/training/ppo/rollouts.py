@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import CHOICE_NAMES, CHOICES, INPUT_SIZE, PolicyInput
@@ -16,52 +15,25 @@ from stkzoo.errors import ConfigError
 
 from ..common.actors import SharedArray
 from ..common.fleet import Finish, Fleet, FleetStep, Lineup
+from ..common.ppo import FIELDS, VALUE_UNIT, Weights
 
 NUM_LOGITS = sum(CHOICES)
-#: Value that corresponds to an output of 1 of the value network.
-VALUE_UNIT = 10.0
-
 #: Element type of a rollout, an array ``(T, S)`` over steps and slots.
 ROLLOUT = np.dtype(
     [
         ("inputs", np.float32, INPUT_SIZE),
         ("prior", np.float32, NUM_LOGITS),
         ("choices", np.int64, len(CHOICES)),
-        ("log_probability", np.float32),
-        ("values", np.float32),
-        ("rewards", np.float32),
-        ("next_values", np.float32),  # value of the last inputs of an ended race
-        ("active", np.bool_),
-        ("driven", np.bool_),
-        ("ended", np.bool_),
+        *FIELDS,
     ],
     align=True,
 )
-
-Weights = Mapping[str, FloatArray]
 
 
 def predict_values(critic: Network, inputs: FloatArray) -> FloatArray:
     """Returns the values of inputs ``(B, F)``."""
     values: FloatArray = critic(inputs)[:, 0] * np.float32(VALUE_UNIT)
     return values
-
-
-def advantages_of(
-    rollout: npt.NDArray[np.void], last_values: FloatArray, gamma: float, gae_lambda: float
-) -> FloatArray:
-    """Returns generalized advantages ``(T, S)``; ended races are bootstrapped."""
-    advantages = np.zeros(rollout.shape, np.float32)
-    advantage, next_values = np.zeros_like(last_values), last_values
-    rewards, values, ends = rollout["rewards"], rollout["values"], rollout["ended"]
-    for step in reversed(range(len(rollout))):
-        ended = ends[step]
-        next_values = np.where(ended, rollout["next_values"][step], next_values)
-        delta = rewards[step] + gamma * next_values - values[step]
-        advantage = delta + gamma * gae_lambda * np.where(ended, 0, advantage)
-        advantage = np.where(rollout["active"][step], advantage, 0).astype(np.float32)
-        advantages[step], next_values = advantage, values[step]
-    return advantages
 
 
 def choice_columns(names: Sequence[str]) -> list[int]:

@@ -46,12 +46,11 @@ from stkzoo._arguments import option
 from stkzoo._schema import Count, typed
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
-from stkzoo.wrappers.racing import CHOICES, RESCUE
 
 from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command, training_library
 from ..common.fleet import parse_races
-from ..common.network_policy import initial_weights, save_driver
+from ..common.network_policy import FIRST_BIASES, initial_weights, save_driver
 from ..common.opponents import RivalPool, bot_name
 from ..common.run_folder import (
     TrainingLog,
@@ -66,9 +65,6 @@ from ..plot import RunRatings
 from ..rate import EVALUATIONS, RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
 
-#: Initial biases by index of the logit: prefer going to braking, and rarely drift or call the
-#: rescue. Without them, karts stand still for most of their first races.
-_BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
 #: Arguments that have the same name in Stable-Baselines3's PPO.
 _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
 #: Number of karts in the means of the log.
@@ -372,7 +368,7 @@ class SB3Run:
                 **{name: getattr(arguments, name) for name in _PPO_NAMES},
             )
         with self._torch.no_grad():
-            for choice, bias in _BIASES.items():
+            for choice, bias in FIRST_BIASES.items():
                 model.policy.action_net.bias[choice] += bias
         model.set_logger(logger.Logger(None, []))
         return model

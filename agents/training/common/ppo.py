@@ -1,0 +1,394 @@
+"""Proximal policy optimisation (PPO) whose actors drive on while it learns.
+
+Processes drive races and fill rollouts in shared memory (:mod:`.actors`). They drive the next
+rollout during an update, with the networks before it; PPO's probability ratio corrects for that.
+The method is that of Schulman et al. (2017), with generalized advantage estimation (GAE).
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.agents.pretrained.weights import save_weights
+
+from .actors import ActorPool
+from .arguments import OverlappedArguments
+from .command import ProgressBar
+from .run_folder import (
+    ARGUMENTS,
+    TrainingLog,
+    check_resumed,
+    load_checkpoint,
+    reading_checkpoint,
+    save_checkpoint,
+    write_json,
+)
+
+#: Value that corresponds to an output of 1 of the value network.
+VALUE_UNIT = 10.0
+#: Fields of a rollout that every method needs.
+FIELDS: list[tuple[Any, ...]] = [
+    ("log_probability", np.float32),
+    ("values", np.float32),
+    ("rewards", np.float32),
+    ("next_values", np.float32),  # value after the last step of an ended race
+    ("active", np.bool_),
+    ("driven", np.bool_),
+    ("ended", np.bool_),
+]
+#: Ratio of the learning rates of value and policy.
+_VALUE_RATE = 4.0
+
+FloatArray = npt.NDArray[np.float32]
+Weights = Mapping[str, FloatArray]
+
+
+class PPONetwork(Protocol):
+    """A policy and a value network in PyTorch.
+
+    Attributes:
+        torch: the module ``torch``.
+        policy: layers of the policy.
+        value: layers of the value network.
+        optimiser: optimizer of both; its first parameter group is the policy's.
+        penalty_coef: weight of the penalty in the loss.
+    """
+
+    torch: Any
+    policy: Any
+    value: Any
+    optimiser: Any
+    penalty_coef: float
+
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
+        """Uses the rows of the first rollout, such as for the scale of inputs.
+
+        Returns:
+            Whether the networks changed.
+        """
+        ...
+
+    def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
+        """Returns what :meth:`evaluate` needs of the rows of a rollout, as tensors ``(N, ...)``."""
+        ...
+
+    def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
+        """Evaluates the choices in rows of a rollout.
+
+        Returns:
+            Tensors ``(N,)``: log-probability of the choices, entropy of the policy, a penalty, and
+                the value in units of :data:`VALUE_UNIT`.
+        """
+        ...
+
+    def weights(self) -> tuple[Weights, Weights]:
+        """Returns the weights of policy and value network for the actors and for files."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """Returns everything that learning changes as tensors, for :meth:`restore`."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restores a :meth:`state`."""
+        ...
+
+
+def advantages_of(
+    rollout: npt.NDArray[np.void], last_values: FloatArray, gamma: float, gae_lambda: float
+) -> FloatArray:
+    """Returns generalized advantages ``(T, S)``; ended races are bootstrapped."""
+    advantages = np.zeros(rollout.shape, np.float32)
+    advantage, next_values = np.zeros_like(last_values), last_values
+    rewards, values, ends = rollout["rewards"], rollout["values"], rollout["ended"]
+    for step in reversed(range(len(rollout))):
+        ended = ends[step]
+        next_values = np.where(ended, rollout["next_values"][step], next_values)
+        delta = rewards[step] + gamma * next_values - values[step]
+        advantage = delta + gamma * gae_lambda * np.where(ended, 0, advantage)
+        advantage = np.where(rollout["active"][step], advantage, 0).astype(np.float32)
+        advantages[step], next_values = advantage, values[step]
+    return advantages
+
+
+class OverlappedPPO(ABC):
+    """A run: its races, networks and files.
+
+    Args:
+        folder: folder of the run.
+        arguments: arguments of the run.
+        facts: type of the facts in a checkpoint; it has the fields ``history``, ``kart_steps`` and
+            ``iteration``.
+        may_change: whether to continue even if the run had other arguments.
+
+    Raises:
+        ConfigError: the folder contains a run with other arguments, or an argument is invalid.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        arguments: OverlappedArguments,
+        facts: type[Any],
+        *,
+        may_change: bool = False,
+    ) -> None:
+        self.folder, self._settings = Path(folder), arguments
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._network = self._new_network()
+        self.kart_steps = self.iteration = 0
+        self._history: list[dict[str, Any]] = [self._chapter()]
+        if checkpoint := load_checkpoint(self.folder, facts):
+            self._restore(*checkpoint, may_change)
+        write_json(self.folder / ARGUMENTS, self._history)
+        self._actors, self._rollouts = self._start_actors()
+        self.begin_races()
+
+    @abstractmethod
+    def _new_network(self) -> PPONetwork:
+        """Returns new networks."""
+
+    @abstractmethod
+    def _start_actors(self) -> tuple[ActorPool, list[npt.NDArray[np.void]]]:
+        """Starts the actors.
+
+        Their ``begin(seed)`` starts new races. Their ``drive(number, policy, critic)`` fills the
+        rollout ``number`` and returns an object with ``last_values``, ``(S,)`` values of what
+        follows its last step.
+
+        Returns:
+            The actors, and two rollouts ``(2, T, S)`` of each.
+        """
+
+    def _rules(self) -> dict[str, Any]:
+        """Returns rules that, like the arguments, must not change when a run continues."""
+        return {}
+
+    @abstractmethod
+    def _take(self, driven: Sequence[Any]) -> None:
+        """Uses what the actors returned besides their rollouts."""
+
+    @abstractmethod
+    def _figures(self) -> dict[str, float]:
+        """Returns figures about races for the log."""
+
+    @abstractmethod
+    def _facts(self) -> dict[str, Any]:
+        """Returns more facts for the checkpoint."""
+
+    @abstractmethod
+    def _recall(self, facts: Any) -> None:
+        """Restores :meth:`_facts` from a checkpoint."""
+
+    def begin_races(self) -> None:
+        """Starts new races; later random numbers derive from seed and iteration."""
+        seed = self._settings.seed
+        self._random = np.random.default_rng([seed, self.iteration])
+        self._actors.forget()
+        seeds = [([seed, self.iteration, number],) for number in range(len(self._actors))]
+        self._actors.call("begin", seeds)
+
+    def iterate(self) -> dict[str, float]:
+        """Updates the networks with a rollout; returns the log entry."""
+        begin = time.perf_counter()
+        if not self._actors.is_busy:
+            self._drive(self.iteration)
+        driven = self._driven()
+        rollouts = [memory[self.iteration % 2] for memory in self._rollouts]
+        seen = [rollout[rollout["active"]] for rollout in rollouts] if self.iteration == 0 else []
+        is_changed = bool(seen) and self._network.prepare(np.concatenate(seen))
+        is_last = self.is_checkpoint(self.iteration + 1)
+        if not (is_changed or is_last or self._settings.on_policy):
+            self._drive(self.iteration + 1)
+        waited = time.perf_counter()
+        learned = self._update(rollouts, [own.last_values for own in driven])
+        self._take(driven)
+        self.iteration += 1
+        steps = int(sum(rollout["active"].sum() for rollout in rollouts))
+        self.kart_steps += steps
+        end = time.perf_counter()
+        line = {
+            "iteration": self.iteration,
+            "kart_steps": self.kart_steps,
+            **self._figures(),
+            **learned,
+            "wait_s": waited - begin,
+            "learn_s": end - waited,
+            "kart_steps_per_s": steps / (end - begin),
+        }
+        return {name: round(value, 6) for name, value in line.items()}
+
+    def is_checkpoint(self, iteration: int) -> bool:
+        """Whether a checkpoint follows an iteration; all races restart after it."""
+        return iteration % self._settings.checkpoint_every == 0
+
+    def _drive(self, iteration: int) -> None:
+        """Lets the actors drive the rollout of an iteration with the current networks."""
+        call = (iteration % 2, *self._network.weights())
+        self._actors.send("drive", [call] * len(self._actors))
+
+    def _driven(self) -> list[Any]:
+        """Waits for the actors' rollouts."""
+        return self._actors.receive()
+
+    def _update(
+        self,
+        rollouts: Sequence[npt.NDArray[np.void]],
+        last_values: Sequence[FloatArray],
+    ) -> dict[str, float]:
+        """Runs several epochs of gradient steps on the rollouts; returns figures for the log."""
+        settings, nets = self._settings, self._network
+        gained = [
+            advantages_of(rollout, last, settings.gamma, settings.gae_lambda)
+            for rollout, last in zip(rollouts, last_values, strict=True)
+        ]
+        rows = [rollout["active"] & rollout["driven"] for rollout in rollouts]
+        pairs = zip(rollouts, rows, strict=True)
+        seen = np.concatenate([rollout[chosen] for rollout, chosen in pairs])
+        advantages = np.concatenate([own[r] for own, r in zip(gained, rows, strict=True)])
+        returns = advantages + seen["values"]
+        left = max(1.0 - self.kart_steps / settings.anneal_timesteps, 0.0)
+        rate = settings.learning_rate * max(left, 0.05)
+        ent_coef = settings.ent_coef * max(left, 0.1)
+        is_warming = self.iteration < settings.warm_up
+        nets.optimiser.param_groups[0]["lr"] = 0.0 if is_warming else rate
+        nets.optimiser.param_groups[1]["lr"] = _VALUE_RATE * rate
+        from_numpy = nets.torch.from_numpy
+        data = [
+            from_numpy(seen["log_probability"].copy()),
+            from_numpy((advantages - advantages.mean()) / (advantages.std() + 1e-6)),
+            from_numpy(returns / VALUE_UNIT),
+            *nets.tensors(seen),
+        ]
+        figures: dict[str, list[float]] = {}
+        epochs = 0
+        for _ in range(settings.n_epochs):
+            epochs += 1
+            kl = []
+            for batch in self._batches(len(seen)):
+                found = self._gradient_step([column[batch] for column in data], ent_coef)
+                kl.append(found["kl"])
+                for name, value in found.items():
+                    figures.setdefault(name, []).append(value)
+            if np.mean(kl) > settings.target_kl:
+                break
+        unexplained = np.var(advantages) / max(float(np.var(returns)), 1e-9)
+        return {
+            **{name: float(np.mean(values)) for name, values in figures.items()},
+            "epochs": epochs,
+            "learning_rate": rate,
+            "explained": float(1.0 - unexplained),
+            "reward": float(sum(rollout["rewards"].sum() for rollout in rollouts) / len(seen)),
+        }
+
+    def _batches(self, count: int) -> list[Any]:
+        order = self._network.torch.from_numpy(self._random.permutation(count))
+        return [rows for rows in order.split(self._settings.batch_size) if len(rows) > 1]
+
+    def _gradient_step(self, batch: Sequence[Any], ent_coef: float) -> dict[str, float]:
+        old, advantages, returns, *columns = batch
+        torch, nets, clip = self._network.torch, self._network, self._settings.clip_range
+        log_probability, entropy, penalty, values = nets.evaluate(columns)
+        log_ratio = log_probability - old
+        ratio = log_ratio.exp()
+        clipped = ratio.clamp(1 - clip, 1 + clip)
+        objective = torch.minimum(ratio * advantages, clipped * advantages).mean()
+        value_loss = (values - returns).square().mean()
+        penalty = penalty.mean()
+        loss = value_loss - objective - ent_coef * entropy.mean() + nets.penalty_coef * penalty
+        nets.optimiser.zero_grad()
+        loss.backward()
+        for layers in (nets.policy, nets.value):
+            torch.nn.utils.clip_grad_norm_(layers.parameters(), 0.5)
+        nets.optimiser.step()
+        with torch.no_grad():
+            return {
+                "kl": float((ratio - 1 - log_ratio).mean()),
+                "clip_fraction": float(((ratio - 1).abs() > clip).float().mean()),
+                "entropy": float(entropy.mean()),
+                "penalty": float(penalty),
+                "value_loss": float(value_loss),
+            }
+
+    # ------------------------------------------------------------------ files
+
+    def save_checkpoint(self) -> None:
+        """Writes ``checkpoint.pt``; call :meth:`begin_races` next, as a resumed run does."""
+        facts = {
+            "history": self._history,
+            "kart_steps": self.kart_steps,
+            "iteration": self.iteration,
+            **self._facts(),
+        }
+        save_checkpoint(self.folder, facts, {"network": self._network.state()})
+
+    def save_policy(self, path: Path | None = None) -> Path:
+        """Writes the current policy, by default to the run's folder; returns its path."""
+        path = path or self.folder / f"policy-{self.kart_steps:09d}.safetensors"
+        save_weights(path, self._network.weights()[0])
+        return path
+
+    def close(self) -> None:
+        """Ends all races."""
+        self._actors.close()
+
+    def _chapter(self, kart_steps: int = 0) -> dict[str, Any]:
+        """Returns the arguments that apply from a number of kart-steps on."""
+        rules = self._rules()
+        own = {"from": kart_steps, "arguments": asdict(self._settings)}
+        return {**own, "rules": rules} if rules else own
+
+    def _restore(self, facts: Any, state: dict[str, Any], may_change: bool) -> None:
+        self._history = facts.history
+        now, last = self._chapter(facts.kart_steps), self._history[-1]
+        new = now.get("rules", {})
+        rules = {name: last.get("rules", {}).get(name) for name in new}
+        if check_resumed(
+            self.folder,
+            {**last["arguments"], **rules},
+            {**now["arguments"], **new},
+            ", or --may-change to continue with these",
+            may_change=may_change,
+        ):
+            self._history.append(now)
+        self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
+        self._recall(facts)
+        with reading_checkpoint(self.folder):
+            self._network.restore(state["network"])
+
+
+def train(learner: OverlappedPPO, total: int, keep_every: int, shown: Sequence[str]) -> None:
+    """Learns until a number of kart-steps, with a progress bar, a log, checkpoints and policies.
+
+    Args:
+        learner: the run.
+        total: the number of kart-steps.
+        keep_every: kart-steps between two saved policies.
+        shown: figures of the log to show.
+    """
+    with (
+        TrainingLog(learner.folder, learner.iteration) as log,
+        ProgressBar(total, learner.kart_steps) as bar,
+    ):
+        while learner.kart_steps < total:
+            before = learner.kart_steps
+            line = learner.iterate()
+            log.write(line)
+            figures = [f"{name} {line[name]:.3f}" for name in shown if name in line]
+            text = f"{'  '.join(figures)}  {line['kart_steps_per_s']:.0f}/s"
+            bar.report(learner.kart_steps, text)
+            if learner.kart_steps // keep_every > before // keep_every:
+                learner.save_policy()
+            if learner.is_checkpoint(learner.iteration):
+                learner.save_checkpoint()
+                learner.begin_races()
+        learner.save_checkpoint()
+        learner.save_policy()

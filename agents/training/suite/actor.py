@@ -1,0 +1,136 @@
+"""Actors that drive the races of a task, and the rollouts that they fill."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo import RaceVectorEnv
+from stkzoo._schema import Place
+from stkzoo.agents.pretrained.mlp import MlpDriver, log_probability_of, sample_choices
+from stkzoo.agents.pretrained.policy import Network
+from stkzoo.suite import Task, find_task
+from stkzoo.wrappers.racing import CHOICES, SIZE
+
+from ..common.actors import SharedArray
+from ..common.ppo import FIELDS, VALUE_UNIT, FloatArray, Weights
+
+#: Element type of a rollout, an array ``(T, S)`` over steps and slots.
+ROLLOUT = np.dtype(
+    [("inputs", np.float32, SIZE), ("choices", np.int64, len(CHOICES)), *FIELDS], align=True
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """The race of a learner's kart.
+
+    Attributes:
+        reward: sum of its rewards.
+        is_finished: whether it finished.
+        position: its position at the end; 1 is first.
+    """
+
+    reward: float
+    is_finished: bool
+    position: Place
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What a rollout's array does not include.
+
+    Attributes:
+        last_values: ``(S,)`` values of the observations after its last step.
+        episodes: the races that ended.
+    """
+
+    last_values: FloatArray
+    episodes: list[Episode]
+
+
+class TaskActor:
+    """Drives races of a task, whose learners share one policy.
+
+    Args:
+        task: name of the task.
+        num_races: number of races.
+        num_starts: number of different starts, which later races repeat.
+        memory: ``(2, T, S)`` of :data:`ROLLOUT`, two rollouts to fill in turn.
+    """
+
+    def __init__(self, task: str, num_races: int, num_starts: int, memory: SharedArray) -> None:
+        found = find_task(task)
+        self._rollouts = memory.array()
+        self._races = RaceVectorEnv(num_races, num_starts=num_starts, **found.options())
+        self._shares = reward_shares(found)
+        self._returns = np.zeros(self._races.num_envs)
+
+    def begin(self, seed: Sequence[int]) -> None:
+        """Starts new races."""
+        self._random = np.random.default_rng(seed)
+        count = self._races.num_races
+        seeds = self._random.integers(2**31, size=count).tolist()
+        self._observations = self._races.reset_slots(seeds, [None] * count).observations
+        self._returns[:] = 0.0
+
+    def drive(self, number: int, policy: Weights, critic: Weights) -> Driven:
+        """Fills a rollout.
+
+        Args:
+            number: number of the rollout, 0 or 1.
+            policy: weights of the policy.
+            critic: weights of the value network.
+        """
+        network, values_of = MlpDriver(policy), Network(critic)
+        episodes: list[Episode] = []
+        for step in self._rollouts[number]:
+            seen = self._observations
+            logits = network.logits(seen)
+            choices = sample_choices(logits, self._random)
+            self._races.step_async(choices)
+            step["inputs"], step["choices"] = seen, choices  # the races run meanwhile
+            step["log_probability"] = log_probability_of(choices, logits)
+            step["values"] = values_of(seen)[:, 0] * VALUE_UNIT
+            steps = self._races.wait_slots()
+            step["rewards"] = np.where(steps.active, self._shared(steps.rewards), 0.0)
+            step["active"] = step["driven"] = steps.active
+            step["ended"] = steps.terminations | steps.truncations
+            step["next_values"] = 0.0
+            self._returns += step["rewards"]
+            for slot, (last, info) in steps.finals.items():
+                if steps.truncations[slot]:
+                    step["next_values"][slot] = values_of(last[None])[0, 0] * VALUE_UNIT
+                own = float(self._returns[slot]), bool(steps.terminations[slot])
+                episodes.append(Episode(*own, int(info["position"])))
+                self._returns[slot] = 0.0
+            self._observations = steps.observations
+        return Driven(values_of(self._observations)[:, 0] * np.float32(VALUE_UNIT), episodes)
+
+    def close(self) -> None:
+        """Ends all races."""
+        self._races.close()
+
+    def _shared(self, rewards: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the rewards of all slots after the members of teams have shared theirs."""
+        by_race = rewards.reshape(self._races.num_races, -1)
+        shared: npt.NDArray[np.float64] = (by_race @ self._shares).reshape(-1)
+        return shared
+
+
+def reward_shares(task: Task) -> npt.NDArray[np.float64]:
+    """Returns the share of each agent's reward that each agent gets, ``(A, A)``.
+
+    As :class:`~stkzoo.wrappers.marl.Teams` does with ``share=1``, every member gets the mean over
+    its team; members that have left count as 0.
+
+    Args:
+        task: the task.
+    """
+    shares = np.eye(task.learners)
+    for team in task.teams:
+        shares[np.ix_(team, team)] = 1 / len(team)
+    return shares

@@ -1,0 +1,102 @@
+"""The networks of the reference algorithms, in PyTorch."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.agents.pretrained.mlp import SPLITS
+from stkzoo.wrappers.racing import CHOICES, SIZE
+
+from ..common.command import training_torch
+from ..common.network_policy import FIRST_BIASES
+from ..common.ppo import Weights
+
+
+class TaskNetwork:
+    """A policy and a value network on the view ``racing``, with their optimizer.
+
+    See :class:`..common.ppo.PPONetwork`. The policy's layers have Stable-Baselines3's names in
+    files, so that every command that reads those reads these.
+
+    Args:
+        hidden: units of the hidden layers of both.
+        seed: seed of the initial weights.
+
+    Raises:
+        ConfigError: PyTorch is not installed.
+    """
+
+    penalty_coef = 0.0
+
+    def __init__(self, hidden: Sequence[int], seed: int) -> None:
+        self.torch = torch = training_torch()
+        torch.manual_seed(seed)
+        self.policy = self._layers((SIZE, *hidden, sum(CHOICES)), torch.nn.Tanh, 0.01)
+        self.value = self._layers((SIZE, *hidden, 1), torch.nn.ReLU, 1.0)
+        with torch.no_grad():
+            for logit, bias in FIRST_BIASES.items():
+                self.policy[-1].bias[logit] += bias
+        self.optimiser = torch.optim.Adam(
+            [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
+        )
+
+    def _layers(self, sizes: Sequence[int], activation: Any, last_gain: float) -> Any:
+        nn = self.torch.nn
+        parts: list[Any] = []
+        for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
+            is_last = number == len(sizes) - 2
+            layer = nn.Linear(inputs, outputs)
+            nn.init.orthogonal_(layer.weight, last_gain if is_last else 2**0.5)
+            nn.init.zeros_(layer.bias)
+            parts += [layer] if is_last else [layer, activation()]
+        return nn.Sequential(*parts)
+
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:  # noqa: ARG002 - nothing to prepare
+        """See :class:`..common.ppo.PPONetwork`. The view has fixed scales."""
+        return False
+
+    def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
+        """Returns inputs ``(N, F)`` and choices ``(N, 5)``."""
+        return [self.torch.from_numpy(seen[name].copy()) for name in ("inputs", "choices")]
+
+    def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
+        """See :class:`..common.ppo.PPONetwork`; there is no penalty."""
+        inputs, choices = columns
+        parts = self.policy(inputs).tensor_split(SPLITS, dim=1)
+        log_probability, entropy = 0.0, 0.0
+        for number, logits in enumerate(parts):
+            logs = self.torch.log_softmax(logits, dim=1)
+            chosen = logs.gather(1, choices[:, number : number + 1])[:, 0]
+            log_probability = log_probability + chosen
+            entropy = entropy - (logs.exp() * logs).sum(1)
+        penalty = self.torch.zeros(1)
+        return log_probability, entropy, penalty, self.value(inputs)[:, 0]
+
+    def weights(self) -> tuple[Weights, Weights]:
+        """See :class:`..common.ppo.PPONetwork`."""
+        names = [f"mlp_extractor.policy_net.{n}" for n in range(0, len(self.policy) - 1, 2)]
+        policy = {
+            f"{name}.{part}": getattr(layer, part).detach().numpy().copy()
+            for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
+            for part in ("weight", "bias")
+        }
+        critic = {"mean": np.zeros(SIZE, np.float32), "scale": np.ones(SIZE, np.float32)}
+        for number, layer in enumerate(self.value[::2]):
+            critic[f"w{number}"] = layer.weight.detach().numpy().T.copy()
+            critic[f"b{number}"] = layer.bias.detach().numpy().copy()
+        return policy, critic
+
+    def state(self) -> dict[str, Any]:
+        """See :class:`..common.ppo.PPONetwork`."""
+        parts = {"policy": self.policy, "value": self.value, "optimiser": self.optimiser}
+        return {name: part.state_dict() for name, part in parts.items()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """See :class:`..common.ppo.PPONetwork`."""
+        for name in ("policy", "value", "optimiser"):
+            getattr(self, name).load_state_dict(state[name])

@@ -1,0 +1,132 @@
+"""The reference algorithms of the suite: they learn, continue, and write agents that race."""
+
+import numpy as np
+import pytest
+
+from stkzoo.agents.training.common.actors import SharedArray
+from stkzoo.agents.training.suite.actor import ROLLOUT, TaskActor, reward_shares
+from stkzoo.agents.training.suite.ippo import IPPO, IPPOArguments
+from stkzoo.agents.training.suite.network import TaskNetwork
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.race import run_race
+from stkzoo.suite import find_task
+
+SMALL = {
+    "task": "solo-1",
+    "hidden": (16, 16),
+    "n_steps": 16,
+    "n_epochs": 2,
+    "batch_size": 32,
+    "num_races": 2,
+    "num_starts": 2,
+    "actors": 2,
+    "checkpoint_every": 2,
+    "anneal_timesteps": 1000,
+}
+
+
+def small_run(folder, **changes):
+    return IPPO(folder, IPPOArguments(**SMALL | changes))
+
+
+def iterate(learner, count):
+    for _ in range(count):
+        learner.iterate()
+        if learner.is_checkpoint(learner.iteration):
+            learner.save_checkpoint()
+            learner.begin_races()
+
+
+def arrays_of(learner):
+    policy, critic = learner._network.weights()
+    return {**{f"policy {n}": a for n, a in policy.items()}, **critic}
+
+
+def test_a_run_learns_and_continues_bit_for_bit(tmp_path):
+    whole = small_run(tmp_path / "whole")
+    before = arrays_of(whole)
+    iterate(whole, 4)
+    first = small_run(tmp_path / "parts")
+    iterate(first, 2)
+    first.close()
+    second = small_run(tmp_path / "parts")
+    assert second.iteration == 2
+    assert second.kart_steps == 2 * 16 * 2
+    iterate(second, 2)
+    one, other = arrays_of(whole), arrays_of(second)
+    whole.close(), second.close()
+    assert all((one[name] == other[name]).all() for name in one)
+    assert any((one[name] != before[name]).any() for name in one)
+
+
+def test_a_run_with_other_arguments_is_refused(tmp_path):
+    small_run(tmp_path).close()
+    learner = small_run(tmp_path)
+    learner.save_checkpoint()
+    learner.close()
+    with pytest.raises(ConfigError, match="n_steps was 16, now 8"):
+        small_run(tmp_path, n_steps=8)
+
+
+def test_a_task_with_messages_is_refused_before_anything_starts(tmp_path):
+    with pytest.raises(ConfigError, match="ippo does not learn talk-2v2"):
+        small_run(tmp_path, task="talk-2v2")
+    assert not list(tmp_path.iterdir())
+
+
+def test_members_of_a_team_get_the_mean_of_their_rewards():
+    shares = reward_shares(find_task("team-2v2"))
+    own = np.array([4.0, 1.0, 3.0, 2.0])
+    assert (own @ shares).tolist() == [3.0, 2.0, 2.0, 3.0]
+    assert (reward_shares(find_task("versus")) == np.eye(1)).all()
+
+
+def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes():
+    memory = SharedArray((2, 40, 4), ROLLOUT)
+    actor = TaskActor("team-2v2", 1, 1, memory)
+    network = TaskNetwork((8, 8), seed=0)
+    actor.begin([5])
+    try:
+        driven = actor.drive(0, *network.weights())
+        race = actor._races.races[0]
+        track, reverse = race.race.track, race.race.reverse
+    finally:
+        actor.close()
+    rollout = memory.array()[0]
+    assert rollout["active"].all()
+    assert not rollout["ended"].any()
+    assert driven.episodes == []
+    assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 3]).all()
+    assert (rollout["rewards"][:, 1] == rollout["rewards"][:, 2]).all()
+    assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 1]).any()
+    logits = network.policy(network.torch.from_numpy(rollout["inputs"][3].copy()))
+    assert logits.shape == (4, 31)
+    columns = network.tensors(rollout[3])
+    log_probability, entropy, _, values = network.evaluate(columns)
+    told = rollout["log_probability"][3]
+    assert np.allclose(log_probability.detach().numpy(), told, atol=1e-4)
+    assert np.allclose(values.detach().numpy() * 10.0, rollout["values"][3], atol=1e-4)
+    assert (entropy > 0).all()
+    assert track in find_task("team-2v2").train_tracks
+    assert reverse in (False, True)
+
+
+@pytest.mark.slow
+def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(
+        "stkzoo.agents.training.suite.ippo.IPPOArguments",
+        lambda **given: IPPOArguments(**{**SMALL, "checkpoint_every": 100, **given}),
+    )
+    words = ["suite", "train", "solo-1", "ippo", "--kart-steps", "100", "--output", str(tmp_path)]
+    assert main(words) == 0
+    assert f"stkzoo suite evaluate solo-1 {tmp_path / 'agent'}" in capsys.readouterr().out
+    result = run_race([str(tmp_path / "agent")], track="lighthouse", max_steps=20, inline=True)
+    assert not result.has_errors
+    assert result.agents[0].driver == "ippo_solo_1_0"
+    assert main(words) == 0  # nothing is left to do
+
+
+def test_an_unknown_algorithm_is_refused(capsys):
+    assert main(["suite", "train", "solo-1", "ipo"]) == 2
+    assert "unknown algorithm 'ipo'. Did you mean 'ippo'?" in capsys.readouterr().err
