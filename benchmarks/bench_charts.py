@@ -88,7 +88,7 @@ def time_ratios(results: Path, axes: Any) -> None:
             axes.plot(ratio["value"], place, "o", color=colour, label=None if row else title)
     axes.axvline(1, color=GREY, linewidth=1, linestyle="--", zorder=0)
     axes.set_yticks(range(len(names)), names)
-    axes.legend(frameon=False, fontsize=9, loc="upper right")
+    axes.legend(frameon=False, fontsize=9, loc="lower left")
     style_axes(axes, "Finish time on the test tracks over the AI's median time; less is better")
 
 
