@@ -150,6 +150,7 @@ def _train(arguments: argparse.Namespace) -> int:
 
     Algorithms:
       ippo     independent PPO: one policy learns from each kart's own view and reward
+      mappo    the same with a value network that sees the whole race
 
     Examples:
       stkzoo suite train solo-1 ippo

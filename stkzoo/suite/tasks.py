@@ -18,6 +18,7 @@ from stkzoo._schema import Count, OneOf, Whole, Within
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import unknown_name
 from stkzoo.evaluation.benchmark.races import BenchmarkForm
+from stkzoo.mdp.state import state_space
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
 from stkzoo.views import find_view
 from stkzoo.wrappers.marl import MessageChannel, PartialObservations, Teams
@@ -92,6 +93,11 @@ class Task:
         """Number of races of the evaluation."""
         ends = sum(len(BenchmarkForm.of(form).ends) for form in self.forms)
         return len(self.test_tracks) * 2 * ends * self.seeds
+
+    @property
+    def state_size(self) -> int:
+        """Size of the state of a race during learning (``env.state()``)."""
+        return int(state_space(self.num_kart).shape[0])
 
     def options(self, split: str = "train") -> dict[str, Any]:
         """Returns the task's arguments of :class:`~stkzoo.env.parallel.RaceParallelEnv`.

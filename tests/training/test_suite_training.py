@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.training.common.actors import SharedArray
-from stkzoo.agents.training.suite.actor import ROLLOUT, TaskActor, reward_shares
-from stkzoo.agents.training.suite.ippo import IPPO, IPPOArguments
+from stkzoo.agents.training.suite.actor import (
+    TaskActor,
+    reward_shares,
+    rollout_type,
+)
+from stkzoo.agents.training.suite.ippo import IPPO
+from stkzoo.agents.training.suite.learner import TaskArguments
+from stkzoo.agents.training.suite.mappo import MAPPO
 from stkzoo.agents.training.suite.network import TaskNetwork
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
@@ -26,8 +32,8 @@ SMALL = {
 }
 
 
-def small_run(folder, **changes):
-    return IPPO(folder, IPPOArguments(**SMALL | changes))
+def small_run(folder, kind=IPPO, **changes):
+    return kind(folder, TaskArguments(**SMALL | changes))
 
 
 def iterate(learner, count):
@@ -43,14 +49,15 @@ def arrays_of(learner):
     return {**{f"policy {n}": a for n, a in policy.items()}, **critic}
 
 
-def test_a_run_learns_and_continues_bit_for_bit(tmp_path):
-    whole = small_run(tmp_path / "whole")
+@pytest.mark.parametrize("kind", [IPPO, MAPPO])
+def test_a_run_learns_and_continues_bit_for_bit(tmp_path, kind):
+    whole = small_run(tmp_path / "whole", kind)
     before = arrays_of(whole)
     iterate(whole, 4)
-    first = small_run(tmp_path / "parts")
+    first = small_run(tmp_path / "parts", kind)
     iterate(first, 2)
     first.close()
-    second = small_run(tmp_path / "parts")
+    second = small_run(tmp_path / "parts", kind)
     assert second.iteration == 2
     assert second.kart_steps == 2 * 16 * 2
     iterate(second, 2)
@@ -70,7 +77,7 @@ def test_a_run_with_other_arguments_is_refused(tmp_path):
 
 
 def test_a_task_with_messages_is_refused_before_anything_starts(tmp_path):
-    with pytest.raises(ConfigError, match="ippo does not learn talk-2v2"):
+    with pytest.raises(ConfigError, match="talk-2v2 has messages"):
         small_run(tmp_path, task="talk-2v2")
     assert not list(tmp_path.iterdir())
 
@@ -83,9 +90,10 @@ def test_members_of_a_team_get_the_mean_of_their_rewards():
 
 
 def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes():
-    memory = SharedArray((2, 40, 4), ROLLOUT)
+    size = find_task("team-2v2").state_size
+    memory = SharedArray((2, 40, 4), rollout_type(size))
     actor = TaskActor("team-2v2", 1, 1, memory)
-    network = TaskNetwork((8, 8), seed=0)
+    network = TaskNetwork((8, 8), 0, size)
     actor.begin([5])
     try:
         driven = actor.drive(0, *network.weights())
@@ -95,8 +103,10 @@ def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes(
         actor.close()
     rollout = memory.array()[0]
     assert rollout["active"].all()
+    assert (rollout["state"] == rollout["state"][:, :1]).all()
+    assert (rollout["state"][0] != rollout["state"][20]).any()
     assert not rollout["ended"].any()
-    assert driven.episodes == []
+    assert driven.races == []
     assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 3]).all()
     assert (rollout["rewards"][:, 1] == rollout["rewards"][:, 2]).all()
     assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 1]).any()
@@ -115,8 +125,8 @@ def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes(
 @pytest.mark.slow
 def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
-        "stkzoo.agents.training.suite.ippo.IPPOArguments",
-        lambda **given: IPPOArguments(**{**SMALL, "checkpoint_every": 100, **given}),
+        "stkzoo.agents.training.suite.learner.TaskArguments",
+        lambda **given: TaskArguments(**{**SMALL, "checkpoint_every": 100, **given}),
     )
     words = ["suite", "train", "solo-1", "ippo", "--kart-steps", "100", "--output", str(tmp_path)]
     assert main(words) == 0

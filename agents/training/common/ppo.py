@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -129,9 +129,14 @@ class OverlappedPPO(ABC):
             ``iteration``.
         may_change: whether to continue even if the run had other arguments.
 
+    Attributes:
+        remedy: another remedy to suggest if the run had other arguments.
+
     Raises:
         ConfigError: the folder contains a run with other arguments, or an argument is invalid.
     """
+
+    remedy: ClassVar[str] = ""
 
     def __init__(
         self,
@@ -355,7 +360,7 @@ class OverlappedPPO(ABC):
             self.folder,
             {**last["arguments"], **rules},
             {**now["arguments"], **new},
-            ", or --may-change to continue with these",
+            self.remedy,
             may_change=may_change,
         ):
             self._history.append(now)

@@ -119,6 +119,8 @@ class PPOLearner(OverlappedPPO):
         ConfigError: the folder contains a run with other arguments, or an argument is invalid.
     """
 
+    remedy = ", or --may-change to continue with these"
+
     def __init__(
         self, folder: str | Path, arguments: SelfPlayArguments, *, may_change: bool = False
     ) -> None:

@@ -1,1 +1,3 @@
 """Reference algorithms for the tasks of :mod:`stkzoo.suite`: ``stkzoo suite train``."""
+
+__all__: list[str] = []

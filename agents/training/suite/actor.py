@@ -18,14 +18,24 @@ from stkzoo.wrappers.racing import CHOICES, SIZE
 from ..common.actors import SharedArray
 from ..common.ppo import FIELDS, VALUE_UNIT, FloatArray, Weights
 
-#: Element type of a rollout, an array ``(T, S)`` over steps and slots.
-ROLLOUT = np.dtype(
-    [("inputs", np.float32, SIZE), ("choices", np.int64, len(CHOICES)), *FIELDS], align=True
-)
+
+def rollout_type(state_size: int) -> np.dtype[np.void]:
+    """Returns the element type of a rollout, an array ``(T, S)`` over steps and slots.
+
+    Args:
+        state_size: size of the race's state in it; 0 for none.
+    """
+    seen = [("inputs", np.float32, SIZE), ("state", np.float32, (state_size,))]
+    return np.dtype([*seen, ("choices", np.int64, len(CHOICES)), *FIELDS], align=True)
+
+
+def critic_inputs(rows: npt.NDArray[np.void]) -> FloatArray:
+    """Returns the value network's inputs ``(N, SIZE + state_size)`` in rows of a rollout."""
+    return np.concatenate([rows["inputs"], rows["state"]], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
-class Episode:
+class KartRace:
     """The race of a learner's kart.
 
     Attributes:
@@ -40,16 +50,16 @@ class Episode:
 
 
 @dataclass(frozen=True, slots=True)
-class Driven:
+class TaskRollout:
     """What a rollout's array does not include.
 
     Attributes:
         last_values: ``(S,)`` values of the observations after its last step.
-        episodes: the races that ended.
+        races: the races that ended.
     """
 
     last_values: FloatArray
-    episodes: list[Episode]
+    races: list[KartRace]
 
 
 class TaskActor:
@@ -59,12 +69,13 @@ class TaskActor:
         task: name of the task.
         num_races: number of races.
         num_starts: number of different starts, which later races repeat.
-        memory: ``(2, T, S)`` of :data:`ROLLOUT`, two rollouts to fill in turn.
+        memory: ``(2, T, S)`` of :func:`rollout_type`, two rollouts to fill in turn.
     """
 
     def __init__(self, task: str, num_races: int, num_starts: int, memory: SharedArray) -> None:
         found = find_task(task)
         self._rollouts = memory.array()
+        self._has_states = self._rollouts.dtype["state"].shape != (0,)
         self._races = RaceVectorEnv(num_races, num_starts=num_starts, **found.options())
         self._shares = reward_shares(found)
         self._returns = np.zeros(self._races.num_envs)
@@ -77,7 +88,7 @@ class TaskActor:
         self._observations = self._races.reset_slots(seeds, [None] * count).observations
         self._returns[:] = 0.0
 
-    def drive(self, number: int, policy: Weights, critic: Weights) -> Driven:
+    def drive(self, number: int, policy: Weights, critic: Weights) -> TaskRollout:
         """Fills a rollout.
 
         Args:
@@ -86,15 +97,16 @@ class TaskActor:
             critic: weights of the value network.
         """
         network, values_of = MlpDriver(policy), Network(critic)
-        episodes: list[Episode] = []
+        ended: list[KartRace] = []
         for step in self._rollouts[number]:
             seen = self._observations
+            step["state"] = self._states()
             logits = network.logits(seen)
             choices = sample_choices(logits, self._random)
             self._races.step_async(choices)
             step["inputs"], step["choices"] = seen, choices  # the races run meanwhile
             step["log_probability"] = log_probability_of(choices, logits)
-            step["values"] = values_of(seen)[:, 0] * VALUE_UNIT
+            step["values"] = values_of(critic_inputs(step))[:, 0] * VALUE_UNIT
             steps = self._races.wait_slots()
             step["rewards"] = np.where(steps.active, self._shared(steps.rewards), 0.0)
             step["active"] = step["driven"] = steps.active
@@ -103,16 +115,25 @@ class TaskActor:
             self._returns += step["rewards"]
             for slot, (last, info) in steps.finals.items():
                 if steps.truncations[slot]:
-                    step["next_values"][slot] = values_of(last[None])[0, 0] * VALUE_UNIT
+                    row = np.concatenate([last, step["state"][slot]])  # the race's last state
+                    step["next_values"][slot] = values_of(row[None])[0, 0] * VALUE_UNIT
                 own = float(self._returns[slot]), bool(steps.terminations[slot])
-                episodes.append(Episode(*own, int(info["position"])))
+                ended.append(KartRace(*own, int(info["position"])))
                 self._returns[slot] = 0.0
             self._observations = steps.observations
-        return Driven(values_of(self._observations)[:, 0] * np.float32(VALUE_UNIT), episodes)
+        latest = np.concatenate([self._observations, self._states()], axis=1)
+        return TaskRollout(values_of(latest)[:, 0] * np.float32(VALUE_UNIT), ended)
 
     def close(self) -> None:
         """Ends all races."""
         self._races.close()
+
+    def _states(self) -> FloatArray:
+        """Returns the state of each slot's race, ``(S, state_size)``."""
+        if not self._has_states:
+            return np.zeros((self._races.num_envs, 0), np.float32)
+        states = [race.state() for race in self._races.races]
+        return np.repeat(np.stack(states), self._races.num_agents, axis=0)
 
     def _shared(self, rewards: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the rewards of all slots after the members of teams have shared theirs."""

@@ -10,11 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.mlp import SPLITS
+from stkzoo.agents.pretrained.policy import INPUT_CLIP
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.command import training_torch
 from ..common.network_policy import FIRST_BIASES
 from ..common.ppo import Weights
+from .actor import critic_inputs
+
+#: Minimum standard deviation of an entry of the state, so that constant ones are not amplified.
+_LEAST_SCALE = np.float32(0.1)
+_PARTS = ("policy", "value", "optimiser")
 
 
 class TaskNetwork:
@@ -26,6 +32,7 @@ class TaskNetwork:
     Args:
         hidden: units of the hidden layers of both.
         seed: seed of the initial weights.
+        state_size: size of the race's state, which the value network sees too; 0 for none.
 
     Raises:
         ConfigError: PyTorch is not installed.
@@ -33,11 +40,13 @@ class TaskNetwork:
 
     penalty_coef = 0.0
 
-    def __init__(self, hidden: Sequence[int], seed: int) -> None:
+    def __init__(self, hidden: Sequence[int], seed: int, state_size: int = 0) -> None:
         self.torch = torch = training_torch()
         torch.manual_seed(seed)
         self.policy = self._layers((SIZE, *hidden, sum(CHOICES)), torch.nn.Tanh, 0.01)
-        self.value = self._layers((SIZE, *hidden, 1), torch.nn.ReLU, 1.0)
+        size = SIZE + state_size
+        self.value = self._layers((size, *hidden, 1), torch.nn.ReLU, 1.0)
+        self._mean, self._scale = np.zeros(size, np.float32), np.ones(size, np.float32)
         with torch.no_grad():
             for logit, bias in FIRST_BIASES.items():
                 self.policy[-1].bias[logit] += bias
@@ -56,17 +65,28 @@ class TaskNetwork:
             parts += [layer] if is_last else [layer, activation()]
         return nn.Sequential(*parts)
 
-    def prepare(self, seen: npt.NDArray[np.void]) -> bool:  # noqa: ARG002 - nothing to prepare
-        """See :class:`..common.ppo.PPONetwork`. The view has fixed scales."""
-        return False
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
+        """See :class:`..common.ppo.PPONetwork`. The view has fixed scales, the state has not."""
+        states = seen["state"]
+        if not states.shape[1]:
+            return False
+        self._mean[SIZE:] = states.mean(axis=0)
+        self._scale[SIZE:] = 1.0 / np.maximum(states.std(axis=0), _LEAST_SCALE)
+        return True
 
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
-        """Returns inputs ``(N, F)`` and choices ``(N, 5)``."""
-        return [self.torch.from_numpy(seen[name].copy()) for name in ("inputs", "choices")]
+        """Returns inputs ``(N, F)``, those of the value network, scaled, and choices ``(N, 5)``."""
+        inputs = (critic_inputs(seen) - self._mean) * self._scale
+        arrays = (
+            seen["inputs"].copy(),
+            np.clip(inputs, -INPUT_CLIP, INPUT_CLIP),
+            seen["choices"].copy(),
+        )
+        return [self.torch.from_numpy(array) for array in arrays]
 
     def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
         """See :class:`..common.ppo.PPONetwork`; there is no penalty."""
-        inputs, choices = columns
+        inputs, central, choices = columns
         parts = self.policy(inputs).tensor_split(SPLITS, dim=1)
         log_probability, entropy = 0.0, 0.0
         for number, logits in enumerate(parts):
@@ -75,7 +95,7 @@ class TaskNetwork:
             log_probability = log_probability + chosen
             entropy = entropy - (logs.exp() * logs).sum(1)
         penalty = self.torch.zeros(1)
-        return log_probability, entropy, penalty, self.value(inputs)[:, 0]
+        return log_probability, entropy, penalty, self.value(central)[:, 0]
 
     def weights(self) -> tuple[Weights, Weights]:
         """See :class:`..common.ppo.PPONetwork`."""
@@ -85,7 +105,7 @@ class TaskNetwork:
             for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
             for part in ("weight", "bias")
         }
-        critic = {"mean": np.zeros(SIZE, np.float32), "scale": np.ones(SIZE, np.float32)}
+        critic = {"mean": self._mean, "scale": self._scale}
         for number, layer in enumerate(self.value[::2]):
             critic[f"w{number}"] = layer.weight.detach().numpy().T.copy()
             critic[f"b{number}"] = layer.bias.detach().numpy().copy()
@@ -93,10 +113,12 @@ class TaskNetwork:
 
     def state(self) -> dict[str, Any]:
         """See :class:`..common.ppo.PPONetwork`."""
-        parts = {"policy": self.policy, "value": self.value, "optimiser": self.optimiser}
-        return {name: part.state_dict() for name, part in parts.items()}
+        found = {name: getattr(self, name).state_dict() for name in _PARTS}
+        scales = {"mean": self._mean, "scale": self._scale}
+        return found | {name: self.torch.from_numpy(array) for name, array in scales.items()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """See :class:`..common.ppo.PPONetwork`."""
-        for name in ("policy", "value", "optimiser"):
+        for name in _PARTS:
             getattr(self, name).load_state_dict(state[name])
+        self._mean, self._scale = state["mean"].numpy(), state["scale"].numpy()

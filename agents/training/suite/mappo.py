@@ -1,0 +1,23 @@
+"""Multi-agent PPO: the value network sees the whole race, the policy only its own kart's view.
+
+    stkzoo suite train team-2v2 mappo
+
+As independent PPO (:mod:`.ippo`), with a central critic: its input is a learner's observation
+and the state of the race (`env.state()`), both scaled by their first rollout (Yu et al., 2022).
+Races with the trained agent do not need the critic.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from .learner import TaskLearner, run_task
+
+
+class MAPPO(TaskLearner):
+    """A run of multi-agent PPO; see :class:`.learner.TaskLearner`."""
+
+    sees_state = True
+
+
+run = partial(run_task, MAPPO)
