@@ -1,0 +1,59 @@
+"""Evaluates the drivers that come with stkzoo in the tasks of the suite, for normalised scores.
+
+    python -m benchmarks.suite_baselines                    # about an hour; continues if interrupted
+    python -m benchmarks.suite_baselines --tasks solo-1
+
+Writes ``stkzoo/suite/baselines.json``: the score of each driver in each task, with its interval. The
+weakest and the strongest of a task are 0 and 1 on the scale of normalised scores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+
+from stkzoo._os import write_text
+from stkzoo.suite import SUITE, TASKS, evaluate
+from stkzoo.suite.scores import BASELINES_FILE
+
+#: The game's AI drives at the difficulty of each race; it cannot race against another one.
+DRIVERS = ("ai", "pursuit", "heuristic", "pretrained:scout", "pretrained:ace", "pretrained:apex")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the command; returns its exit code."""
+    words = argparse.ArgumentParser(
+        prog="python -m benchmarks.suite_baselines",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    known = [name for name, task in TASKS.items() if not task.words]
+    words.add_argument("--tasks", nargs="+", choices=known, default=known)
+    words.add_argument(
+        "--folder", type=Path, default=Path("runs/suite-baselines"), help="of the entries"
+    )
+    words.add_argument("--output", type=Path, default=BASELINES_FILE, help="JSON file to write")
+    options = words.parse_args(arguments)
+    found = json.loads(options.output.read_text()) if options.output.exists() else {}
+    scores = found.get("scores", {}) if found.get("suite") == SUITE else {}
+    console = Console(stderr=True)
+    for task in options.tasks:
+        for driver in DRIVERS:
+            folder = options.folder / f"{task}-{driver.replace(':', '-')}"
+            with console.status(f"{driver} in {task}"):
+                entry = evaluate(task, driver, output=folder, plot=False)
+            assert entry.score is not None  # noqa: S101 - it has races
+            scores.setdefault(task, {})[driver] = asdict(entry.score)
+            console.print(f"{task}: {driver} {entry.score.value:.3f}")
+            own = {"suite": SUITE, "digests": {n: TASKS[n].digest for n in scores}}
+            write_text(options.output, json.dumps(own | {"scores": scores}, indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
