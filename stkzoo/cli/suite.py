@@ -313,9 +313,15 @@ def _show_entry(entry: Entry) -> None:
 
     show_results([entry])
     score, task = entry.score, entry.task
-    if score is not None:
-        low, high = score.interval
+    if score is None:
+        return
+    low, high = score.interval
+    say(
+        f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
+        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {task.num_races} races."
+    )
+    if entry.normalised_score is not None:
         say(
-            f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
-            f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {task.num_races} races."
+            f"Normalised: {entry.normalised_score:.2f}; 0 is the weakest and 1 the strongest "
+            "driver that comes with stkzoo."
         )

@@ -9,6 +9,7 @@
 
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.population import POPULATION, Member, behaviour
+from stkzoo.suite.scores import Baselines, load_baselines, normalised
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
@@ -21,6 +22,7 @@ __all__ = [
     "SUITE",
     "TASKS",
     "About",
+    "Baselines",
     "Entry",
     "EntryPlan",
     "EntryRefused",
@@ -29,6 +31,8 @@ __all__ = [
     "behaviour",
     "evaluate",
     "find_task",
+    "load_baselines",
+    "normalised",
     "plan_entry",
     "verify_entry",
 ]

@@ -25,6 +25,7 @@ from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 from stkzoo.suite.population import POPULATION, draw_rivals
+from stkzoo.suite.scores import load_baselines, normalised
 from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 
 #: Name of the file with the scores in the folder of an entry.
@@ -182,13 +183,28 @@ class Entry(BenchmarkResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the entry as JSON values."""
-        values = BenchmarkResult.to_dict(self)
-        return {"metric": self.task.metric, "score": self.score and asdict(self.score), **values}
+        return {
+            "metric": self.task.metric,
+            "score": self.score and asdict(self.score),
+            "normalised": self.normalised_score,
+            **BenchmarkResult.to_dict(self),
+        }
 
     @cached_property
     def score(self) -> Estimate | None:
         """The task's metric over all races; ``None`` without races."""
         return self.group().figures[self.task.metric] if self.races else None
+
+    @property
+    def normalised_score(self) -> float | None:
+        """The score between the weakest (0) and the strongest (1) driver that comes with stkzoo.
+
+        ``None`` without races, or if the task has no baselines.
+        """
+        baselines = load_baselines()
+        if self.score is None or self.plan.task not in baselines.scores:
+            return None
+        return normalised(self.plan.task, self.score.value, baselines)
 
 
 def plan_entry(

@@ -22,6 +22,7 @@ from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import Replay, load_replay, play_replay
+from stkzoo.race.replay.file import controls_of
 from stkzoo.race.result import RaceResult
 from stkzoo.suite.entry import ENTRY_FILE, Entry, EntryPlan, plan_entry, replay_digest
 from stkzoo.suite.tasks import SUITE, find_task
@@ -75,20 +76,35 @@ class VerifyOrder(RaceOrder):
         replay = load_replay(self.replay_file(folder))
         self._check_facts(replay)
         own = tuple(self.wait_for or ())
-        ending = _Ending(tuple(f"kart_{number}" for number in own))
         live = {n: text for n, text in enumerate(self.drivers) if n not in own}
-        playback = play_replay(replay, listeners=[ending], live=live)
+        watch = _Watch(replay, own, [n for n, text in live.items() if text not in GAME_AI])
+        playback = play_replay(replay, listeners=[watch], live=live)
         if playback.first_difference is not None:
             raise EntryRefused(f"step {playback.first_difference} differs from the recording")
         if playback.result_differences:
             raise EntryRefused(f"step {replay.steps}: {'; '.join(playback.result_differences)}")
         if replay_digest(folder, self.number) != self.replay:
             raise EntryRefused(f"the replay is not the one of {ENTRY_FILE} (SHA-256)")
-        limit = self.settings.max_steps or replay.steps
-        if replay.steps > limit or ending.step not in (None, replay.steps):
-            last = min(limit, ending.step or limit)
-            raise EntryRefused(f"step {last} ends the race, and the recording has {replay.steps}")
+        if watch.first_other_action is not None:
+            raise EntryRefused(f"step {watch.first_other_action} has other controls of a rival")
+        self._check_end(replay, watch.last_finish)
         return playback.measured
+
+    def _check_end(self, replay: Replay, last: int | None) -> None:
+        """Checks that a race ended when and as the rules say.
+
+        Args:
+            replay: the race.
+            last: step in which the last kart of the agent finished; ``None`` without one.
+        """
+        if last not in (None, replay.steps):
+            raise EntryRefused(f"step {last} ends the race, and the recording has {replay.steps}")
+        ends = {"finished", "awaited_finished"}
+        if last is None:  # out of time, or retired after a failure
+            is_late = replay.steps == self.settings.max_steps
+            ends = {"max_steps"} if is_late else {*ends, "abandoned"}
+        if replay.status not in ends:
+            raise EntryRefused(f"step {replay.steps}: status is {shortened(replay.status)}")
 
     def suspects(self) -> tuple[int, ...]:
         """See :meth:`RaceOrder.suspects`. No code of agents runs."""
@@ -108,6 +124,7 @@ class VerifyOrder(RaceOrder):
                 [n for n, text in enumerate(self.drivers) if text in GAME_AI],
             ),
             "is_partial": (replay.is_partial, False),
+            "is_too_long": (replay.steps > (self.settings.max_steps or 0), False),
         }
         for name, (found, expected) in facts.items():
             if found != expected:
@@ -116,24 +133,37 @@ class VerifyOrder(RaceOrder):
                 )
 
 
-class _Ending(RaceListener):
-    """Finds the step in which the last of some agents finishes.
+class _Watch(RaceListener):
+    """Finds when the agent's karts finish, and whether its rivals act as recorded.
 
     Args:
-        agents: ids of the agents.
+        replay: the recorded race.
+        own: numbers of the agent's karts.
+        rivals: numbers of the karts of drivers that act again.
 
     Attributes:
-        step: the step; ``None`` if some have not finished.
+        last_finish: step in which the last of the agent's karts finishes; ``None`` if some have
+            not finished.
+        first_other_action: first step in which a rival acts in another way than recorded.
     """
 
-    def __init__(self, agents: tuple[str, ...]) -> None:
-        self._agents = agents
-        self.step: int | None = None
+    def __init__(self, replay: Replay, own: Sequence[int], rivals: Sequence[int]) -> None:
+        self._replay = replay
+        self._own = {f"kart_{number}" for number in own}
+        self._rivals = {f"kart_{number}": number for number in rivals}
+        self.last_finish: int | None = None
+        self.first_other_action: int | None = None
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        if self.step is None and not set(self._agents) & set(race.env.agents):
-            self.step = race.steps
+        if self.last_finish is None and not self._own & set(race.env.agents):
+            self.last_finish = race.steps
+        recorded = self._replay.controls[race.steps - 1]
+        for agent, number in self._rivals.items():
+            action = race.actions.get(agent)
+            row = controls_of(action) if action is not None else [0.0] * len(recorded[number])
+            if self.first_other_action is None and row != recorded[number].tolist():
+                self.first_other_action = race.steps
 
 
 def verify_entry(
@@ -253,7 +283,7 @@ def _with_errors(race: RaceOutcome, claimed: RaceOutcome) -> RaceOutcome:
         replace(kart, errors=own.errors)
         for kart, own in zip(race.karts, claimed.karts, strict=True)
     )
-    return replace(race, karts=karts, status=claimed.status)
+    return replace(race, karts=karts)
 
 
 def _plain(race: RaceOutcome) -> Any:

@@ -7,7 +7,7 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.suite import TASKS, EntryRefused, evaluate, verify_entry
+from stkzoo.suite import TASKS, EntryRefused, evaluate, plan_entry, verify_entry
 from tests.support.entries import (
     SMALL,
     change_controls,
@@ -19,7 +19,7 @@ from tests.support.entries import (
     write_entry,
 )
 
-ALONE, WITH_RIVAL = 0, 1
+ALONE, WITH_RIVAL, WITH_DRIVER = 0, 1, 2
 
 
 @pytest.fixture(scope="module")
@@ -179,3 +179,18 @@ def test_an_entry_of_an_unknown_task_and_no_entry_at_all_are_one_error(entry, tm
         verify_entry(entry)
     with pytest.raises(ConfigError, match="is no entry"):
         verify_entry(tmp_path / "nothing")
+
+
+@pytest.mark.slow
+def test_controls_that_a_rival_did_not_give_are_refused(entry):
+    """They would not change the race, in which the rival drives again."""
+
+    def brake(controls):
+        controls[100, 0, 2] = 1 - controls[100, 0, 2]
+        return controls
+
+    assert plan_entry(SMALL, "random").orders()[WITH_DRIVER].drivers[0] == "pretrained:apex"
+    change_controls(entry, WITH_DRIVER, brake)
+    name_replays(entry)
+    expected = f"race {WITH_DRIVER} (lighthouse forward): step 101 has other controls of a rival"
+    assert expected in refusal(entry)

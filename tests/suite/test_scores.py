@@ -1,0 +1,50 @@
+"""Normalised scores lie between the weakest and the strongest baseline."""
+
+import json
+from dataclasses import asdict
+
+import pytest
+
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation import Estimate
+from stkzoo.suite import SUITE, TASKS, Baselines, load_baselines, normalised
+
+
+def baselines(task, values, digest=None, suite=SUITE):
+    scores = {task: {str(n): Estimate(value, None, None) for n, value in enumerate(values)}}
+    return Baselines(suite, {task: digest or TASKS[task].digest}, scores)
+
+
+def test_more_is_better_where_karts_are_beaten():
+    found = baselines("versus", [0.4, 0.2, 0.8])
+    assert normalised("versus", 0.2, found) == 0.0
+    assert normalised("versus", 0.8, found) == 1.0
+    assert normalised("versus", 0.5, found) == pytest.approx(0.5)
+    assert normalised("versus", 0.95, found) == pytest.approx(1.25)
+
+
+def test_less_is_better_for_time_ratios():
+    found = baselines("solo-1", [0.9, 0.8, 1.4])
+    assert normalised("solo-1", 1.4, found) == 0.0
+    assert normalised("solo-1", 0.8, found) == 1.0
+    assert normalised("solo-1", 1.1, found) == pytest.approx(0.5)
+    assert normalised("solo-1", 0.74, found) == pytest.approx(1.1)
+
+
+@pytest.mark.parametrize("changes", [{"digest": "0" * 64}, {"suite": "stkzoo-suite-2"}])
+def test_scores_of_another_definition_are_no_baselines(changes):
+    with pytest.raises(ConfigError, match="solo-1 has no baselines yet"):
+        normalised("solo-1", 0.9, baselines("solo-1", [0.9, 0.8], **changes))
+    with pytest.raises(ConfigError, match="versus has no baselines yet"):
+        normalised("versus", 0.9, baselines("solo-1", [0.9, 0.8]))
+
+
+def test_the_shipped_baselines_are_of_these_tasks():
+    found = load_baselines()
+    for task, scores in found.scores.items():
+        weakest, strongest = found.ends(task)
+        assert weakest != strongest
+        values = [normalised(task, score.value) for score in scores.values()]
+        assert (min(values), max(values)) == (0.0, 1.0)
+        assert len(scores) == 6
+    assert json.dumps(asdict(found))
