@@ -71,7 +71,7 @@ def _other(value: Any, chance: random.Random) -> Any:
     if isinstance(value, int):
         return value + chance.choice((-1, 1, 2))
     if isinstance(value, float):
-        return value * chance.choice((0.9, 0.99, 0.999, 1.01))
+        return value * chance.choice((0.9, 0.99, 0.999, 1.01)) if value else 0.5
     return chance.choice(("hacienda", "reversed", "front", "PBB", value + "x", ""))
 
 
