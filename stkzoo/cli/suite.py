@@ -7,7 +7,7 @@ every number.
 
 Examples:
   stkzoo suite list                                the tasks and the population
-  stkzoo suite train versus ippo                   train an agent of a reference algorithm
+  stkzoo suite train versus ippo                   train an agent
   stkzoo suite evaluate versus my_agent/           120 races on the test tracks
   stkzoo suite verify suite/versus-my_agent        run all races again
 """
@@ -149,7 +149,7 @@ def _train(arguments: argparse.Namespace) -> int:
     also after a kill, repeat the command.
 
     Algorithms:
-      ippo     independent PPO: one policy learns from each kart's own view and reward
+      ippo     independent PPO: learns from each kart's own view and reward
       mappo    the same with a value network that sees the whole race
 
     Examples:

@@ -5,9 +5,12 @@
 >>> env.possible_agents
 ['kart_0']
 >>> env.close()
+
+Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")``.
 """
 
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
+from stkzoo.suite.ids import id_of, register_tasks
 from stkzoo.suite.population import POPULATION, Member, behaviour
 from stkzoo.suite.scores import Baselines, load_baselines, normalised
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
@@ -15,6 +18,8 @@ from stkzoo.suite.verification import EntryRefused, verify_entry
 
 #: Reference algorithms: modules of ``stkzoo.agents.training.suite``.
 ALGORITHMS = ("ippo", "mappo")
+
+register_tasks()
 
 __all__ = [
     "ALGORITHMS",
@@ -31,6 +36,7 @@ __all__ = [
     "behaviour",
     "evaluate",
     "find_task",
+    "id_of",
     "load_baselines",
     "normalised",
     "plan_entry",

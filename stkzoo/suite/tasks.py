@@ -30,8 +30,6 @@ DIFFICULTY = 3
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"
 
-_HARDEST_AI = f"ai:{DIFFICULTY}"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
@@ -45,7 +43,7 @@ class Task:
         train_tracks: tracks to learn on.
         test_tracks: tracks of the evaluation.
         learners: number of karts that learn.
-        rivals: drivers of the other karts during learning.
+        rivals: number of karts of the game's hardest AI during learning.
         view: view of the learners.
         reward: reward of the learners.
         teams: numbers of the learners of each team; empty without teams. A team shares its rewards.
@@ -65,7 +63,7 @@ class Task:
     train_tracks: tuple[str, ...] = TRAIN_TRACKS
     test_tracks: tuple[str, ...] = TEST_TRACKS
     learners: Whole
-    rivals: tuple[str, ...] = ()
+    rivals: Count = 0
     view: str = "racing"
     reward: str = "race"
     teams: tuple[tuple[Count, ...], ...] = ()
@@ -86,7 +84,7 @@ class Task:
     @property
     def num_kart(self) -> int:
         """Number of karts of a race during learning."""
-        return self.learners + len(self.rivals)
+        return self.learners + self.rivals
 
     @property
     def num_races(self) -> int:
@@ -117,7 +115,6 @@ class Task:
         return {
             "num_kart": self.num_kart,
             "agents": self.learners,
-            **({"opponents": list(self.rivals)} if self.rivals else {}),
             "track": tracks[split],
             "reverse": None,
             "difficulty": DIFFICULTY,
@@ -189,7 +186,7 @@ TASKS = {
             name="versus",
             goal="Beat four karts of the game's hardest AI.",
             learners=1,
-            rivals=(_HARDEST_AI,) * 4,
+            rivals=4,
             forms=("PAAAA",),
             seeds=5,
         ),

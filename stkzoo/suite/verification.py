@@ -77,7 +77,7 @@ class VerifyOrder(RaceOrder):
         self._check_facts(replay)
         own = tuple(self.wait_for or ())
         live = {n: text for n, text in enumerate(self.drivers) if n not in own}
-        watch = _Watch(replay, own, [n for n, text in live.items() if text not in GAME_AI])
+        watch = _RaceWatch(replay, own, [n for n, text in live.items() if text not in GAME_AI])
         playback = play_replay(replay, listeners=[watch], live=live)
         if playback.first_difference is not None:
             raise EntryRefused(f"step {playback.first_difference} differs from the recording")
@@ -133,7 +133,7 @@ class VerifyOrder(RaceOrder):
                 )
 
 
-class _Watch(RaceListener):
+class _RaceWatch(RaceListener):
     """Finds when the agent's karts finish, and whether its rivals act as recorded.
 
     Args:

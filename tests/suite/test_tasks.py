@@ -2,24 +2,26 @@
 
 import json
 
+import gymnasium as gym
 import numpy as np
+import pettingzoo
 import pytest
 from pettingzoo.test import parallel_api_test
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.suite import POPULATION, TASKS, behaviour, find_task, plan_entry
+from stkzoo.suite import POPULATION, TASKS, behaviour, find_task, id_of, plan_entry
 from stkzoo.suite.population import draw_rivals
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
 
 #: The definitions of stkzoo-suite-1. Another digest is another suite.
 DIGESTS = {
-    "solo-1": "40b16f2ebc830040",
-    "solo-general": "17f4d82c61b3ae54",
-    "versus": "d87d9b505248c8b1",
-    "selfplay-5": "dc7ab2dc02c72860",
-    "team-2v2": "2c7e2813924fbf3f",
-    "talk-2v2": "07cfdeab13bf4d59",
+    "solo-1": "db21f9f21f815c4f",
+    "solo-general": "b15aa5e36d1dbaed",
+    "versus": "ff691d0ebe3ff35c",
+    "selfplay-5": "18f1869a562a46bf",
+    "team-2v2": "56412d5930206f12",
+    "talk-2v2": "69b818f5ab1dadd8",
 }
 
 
@@ -39,6 +41,33 @@ def test_a_task_can_be_made_and_raced(name):
     assert race.race.track in task.train_tracks
     assert race.race.difficulty == 3
     env.close()
+
+
+@pytest.mark.parametrize("name", ["solo-1", "solo-general", "versus"])
+def test_a_task_with_one_learner_is_a_gymnasium_environment(name):
+    """It drives the same races as the parallel form."""
+    task = find_task(name)
+    with gym.make(id_of(task)) as env, task.make() as parallel:
+        one, _ = env.reset(seed=3)
+        other, _ = parallel.reset(seed=3)
+        assert (one == other["kart_0"]).all()
+        action = np.array([10, 0, 0, 0, 0])
+        for _ in range(20):
+            one, reward, *_ = env.step(action)
+            other, rewards, *_ = parallel.step({"kart_0": action})
+            assert (one == other["kart_0"]).all()
+            assert reward == rewards["kart_0"]
+    envs = gym.make_vec(id_of(task), num_envs=2)
+    assert envs.reset(seed=3)[0].shape == (2, 165)
+    envs.close()
+
+
+@pytest.mark.skipif(not hasattr(pettingzoo, "register"), reason="needs PettingZoo 1.27")
+def test_each_task_is_registered_with_pettingzoo():
+    for task in TASKS.values():
+        env = pettingzoo.make("parallel", id_of(task))
+        assert len(env.possible_agents) == task.learners
+        env.close()
 
 
 def test_both_splits_and_both_directions_are_driven():

@@ -1,0 +1,35 @@
+"""Registration of the tasks with Gymnasium and PettingZoo: ``stkzoo-suite/TASK-v1``."""
+
+from __future__ import annotations
+
+import gymnasium
+import pettingzoo
+
+from stkzoo.env.ids import MAX_EPISODE_STEPS
+from stkzoo.suite.tasks import TASKS, Task
+
+_NAMESPACE = "stkzoo-suite"
+
+
+def id_of(task: Task) -> str:
+    """Returns the id of a task."""
+    return f"{_NAMESPACE}/{task.name}-v1"
+
+
+def register_tasks() -> None:
+    """Registers all tasks; ``import stkzoo.suite`` calls it.
+
+    Gymnasium gets those with one learner, and PettingZoo all, from its version 1.27.
+    """
+    for task in TASKS.values():
+        if task.learners == 1:
+            options = {name: value for name, value in task.options().items() if name != "agents"}
+            gymnasium.register(
+                id=id_of(task),
+                entry_point="stkzoo.env.gymnasium_api:STKRaceEnv",
+                vector_entry_point="stkzoo.env.vector:single_kart_races",
+                kwargs=options,
+                max_episode_steps=MAX_EPISODE_STEPS,
+            )
+        if hasattr(pettingzoo, "register"):
+            pettingzoo.register("parallel", id_of(task), task.make)
