@@ -7,6 +7,7 @@ The method is that of Schulman et al. (2017), with generalized advantage estimat
 
 from __future__ import annotations
 
+import itertools
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -100,6 +101,26 @@ class PPONetwork(Protocol):
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a :meth:`state`."""
         ...
+
+
+def make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: float) -> Any:
+    """Returns linear layers with orthogonal weights and no biases, as one PyTorch module.
+
+    Args:
+        torch: the module ``torch``.
+        sizes: number of inputs, units of each hidden layer, number of outputs.
+        activation: makes the module between two layers.
+        last_gain: gain of the last layer's weights; that of the others is the root of 2.
+    """
+    nn = torch.nn
+    parts: list[Any] = []
+    for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
+        is_last = number == len(sizes) - 2
+        layer = nn.Linear(inputs, outputs)
+        nn.init.orthogonal_(layer.weight, last_gain if is_last else 2**0.5)
+        nn.init.zeros_(layer.bias)
+        parts += [layer] if is_last else [layer, activation()]
+    return nn.Sequential(*parts)
 
 
 def advantages_of(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +14,7 @@ from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 
 from ..common.command import training_torch
-from ..common.ppo import Weights
+from ..common.ppo import Weights, make_layers
 from .rollouts import NUM_LOGITS, choice_columns
 
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.
@@ -55,28 +54,17 @@ class ActorCritic:
         torch.manual_seed(seed)
         size = INPUT_SIZE
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
-        self.policy = self._layers((size, *hidden, NUM_LOGITS), 0.01)
+        self.policy = make_layers(torch, (size, *hidden, NUM_LOGITS), torch.nn.ReLU, 0.01)
         self.columns = choice_columns(learns)
         with torch.no_grad():
             for column in set(range(len(HEADS))) - set(self.columns):
                 self.policy[-1].weight[HEADS[column]] = 0.0
-        self.value = self._layers((size, *hidden, 1), 1.0)
+        self.value = make_layers(torch, (size, *hidden, 1), torch.nn.ReLU, 1.0)
         if init:
             self._start_from(load_weights(init))
         self.optimiser = torch.optim.Adam(
             [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
         )
-
-    def _layers(self, sizes: Sequence[int], last_gain: float) -> Any:
-        nn = self.torch.nn
-        parts: list[Any] = []
-        for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
-            is_last = number == len(sizes) - 2
-            layer = nn.Linear(inputs, outputs)
-            nn.init.orthogonal_(layer.weight, last_gain if is_last else 2**0.5)
-            nn.init.zeros_(layer.bias)
-            parts += [layer] if is_last else [layer, nn.ReLU()]
-        return nn.Sequential(*parts)
 
     def _start_from(self, weights: dict[str, FloatArray]) -> None:
         self.mean, self.scale = weights["mean"], weights["scale"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +14,7 @@ from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.command import training_torch
 from ..common.network_policy import FIRST_BIASES
-from ..common.ppo import Weights
+from ..common.ppo import Weights, make_layers
 from .actor import critic_inputs
 
 #: Minimum standard deviation of an entry of the state, so that constant ones are not amplified.
@@ -43,9 +42,9 @@ class TaskNetwork:
     def __init__(self, hidden: Sequence[int], seed: int, state_size: int = 0) -> None:
         self.torch = torch = training_torch()
         torch.manual_seed(seed)
-        self.policy = self._layers((SIZE, *hidden, sum(CHOICES)), torch.nn.Tanh, 0.01)
+        self.policy = make_layers(torch, (SIZE, *hidden, sum(CHOICES)), torch.nn.Tanh, 0.01)
         size = SIZE + state_size
-        self.value = self._layers((size, *hidden, 1), torch.nn.ReLU, 1.0)
+        self.value = make_layers(torch, (size, *hidden, 1), torch.nn.ReLU, 1.0)
         self._mean, self._scale = np.zeros(size, np.float32), np.ones(size, np.float32)
         with torch.no_grad():
             for logit, bias in FIRST_BIASES.items():
@@ -53,17 +52,6 @@ class TaskNetwork:
         self.optimiser = torch.optim.Adam(
             [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
         )
-
-    def _layers(self, sizes: Sequence[int], activation: Any, last_gain: float) -> Any:
-        nn = self.torch.nn
-        parts: list[Any] = []
-        for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
-            is_last = number == len(sizes) - 2
-            layer = nn.Linear(inputs, outputs)
-            nn.init.orthogonal_(layer.weight, last_gain if is_last else 2**0.5)
-            nn.init.zeros_(layer.bias)
-            parts += [layer] if is_last else [layer, activation()]
-        return nn.Sequential(*parts)
 
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
         """See :class:`..common.ppo.PPONetwork`. The view has fixed scales, the state has not."""
