@@ -77,7 +77,7 @@ def add_actions(parser: CommandParser, *actions: Run) -> list[CommandParser]:
     children = []
     for action in actions:
         child = add_command(subparsers, action.__name__.strip("_").replace("_", "-"), action)
-        child.set_defaults(run=action)
+        child.set_defaults(run=action, fail=child.fail)
         children.append(child)
     return children
 

@@ -103,16 +103,15 @@ def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.suite import EntryPlan
 
-    actions = add_actions(parser, _list, _train, _evaluate, _verify)
-    listing, training, evaluation, verification = actions
+    listing, training, evaluation, verification = add_actions(
+        parser, _list, _train, _evaluate, _verify
+    )
     add_options(listing, ListArguments)
     add_options(training, TrainArguments)
     add_options(evaluation, EvaluateArguments)
     add_batch_options(evaluation, EntryPlan.decided)
     add_options(verification, VerifyArguments)
     add_options(verification, BatchArguments)
-    for child in actions:
-        child.set_defaults(fail=child.fail)
 
 
 @usage_errors

@@ -22,7 +22,6 @@ from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult
-from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 from stkzoo.suite.population import POPULATION, draw_rivals
 from stkzoo.suite.scores import load_baselines, normalised
@@ -49,13 +48,7 @@ class EntryOrder(RaceOrder):
         """
         replay = self.replay_file(folder)
         replay.parent.mkdir(exist_ok=True)
-        return run_race(
-            self.without_absent(self.drivers),
-            listeners=[ReplayWriter(replay)],
-            start_positions=range(1, len(self.drivers) + 1),
-            wait_for=self.wait_for,
-            settings=self.settings,
-        )
+        return self.race(self.drivers, [ReplayWriter(replay)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +195,7 @@ class Entry(BenchmarkResult):
         ``None`` without races, or if the task has no baselines.
         """
         baselines = load_baselines()
-        if self.score is None or self.plan.task not in baselines.scores:
+        if self.score is None or not baselines.has(self.plan.task):
             return None
         return normalised(self.plan.task, self.score.value, baselines)
 

@@ -31,6 +31,14 @@ class Baselines:
     digests: Mapping[str, str]
     scores: Mapping[str, Mapping[str, Estimate]]
 
+    def has(self, task: str) -> bool:
+        """Returns whether there are scores of a task's present definition.
+
+        Args:
+            task: name of the task.
+        """
+        return self.suite == SUITE and self.digests.get(task) == find_task(task).digest
+
     def ends(self, task: str) -> tuple[float, float]:
         """Returns the scores of the weakest and of the strongest driver in a task.
 
@@ -40,14 +48,13 @@ class Baselines:
         Raises:
             ConfigError: the task has no scores, or its definition has changed since.
         """
-        found = find_task(task)
-        if self.suite != SUITE or self.digests.get(task) != found.digest:
+        if not self.has(task):
             raise ConfigError(
                 f"{task} has no baselines yet; measure them by python -m benchmarks.suite_baselines"
             )
         values = sorted(score.value for score in self.scores[task].values())
         lowest, highest = values[0], values[-1]
-        return (highest, lowest) if found.metric == TIME_RATIO else (lowest, highest)
+        return (highest, lowest) if find_task(task).metric == TIME_RATIO else (lowest, highest)
 
 
 @cache

@@ -48,7 +48,7 @@ class Task:
         reward: reward of the learners.
         teams: numbers of the learners of each team; empty without teams. A team shares its rewards.
         sight: distance at which learners see other karts [m]; ``None`` for all distances.
-        words: number of words, of which each learner says one in each step; 0 without messages.
+        words: size of the vocabulary: each learner says one word per step; 0 for no messages.
         forms: race forms of the evaluation (:class:`~stkzoo.evaluation.BenchmarkForm`): ``P`` is a
             kart of the agent, ``A`` of the game's hardest AI, ``B`` of the population.
         seeds: races for each form, end of the grid, track and direction.

@@ -144,7 +144,7 @@ class _RaceWatch(RaceListener):
     Attributes:
         last_finish: step in which the last of the agent's karts finishes; ``None`` if some have
             not finished.
-        first_other_action: first step in which a rival acts in another way than recorded.
+        first_other_action: first step in which a rival's action differs from the recording.
     """
 
     def __init__(self, replay: Replay, own: Sequence[int], rivals: Sequence[int]) -> None:

@@ -86,9 +86,9 @@ def test_without_a_choice_every_reset_draws_a_direction():
 def test_the_direction_of_a_race_is_told():
     with race_v0.parallel_env(num_kart=2, track="lighthouse", reverse=None, max_paths=1) as env:
         env.reset(seed=1)
-        told = [env.race.reverse]
-        env.reset(options={"reverse": not told[0]})
-        assert env.race.reverse is not told[0]
-        while len(set(told)) < 2:
+        directions = [env.race.reverse]
+        env.reset(options={"reverse": not directions[0]})
+        assert env.race.reverse is not directions[0]
+        while len(set(directions)) < 2:
             env.reset()
-            told.append(env.race.reverse)
+            directions.append(env.race.reverse)

@@ -128,12 +128,12 @@ def test_members_of_the_population_take_turns():
 
 def test_the_command_lists_tasks_with_their_rules(capsys):
     assert main(["suite", "list"]) == 0
-    told = capsys.readouterr().out
-    assert all(name in told for name in (*TASKS, "pretrained:ace"))
+    listed = capsys.readouterr().out
+    assert all(name in listed for name in (*TASKS, "pretrained:ace"))
     assert main(["suite", "list", "versus"]) == 0
     assert find_task("versus").digest in capsys.readouterr().out
     assert main(["suite", "list", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert [task["name"] for task in told["tasks"]] == list(TASKS)
+    listed = json.loads(capsys.readouterr().out)
+    assert [task["name"] for task in listed["tasks"]] == list(TASKS)
     assert main(["suite", "list", "verse"]) == 2
     assert "Did you mean 'versus'?" in capsys.readouterr().err

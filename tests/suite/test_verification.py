@@ -134,35 +134,35 @@ def test_a_better_time_in_the_replay_is_refused(entry):
 
 @pytest.mark.slow
 def test_a_better_time_in_the_entry_is_refused(entry):
-    told = read_entry(entry)
-    told["races"][ALONE]["karts"][0]["time"] -= 0.001
-    write_entry(entry, told)
+    card = read_entry(entry)
+    card["races"][ALONE]["karts"][0]["time"] -= 0.001
+    write_entry(entry, card)
     assert re.search(r"race 0 \(lighthouse forward\), step \d+: karts\[0\].time is", refusal(entry))
 
 
 @pytest.mark.slow
 def test_a_better_score_is_refused(entry):
-    told = read_entry(entry)
-    told["score"]["value"] += 0.01
-    write_entry(entry, told)
+    card = read_entry(entry)
+    card["score"]["value"] += 0.01
+    write_entry(entry, card)
     assert "entry.json: score.value is" in refusal(entry)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda told: told["plan"].update(seeds=2), "seeds of the plan is not that of small"),
-        (lambda told: told["plan"]["settings"].update(difficulty=1), "settings of the plan"),
-        (lambda told: told["plan"].update(task_digest="0" * 64), "task_digest of the plan"),
-        (lambda told: told["plan"]["population"].pop("ai:1"), "population of the plan"),
-        (lambda told: told["plan"]["ai_times"]["lighthouse"].update(forward=99.0), "ai_times"),
-        (lambda told: [told[name].pop() for name in ("races", "replays")], "it has 5 of 6 races"),
+        (lambda card: card["plan"].update(seeds=2), "seeds of the plan is not that of small"),
+        (lambda card: card["plan"]["settings"].update(difficulty=1), "settings of the plan"),
+        (lambda card: card["plan"].update(task_digest="0" * 64), "task_digest of the plan"),
+        (lambda card: card["plan"]["population"].pop("ai:1"), "population of the plan"),
+        (lambda card: card["plan"]["ai_times"]["lighthouse"].update(forward=99.0), "ai_times"),
+        (lambda card: [card[name].pop() for name in ("races", "replays")], "it has 5 of 6 races"),
     ],
 )
 def test_other_rules_are_refused_before_any_race(entry, change, message):
-    told = read_entry(entry)
-    change(told)
-    write_entry(entry, told)
+    card = read_entry(entry)
+    change(card)
+    write_entry(entry, card)
     assert message in refusal(entry)
 
 
@@ -172,9 +172,9 @@ def test_missing_and_other_replays_are_refused(entry):
 
 
 def test_an_entry_of_an_unknown_task_and_no_entry_at_all_are_one_error(entry, tmp_path):
-    told = read_entry(entry)
-    told["plan"]["task"] = "smal"
-    write_entry(entry, told)
+    card = read_entry(entry)
+    card["plan"]["task"] = "smal"
+    write_entry(entry, card)
     with pytest.raises(ConfigError, match="unknown task 'smal'"):
         verify_entry(entry)
     with pytest.raises(ConfigError, match="is no entry"):

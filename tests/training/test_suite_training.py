@@ -106,7 +106,7 @@ def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes(
     assert (rollout["state"] == rollout["state"][:, :1]).all()
     assert (rollout["state"][0] != rollout["state"][20]).any()
     assert not rollout["ended"].any()
-    assert driven.races == []
+    assert driven.finishes == []
     assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 3]).all()
     assert (rollout["rewards"][:, 1] == rollout["rewards"][:, 2]).all()
     assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 1]).any()

@@ -10,19 +10,23 @@ from __future__ import annotations
 import itertools
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._schema import Count, Within
+from stkzoo.agents.pretrained.policy import INPUT_CLIP
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.errors import ConfigError
 
 from .actors import ActorPool
 from .arguments import OverlappedArguments
-from .command import ProgressBar
+from .command import ProgressBar, training_torch
 from .run_folder import (
     ARGUMENTS,
     TrainingLog,
@@ -47,13 +51,24 @@ FIELDS: list[tuple[Any, ...]] = [
 ]
 #: Ratio of the learning rates of value and policy.
 _VALUE_RATE = 4.0
+#: Parts of a network with a PyTorch state.
+_PARTS = ("policy", "value", "optimiser")
+#: Number of finished races in the means of the log.
+_RECENT = 200
 
 FloatArray = npt.NDArray[np.float32]
 Weights = Mapping[str, FloatArray]
 
 
-class PPONetwork(Protocol):
-    """A policy and a value network in PyTorch.
+class PPONetwork(ABC):
+    """A policy and a value network in PyTorch, with their optimizer.
+
+    Args:
+        seed: seed of the initial weights.
+        policy_sizes: number of inputs, units of each hidden layer, number of logits.
+        value_sizes: number of inputs, units of each hidden layer, and 1.
+        policy_activation: name in ``torch.nn`` of the module between two layers of the policy; the
+            value network has ``"ReLU"``.
 
     Attributes:
         torch: the module ``torch``.
@@ -61,26 +76,46 @@ class PPONetwork(Protocol):
         value: layers of the value network.
         optimiser: optimizer of both; its first parameter group is the policy's.
         penalty_coef: weight of the penalty in the loss.
+        mean: mean of the value network's inputs, by which they are normalized.
+        scale: factor by which they are normalized.
+
+    Raises:
+        ConfigError: PyTorch is not installed.
     """
 
-    torch: Any
-    policy: Any
-    value: Any
-    optimiser: Any
-    penalty_coef: float
+    penalty_coef = 0.0
 
+    def __init__(
+        self,
+        seed: int,
+        policy_sizes: Sequence[int],
+        value_sizes: Sequence[int],
+        policy_activation: str,
+    ) -> None:
+        self.torch = torch = training_torch()
+        torch.manual_seed(seed)
+        activation = getattr(torch.nn, policy_activation)
+        self.policy = _make_layers(torch, policy_sizes, activation, 0.01)
+        self.value = _make_layers(torch, value_sizes, torch.nn.ReLU, 1.0)
+        size = value_sizes[0]
+        self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
+        self.optimiser = torch.optim.Adam(
+            [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
+        )
+
+    @abstractmethod
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
         """Uses the rows of the first rollout, such as for the scale of inputs.
 
         Returns:
             Whether the networks changed.
         """
-        ...
 
+    @abstractmethod
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns what :meth:`evaluate` needs of the rows of a rollout, as tensors ``(N, ...)``."""
-        ...
 
+    @abstractmethod
     def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
         """Evaluates the choices in rows of a rollout.
 
@@ -88,22 +123,38 @@ class PPONetwork(Protocol):
             Tensors ``(N,)``: log-probability of the choices, entropy of the policy, a penalty, and
                 the value in units of :data:`VALUE_UNIT`.
         """
-        ...
 
+    @abstractmethod
     def weights(self) -> tuple[Weights, Weights]:
         """Returns the weights of policy and value network for the actors and for files."""
-        ...
+
+    def normalised(self, inputs: FloatArray) -> FloatArray:
+        """Returns inputs ``(N, F)`` of the value network, normalized and clipped."""
+        found: FloatArray = np.clip((inputs - self.mean) * self.scale, -INPUT_CLIP, INPUT_CLIP)
+        return found
+
+    def arrays(self, layers: Any) -> dict[str, FloatArray]:
+        """Returns layers in the form of :class:`~stkzoo.agents.pretrained.policy.Network`."""
+        arrays = {"mean": self.mean, "scale": self.scale}
+        for number, layer in enumerate(layers[::2]):
+            arrays[f"w{number}"] = layer.weight.detach().numpy().T.copy()
+            arrays[f"b{number}"] = layer.bias.detach().numpy().copy()
+        return arrays
 
     def state(self) -> dict[str, Any]:
         """Returns everything that learning changes as tensors, for :meth:`restore`."""
-        ...
+        parts = {name: getattr(self, name).state_dict() for name in _PARTS}
+        scales = {"mean": self.mean, "scale": self.scale}
+        return parts | {name: self.torch.from_numpy(array) for name, array in scales.items()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a :meth:`state`."""
-        ...
+        for name in _PARTS:
+            getattr(self, name).load_state_dict(state[name])
+        self.mean, self.scale = state["mean"].numpy(), state["scale"].numpy()
 
 
-def make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: float) -> Any:
+def _make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: float) -> Any:
     """Returns linear layers with orthogonal weights and no biases, as one PyTorch module.
 
     Args:
@@ -140,14 +191,34 @@ def advantages_of(
     return advantages
 
 
+@dataclass(frozen=True, slots=True)
+class RunFacts:
+    """The facts in the checkpoint of a run. Runs add ``recent``, their latest finishes.
+
+    Attributes:
+        history: the arguments, each with the kart-steps from which on they hold.
+        kart_steps: driven by then.
+        iteration: number of iterations by then.
+    """
+
+    history: Annotated[list[dict[str, Any]], Within(1)]
+    kart_steps: Count
+    iteration: Count
+
+    def __post_init__(self) -> None:
+        for chapter in self.history:
+            parts = chapter.get("arguments"), chapter.get("rules", {})
+            if not all(isinstance(part, dict) for part in parts):
+                raise ConfigError("history has no arguments or rules")
+
+
 class OverlappedPPO(ABC):
     """A run: its races, networks and files.
 
     Args:
         folder: folder of the run.
         arguments: arguments of the run.
-        facts: type of the facts in a checkpoint; it has the fields ``history``, ``kart_steps`` and
-            ``iteration``.
+        facts: type of the facts in a checkpoint, a :class:`RunFacts` with ``recent``.
         may_change: whether to continue even if the run had other arguments.
 
     Attributes:
@@ -158,6 +229,7 @@ class OverlappedPPO(ABC):
     """
 
     remedy: ClassVar[str] = ""
+    arguments: OverlappedArguments
 
     def __init__(
         self,
@@ -167,10 +239,11 @@ class OverlappedPPO(ABC):
         *,
         may_change: bool = False,
     ) -> None:
-        self.folder, self._settings = Path(folder), arguments
+        self.folder, self.arguments = Path(folder), arguments
         self.folder.mkdir(parents=True, exist_ok=True)
         self._network = self._new_network()
         self.kart_steps = self.iteration = 0
+        self._recent: deque[Any] = deque(maxlen=_RECENT)
         self._history: list[dict[str, Any]] = [self._chapter()]
         if checkpoint := load_checkpoint(self.folder, facts):
             self._restore(*checkpoint, may_change)
@@ -188,7 +261,7 @@ class OverlappedPPO(ABC):
 
         Their ``begin(seed)`` starts new races. Their ``drive(number, policy, critic)`` fills the
         rollout ``number`` and returns an object with ``last_values``, ``(S,)`` values of what
-        follows its last step.
+        follows its last step, and ``finishes``, the ends of learners' races.
 
         Returns:
             The actors, and two rollouts ``(2, T, S)`` of each.
@@ -199,24 +272,12 @@ class OverlappedPPO(ABC):
         return {}
 
     @abstractmethod
-    def _take(self, driven: Sequence[Any]) -> None:
-        """Uses what the actors returned besides their rollouts."""
-
-    @abstractmethod
     def _figures(self) -> dict[str, float]:
-        """Returns figures about races for the log."""
-
-    @abstractmethod
-    def _facts(self) -> dict[str, Any]:
-        """Returns more facts for the checkpoint."""
-
-    @abstractmethod
-    def _recall(self, facts: Any) -> None:
-        """Restores :meth:`_facts` from a checkpoint."""
+        """Returns figures about the recent finishes for the log."""
 
     def begin_races(self) -> None:
         """Starts new races; later random numbers derive from seed and iteration."""
-        seed = self._settings.seed
+        seed = self.arguments.seed
         self._random = np.random.default_rng([seed, self.iteration])
         self._actors.forget()
         seeds = [([seed, self.iteration, number],) for number in range(len(self._actors))]
@@ -229,14 +290,16 @@ class OverlappedPPO(ABC):
             self._drive(self.iteration)
         driven = self._driven()
         rollouts = [memory[self.iteration % 2] for memory in self._rollouts]
-        seen = [rollout[rollout["active"]] for rollout in rollouts] if self.iteration == 0 else []
-        is_changed = bool(seen) and self._network.prepare(np.concatenate(seen))
+        is_changed = self.iteration == 0 and self._network.prepare(
+            np.concatenate([rollout[rollout["active"]] for rollout in rollouts])
+        )
         is_last = self.is_checkpoint(self.iteration + 1)
-        if not (is_changed or is_last or self._settings.on_policy):
+        if not (is_changed or is_last or self.arguments.on_policy):
             self._drive(self.iteration + 1)
         waited = time.perf_counter()
         learned = self._update(rollouts, [own.last_values for own in driven])
-        self._take(driven)
+        for own in driven:
+            self._recent.extend(own.finishes)
         self.iteration += 1
         steps = int(sum(rollout["active"].sum() for rollout in rollouts))
         self.kart_steps += steps
@@ -254,7 +317,7 @@ class OverlappedPPO(ABC):
 
     def is_checkpoint(self, iteration: int) -> bool:
         """Whether a checkpoint follows an iteration; all races restart after it."""
-        return iteration % self._settings.checkpoint_every == 0
+        return iteration % self.arguments.checkpoint_every == 0
 
     def _drive(self, iteration: int) -> None:
         """Lets the actors drive the rollout of an iteration with the current networks."""
@@ -271,7 +334,7 @@ class OverlappedPPO(ABC):
         last_values: Sequence[FloatArray],
     ) -> dict[str, float]:
         """Runs several epochs of gradient steps on the rollouts; returns figures for the log."""
-        settings, nets = self._settings, self._network
+        settings, nets = self.arguments, self._network
         gained = [
             advantages_of(rollout, last, settings.gamma, settings.gae_lambda)
             for rollout, last in zip(rollouts, last_values, strict=True)
@@ -317,11 +380,11 @@ class OverlappedPPO(ABC):
 
     def _batches(self, count: int) -> list[Any]:
         order = self._network.torch.from_numpy(self._random.permutation(count))
-        return [rows for rows in order.split(self._settings.batch_size) if len(rows) > 1]
+        return [rows for rows in order.split(self.arguments.batch_size) if len(rows) > 1]
 
     def _gradient_step(self, batch: Sequence[Any], ent_coef: float) -> dict[str, float]:
         old, advantages, returns, *columns = batch
-        torch, nets, clip = self._network.torch, self._network, self._settings.clip_range
+        torch, nets, clip = self._network.torch, self._network, self.arguments.clip_range
         log_probability, entropy, penalty, values = nets.evaluate(columns)
         log_ratio = log_probability - old
         ratio = log_ratio.exp()
@@ -352,7 +415,7 @@ class OverlappedPPO(ABC):
             "history": self._history,
             "kart_steps": self.kart_steps,
             "iteration": self.iteration,
-            **self._facts(),
+            "recent": [asdict(finish) for finish in self._recent],
         }
         save_checkpoint(self.folder, facts, {"network": self._network.state()})
 
@@ -369,7 +432,7 @@ class OverlappedPPO(ABC):
     def _chapter(self, kart_steps: int = 0) -> dict[str, Any]:
         """Returns the arguments that apply from a number of kart-steps on."""
         rules = self._rules()
-        own = {"from": kart_steps, "arguments": asdict(self._settings)}
+        own = {"from": kart_steps, "arguments": asdict(self.arguments)}
         return {**own, "rules": rules} if rules else own
 
     def _restore(self, facts: Any, state: dict[str, Any], may_change: bool) -> None:
@@ -386,20 +449,23 @@ class OverlappedPPO(ABC):
         ):
             self._history.append(now)
         self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
-        self._recall(facts)
+        self._recent.extend(facts.recent)
         with reading_checkpoint(self.folder):
             self._network.restore(state["network"])
 
 
-def train(learner: OverlappedPPO, total: int, keep_every: int, shown: Sequence[str]) -> None:
+def train(learner: OverlappedPPO, total: int, shown: Sequence[str]) -> Path:
     """Learns until a number of kart-steps, with a progress bar, a log, checkpoints and policies.
 
     Args:
         learner: the run.
         total: the number of kart-steps.
-        keep_every: kart-steps between two saved policies.
         shown: figures of the log to show.
+
+    Returns:
+        The file of the last policy.
     """
+    keep_every = learner.arguments.keep_every
     with (
         TrainingLog(learner.folder, learner.iteration) as log,
         ProgressBar(total, learner.kart_steps) as bar,
@@ -417,4 +483,4 @@ def train(learner: OverlappedPPO, total: int, keep_every: int, shown: Sequence[s
                 learner.save_checkpoint()
                 learner.begin_races()
         learner.save_checkpoint()
-        learner.save_policy()
+        return learner.save_policy()

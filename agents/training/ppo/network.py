@@ -10,19 +10,17 @@ import numpy.typing as npt
 
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
-from stkzoo.agents.pretrained.policy import INPUT_CLIP, RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 
-from ..common.command import training_torch
-from ..common.ppo import Weights, make_layers
+from ..common.ppo import PPONetwork, Weights
 from .rollouts import NUM_LOGITS, choice_columns
 
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.
 _LEAST_SCALE = np.float32(0.2)
 
 
-class ActorCritic:
-    """Policy and value network with their optimizer.
+class ActorCritic(PPONetwork):
+    """Policy and value network over plans; see :class:`..common.ppo.PPONetwork`.
 
     Args:
         hidden: units of the hidden layers.
@@ -32,9 +30,6 @@ class ActorCritic:
         penalty_coef: coefficient of the KL penalty towards the plans' prior.
 
     Attributes:
-        policy: layers of the policy, a PyTorch module.
-        value: layers of the value network.
-        optimiser: optimizer of both; its first parameter group is the policy's.
         columns: columns of the trained choices.
 
     Raises:
@@ -49,22 +44,15 @@ class ActorCritic:
         init: str,
         penalty_coef: float = 0.0,
     ) -> None:
-        self.torch = torch = training_torch()
-        self.penalty_coef, self._is_given = penalty_coef, bool(init)
-        torch.manual_seed(seed)
-        size = INPUT_SIZE
-        self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
-        self.policy = make_layers(torch, (size, *hidden, NUM_LOGITS), torch.nn.ReLU, 0.01)
         self.columns = choice_columns(learns)
-        with torch.no_grad():
+        sizes = INPUT_SIZE, *hidden
+        super().__init__(seed, (*sizes, NUM_LOGITS), (*sizes, 1), "ReLU")
+        self.penalty_coef, self._is_given = penalty_coef, bool(init)
+        with self.torch.no_grad():
             for column in set(range(len(HEADS))) - set(self.columns):
                 self.policy[-1].weight[HEADS[column]] = 0.0
-        self.value = make_layers(torch, (size, *hidden, 1), torch.nn.ReLU, 1.0)
         if init:
             self._start_from(load_weights(init))
-        self.optimiser = torch.optim.Adam(
-            [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
-        )
 
     def _start_from(self, weights: dict[str, FloatArray]) -> None:
         self.mean, self.scale = weights["mean"], weights["scale"]
@@ -73,20 +61,9 @@ class ActorCritic:
                 layer.weight.copy_(self.torch.from_numpy(weights[f"w{number}"].T.copy()))
                 layer.bias.copy_(self.torch.from_numpy(weights[f"b{number}"]))
 
-    def _arrays(self, layers: Any) -> dict[str, FloatArray]:
-        arrays = {"mean": self.mean, "scale": self.scale}
-        for number, layer in enumerate(layers[::2]):
-            arrays[f"w{number}"] = layer.weight.detach().numpy().T.copy()
-            arrays[f"b{number}"] = layer.bias.detach().numpy().copy()
-        return arrays
-
-    def actor(self) -> RacingPolicy:
-        """Returns the current policy in numpy."""
-        return RacingPolicy(self._arrays(self.policy))
-
     def weights(self) -> tuple[Weights, Weights]:
         """See :class:`..common.ppo.PPONetwork`."""
-        return self.actor().weights, self._arrays(self.value)
+        return self.arrays(self.policy), self.arrays(self.value)
 
     def fit_normalisation(self, inputs: FloatArray) -> None:
         """Sets mean and scale from inputs ``(N, F)``, equal for a race and its mirror image."""
@@ -102,7 +79,7 @@ class ActorCritic:
 
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns inputs ``(N, F)``, normalized, prior and choices in rows of a rollout."""
-        inputs = np.clip((seen["inputs"] - self.mean) * self.scale, -INPUT_CLIP, INPUT_CLIP)
+        inputs = self.normalised(seen["inputs"])
         arrays = inputs, seen["prior"].copy(), seen["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 
@@ -121,20 +98,3 @@ class ActorCritic:
             entropy = entropy - (logs.exp() * logs).sum(1)
             prior_kl = prior_kl + (logs.exp() * (logs - prior_logs)).sum(1)
         return log_probability, entropy, prior_kl, self.value(inputs)[:, 0]
-
-    def state(self) -> dict[str, Any]:
-        """Returns weights, optimizer and normalization as tensors, for :meth:`restore`."""
-        return {
-            "policy": self.policy.state_dict(),
-            "value": self.value.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "mean": self.torch.from_numpy(self.mean),
-            "scale": self.torch.from_numpy(self.scale),
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restores a :meth:`state`."""
-        self.policy.load_state_dict(state["policy"])
-        self.value.load_state_dict(state["value"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.mean, self.scale = state["mean"].numpy(), state["scale"].numpy()

@@ -21,34 +21,28 @@ stkzoo.agents.training.export`` converts to an agent.
 from __future__ import annotations
 
 import sys
-from collections import deque
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option
 from stkzoo._os import cpu_count
-from stkzoo._schema import Count, Within
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import check_whole
 
 from ..common.actors import ActorPool, SharedArray
 from ..common.arguments import QUICK_TRACKS, OverlappedArguments, ScriptOptions
 from ..common.command import run_command
 from ..common.fleet import Finish, Lineup, parse_races
-from ..common.ppo import OverlappedPPO, train
+from ..common.ppo import OverlappedPPO, RunFacts, train
 from ..common.run_folder import plan_parameters
 from .network import ActorCritic
-from .rollouts import ROLLOUT, ActorArguments, Driven, RaceActor
-
-#: Number of finished races in the means of the log.
-_RECENT = 200
-
+from .rollouts import ROLLOUT, ActorArguments, RaceActor
 
 # ---------------------------------------------------------------------- arguments
 
@@ -85,26 +79,14 @@ class SelfPlayArguments(OverlappedArguments):
 
 
 @dataclass(frozen=True, slots=True)
-class LearnerFacts:
+class LearnerFacts(RunFacts):
     """The facts in a checkpoint.
 
     Attributes:
-        history: the arguments, each with the kart-steps from which on they hold.
-        kart_steps: driven by then.
-        iteration: number of iterations by then.
         recent: the latest finishes.
     """
 
-    history: Annotated[list[dict[str, Any]], Within(1)]
-    kart_steps: Count
-    iteration: Count
     recent: tuple[Finish, ...]
-
-    def __post_init__(self) -> None:
-        for chapter in self.history:
-            parts = chapter.get("arguments"), chapter.get("rules", {})
-            if not all(isinstance(part, dict) for part in parts):
-                raise ConfigError("history has no arguments or rules")
 
 
 class PPOLearner(OverlappedPPO):
@@ -120,14 +102,13 @@ class PPOLearner(OverlappedPPO):
     """
 
     remedy = ", or --may-change to continue with these"
+    arguments: SelfPlayArguments
 
     def __init__(
         self, folder: str | Path, arguments: SelfPlayArguments, *, may_change: bool = False
     ) -> None:
-        self.arguments = arguments
         self._plan_rules = _plan_rules(arguments)
         self._lineups = parse_races(arguments.races)
-        self._recent: deque[Finish] = deque(maxlen=_RECENT)
         super().__init__(folder, arguments, LearnerFacts, may_change=may_change)
 
     def _new_network(self) -> ActorCritic:
@@ -156,18 +137,8 @@ class PPOLearner(OverlappedPPO):
     def _new_actors(self, arguments: Sequence[tuple[ActorArguments, SharedArray]]) -> ActorPool:
         return ActorPool(RaceActor, arguments)
 
-    def _take(self, driven: Sequence[Driven]) -> None:
-        for own in driven:
-            self._recent.extend(own.finishes)
-
     def _rules(self) -> dict[str, Any]:
         return asdict(self._plan_rules)
-
-    def _facts(self) -> dict[str, Any]:
-        return {"recent": [asdict(finish) for finish in self._recent]}
-
-    def _recall(self, facts: LearnerFacts) -> None:
-        self._recent.extend(facts.recent)
 
     def _figures(self) -> dict[str, float]:
         figures = {}
@@ -222,7 +193,7 @@ def _train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
     """
     learner = PPOLearner(options.output, arguments, may_change=options.may_change)
     with closing(learner):
-        train(learner, options.total_timesteps, arguments.keep_every, _SHOWN)
+        train(learner, options.total_timesteps, _SHOWN)
 
 
 def main(words: list[str] | None = None) -> int:

@@ -55,11 +55,11 @@ class TaskRollout:
 
     Attributes:
         last_values: ``(S,)`` values of the observations after its last step.
-        races: the races that ended.
+        finishes: the races that ended.
     """
 
     last_values: FloatArray
-    races: list[KartRace]
+    finishes: list[KartRace]
 
 
 class TaskActor:

@@ -6,31 +6,26 @@ files, `arguments.json`, the kept policies, and at the end `agent`, the trained 
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Annotated, Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import cpu_count
-from stkzoo._schema import Count, Within
 from stkzoo.errors import ConfigError
 from stkzoo.suite import Task, find_task
 
 from ..common.actors import ActorPool, SharedArray
 from ..common.arguments import OverlappedArguments
-from ..common.ppo import OverlappedPPO, train
+from ..common.ppo import OverlappedPPO, RunFacts, train
 from ..export import export_policy
-from .actor import KartRace, TaskActor, TaskRollout, rollout_type
+from .actor import KartRace, TaskActor, rollout_type
 from .network import TaskNetwork
 
-#: Number of races in the means of the log.
-_RECENT = 200
 _SHOWN = ("return", "finished", "position", "entropy", "kl", "explained")
 
 
@@ -61,19 +56,13 @@ class TaskArguments(OverlappedArguments):
 
 
 @dataclass(frozen=True, slots=True)
-class TaskFacts:
+class TaskFacts(RunFacts):
     """The facts in a checkpoint.
 
     Attributes:
-        history: the arguments, each with the kart-steps from which on they hold.
-        kart_steps: driven by then.
-        iteration: number of iterations by then.
         recent: the latest races of learners.
     """
 
-    history: Annotated[list[dict[str, Any]], Within(1)]
-    kart_steps: Count
-    iteration: Count
     recent: tuple[KartRace, ...]
 
 
@@ -93,11 +82,11 @@ class TaskLearner(OverlappedPPO):
     """
 
     sees_state: ClassVar[bool] = False
+    arguments: TaskArguments
 
     def __init__(self, folder: str | Path, arguments: TaskArguments) -> None:
-        self.arguments, self.task = arguments, _learnable(arguments.task)
+        self.task = _learnable(arguments.task)
         self._state_size = self.task.state_size if self.sees_state else 0
-        self._recent: deque[KartRace] = deque(maxlen=_RECENT)
         super().__init__(folder, arguments, TaskFacts)
 
     def _new_network(self) -> TaskNetwork:
@@ -119,10 +108,6 @@ class TaskLearner(OverlappedPPO):
         )
         return actors, [memory.array() for memory in memories]
 
-    def _take(self, driven: Sequence[TaskRollout]) -> None:
-        for own in driven:
-            self._recent.extend(own.races)
-
     def _figures(self) -> dict[str, float]:
         if not self._recent:
             return {}
@@ -131,12 +116,6 @@ class TaskLearner(OverlappedPPO):
             "finished": fmean(race.is_finished for race in self._recent),
             "position": fmean(race.position for race in self._recent),
         }
-
-    def _facts(self) -> dict[str, Any]:
-        return {"recent": [asdict(race) for race in self._recent]}
-
-    def _recall(self, facts: TaskFacts) -> None:
-        self._recent.extend(facts.recent)
 
 
 def _learnable(name: str) -> Task:
@@ -170,7 +149,6 @@ def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, 
         algorithm=algorithm, task=task, seed=seed, anneal_timesteps=kart_steps
     )
     with closing(kind(folder, arguments)) as learner:
-        train(learner, kart_steps, arguments.keep_every, _SHOWN)
-        policy = learner.save_policy()
+        policy = train(learner, kart_steps, _SHOWN)
     name = f"{algorithm}_{task}_{seed}".replace("-", "_")
     return export_policy(policy, name, folder / "agent")

@@ -9,20 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.mlp import SPLITS
-from stkzoo.agents.pretrained.policy import INPUT_CLIP
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-from ..common.command import training_torch
 from ..common.network_policy import FIRST_BIASES
-from ..common.ppo import Weights, make_layers
+from ..common.ppo import PPONetwork, Weights
 from .actor import critic_inputs
 
 #: Minimum standard deviation of an entry of the state, so that constant ones are not amplified.
 _LEAST_SCALE = np.float32(0.1)
-_PARTS = ("policy", "value", "optimiser")
 
 
-class TaskNetwork:
+class TaskNetwork(PPONetwork):
     """A policy and a value network on the view ``racing``, with their optimizer.
 
     See :class:`..common.ppo.PPONetwork`. The policy's layers have Stable-Baselines3's names in
@@ -37,39 +34,26 @@ class TaskNetwork:
         ConfigError: PyTorch is not installed.
     """
 
-    penalty_coef = 0.0
-
     def __init__(self, hidden: Sequence[int], seed: int, state_size: int = 0) -> None:
-        self.torch = torch = training_torch()
-        torch.manual_seed(seed)
-        self.policy = make_layers(torch, (SIZE, *hidden, sum(CHOICES)), torch.nn.Tanh, 0.01)
-        size = SIZE + state_size
-        self.value = make_layers(torch, (size, *hidden, 1), torch.nn.ReLU, 1.0)
-        self._mean, self._scale = np.zeros(size, np.float32), np.ones(size, np.float32)
-        with torch.no_grad():
+        value_sizes = SIZE + state_size, *hidden, 1
+        super().__init__(seed, (SIZE, *hidden, sum(CHOICES)), value_sizes, "Tanh")
+        with self.torch.no_grad():
             for logit, bias in FIRST_BIASES.items():
                 self.policy[-1].bias[logit] += bias
-        self.optimiser = torch.optim.Adam(
-            [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
-        )
 
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
         """See :class:`..common.ppo.PPONetwork`. The view has fixed scales, the state has not."""
         states = seen["state"]
         if not states.shape[1]:
             return False
-        self._mean[SIZE:] = states.mean(axis=0)
-        self._scale[SIZE:] = 1.0 / np.maximum(states.std(axis=0), _LEAST_SCALE)
+        self.mean[SIZE:] = states.mean(axis=0)
+        self.scale[SIZE:] = 1.0 / np.maximum(states.std(axis=0), _LEAST_SCALE)
         return True
 
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns inputs ``(N, F)``, those of the value network, scaled, and choices ``(N, 5)``."""
-        inputs = (critic_inputs(seen) - self._mean) * self._scale
-        arrays = (
-            seen["inputs"].copy(),
-            np.clip(inputs, -INPUT_CLIP, INPUT_CLIP),
-            seen["choices"].copy(),
-        )
+        central = self.normalised(critic_inputs(seen))
+        arrays = seen["inputs"].copy(), central, seen["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 
     def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
@@ -93,20 +77,4 @@ class TaskNetwork:
             for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
             for part in ("weight", "bias")
         }
-        critic = {"mean": self._mean, "scale": self._scale}
-        for number, layer in enumerate(self.value[::2]):
-            critic[f"w{number}"] = layer.weight.detach().numpy().T.copy()
-            critic[f"b{number}"] = layer.bias.detach().numpy().copy()
-        return policy, critic
-
-    def state(self) -> dict[str, Any]:
-        """See :class:`..common.ppo.PPONetwork`."""
-        found = {name: getattr(self, name).state_dict() for name in _PARTS}
-        scales = {"mean": self._mean, "scale": self._scale}
-        return found | {name: self.torch.from_numpy(array) for name, array in scales.items()}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """See :class:`..common.ppo.PPONetwork`."""
-        for name in _PARTS:
-            getattr(self, name).load_state_dict(state[name])
-        self._mean, self._scale = state["mean"].numpy(), state["scale"].numpy()
+        return policy, self.arrays(self.value)

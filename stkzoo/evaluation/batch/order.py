@@ -12,6 +12,7 @@ from stkzoo.drivers.driver import Driver, find_driver
 from stkzoo.drivers.instances import DriverRequest
 from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation.batch.entrants import NAME_MARK
+from stkzoo.race.listeners import RaceListener
 from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
@@ -44,9 +45,21 @@ class RaceOrder:
         Args:
             folder: folder of the batch.
         """
+        return self.race(self.drivers)
+
+    def race(
+        self, drivers: Sequence[str | Driver], listeners: Sequence[RaceListener] = ()
+    ) -> RaceResult:
+        """Runs the race with drivers and listeners.
+
+        Args:
+            drivers: the order's drivers, perhaps in another form; those that are absent fail.
+            listeners: listeners of the race.
+        """
         return run_race(
-            self.without_absent(self.drivers),
-            start_positions=range(1, len(self.drivers) + 1),
+            self.without_absent(drivers),
+            listeners=listeners,
+            start_positions=range(1, len(drivers) + 1),
             wait_for=self.wait_for,
             settings=self.settings,
         )

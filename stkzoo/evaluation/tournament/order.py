@@ -14,7 +14,6 @@ from stkzoo.evaluation.tournament.film import FilmRecorder
 from stkzoo.race.remote import ServedAgent, ServerAccess
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult
-from stkzoo.race.runner import run_race
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,12 +39,8 @@ class TournamentOrder(RaceOrder):
             file.parent.mkdir(exist_ok=True)
         recorder = FilmRecorder()
         with ExitStack() as resources:
-            result = run_race(
-                self.without_absent(self._all_drivers(resources)),
-                listeners=[recorder, ReplayWriter(replay)],
-                start_positions=range(1, len(self.drivers) + 1),
-                settings=self.settings,
-            )
+            drivers = self._all_drivers(resources)
+            result = self.race(drivers, [recorder, ReplayWriter(replay)])
         write_text(film, recorder.film().to_json())
         return result
 
