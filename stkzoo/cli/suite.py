@@ -10,6 +10,7 @@ Examples:
   stkzoo suite train versus ippo                   train an agent
   stkzoo suite evaluate versus my_agent/           120 races on the test tracks
   stkzoo suite verify suite/versus-my_agent        run all races again
+  stkzoo suite conduct suite/versus-my_agent       contacts and who is at fault
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, cast
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
+from stkzoo.cli._conduct import ConductArguments, conduct
 from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
 
@@ -103,8 +105,8 @@ def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.suite import EntryPlan
 
-    listing, training, evaluation, verification = add_actions(
-        parser, _list, _train, _evaluate, _verify
+    listing, training, evaluation, verification, judging = add_actions(
+        parser, _list, _train, _evaluate, _verify, conduct
     )
     add_options(listing, ListArguments)
     add_options(training, TrainArguments)
@@ -112,6 +114,8 @@ def add_arguments(parser: CommandParser) -> None:
     add_batch_options(evaluation, EntryPlan.decided)
     add_options(verification, VerifyArguments)
     add_options(verification, BatchArguments)
+    add_options(judging, ConductArguments)
+    add_options(judging, BatchArguments)
 
 
 @usage_errors

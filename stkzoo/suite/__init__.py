@@ -9,6 +9,15 @@
 Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")``.
 """
 
+from stkzoo.suite.conduct import (
+    JudgedContact,
+    KartConduct,
+    MeanConduct,
+    RaceConduct,
+    mean_conduct,
+    measure_conduct,
+    race_conduct,
+)
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.ids import id_of, register_tasks
 from stkzoo.suite.population import POPULATION, Member, behaviour
@@ -31,14 +40,21 @@ __all__ = [
     "Entry",
     "EntryPlan",
     "EntryRefused",
+    "JudgedContact",
+    "KartConduct",
+    "MeanConduct",
     "Member",
+    "RaceConduct",
     "Task",
     "behaviour",
     "evaluate",
     "find_task",
     "id_of",
     "load_baselines",
+    "mean_conduct",
+    "measure_conduct",
     "normalised",
     "plan_entry",
+    "race_conduct",
     "verify_entry",
 ]

@@ -12,6 +12,7 @@ from stkzoo.drivers.driver import Driver, find_driver
 from stkzoo.drivers.instances import DriverRequest
 from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation.batch.entrants import NAME_MARK
+from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
@@ -39,7 +40,7 @@ class RaceOrder:
     wait_for: tuple[int, ...] | None = None
     absent: tuple[int, ...] = field(default=(), kw_only=True)
 
-    def run(self, folder: Path) -> RaceResult:  # noqa: ARG002 - orders may write more files
+    def run(self, folder: Path) -> Document:  # noqa: ARG002 - orders may write more files
         """Runs the race. A worker process calls this.
 
         Args:
