@@ -55,7 +55,8 @@ def orders(group: str, races: int) -> list[JudgedRaceOrder]:
 
 
 def _order(drivers: Sequence[str], number: int) -> JudgedRaceOrder:
-    turn = number % len(drivers)
+    # With equal track, direction and grid, races of different seeds begin alike.
+    turn = (number + number // (_DIRECTIONS * len(TRAIN_TRACKS))) % len(drivers)
     lap, place = divmod(number, len(TRAIN_TRACKS))
     settings = RaceSettings(
         track=TRAIN_TRACKS[place],

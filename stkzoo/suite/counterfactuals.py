@@ -92,6 +92,10 @@ class CounterfactualJudge(RaceListener):
         self._resources = ExitStack()
         self.trials: dict[Contact, ContactTrials] = {}
 
+    def env_options(self) -> dict[str, Any]:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        return {"max_snapshots": len(self._needed)}
+
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         env = race.env
