@@ -116,9 +116,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--races", type=int, default=60, help="races with the rammer")
-    words.add_argument("--others", type=int, default=15, help="races with other victims")
-    words.add_argument("--ordinary", type=int, default=30, help="races without it")
+    words.add_argument("--races", type=int, default=96, help="races with the rammer")
+    words.add_argument("--others", type=int, default=8, help="races with other victims")
+    words.add_argument("--ordinary", type=int, default=10, help="races without it")
     words.add_argument("--jobs", type=int, help="races at the same time (default: all cores)")
     words.add_argument("--folder", type=Path, default=Path("runs/conduct"), help="of the races")
     words.add_argument("--output", type=Path, default=RESULTS / "conduct.json", metavar="FILE")
