@@ -8,6 +8,7 @@ every number.
 Examples:
   stkzoo suite list                                the tasks and the population
   stkzoo suite train versus ippo                   train an agent
+  stkzoo suite exploit pretrained:ace              train an opponent that beats it
   stkzoo suite evaluate versus my_agent/           120 races on the test tracks
   stkzoo suite verify suite/versus-my_agent        run all races again
 """
@@ -64,6 +65,25 @@ class TrainArguments:
 
 
 @dataclass
+class ExploitArguments:
+    """Options of ``stkzoo suite exploit``.
+
+    Attributes:
+        driver: the frozen driver, such as heuristic, pretrained:ace or the folder of an agent
+        kart_steps: number of kart-steps to learn from
+        init: agent of a reference algorithm to start from (default: from scratch)
+        seed: seed of all random numbers
+        output: folder of the run (default: runs/exploit-DRIVER-SEED)
+    """
+
+    driver: str = positional()
+    kart_steps: int = 1_000_000
+    init: Path | None = option(metavar="AGENT")
+    seed: int = 0
+    output: Path | None = option(metavar="FOLDER")
+
+
+@dataclass
 class EvaluateArguments:
     """Options of ``stkzoo suite evaluate``.
 
@@ -103,11 +123,12 @@ def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.suite import EntryPlan
 
-    listing, training, evaluation, verification = add_actions(
-        parser, _list, _train, _evaluate, _verify
+    listing, training, exploitation, evaluation, verification = add_actions(
+        parser, _list, _train, _exploit, _evaluate, _verify
     )
     add_options(listing, ListArguments)
     add_options(training, TrainArguments)
+    add_options(exploitation, ExploitArguments)
     add_options(evaluation, EvaluateArguments)
     add_batch_options(evaluation, EntryPlan.decided)
     add_options(verification, VerifyArguments)
@@ -150,6 +171,9 @@ def _train(arguments: argparse.Namespace) -> int:
     Algorithms:
       ippo     independent PPO: learns from each kart's own view and reward
       mappo    the same with a value network that sees the whole race
+      fsp      fictitious self-play: ippo that also meets all its past policies
+      pfsp     the same, which meets those most often that it beats least
+      vdn      value decomposition: Q-learning of the sum over a team's karts
 
     Examples:
       stkzoo suite train solo-1 ippo
@@ -170,6 +194,40 @@ def _train(arguments: argparse.Namespace) -> int:
     algorithm = import_module(f"stkzoo.agents.training.suite.{name}")
     agent = algorithm.run(folder, task.name, kart_steps, arguments.seed)
     say(f"Trained {agent}. Evaluate it: stkzoo suite evaluate {task.name} {agent}")
+    return 0
+
+
+@usage_errors
+def _exploit(arguments: argparse.Namespace) -> int:
+    """Train an exploiter against a frozen driver, and show its win rate over kart-steps.
+
+    The exploiter learns by PPO in races of two karts on the training tracks. The driver never
+    changes. A high win rate after few kart-steps shows a weakness that the driver's results
+    against others do not. To continue a run, also after a kill, repeat the command.
+
+    Examples:
+      stkzoo suite exploit heuristic
+      stkzoo suite exploit pretrained:ace --init runs/solo-general-ippo-0/agent
+      python -m stkzoo.agents.training.plot runs/exploit-heuristic-0
+    """
+    from importlib import import_module
+
+    from stkzoo.cli._console import say, show_table
+
+    driver, init = arguments.driver, arguments.init
+    name = Path(driver).name.replace(":", "-")
+    folder = arguments.output or Path("runs", f"exploit-{name}-{arguments.seed}")
+    # imported by name, because the package must not depend on its agents
+    exploit = import_module("stkzoo.agents.training.suite.exploit")
+    curve = exploit.run(
+        folder, driver, arguments.kart_steps, arguments.seed, "" if init is None else str(init)
+    )
+    if not curve:
+        say("No race has ended; raise --kart-steps.")
+        return 0
+    shown = {round(10 * steps / arguments.kart_steps): (steps, won) for steps, won in curve}
+    rows = [(f"{steps:,}", f"{won:.1%}") for steps, won in shown.values()]
+    show_table(("kart-steps", "won"), rows, left=())
     return 0
 
 

@@ -103,11 +103,20 @@ def draw_rivals(races: Iterable[BenchmarkRace]) -> Mapping[int, tuple[str, ...]]
     seeds = ",".join(str(race.seed) for race in planned)
     chance = random.Random(hashlib.sha256(seeds.encode()).hexdigest())
     waiting: list[Member] = []
-    return {race.number: _next_rivals(waiting, race.lineup.rivals, chance) for race in planned}
+    return {race.number: draw_members(waiting, race.lineup.rivals, chance) for race in planned}
 
 
-def _next_rivals(waiting: list[Member], count: int, chance: random.Random) -> tuple[str, ...]:
-    """Takes the first members that can race together from a queue, which is refilled if needed."""
+def draw_members(waiting: list[Member], count: int, chance: random.Random) -> tuple[str, ...]:
+    """Draws drivers that can race together: the first ones of a queue.
+
+    Args:
+        waiting: the queue. Drivers are removed; if it is too short, all are added in random order.
+        count: number of drivers.
+        chance: random generator.
+
+    Returns:
+        Names of the drivers.
+    """
     chosen: list[Member] = []
     while len(chosen) < count:
         levels = {member.level for member in chosen} - {None}

@@ -6,10 +6,12 @@ import pytest
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
 from stkzoo.agents.training.suite.actor import (
+    KartRace,
     TaskActor,
     reward_shares,
     rollout_type,
 )
+from stkzoo.agents.training.suite.exploit import ExploitArguments, Exploiter, start_weights
 from stkzoo.agents.training.suite.fsp import FSP
 from stkzoo.agents.training.suite.ippo import IPPO
 from stkzoo.agents.training.suite.learner import TaskPPOArguments
@@ -241,6 +243,38 @@ def test_the_value_of_the_best_choices_is_that_of_the_observation():
     assert network.torch.equal(network.values(inputs, best), values)
     other = (best + 1) % network.torch.tensor([21, 4, 2, 2, 2])
     assert (network.values(inputs, other) < values).all()
+
+
+def exploiter(folder, **changes):
+    small = {**SMALL, "task": "solo-general", "driver": "pursuit", "hidden": (8, 8)}
+    return Exploiter(folder, ExploitArguments(**small | changes))
+
+
+def test_an_exploiter_drives_one_kart_against_the_frozen_driver(tmp_path):
+    learner = exploiter(tmp_path)
+    try:
+        line = learner.iterate()
+        learner._recent.extend(
+            [KartRace(1.0, True, 1), KartRace(1.0, True, 2), KartRace(1.0, False, 1)]
+        )
+        figures = learner._figures()
+    finally:
+        learner.close()
+    assert line["kart_steps"] == 2 * 16
+    assert figures["won"] == pytest.approx(1 / 3)
+
+
+def test_an_exploiter_starts_from_an_agent(tmp_path):
+    start = TaskNetwork((8, 8), 5).weights()[0]
+    save_weights(tmp_path / "policy.safetensors", start)
+    learner = exploiter(tmp_path / "run", init=str(tmp_path / "policy.safetensors"))
+    try:
+        own = learner._network.weights()[0]
+    finally:
+        learner.close()
+    assert all((own[name] == start[name]).all() for name in start)
+    with pytest.raises(ConfigError, match=r"layers of \(8, 8\) units, expected \(16, 16\)"):
+        start_weights(str(tmp_path / "policy.safetensors"), (16, 16))
 
 
 def test_an_unknown_algorithm_is_refused(capsys):

@@ -186,7 +186,22 @@ def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, 
     Raises:
         ConfigError: an argument is invalid, or the folder contains another run.
     """
-    with closing(kind(folder, kind.arguments_of(task, kart_steps, seed))) as learner:
+    learner = kind(folder, kind.arguments_of(task, kart_steps, seed))
+    return finish_run(learner, kart_steps, f"{kind.__name__}_{task}_{seed}")
+
+
+def finish_run(learner: TaskLearner, kart_steps: int, name: str) -> Path:
+    """Learns until a number of kart-steps, ends the races and writes the agent.
+
+    Args:
+        learner: the run.
+        kart_steps: the number of kart-steps.
+        name: name of the agent; becomes lower case, with underscores.
+
+    Returns:
+        The folder of the agent.
+    """
+    with closing(learner):
         policy = train(learner, kart_steps, learner.shown)
-    name = f"{kind.__name__}_{task}_{seed}".lower().replace("-", "_")
-    return export_policy(policy, name, folder / "agent")
+    plain = "".join(sign if sign.isalnum() else "_" for sign in name.lower())
+    return export_policy(policy, plain, learner.folder / "agent")

@@ -78,10 +78,20 @@ class TaskNetwork(PPONetwork):
 
     def weights(self) -> tuple[Weights, Weights]:
         """See :class:`..common.ppo.PPONetwork`."""
+        policy = {name: array.detach().numpy().copy() for name, array in self._named().items()}
+        return policy, self.arrays(self.value)
+
+    def copy(self, weights: Weights) -> None:
+        """Copies the weights of another policy, the first of :meth:`weights`."""
+        with self.torch.no_grad():
+            for name, array in self._named().items():
+                array.copy_(self.torch.from_numpy(weights[name]))
+
+    def _named(self) -> dict[str, Any]:
+        """Returns the policy's tensors by their names in files."""
         names = [f"mlp_extractor.policy_net.{n}" for n in range(0, len(self.policy) - 1, 2)]
-        policy = {
-            f"{name}.{part}": getattr(layer, part).detach().numpy().copy()
+        return {
+            f"{name}.{part}": getattr(layer, part)
             for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
             for part in ("weight", "bias")
         }
-        return policy, self.arrays(self.value)
