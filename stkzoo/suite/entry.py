@@ -23,7 +23,7 @@ from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
-from stkzoo.suite.population import POPULATION, draw_rivals
+from stkzoo.suite.population import draw_rivals, population_digests
 from stkzoo.suite.scores import load_baselines, normalised
 from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 
@@ -236,7 +236,7 @@ def plan_entry(
         **{**values, "forms": task.forms},
         task=task.name,
         task_digest=task.digest,
-        population={member.driver: member.digest for member in POPULATION},
+        population=population_digests(),
         about=about or About(),
     )
 

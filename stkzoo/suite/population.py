@@ -48,6 +48,11 @@ POPULATION = (
 )
 
 
+def population_digests() -> dict[str, str]:
+    """Returns the digest of each driver of the population, by its name."""
+    return {member.driver: member.digest for member in POPULATION}
+
+
 def behaviour(driver: str) -> str:
     """Returns a digest of how a driver drives: of all karts' motion in one race.
 

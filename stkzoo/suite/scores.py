@@ -11,6 +11,7 @@ from stkzoo._reading import load_json, reading
 from stkzoo._schema import typed
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import Estimate
+from stkzoo.suite.population import population_digests
 from stkzoo.suite.tasks import SUITE, TIME_RATIO, find_task
 
 #: The scores of the drivers, measured by ``python -m benchmarks.suite_baselines``.
@@ -24,20 +25,24 @@ class Baselines:
     Attributes:
         suite: name of the suite.
         digests: digest of each task's definition, by its name.
+        population: digest of each driver of the population at that time, by its name.
         scores: score of each driver in each task.
     """
 
     suite: str
     digests: Mapping[str, str]
+    population: Mapping[str, str]
     scores: Mapping[str, Mapping[str, Estimate]]
 
     def has(self, task: str) -> bool:
-        """Returns whether there are scores of a task's present definition.
+        """Returns whether there are scores of a task's present definition and population.
 
         Args:
             task: name of the task.
         """
-        return self.suite == SUITE and self.digests.get(task) == find_task(task).digest
+        found = find_task(task)
+        is_met = not found.has_population or self.population == population_digests()
+        return self.suite == SUITE and self.digests.get(task) == found.digest and is_met
 
     def ends(self, task: str) -> tuple[float, float]:
         """Returns the scores of the weakest and of the strongest driver in a task.

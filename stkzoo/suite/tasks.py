@@ -87,6 +87,11 @@ class Task:
         return self.learners + self.rivals
 
     @property
+    def has_population(self) -> bool:
+        """Whether drivers of the population race in the evaluation."""
+        return any(BenchmarkForm.of(form).has_population for form in self.forms)
+
+    @property
     def num_races(self) -> int:
         """Number of races of the evaluation."""
         ends = sum(len(BenchmarkForm.of(form).ends) for form in self.forms)
