@@ -11,7 +11,7 @@ from stkzoo.agents.training.suite.actor import (
     reward_shares,
     rollout_type,
 )
-from stkzoo.agents.training.suite.exploit import ExploitArguments, Exploiter, start_weights
+from stkzoo.agents.training.suite.exploit import ExploiterArguments, Exploiter, start_weights
 from stkzoo.agents.training.suite.fsp import FSP
 from stkzoo.agents.training.suite.ippo import IPPO
 from stkzoo.agents.training.suite.learner import TaskPPOArguments
@@ -247,7 +247,7 @@ def test_the_value_of_the_best_choices_is_that_of_the_observation():
 
 def exploiter(folder, **changes):
     small = {**SMALL, "task": "solo-general", "driver": "pursuit", "hidden": (8, 8)}
-    return Exploiter(folder, ExploitArguments(**small | changes))
+    return Exploiter(folder, ExploiterArguments(**small | changes))
 
 
 def test_an_exploiter_drives_one_kart_against_the_frozen_driver(tmp_path):
