@@ -11,7 +11,7 @@ from stkzoo.agents.training.suite.actor import (
     reward_shares,
     rollout_type,
 )
-from stkzoo.agents.training.suite.exploit import ExploiterArguments, Exploiter, start_weights
+from stkzoo.agents.training.suite.exploit import Exploiter, ExploiterArguments, start_weights
 from stkzoo.agents.training.suite.fsp import FSP
 from stkzoo.agents.training.suite.ippo import IPPO
 from stkzoo.agents.training.suite.learner import TaskPPOArguments
