@@ -10,7 +10,7 @@ Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")
 """
 
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
-from stkzoo.suite.ids import id_of, register_tasks
+from stkzoo.suite.ids import id_of, register_tasks, view_of
 from stkzoo.suite.population import POPULATION, Member, behaviour
 from stkzoo.suite.scores import Baselines, load_baselines, normalised
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
@@ -41,4 +41,5 @@ __all__ = [
     "normalised",
     "plan_entry",
     "verify_entry",
+    "view_of",
 ]

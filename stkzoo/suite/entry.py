@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, cast
 
 from stkzoo._os import file_digest
 from stkzoo._schema import Count, Matching, Within
-from stkzoo.drivers.driver import GAME_AI
+from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import BatchPlan
@@ -219,7 +219,8 @@ def plan_entry(
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of ``settings``.
 
     Raises:
-        ConfigError: the task or the agent does not exist, or a setting is invalid.
+        ConfigError: the task or the agent does not exist, a setting is invalid, or the agent talks
+            and the task has other words or none.
         AssetError: the game's data is missing.
     """
     task = find_task(task) if isinstance(task, str) else task
@@ -231,6 +232,7 @@ def plan_entry(
         seeds=task.seeds,
         settings=replace(EntryPlan.choose_settings(settings, changes), max_paths=None),
     )
+    _check_words(task, base.agent.source)
     values = {own.name: getattr(base, own.name) for own in fields(base)}
     return EntryPlan(
         **{**values, "forms": task.forms},
@@ -239,6 +241,15 @@ def plan_entry(
         population=population_digests(),
         about=about or About(),
     )
+
+
+def _check_words(task: Task, agent: str) -> None:
+    words = find_driver(agent).words
+    if words not in (0, task.words):
+        raise ConfigError(
+            f"{agent} says one of {words} words, and {task.name} has {task.words or 'none'}; "
+            "name another task, or another env_name in the agent's module"
+        )
 
 
 def evaluate(
