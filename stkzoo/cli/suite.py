@@ -93,6 +93,7 @@ class EvaluateArguments:
         authors: names of the authors, for the entry
         description: how the agent was made and where to find it, for the entry
         kart_steps: number of kart-steps that the agent learned from, for the entry
+        split: test for an entry; train for fewer races on the training tracks (default: test)
         output: folder of the entry (default: suite/TASK-AGENT)
         json: write only the entry's JSON to stdout
     """
@@ -102,6 +103,7 @@ class EvaluateArguments:
     authors: str = option("", metavar="NAMES", group="entry")
     description: str = option("", metavar="TEXT", group="entry")
     kart_steps: int | None = option(group="entry")
+    split: str = option("test", choices=("test", "train"), group="entry")
     output: Path | None = option(metavar="FOLDER", group="entry")
     json: bool = option(False, group="entry")
 
@@ -243,6 +245,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
       stkzoo suite evaluate solo-1 heuristic
       stkzoo suite evaluate versus my_agent/ --authors "Ada Lovelace"
       stkzoo suite evaluate team-2v2 my_agent.zip@:Nova --output entries/nova
+      stkzoo suite evaluate versus my_agent/ --split train      training tracks
 
     exit codes:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
@@ -253,8 +256,10 @@ def _evaluate(arguments: argparse.Namespace) -> int:
 
     about = About(**values_of(arguments, EvaluateArguments, only=_ABOUT))
     settings = values_of(arguments, RaceSettings, without=EntryPlan.decided)
-    plan = plan_entry(arguments.task, arguments.agent, about=about, **settings)
+    split = arguments.split
+    plan = plan_entry(arguments.task, arguments.agent, split=split, about=about, **settings)
     name = f"{plan.task}-{plan.agent.label}".replace("/", "_").replace(":", "-")
+    name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
     return run_plan(arguments, plan, folder, lambda entry: _show_entry(cast("Entry", entry)))
 
@@ -375,7 +380,7 @@ def _show_entry(entry: Entry) -> None:
     low, high = score.interval
     say(
         f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
-        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {task.num_races} races."
+        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {len(entry.plan.races())} races."
     )
     if entry.normalised_score is not None:
         say(
