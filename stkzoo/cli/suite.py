@@ -11,6 +11,7 @@ Examples:
   stkzoo suite exploit pretrained:ace              train an opponent that beats it
   stkzoo suite evaluate versus my_agent/           120 races on the test tracks
   stkzoo suite verify suite/versus-my_agent        run all races again
+  stkzoo suite report results/                     compare trained algorithms
 """
 
 from __future__ import annotations
@@ -121,12 +122,25 @@ class VerifyArguments:
     json: bool = False
 
 
+@dataclass
+class SuiteReportArguments:
+    """Options of ``stkzoo suite report``.
+
+    Attributes:
+        results: result files, or folders of them
+        output: folder of the report
+    """
+
+    results: tuple[Path, ...] = positional(metavar="RESULT")
+    output: Path = option(Path("suite", "report"), metavar="FOLDER")
+
+
 def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.suite import EntryPlan
 
-    listing, training, exploitation, evaluation, verification = add_actions(
-        parser, _list, _train, _exploit, _evaluate, _verify
+    listing, training, exploitation, evaluation, verification, reports = add_actions(
+        parser, _list, _train, _exploit, _evaluate, _verify, _report
     )
     add_options(listing, ListArguments)
     add_options(training, TrainArguments)
@@ -135,6 +149,7 @@ def add_arguments(parser: CommandParser) -> None:
     add_batch_options(evaluation, EntryPlan.decided)
     add_options(verification, VerifyArguments)
     add_options(verification, BatchArguments)
+    add_options(reports, SuiteReportArguments)
 
 
 @usage_errors
@@ -304,6 +319,30 @@ def _verify(arguments: argparse.Namespace) -> int:
     _show_entry(entry)
     say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
     return code
+
+
+@usage_errors
+def _report(arguments: argparse.Namespace) -> int:
+    """Write a report of trained algorithms: scores, intervals, figures.
+
+    A result file describes one training run: its learning curve, and the scores of its agent on
+    the test tracks and on the training tracks. `python -m benchmarks.suite_reference`, in the
+    repository, trains and evaluates the reference algorithms and writes such files.
+
+    Writes report.json (all numbers), report.md (tables), figures as SVG, and marl_eval.json for
+    the tools of MARL-eval. The same results make the same files.
+
+    Examples:
+      stkzoo suite report results/
+      stkzoo suite report results/versus-*.json --output versus-report
+    """
+    from stkzoo.cli._console import say
+    from stkzoo.suite import write_suite_report
+
+    report = write_suite_report(arguments.results, arguments.output)
+    runs = sum(len(own.seeds) for task in report.tasks for own in task.algorithms)
+    say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
+    return 0
 
 
 # ------------------------------------------------------------------ tables

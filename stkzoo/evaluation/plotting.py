@@ -141,7 +141,7 @@ def shorten(label: str) -> str:
 
 
 def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
-    """Writes a figure to a file, atomically.
+    """Writes a figure to a file, atomically. The same figure always makes the same file.
 
     Args:
         figure: the ``matplotlib`` figure.
@@ -151,8 +151,13 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
         ConfigError: the file cannot be written.
     """
     file = Path(path)
-    with write_whole(file, "the plot") as part:
+    kind = file.suffix[1:] or "png"
+    metadata = {"Date": None} if kind == "svg" else None
+    fixed_ids = import_extra("matplotlib", "the plot needs", "benchmark").rc_context(
+        {"svg.hashsalt": "stkzoo"}
+    )
+    with write_whole(file, "the plot") as part, fixed_ids:
         try:
-            figure.savefig(part, format=file.suffix[1:] or "png", dpi=110)
+            figure.savefig(part, format=kind, dpi=110, metadata=metadata)
         except ValueError as error:  # unknown format
             raise ConfigError(f"the plot {file} cannot be written: {error}") from error

@@ -12,6 +12,9 @@ Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.ids import id_of, register_tasks, view_of
 from stkzoo.suite.population import POPULATION, Member, behaviour
+from stkzoo.suite.report import make_report, write_suite_report
+from stkzoo.suite.report_document import SuiteReport
+from stkzoo.suite.results import LearningCurve, RaceScore, SplitScores, SuiteRun, load_runs
 from stkzoo.suite.scores import Baselines, load_baselines, normalised
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
@@ -31,15 +34,23 @@ __all__ = [
     "Entry",
     "EntryPlan",
     "EntryRefused",
+    "LearningCurve",
     "Member",
+    "RaceScore",
+    "SplitScores",
+    "SuiteReport",
+    "SuiteRun",
     "Task",
     "behaviour",
     "evaluate",
     "find_task",
     "id_of",
     "load_baselines",
+    "load_runs",
+    "make_report",
     "normalised",
     "plan_entry",
     "verify_entry",
     "view_of",
+    "write_suite_report",
 ]

@@ -89,3 +89,18 @@ def normalised(task: str, score: float, baselines: Baselines | None = None) -> f
     """
     weakest, strongest = (baselines or load_baselines()).ends(task)
     return (score - weakest) / (strongest - weakest)
+
+
+def scale_ends(task: str) -> tuple[float, float]:
+    """Returns the values of a task's metric that are 0 and 1 on its scale. Higher is better.
+
+    The scale is that of :func:`normalised`. Without baselines, it is the metric itself, and a time
+    ratio has a minus sign.
+
+    Args:
+        task: name of the task.
+    """
+    baselines = load_baselines()
+    if baselines.has(task):
+        return baselines.ends(task)
+    return (0.0, -1.0) if find_task(task).metric == TIME_RATIO else (0.0, 1.0)
