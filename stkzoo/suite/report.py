@@ -51,7 +51,7 @@ _SECONDS_PER_HOUR = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Group:
+class _RunGroup:
     """The runs of an algorithm in a task, in the order of their seeds."""
 
     runs: tuple[SuiteRun, ...]
@@ -60,8 +60,8 @@ class _Group:
     def seeds(self) -> tuple[int, ...]:
         return tuple(run.seed for run in self.runs)
 
-    def only(self, seeds: Iterable[int]) -> _Group:
-        return _Group(tuple(run for run in self.runs if run.seed in set(seeds)))
+    def only(self, seeds: Iterable[int]) -> _RunGroup:
+        return _RunGroup(tuple(run for run in self.runs if run.seed in set(seeds)))
 
     def table(self, split: str = "test", *, is_raw: bool = False) -> ScoreTable:
         """Returns the scores on a split's tracks: the metric itself, or on the task's scale."""
@@ -75,7 +75,7 @@ class _Group:
         return ScoreTable(values, (task.name, run.algorithm), tracks)
 
 
-def _thresholds(groups: Sequence[_Group]) -> FloatArray:
+def _thresholds(groups: Sequence[_RunGroup]) -> FloatArray:
     values = np.concatenate([group.table().scores.ravel() for group in groups])
     low, high = np.floor(values.min() * 10 - 0.5) / 10, np.ceil(values.max() * 10 + 0.5) / 10
     return np.linspace(low, high, _NUM_POINTS + 1)
@@ -115,11 +115,11 @@ def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = No
     keys = {(run.task, run.algorithm, run.seed) for run in runs}
     if expected is None:
         expected = itertools.product(*(sorted(set(values)) for values in zip(*keys, strict=True)))
-    groups: dict[str, dict[str, _Group]] = {}
+    groups: dict[str, dict[str, _RunGroup]] = {}
     for task in TASKS:
         for run in (run for run in runs if run.task == task):
             own = groups.setdefault(task, {})
-            own[run.algorithm] = _Group((*own.get(run.algorithm, _Group(())).runs, run))
+            own[run.algorithm] = _RunGroup((*own.get(run.algorithm, _RunGroup(())).runs, run))
     versions: dict[str, set[str]] = {}
     for name, version in (item for run in runs for item in run.versions.items()):
         versions.setdefault(name, set()).add(version)
@@ -134,7 +134,7 @@ def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = No
     )
 
 
-def _task_report(name: str, groups: dict[str, _Group]) -> TaskReport:
+def _task_report(name: str, groups: dict[str, _RunGroup]) -> TaskReport:
     task = find_task(name)
     thresholds = _thresholds([*groups.values()])
     return TaskReport(
@@ -151,7 +151,7 @@ def _task_report(name: str, groups: dict[str, _Group]) -> TaskReport:
     )
 
 
-def _algorithm_report(group: _Group, thresholds: FloatArray) -> AlgorithmReport:
+def _algorithm_report(group: _RunGroup, thresholds: FloatArray) -> AlgorithmReport:
     runs, test = group.runs, group.table()
     profile = estimate_curve(performance_profile(thresholds), test)
     return AlgorithmReport(
@@ -170,7 +170,7 @@ def _algorithm_report(group: _Group, thresholds: FloatArray) -> AlgorithmReport:
     )
 
 
-def _overall(groups: dict[str, dict[str, _Group]]) -> OverallReport | None:
+def _overall(groups: dict[str, dict[str, _RunGroup]]) -> OverallReport | None:
     """Returns the report of all tasks with baselines in which all algorithms have runs."""
     algorithms = sorted({name for own in groups.values() for name in own})
     tasks = [
@@ -178,7 +178,7 @@ def _overall(groups: dict[str, dict[str, _Group]]) -> OverallReport | None:
     ]
     if len(tasks) < 2:
         return None
-    shared: dict[str, list[_Group]] = {}
+    shared: dict[str, list[_RunGroup]] = {}
     for name in algorithms:
         own = [groups[task][name] for task in tasks]
         seeds = set.intersection(*(set(group.seeds) for group in own))

@@ -13,6 +13,7 @@ from stkzoo.suite.report_document import (
     SuiteReport,
     TaskReport,
 )
+from stkzoo.suite.tasks import TIME_RATIO
 
 #: Captions of the figures, by name.
 CAPTIONS = {
@@ -83,18 +84,22 @@ def _score_table(tasks: Sequence[TaskReport]) -> str:
         for task, own in _each(tasks)
     ]
     columns = ("task", "algorithm", "metric", "runs", "test", "training", "IQM", "gap")
-    raw = [f"`{task.task}`" for task in tasks if task.scale != NORMALIZED]
     note = (
         "*Test* and *training* are means of the metric on these tracks. *IQM* is the interquartile "
         "mean on the test tracks, and *gap* the mean on the training tracks minus that on the test "
         "tracks. Both are on the scale of normalized scores, where higher is better."
     )
+    raw = [task for task in tasks if task.scale != NORMALIZED]
     if raw:
-        note += (
-            f" {', '.join(raw)}: the baselines have not been measured, so the scale is the metric, "
-            "and a time ratio has a minus sign."
-        )
+        names = ", ".join(f"`{task.task}`" for task in raw)
+        note += f" {names}: the baselines have not been measured, so the scale is the metric"
+        sign = ", and a time ratio has a minus sign." if _has_time_ratio(raw) else "."
+        note += sign
     return f"{_table(columns, rows, 3)}\n\n{note}"
+
+
+def _has_time_ratio(tasks: Sequence[TaskReport]) -> bool:
+    return any(task.metric == TIME_RATIO for task in tasks)
 
 
 def _overall_table(report: SuiteReport) -> str:
