@@ -136,7 +136,7 @@ class SuiteRun(Document):
         curve: the learning curve.
         test: scores on the test tracks.
         train: scores on the training tracks.
-        training_seconds: time of the training [s].
+        training_seconds: time of the training [s], without what interruptions lost.
         evaluation_seconds: time of both evaluations [s]; less if they were interrupted.
         cores: number of cores of the machine.
         versions: versions of the software by name.
