@@ -112,7 +112,7 @@ def ratings(results: Path, axes: Any) -> None:
 
 def crossplay(results: Path, axes: Any) -> None:
     """How often each driver of the suite's population beats each other one."""
-    cells = json.loads((results / "suite" / "crossplay.json").read_text())["cells"]
+    cells = json.loads((results / "suite_crossplay.json").read_text())["cells"]
     shares = {(cell["row"], cell["column"]): cell["value"] for cell in cells}
     names = [*dict.fromkeys(cell["row"] for cell in cells)]
     mean = {one: fmean(shares[one, two] for two in names if (one, two) in shares) for one in names}

@@ -4,7 +4,7 @@
 
 Each race has six drivers on a validation track, in both directions, in a random order on the grid.
 The drivers take turns. Those of the game's AI have one difficulty per race, so they do not meet.
-Writes ``benchmarks/results/suite/crossplay.json``: for each pair, the share of their races in which
+Writes ``benchmarks/results/suite_crossplay.json``: for each pair, the share of their races in which
 the first finished ahead of the second, with 95 % intervals over tracks and directions. Karts that
 do not finish are ranked by distance. ``python -m benchmarks.bench_charts`` draws the matrix.
 """
@@ -38,7 +38,7 @@ from stkzoo.tracks import VALIDATION_TRACKS
 
 from .bench_common import RESULTS
 
-FILE = RESULTS / "suite" / "crossplay.json"
+FILE = RESULTS / "suite_crossplay.json"
 _KARTS = 6
 _RACE_TIMEOUT = 600.0  # [s]
 
