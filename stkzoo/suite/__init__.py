@@ -10,6 +10,7 @@ Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")
 """
 
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
+from stkzoo.suite.flat import FlatTask
 from stkzoo.suite.ids import id_of, register_tasks, view_of
 from stkzoo.suite.population import POPULATION, Member, behaviour
 from stkzoo.suite.report import make_report, write_suite_report
@@ -34,6 +35,7 @@ __all__ = [
     "Entry",
     "EntryPlan",
     "EntryRefused",
+    "FlatTask",
     "LearningCurve",
     "Member",
     "RaceScore",

@@ -1,0 +1,198 @@
+"""The tasks of the suite for BenchMARL, whose algorithms learn in them as in its own tasks.
+
+>>> from stkzoo.suite.benchmarl import SuiteTask
+>>> SuiteTask.TEAM_2V2.get_task({"is_one_group": True}).task.name
+'team-2v2'
+
+This module needs the ``benchmarl`` extra (in a checkout, ``pip install ".[benchmarl]"``).
+``import stkzoo.suite`` does not import it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from stkzoo.errors import ConfigError, import_extra
+from stkzoo.suite.tasks import SUITE, find_task
+
+import_extra("benchmarl.environments", "stkzoo.suite.benchmarl needs", "benchmarl")
+
+from benchmarl.environments import common  # noqa: E402 - after the message about a missing library
+from tensordict import TensorDictBase  # noqa: E402
+from torchrl.data import Composite  # noqa: E402
+from torchrl.envs import Transform  # noqa: E402
+
+from stkzoo.suite.torchrl import SuiteRaces, TaskOptions  # noqa: E402
+
+__all__ = ["PresentReward", "SuiteTask", "SuiteTaskClass"]
+
+
+class PresentReward(Transform):
+    """Makes a group's common reward the mean over its agents that still race.
+
+    VDN and QMIX learn from one reward per group, the mean over all agents. An agent that has left
+    counts as 0 there, which would halve the reward of a team of two when its first kart finishes.
+
+    Args:
+        group: name of the group.
+    """
+
+    def __init__(self, group: str) -> None:
+        super().__init__()
+        self._group = group
+
+    def forward(self, tensordict: Any) -> Any:
+        """Changes the common reward in a batch of a replay buffer, if there is one."""
+        if ("next", "reward") in tensordict.keys(include_nested=True):
+            mask = tensordict[self._group, "mask"].unsqueeze(-1)
+            rewards = tensordict["next", self._group, "reward"] * mask
+            tensordict["next", "reward"] = rewards.sum(-2) / mask.sum(-2).clamp(min=1)
+        return tensordict
+
+
+class SuiteTaskClass(common.TaskClass):
+    """A task of the suite with its options.
+
+    Args:
+        name: name of the member of :class:`SuiteTask`.
+        config: fields of :class:`~stkzoo.suite.torchrl.TaskOptions`.
+
+    Attributes:
+        task: the task.
+        options: its options.
+
+    Raises:
+        ConfigError: there is no such task, or an option is invalid.
+    """
+
+    def __init__(self, name: str, config: dict[str, Any] | None = None) -> None:
+        super().__init__(name, config or {})
+        self.task = find_task(name.lower().replace("_", "-"))
+        self.options = TaskOptions.of(self.config)
+
+    def get_env_fun(
+        self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
+    ) -> Callable[[], SuiteRaces]:
+        """Returns a function that makes the races.
+
+        Args:
+            num_envs: number of races.
+            continuous_actions: whether actions are continuous.
+            seed: seed of the first race; see :class:`~stkzoo.suite.torchrl.SuiteRaces`.
+            device: device of the tensors.
+        """
+        return partial(
+            SuiteRaces,
+            self.task,
+            num_envs,
+            is_continuous=continuous_actions,
+            options=self.options,
+            seed=seed,
+            device=device,
+        )
+
+    def supports_continuous_actions(self) -> bool:
+        """Returns ``True``; see :class:`~stkzoo.suite.FlatTask`."""
+        return True
+
+    def supports_discrete_actions(self) -> bool:
+        """Returns ``True``; see :class:`~stkzoo.suite.FlatTask`."""
+        return True
+
+    def max_steps(self, env: Any) -> int:
+        """Returns the maximum number of steps of a race.
+
+        Raises:
+            ConfigError: the race has no limit, which BenchMARL's evaluation needs.
+        """
+        if env.max_steps is None:
+            raise ConfigError("BenchMARL needs a limit of steps; max_cycles is None")
+        return int(env.max_steps)
+
+    def has_render(self, env: Any) -> bool:  # noqa: ARG002 - BenchMARL's interface
+        """Returns ``False``."""
+        return False
+
+    def group_map(self, env: Any) -> dict[str, list[str]]:  # noqa: ARG002
+        """Returns the agents of each group."""
+        return self.options.group_map(self.task)
+
+    def observation_spec(self, env: Any) -> Composite:
+        """Returns the spec of the groups' observations."""
+        spec = env.full_observation_spec_unbatched
+        return Composite(
+            {
+                group: Composite(observation=spec[group, "observation"], shape=spec[group].shape)
+                for group in self.group_map(env)
+            }
+        )
+
+    def state_spec(self, env: Any) -> Composite:
+        """Returns the spec of the state."""
+        return Composite(state=env.full_observation_spec_unbatched["state"])
+
+    def action_spec(self, env: Any) -> Composite:
+        """Returns the spec of the groups' actions."""
+        return env.full_action_spec_unbatched
+
+    def info_spec(self, env: Any) -> None:
+        """Returns ``None``: there are no infos."""
+
+    def action_mask_spec(self, env: Any) -> None:
+        """Returns ``None``: all actions are valid."""
+
+    def get_replay_buffer_transforms(self, env: Any, group: str) -> list[Transform]:  # noqa: ARG002
+        """Returns the transforms of batches of a group."""
+        return [PresentReward(group)]
+
+    @staticmethod
+    def env_name() -> str:
+        """Returns the name of the suite."""
+        return SUITE
+
+    @staticmethod
+    def log_info(batch: Any) -> dict[str, float]:
+        """Returns the share of karts that finished, of those whose race ended in the batch."""
+        finished = ended = 0
+        masks = {key: own["mask"] for key, own in batch.items() if "mask" in _keys_of(own)}
+        for group, mask in masks.items():
+            after = batch["next", group]
+            ended += int((after["done"][..., 0] & mask).sum())
+            finished += int((after["terminated"][..., 0] & mask).sum())
+        return {"collection/finished": finished / ended} if ended else {}
+
+
+class SuiteTask(common.Task):
+    """The tasks of the suite. Pass ``SuiteTask.VERSUS.get_task()`` to a BenchMARL experiment."""
+
+    SOLO_1 = None
+    SOLO_GENERAL = None
+    VERSUS = None
+    SELFPLAY_5 = None
+    TEAM_2V2 = None
+    TALK_2V2 = None
+
+    @staticmethod
+    def associated_class() -> type[SuiteTaskClass]:
+        """Returns the class of the tasks."""
+        return SuiteTaskClass
+
+    def get_from_yaml(self, path: str | None = None) -> SuiteTaskClass:
+        """Returns the task with the options in a file.
+
+        Args:
+            path: the file; ``None`` for the default options.
+
+        Raises:
+            ConfigError: an option is invalid.
+        """
+        task: SuiteTaskClass = (
+            self.get_task(config={}) if path is None else super().get_from_yaml(path)
+        )
+        return task
+
+
+def _keys_of(value: Any) -> Any:
+    return value.keys() if isinstance(value, TensorDictBase) else ()
