@@ -21,7 +21,7 @@ CONTINUOUS = ("iddpg", "maddpg", "ippo", "mappo", "isac", "masac")
 
 @pytest.mark.skipif(HAS_LIBRARY, reason="BenchMARL is installed")
 def test_a_missing_library_is_named_with_the_command_that_installs_it():
-    with pytest.raises(ConfigError, match="needs benchmarl, which is not installed: .*install"):
+    with pytest.raises(ConfigError, match=r"needs benchmarl, which is not installed: .*install"):
         import stkzoo.suite.benchmarl  # noqa: F401
 
 
@@ -102,9 +102,9 @@ def test_an_algorithm_learns_in_a_task(algorithm, is_continuous, tmp_path):
         config=config,
     )
     assert experiment.continuous_actions == is_continuous
-    before = {name: value.clone() for name, value in experiment.policy.state_dict().items()}
+    before = [value.detach().clone() for value in experiment.policy.parameters()]
     experiment.run()
     assert experiment.total_frames == 120
-    after = experiment.policy.state_dict()
-    assert any((after[name] != value).any() for name, value in before.items())
+    after = list(experiment.policy.parameters())
+    assert all((new != old).any() for new, old in zip(after, before, strict=True))
     assert list(tmp_path.rglob("*eval_reward_episode_reward_mean.csv"))
