@@ -10,23 +10,35 @@ This module needs the ``benchmarl`` extra (in a checkout, ``pip install ".[bench
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from stkzoo.errors import ConfigError, import_extra
+from stkzoo.drivers.saving import ACTIVATIONS, write_mlp_agent
+from stkzoo.errors import ConfigError, import_extra, unknown_name
+from stkzoo.suite.flat import FEW_CHOICES
 from stkzoo.suite.tasks import SUITE, find_task
+from stkzoo.wrappers.racing import CHOICES
 
 import_extra("benchmarl.environments", "stkzoo.suite.benchmarl needs", "benchmarl")
 
 from benchmarl.environments import common  # noqa: E402 - after the message about a missing library
+from benchmarl.experiment import Experiment  # noqa: E402
+from benchmarl.models.mlp import Mlp  # noqa: E402
 from tensordict import TensorDictBase  # noqa: E402
 from torchrl.data import Composite  # noqa: E402
 from torchrl.envs import Transform  # noqa: E402
 
 from stkzoo.suite.torchrl import SuiteRaces, TaskOptions  # noqa: E402
 
-__all__ = ["PresentReward", "SuiteTask", "SuiteTaskClass"]
+__all__ = ["PresentReward", "SuiteTask", "SuiteTaskClass", "save_agent"]
+
+#: The choices of the view ``racing`` for the outputs of a network, by form of actions.
+_CHOICE_EXPRESSIONS = {
+    "few": f"np.array({FEW_CHOICES.tolist()})[values.argmax()]",
+    "all": f"np.array(np.unravel_index(values.argmax(), {CHOICES}))",
+}
 
 
 class PresentReward(Transform):
@@ -192,6 +204,55 @@ class SuiteTask(common.Task):
             self.get_task(config={}) if path is None else super().get_from_yaml(path)
         )
         return task
+
+
+def save_agent(
+    experiment: Experiment, folder: str | os.PathLike[str], *, name: str, group: str | None = None
+) -> str:
+    """Writes the policy of an experiment as an agent folder, which ``stkzoo suite evaluate`` takes.
+
+    The agent picks the most likely or most valuable action. It evaluates the network with numpy,
+    so it needs neither PyTorch nor BenchMARL.
+
+    Args:
+        experiment: an experiment with discrete actions, ``MlpConfig`` with tanh or ReLU and
+            without normalization, and shared parameters.
+        folder: the agent's folder, created if necessary. Existing files of the same names are
+            replaced.
+        name: the agent's ``player_name``.
+        group: the group whose policy to write; ``None`` for the first.
+
+    Returns:
+        The folder.
+
+    Raises:
+        ConfigError: there is no such group, or the policy is not supported.
+    """
+    groups, config = experiment.group_map, experiment.model_config
+    if group is not None and group not in groups:
+        raise unknown_name("group", group, groups)
+    network = experiment.algorithm.get_policy_for_loss(group or next(iter(groups)))[0]
+    activation = getattr(getattr(config, "activation_class", None), "__name__", "")
+    actions = experiment.task.options.actions
+    is_known = isinstance(network, Mlp) and network.share_params and activation in ACTIVATIONS
+    if not is_known or config.norm_class or experiment.continuous_actions:
+        raise ConfigError(
+            "only policies with discrete actions, MlpConfig with tanh or ReLU and shared "
+            "parameters can be written; write a pystk_actor.py by hand"
+        )
+    if experiment.task.task.words:
+        raise ConfigError("drivers in races cannot send words, which this task needs")
+    parts = network.mlp.params
+    layers = [parts[key] for key in sorted(parts.keys(), key=int)]
+    arrays = [(own["weight"].detach().cpu(), own["bias"].detach().cpu()) for own in layers]
+    return write_mlp_agent(
+        folder,
+        arrays,
+        view=experiment.task.task.view,
+        name=name,
+        activation=activation,
+        action=_CHOICE_EXPRESSIONS[actions],
+    )
 
 
 def _keys_of(value: Any) -> Any:
