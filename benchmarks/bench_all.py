@@ -41,6 +41,18 @@ BENCHMARKS: dict[str, tuple[str, ...]] = {
         "1",
     ),
     "profile": ("--steps", "10", "--karts", "2", "--view", "flattened"),
+    "engine": (
+        "--track",
+        "lighthouse",
+        "--steps",
+        "20",
+        "--seeds",
+        "1",
+        "--length",
+        "10",
+        "--karts",
+        "2",
+    ),
 }
 
 

@@ -10,14 +10,15 @@ import json
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from benchmarks.bench_common import RESULTS
 from stkzoo._os import write_whole
-from stkzoo.evaluation.plotting import GREY, PALETTE, new_figure, style_axes
+from stkzoo.evaluation.plotting import GREY, PALETTE, draw_shares, new_figure, style_axes
 
 PICTURES = Path(__file__).parents[1] / "docs" / "images" / "benchmarks"
-SIZE = (8.0, 3.0)  # [in]
+WIDTH = 8.0  # [in]
 _DRIVERS = ("random", "ai", "scout", "heuristic", "ace", "apex")
 _FORMS = {"P": "alone", "PAAAA": "one against four", "PPAAA": "two against three"}
 
@@ -109,13 +110,26 @@ def ratings(results: Path, axes: Any) -> None:
     style_axes(axes, "Rating of the policy of apex while it learns; more is better")
 
 
-#: What draws each picture, by the picture's name.
-CHARTS: dict[str, Callable[[Path, Any], None]] = {
-    "throughput": throughput,
-    "scaling": scaling,
-    "drivers": drivers,
-    "time_ratios": time_ratios,
-    "ratings": ratings,
+def crossplay(results: Path, axes: Any) -> None:
+    """How often each driver of the suite's population beats each other one."""
+    cells = json.loads((results / "suite_crossplay.json").read_text())["cells"]
+    shares = {(cell["row"], cell["column"]): cell["value"] for cell in cells}
+    names = [*dict.fromkeys(cell["row"] for cell in cells)]
+    mean = {one: fmean(shares[one, two] for two in names if (one, two) in shares) for one in names}
+    names.sort(key=lambda name: -mean[name])
+    rows = [[shares.get((one, two)) for two in names] for one in names]
+    draw_shares(axes, rows, [name.removeprefix("pretrained:") for name in names])
+    style_axes(axes, "Races in which the row beats the column [%]; best driver first")
+
+
+#: What draws each picture, by the picture's name, and its height [in].
+CHARTS: dict[str, tuple[Callable[[Path, Any], None], float]] = {
+    "throughput": (throughput, 3.0),
+    "scaling": (scaling, 3.0),
+    "drivers": (drivers, 3.0),
+    "time_ratios": (time_ratios, 3.0),
+    "ratings": (ratings, 3.0),
+    "crossplay": (crossplay, 5.0),
 }
 
 
@@ -126,8 +140,8 @@ def main(arguments: list[str] | None = None) -> int:
     words.add_argument("--output", type=Path, default=PICTURES, help="folder of the pictures")
     options = words.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
-    for name, draw in CHARTS.items():
-        figure = new_figure(*SIZE)
+    for name, (draw, height) in CHARTS.items():
+        figure = new_figure(WIDTH, height)
         draw(options.results, figure.add_subplot())
         with write_whole(options.output / f"{name}.svg") as part:
             figure.savefig(part, format="svg", metadata={"Date": None})

@@ -19,7 +19,8 @@ from rich.console import Console
 
 from stkzoo._os import write_text
 from stkzoo.suite import SUITE, TASKS, evaluate
-from stkzoo.suite.scores import BASELINES_FILE
+from stkzoo.suite.population import population_digests
+from stkzoo.suite.scores import BASELINES_FILE, load_baselines
 
 #: The game's AI drives at the difficulty of each race; it cannot race against another one.
 DRIVERS = ("ai", "pursuit", "heuristic", "pretrained:scout", "pretrained:ace", "pretrained:apex")
@@ -39,8 +40,12 @@ def main(arguments: list[str] | None = None) -> int:
     )
     words.add_argument("--output", type=Path, default=BASELINES_FILE, help="JSON file to write")
     options = words.parse_args(arguments)
-    found = json.loads(options.output.read_text()) if options.output.exists() else {}
-    scores = found.get("scores", {}) if found.get("suite") == SUITE else {}
+    known_baselines = load_baselines()
+    scores = {
+        name: {driver: asdict(score) for driver, score in own.items()}
+        for name, own in known_baselines.scores.items()
+        if known_baselines.has(name)
+    }
     console = Console(stderr=True)
     for task in options.tasks:
         for driver in DRIVERS:
@@ -50,8 +55,13 @@ def main(arguments: list[str] | None = None) -> int:
             assert entry.score is not None  # noqa: S101 - it has races
             scores.setdefault(task, {})[driver] = asdict(entry.score)
             console.print(f"{task}: {driver} {entry.score.value:.3f}")
-            own = {"suite": SUITE, "digests": {n: TASKS[n].digest for n in scores}}
-            write_text(options.output, json.dumps(own | {"scores": scores}, indent=1) + "\n")
+            own = {
+                "suite": SUITE,
+                "digests": {name: TASKS[name].digest for name in scores},
+                "population": population_digests(),
+                "scores": scores,
+            }
+            write_text(options.output, json.dumps(own, indent=1) + "\n")
     return 0
 
 

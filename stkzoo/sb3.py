@@ -18,7 +18,6 @@ import copy
 import os
 import time
 from collections.abc import Generator, Iterable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -27,7 +26,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo._installation import install_command
-from stkzoo._os import atomic_write, write_text
+from stkzoo.drivers.saving import ACTIVATIONS, write_mlp_agent
 from stkzoo.env.vec.env import RaceVectorEnv, seeds_of_races
 from stkzoo.env.vec.steps import InfoDicts, InfoTables, SlotSteps
 from stkzoo.errors import ConfigError, unknown_name
@@ -46,32 +45,6 @@ except ImportError as error:
 
 __all__ = ["ActiveDictRolloutBuffer", "ActiveRolloutBuffer", "RaceVecEnv", "save_agent"]
 
-_ACTOR = '''"""A policy of Stable-Baselines3, evaluated with numpy."""
-
-import numpy as np
-
-env_name = "supertuxkart/{view}-v0"
-player_name = {name!r}
-
-
-def get_actor(module_dir, observation_space, action_space):
-    data = np.load(module_dir / "policy.npz")
-    layers = [(data[f"weights{{n}}"], data[f"bias{{n}}"]) for n in range(len(data.files) // 2)]
-
-    def act(state, observation):
-        values = np.ravel(observation)
-        for weights, bias in layers[:-1]:
-            values = np.{activation}
-        weights, bias = layers[-1]
-        values = weights @ values + bias
-        return {action}
-
-    return act
-'''
-_ACTIVATIONS = {
-    "Tanh": "tanh(weights @ values + bias)",
-    "ReLU": "maximum(weights @ values + bias, 0)",
-}
 _ACTIONS: dict[type[gym.Space[Any]], str] = {
     spaces.Discrete: "int(values.argmax())",
     spaces.MultiDiscrete: (
@@ -404,20 +377,16 @@ def save_agent(
     if view not in VIEWS:
         raise unknown_name("view", view, VIEWS)
     action = _ACTIONS.get(type(model.action_space))
-    activation = _ACTIVATIONS.get(getattr(getattr(policy, "activation_fn", None), "__name__", ""))
-    if not isinstance(model.observation_space, spaces.Box) or not action or not activation:
+    activation = getattr(getattr(policy, "activation_fn", None), "__name__", "")
+    is_box = isinstance(model.observation_space, spaces.Box)
+    if not is_box or not action or activation not in ACTIVATIONS:
         raise ConfigError(
             f"the policy is {type(policy).__name__} over {type(model.observation_space).__name__}, "
             'expected "MlpPolicy" with tanh or ReLU; write its pystk_actor.py by hand'
         )
     modules = [*policy.mlp_extractor.policy_net, policy.action_net]
     layers = [module for module in modules if isinstance(module, torch.nn.Linear)]
-    arrays = {f"weights{n}": layer.weight.detach().cpu().numpy() for n, layer in enumerate(layers)}
-    arrays |= {f"bias{n}": layer.bias.detach().cpu().numpy() for n, layer in enumerate(layers)}
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    with atomic_write(target / "policy.npz") as part, part.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-    text = _ACTOR.format(view=view, name=name, activation=activation, action=action)
-    write_text(target / "pystk_actor.py", text)
-    return str(target)
+    arrays = [(layer.weight.detach().cpu(), layer.bias.detach().cpu()) for layer in layers]
+    return write_mlp_agent(
+        folder, arrays, view=view, name=name, activation=activation, action=action
+    )

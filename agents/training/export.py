@@ -30,7 +30,7 @@ import stkzoo
 from stkzoo._arguments import option, positional
 from stkzoo._os import write_text
 from stkzoo._reading import load_json, reading
-from stkzoo._schema import typed
+from stkzoo._schema import Count, typed
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_card, read_numbers
 from stkzoo.agents.pretrained.ensemble import (
@@ -46,6 +46,7 @@ from stkzoo.errors import ConfigError
 from .common.command import run_command
 from .common.run_folder import (
     ARGUMENTS,
+    LEAGUE,
     plan_parameters,
     read_run_file,
     run_parameters,
@@ -223,14 +224,25 @@ def _runs_of(source: Path) -> list[dict[str, Any]]:
     if source.is_dir():
         runs: list[dict[str, Any]] = load_json(source / CARD).get("runs", [])
         return runs
+    if (league := source.parent.parent / LEAGUE).exists():
+        return [_run_of_member(league, source.stem)]
     arguments = source.with_name(ARGUMENTS)
-    digits = source.stem.rpartition("-")[2]
+    digits = source.stem.removeprefix("policy-")
     history: Any = read_run_file(Any, arguments) if arguments.exists() else []
     if isinstance(history, dict):  # a run with fixed arguments
         history = [{"from": 0, "arguments": history}]
     with reading(f"{str(arguments)!r} cannot be read", "the file that the run wrote"):
         typed(tuple[_Learned, ...], history)
     return [{"kart_steps": int(digits) if digits.isdigit() else None, "history": history}]
+
+
+def _run_of_member(league: Path, name: str) -> dict[str, Any]:
+    """Returns the training run of a league's member, by the league's file."""
+    with reading(f"{str(league)!r} cannot be read", "the file that the league wrote"):
+        found = read_run_file(_LearnedLeague, league)
+        steps = {member.name: member.kart_steps for member in found.members}
+        typed(_LearnedArguments, found.arguments)
+    return {"kart_steps": steps.get(name), "history": [{"from": 0, "arguments": found.arguments}]}
 
 
 def _describe(run: dict[str, Any]) -> str:
@@ -256,6 +268,22 @@ class _Learned:
     """A part of a run's history."""
 
     arguments: _LearnedArguments
+
+
+@dataclass(frozen=True, slots=True)
+class _LearnedMember:
+    """A member of a league."""
+
+    name: str
+    kart_steps: Count
+
+
+@dataclass(frozen=True, slots=True)
+class _LearnedLeague:
+    """The file of a league."""
+
+    arguments: dict[str, Any]
+    members: tuple[_LearnedMember, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,7 +57,13 @@ _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
     ),
     (
         "Share of opponents beaten",
-        {"beats_past": "past selves", "beats_bots": "the game's bots", "win_share": "past selves"},
+        {
+            "beats_past": "past selves",
+            "beats_bots": "the game's bots",
+            "win_share": "past selves",
+            "beaten": "past policies",
+            "won": "the frozen driver",
+        },
     ),
     ("Return of a race", {"return": "return"}),
     (

@@ -8,9 +8,11 @@ every number.
 Examples:
   stkzoo suite list                                the tasks and the population
   stkzoo suite train versus ippo                   train an agent
+  stkzoo suite exploit pretrained:ace              train an opponent that beats it
   stkzoo suite evaluate versus my_agent/           120 races on the test tracks
   stkzoo suite verify suite/versus-my_agent        run all races again
   stkzoo suite conduct suite/versus-my_agent       contacts and who is at fault
+  stkzoo suite report results/                     compare trained algorithms
 """
 
 from __future__ import annotations
@@ -66,6 +68,25 @@ class TrainArguments:
 
 
 @dataclass
+class ExploitArguments:
+    """Options of ``stkzoo suite exploit``.
+
+    Attributes:
+        driver: the frozen driver, such as heuristic, pretrained:ace or the folder of an agent
+        kart_steps: number of kart-steps to learn from
+        init: agent of a reference algorithm to start from (default: from scratch)
+        seed: seed of all random numbers
+        output: folder of the run (default: runs/exploit-DRIVER-SEED)
+    """
+
+    driver: str = positional()
+    kart_steps: int = 1_000_000
+    init: Path | None = option(metavar="AGENT")
+    seed: int = 0
+    output: Path | None = option(metavar="FOLDER")
+
+
+@dataclass
 class EvaluateArguments:
     """Options of ``stkzoo suite evaluate``.
 
@@ -75,6 +96,7 @@ class EvaluateArguments:
         authors: names of the authors, for the entry
         description: how the agent was made and where to find it, for the entry
         kart_steps: number of kart-steps that the agent learned from, for the entry
+        split: test for an entry; train for fewer races on the training tracks (default: test)
         output: folder of the entry (default: suite/TASK-AGENT)
         json: write only the entry's JSON to stdout
     """
@@ -84,6 +106,7 @@ class EvaluateArguments:
     authors: str = option("", metavar="NAMES", group="entry")
     description: str = option("", metavar="TEXT", group="entry")
     kart_steps: int | None = option(group="entry")
+    split: str = option("test", choices=("test", "train"), group="entry")
     output: Path | None = option(metavar="FOLDER", group="entry")
     json: bool = option(False, group="entry")
 
@@ -101,21 +124,36 @@ class VerifyArguments:
     json: bool = False
 
 
+@dataclass
+class SuiteReportArguments:
+    """Options of ``stkzoo suite report``.
+
+    Attributes:
+        results: result files, or folders of them
+        output: folder of the report
+    """
+
+    results: tuple[Path, ...] = positional(metavar="RESULT")
+    output: Path = option(Path("suite", "report"), metavar="FOLDER")
+
+
 def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.suite import EntryPlan
 
-    listing, training, evaluation, verification, judging = add_actions(
-        parser, _list, _train, _evaluate, _verify, conduct
+    listing, training, exploitation, evaluation, verification, judging, reports = add_actions(
+        parser, _list, _train, _exploit, _evaluate, _verify, conduct, _report
     )
     add_options(listing, ListArguments)
     add_options(training, TrainArguments)
+    add_options(exploitation, ExploitArguments)
     add_options(evaluation, EvaluateArguments)
     add_batch_options(evaluation, EntryPlan.decided)
     add_options(verification, VerifyArguments)
     add_options(verification, BatchArguments)
     add_options(judging, ConductArguments)
     add_options(judging, BatchArguments)
+    add_options(reports, SuiteReportArguments)
 
 
 @usage_errors
@@ -154,6 +192,9 @@ def _train(arguments: argparse.Namespace) -> int:
     Algorithms:
       ippo     independent PPO: learns from each kart's own view and reward
       mappo    the same with a value network that sees the whole race
+      fsp      fictitious self-play: ippo that also meets all its past policies
+      pfsp     the same, which meets those most often that it beats least
+      vdn      value decomposition: Q-learning of the sum over a team's karts
 
     Examples:
       stkzoo suite train solo-1 ippo
@@ -178,6 +219,40 @@ def _train(arguments: argparse.Namespace) -> int:
 
 
 @usage_errors
+def _exploit(arguments: argparse.Namespace) -> int:
+    """Train an exploiter against a frozen driver, and show its win rate over kart-steps.
+
+    The exploiter learns by PPO in races of two karts on the training tracks. The driver never
+    changes. A high win rate after few kart-steps shows a weakness that the driver's results
+    against others do not. To continue a run, also after a kill, repeat the command.
+
+    Examples:
+      stkzoo suite exploit heuristic
+      stkzoo suite exploit pretrained:ace --init runs/solo-general-ippo-0/agent
+      python -m stkzoo.agents.training.plot runs/exploit-heuristic-0
+    """
+    from importlib import import_module
+
+    from stkzoo.cli._console import say, show_table
+
+    driver, init = arguments.driver, arguments.init
+    name = Path(driver).name.replace(":", "-")
+    folder = arguments.output or Path("runs", f"exploit-{name}-{arguments.seed}")
+    # imported by name, because the package must not depend on its agents
+    exploit = import_module("stkzoo.agents.training.suite.exploit")
+    curve = exploit.run(
+        folder, driver, arguments.kart_steps, arguments.seed, "" if init is None else str(init)
+    )
+    if not curve:
+        say("No race has ended; raise --kart-steps.")
+        return 0
+    shown = {round(10 * steps / arguments.kart_steps): (steps, won) for steps, won in curve}
+    rows = [(f"{steps:,}", f"{won:.1%}") for steps, won in shown.values()]
+    show_table(("kart-steps", "won"), rows, left=())
+    return 0
+
+
+@usage_errors
 def _evaluate(arguments: argparse.Namespace) -> int:
     """Evaluate an agent in a task.
 
@@ -189,6 +264,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
       stkzoo suite evaluate solo-1 heuristic
       stkzoo suite evaluate versus my_agent/ --authors "Ada Lovelace"
       stkzoo suite evaluate team-2v2 my_agent.zip@:Nova --output entries/nova
+      stkzoo suite evaluate versus my_agent/ --split train      training tracks
 
     exit codes:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
@@ -199,8 +275,10 @@ def _evaluate(arguments: argparse.Namespace) -> int:
 
     about = About(**values_of(arguments, EvaluateArguments, only=_ABOUT))
     settings = values_of(arguments, RaceSettings, without=EntryPlan.decided)
-    plan = plan_entry(arguments.task, arguments.agent, about=about, **settings)
+    split = arguments.split
+    plan = plan_entry(arguments.task, arguments.agent, split=split, about=about, **settings)
     name = f"{plan.task}-{plan.agent.label}".replace("/", "_").replace(":", "-")
+    name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
     return run_plan(arguments, plan, folder, lambda entry: _show_entry(cast("Entry", entry)))
 
@@ -245,6 +323,30 @@ def _verify(arguments: argparse.Namespace) -> int:
     _show_entry(entry)
     say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
     return code
+
+
+@usage_errors
+def _report(arguments: argparse.Namespace) -> int:
+    """Write a report of trained algorithms: scores, intervals, figures.
+
+    A result file describes one training run: its learning curve, and the scores of its agent on
+    the test tracks and on the training tracks. `python -m benchmarks.suite_reference`, in the
+    repository, trains and evaluates the reference algorithms and writes such files.
+
+    Writes report.json (all numbers), report.md (tables), figures as SVG, and marl_eval.json for
+    the tools of MARL-eval. The same results make the same files.
+
+    Examples:
+      stkzoo suite report results/
+      stkzoo suite report results/versus-*.json --output versus-report
+    """
+    from stkzoo.cli._console import say
+    from stkzoo.suite import write_suite_report
+
+    report = write_suite_report(arguments.results, arguments.output)
+    runs = sum(len(own.seeds) for task in report.tasks for own in task.algorithms)
+    say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
+    return 0
 
 
 # ------------------------------------------------------------------ tables
@@ -321,7 +423,7 @@ def _show_entry(entry: Entry) -> None:
     low, high = score.interval
     say(
         f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
-        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {task.num_races} races."
+        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {len(entry.plan.races())} races."
     )
     if entry.normalised_score is not None:
         say(

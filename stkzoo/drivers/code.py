@@ -21,7 +21,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from stkzoo.drivers.files import AgentFiles, AgentPlace, declared
 from stkzoo.errors import ConfigError, shortened, unknown_name
-from stkzoo.views import VIEWS, View, ViewFactory, extras_for, find_view
+from stkzoo.views import VIEWS, View, ViewFactory, find_view
 
 #: Returns an action for an observation.
 Actor = Callable[[Any], Any]
@@ -39,6 +39,8 @@ BatchActor = Callable[[Sequence[Actor], Sequence[Any]], Sequence[Any]]
 #: only when an agent is loaded.
 _REFERENCE = "stkzoo._pystk2_gymnasium"
 _DEFAULT_ENV = "supertuxkart/full-v0"
+#: Package with the tasks of the suite, another layer above, and the beginning of their ids.
+_SUITE, _TASK_IDS = "stkzoo.suite", "stkzoo-suite/"
 _INSTALLED = {"site-packages", "dist-packages"}
 
 
@@ -185,6 +187,8 @@ def _view_of(env_name: object) -> ViewFactory:
             f"env_name is {env_name!r}, expected text such as {_DEFAULT_ENV!r}, or that and "
             "options of the view, such as ('supertuxkart/simple-v0', {'state_items': 3})"
         )
+    if env_name.startswith(_TASK_IDS):
+        return _view_of_task(env_name)
     name = _view_name(env_name)
     if name in VIEWS:
         return VIEWS[name]
@@ -199,18 +203,25 @@ def _view_of(env_name: object) -> ViewFactory:
     return View(name, f"The wrappers of {env_name}.", tuple(wrappers))
 
 
-def env_extras(files: AgentFiles) -> frozenset[str]:
-    """Returns the entries that an agent's view observes beyond ``full``.
+def _view_of_task(env_id: str) -> ViewFactory:
+    view: ViewFactory = importlib.import_module(_SUITE).view_of(env_id)
+    return view
+
+
+def declared_view(files: AgentFiles) -> ViewFactory:
+    """Returns the view that an agent's module names; ``full`` if it names none that exists.
 
     The agent's module does not run.
     """
     name, options = declared(files, "env_name"), {}
     if isinstance(name, (tuple, list)) and len(name) == 2:
         name, options = name
+    text = str(name)
     try:
-        return extras_for(find_view((_view_name(str(name)), options)))
+        view = _view_of_task(text) if text.startswith(_TASK_IDS) else _view_name(text)
+        return find_view((view, options))
     except ConfigError:
-        return frozenset()  # reported when the agent is loaded
+        return VIEWS["full"]  # reported when the agent is loaded
 
 
 def _view_name(env_name: str) -> str:

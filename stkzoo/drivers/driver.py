@@ -18,7 +18,7 @@ from stkzoo.drivers.code import (
     Actor,
     ActorMaker,
     AgentCode,
-    env_extras,
+    declared_view,
     load_agent,
     read_module,
 )
@@ -28,7 +28,7 @@ from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedInstance
 from stkzoo.drivers.policy import PolicyActor, act_together, plain_policy
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views import CAMERA_VIEWS, ViewFactory, extras_for, find_view
+from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory, extras_for, find_view, words_for
 
 _AGENTS = "stkzoo.agents"
 #: Packages in ``stkzoo.agents`` that are not drivers.
@@ -59,6 +59,7 @@ class Driver:
         load: loads the driver's code into this process; ``None`` for the game's AI and for drivers
             that run in another process.
         is_from_files: whether the driver is loaded from the user's files, so an adapter applies.
+        words: number of words that the driver can say to its team in a race; 0 if it does not talk.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Driver:
     extras: frozenset[str] = frozenset()
     load: CodeLoader | None = None
     is_from_files: bool = False
+    words: int = 0
 
     @property
     def is_game_ai(self) -> bool:
@@ -88,7 +90,7 @@ class Driver:
             ConfigError: the view is unknown or contains images.
         """
         load = partial(_code_of_actor, make_actor, view)
-        return cls._here(name, load, name, extras_for(_find_view(view)))
+        return cls._here(name, load, name, _find_view(view))
 
     @classmethod
     def of_policy(cls, policy: object, view: object = None, name: str = "") -> Driver:
@@ -108,14 +110,14 @@ class Driver:
         policy = plain_policy(policy)
         name = name or getattr(policy, "__name__", type(policy).__name__)
         load = partial(_code_of_policy, policy, view)
-        extras = frozenset[str]() if view is None else extras_for(_find_view(view))
-        return cls._here(name, load, name, extras)
+        return cls._here(name, load, name, VIEWS["full"] if view is None else _find_view(view))
 
     @classmethod
-    def _here(cls, name: str, load: CodeLoader, source: str, extras: frozenset[str]) -> Driver:
+    def _here(cls, name: str, load: CodeLoader, source: str, view: ViewFactory) -> Driver:
         """Returns a driver whose code runs in this process."""
         start = partial(InlineInstance, load=load)
-        return cls(name, start, source, extras=extras, load=load)
+        words = words_for(view)
+        return cls(name, start, source, extras=extras_for(view), load=load, words=words)
 
 
 def driver_names() -> list[str]:
@@ -195,17 +197,16 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
     if source in driver_names():
         module = f"{_AGENTS}.{source.replace(':', '.')}"
         load = partial(_load_shipped, module)
-        return Driver._here(source, load, source, env_extras(AgentFiles(module, None)))
+        return Driver._here(source, load, source, declared_view(AgentFiles(module, None)))
     if source.startswith(f"{_PRETRAINED}:"):
         raise unknown_name("driver", source, driver_names())
     files = find_files(source)
     if files is None:
         raise _unknown(source)
-    extras = env_extras(files)
-    if inline:
-        driver = Driver._here("", partial(_load_files, files, adapter), source, extras)
-    else:
-        driver = Driver("", partial(IsolatedInstance, files=files, adapter=adapter), extras=extras)
+    driver = Driver._here("", partial(_load_files, files, adapter), source, declared_view(files))
+    if not inline:
+        start = partial(IsolatedInstance, files=files, adapter=adapter)
+        driver = replace(driver, start=start, load=None)
     return replace(driver, is_from_files=True)
 
 

@@ -56,9 +56,8 @@ class InlineInstance:
         with self._guarded("start", request.limits.start_timeout):
             self._code = self._load(self._resources)
             with self._code.scope:
-                kart_spaces = request.observation_space, request.action_space
                 self._chain = AgentChain(
-                    request.agent, *kart_spaces, self._code.wrap, is_strict=False
+                    request.agent, *request.spaces, self._code.wrap, is_strict=False
                 )
                 self._chain.action_space.seed(request.seed)
                 self._actor = self._make_actor()

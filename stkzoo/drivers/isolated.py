@@ -94,6 +94,7 @@ class IsolatedInstance:
             "adapter": adapter,
             "seed": request.seed,
             "extras": sorted(extras_of(request.observation_space)),
+            "channel": request.channel and dataclasses.asdict(request.channel),
             "cpu_time": self._cpu_time(),
             "is_enclosed": self._is_enclosed,
             "has_own_users": bool(enclosure.command),

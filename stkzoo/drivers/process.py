@@ -26,6 +26,7 @@ from stkzoo.drivers.instances import DriverLimits, DriverRequest
 from stkzoo.drivers.replies import LENGTH, length_in
 from stkzoo.errors import AgentError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.wrappers.marl import WordChannel
 
 #: Maximum number of threads of all processes of an agent together.
 _MAX_THREADS = 512
@@ -108,7 +109,9 @@ def _start(channel: Channel, order: dict[str, Any]) -> InlineInstance | None:
     spaces = kart_observation_space(extras=order["extras"]), kart_action_space()
     no_limits = DriverLimits(action_timeout=None, start_timeout=math.inf)  # the race's task
     seed: int = order["seed"]
-    instance = InlineInstance(DriverRequest(order["agent"], *spaces, seed, no_limits), load)
+    words = order["channel"] and WordChannel(**order["channel"])
+    request = DriverRequest(order["agent"], *spaces, seed, no_limits, channel=words)
+    instance = InlineInstance(request, load)
     _seed_everything(seed)
     try:
         name = instance.ready()

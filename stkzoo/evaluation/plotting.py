@@ -60,6 +60,26 @@ def style_axes(axes: Any, title: str | None = None) -> None:
         axes.set_title(title, fontsize=10, color=INK)
 
 
+def draw_shares(axes: Any, shares: Sequence[Sequence[float | None]], labels: Sequence[str]) -> None:
+    """Draws a square matrix of shares in percent, with colors from red (0) to blue (1).
+
+    Args:
+        axes: the ``matplotlib`` axes.
+        shares: share of each row and column, 0 to 1; ``None`` if unknown.
+        labels: labels of the rows and columns.
+    """
+    numbers = np.array([[np.nan if s is None else s for s in row] for row in shares], float)
+    axes.imshow(numbers, cmap="RdBu", vmin=-0.25, vmax=1.25, aspect="auto")
+    for one, row in enumerate(shares):
+        for two, share in enumerate(row):
+            text = "" if one == two else "-" if share is None else f"{100 * share:.0f}"
+            is_dark = share is not None and abs(share - 0.5) > 0.4
+            color = "white" if is_dark else INK
+            axes.text(two, one, text, ha="center", va="center", fontsize=8, color=color)
+    axes.set_xticks(range(len(labels)), labels, rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(labels)), labels)
+
+
 def draw_intervals(
     axes: Any,
     estimates: Mapping[float, Estimate],
@@ -121,7 +141,7 @@ def shorten(label: str) -> str:
 
 
 def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
-    """Writes a figure to a file, atomically.
+    """Writes a figure to a file, atomically. The same figure always makes the same file.
 
     Args:
         figure: the ``matplotlib`` figure.
@@ -131,8 +151,13 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
         ConfigError: the file cannot be written.
     """
     file = Path(path)
-    with write_whole(file, "the plot") as part:
+    kind = file.suffix[1:] or "png"
+    metadata = {"Date": None} if kind == "svg" else None
+    fixed_ids = import_extra("matplotlib", "the plot needs", "benchmark").rc_context(
+        {"svg.hashsalt": "stkzoo"}
+    )
+    with write_whole(file, "the plot") as part, fixed_ids:
         try:
-            figure.savefig(part, format=file.suffix[1:] or "png", dpi=110)
+            figure.savefig(part, format=kind, dpi=110, metadata=metadata)
         except ValueError as error:  # unknown format
             raise ConfigError(f"the plot {file} cannot be written: {error}") from error

@@ -13,9 +13,10 @@ from gymnasium.wrappers.utils import create_zero_array
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import bounded, in_words, printable
 from stkzoo.drivers.instances import DriverInstance, DriverRequest, ThinkingClock
-from stkzoo.errors import AgentError, AgentTimeout
+from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
+from stkzoo.views.actions import read_action
 
 _MAX_FAILURES_KEPT = 20
 #: Maximum lengths of a name, and of a traceback including the last output [characters].
@@ -49,6 +50,7 @@ class RacingDriver:
         seconds: duration of each successful decision [s].
         clock: total time of all decisions.
         is_retired: whether the driver is out of the race.
+        word: word of the last action; ``None`` if the driver does not talk or has failed.
     """
 
     def __init__(self, driver: Driver, request: DriverRequest, settings: RaceSettings) -> None:
@@ -59,6 +61,7 @@ class RacingDriver:
         self.seconds: list[float] = []
         self.clock = ThinkingClock(settings.time_budget)
         self.is_retired = False
+        self.word: int | None = None
         self._driver, self._settings = driver, settings
         label = (
             f"{self.name or self._default_name()} ({self.agent})" if settings.show_output else ""
@@ -68,6 +71,7 @@ class RacingDriver:
         self._start_error: Exception | None = None
         self._is_ready = self._is_asked = False
         self._restarts = 0
+        self._talking_actions = None if request.channel is None else request.spaces[1]
         self._random_actions = copy.deepcopy(request.action_space)
         self._random_actions.seed(request.seed)
 
@@ -95,7 +99,7 @@ class RacingDriver:
 
     def ask(self, observation: Any, step: int) -> None:
         """Waits until the driver is ready, then sends the observation to it."""
-        self._is_asked = False
+        self._is_asked, self.word = False, None
         self.get_ready(step)
         if self.is_retired:
             return
@@ -123,12 +127,23 @@ class RacingDriver:
             if not self.num_clipped:
                 logger.warning("%s", _CLIPPED.format(self.name, self.agent, step))
             self.num_clipped += 1
-        return decision.action
+        return self._without_word(decision.action, step)
 
     def replace_action(self, error: Exception, step: int) -> Any:
         """Records an invalid action and returns a replacement."""
         self._handle(error, step)
         return self._replacement()
+
+    def _without_word(self, action: Any, step: int) -> Any:
+        """Returns the driving action of a driver that talks, and stores its word."""
+        if self._talking_actions is None:
+            return action
+        try:
+            checked = read_action(self._talking_actions, action, self.agent)
+        except ActionError as error:
+            return self.replace_action(error, step)
+        self.word = checked.pop("message")
+        return checked
 
     def close(self) -> None:
         """Closes the driver's instance."""

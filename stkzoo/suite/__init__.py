@@ -19,14 +19,18 @@ from stkzoo.suite.conduct import (
     race_conduct,
 )
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
-from stkzoo.suite.ids import id_of, register_tasks
+from stkzoo.suite.flat import FlatTask
+from stkzoo.suite.ids import id_of, register_tasks, view_of
 from stkzoo.suite.population import POPULATION, Member, behaviour
+from stkzoo.suite.report import make_report, write_suite_report
+from stkzoo.suite.report_document import SuiteReport
+from stkzoo.suite.results import LearningCurve, RaceScore, SplitScores, SuiteRun, load_runs
 from stkzoo.suite.scores import Baselines, load_baselines, normalised
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
 #: Reference algorithms: modules of ``stkzoo.agents.training.suite``.
-ALGORITHMS = ("ippo", "mappo")
+ALGORITHMS = ("ippo", "mappo", "fsp", "pfsp", "vdn")
 
 register_tasks()
 
@@ -40,21 +44,31 @@ __all__ = [
     "Entry",
     "EntryPlan",
     "EntryRefused",
+    "FlatTask",
     "JudgedContact",
     "KartConduct",
+    "LearningCurve",
     "MeanConduct",
     "Member",
     "RaceConduct",
+    "RaceScore",
+    "SplitScores",
+    "SuiteReport",
+    "SuiteRun",
     "Task",
     "behaviour",
     "evaluate",
     "find_task",
     "id_of",
     "load_baselines",
+    "load_runs",
+    "make_report",
     "mean_conduct",
     "measure_conduct",
     "normalised",
     "plan_entry",
     "race_conduct",
     "verify_entry",
+    "view_of",
+    "write_suite_report",
 ]

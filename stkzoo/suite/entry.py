@@ -12,8 +12,8 @@ from typing import Annotated, Any, ClassVar, cast
 
 from stkzoo._os import file_digest
 from stkzoo._schema import Count, Matching, Within
-from stkzoo.drivers.driver import GAME_AI
-from stkzoo.errors import ConfigError
+from stkzoo.drivers.driver import GAME_AI, find_driver
+from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import BatchPlan
 from stkzoo.evaluation.batch.run import RunOptions, run_batch
@@ -23,7 +23,7 @@ from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
-from stkzoo.suite.population import POPULATION, draw_rivals
+from stkzoo.suite.population import draw_rivals, population_digests
 from stkzoo.suite.scores import load_baselines, normalised
 from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 
@@ -31,6 +31,8 @@ from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 ENTRY_FILE = "entry.json"
 #: Settings of the races that the task sets.
 DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths")
+#: Splits of a task's tracks. Only an evaluation on the test tracks is an entry.
+TEST, TRAIN = "test", "train"
 _BEATEN = FigureKind(BEATEN, lambda race: race.beaten, (0.0, 1.0))
 _Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
 _Text = Annotated[str, Within(0, 2000)]
@@ -88,6 +90,11 @@ class EntryPlan(BenchmarkPlan):
     task_digest: _Digest
     population: Mapping[str, str]
     about: About = field(default_factory=About)
+
+    @property
+    def is_on_training_tracks(self) -> bool:
+        """Whether this is an evaluation on the training tracks, which is no entry."""
+        return self.split == TRAIN
 
     def orders(self) -> list[RaceOrder]:
         """Returns the orders of all races."""
@@ -192,10 +199,13 @@ class Entry(BenchmarkResult):
     def normalised_score(self) -> float | None:
         """The score between the weakest (0) and the strongest (1) driver that comes with stkzoo.
 
-        ``None`` without races, or if the task has no baselines.
+        ``None`` without races, if the task has no baselines, and on the training tracks, because
+        baselines are scores on the test tracks.
         """
         baselines = load_baselines()
-        if self.score is None or not baselines.has(self.plan.task):
+        if self.score is None or self.plan.is_on_training_tracks:
+            return None
+        if not baselines.has(self.plan.task):
             return None
         return normalised(self.plan.task, self.score.value, baselines)
 
@@ -204,6 +214,7 @@ def plan_entry(
     task: str | Task,
     agent: str,
     *,
+    split: str = TEST,
     about: About | None = None,
     settings: RaceSettings | None = None,
     **changes: Any,
@@ -213,32 +224,48 @@ def plan_entry(
     Args:
         task: the task, or its name.
         agent: the agent; see :func:`~stkzoo.evaluation.plan_benchmark`.
+        split: ``"test"`` for the races of the task. ``"train"`` for the training tracks, with one
+            race for each form, end of the grid, track and direction; the result is no entry.
         about: what the entry says about itself.
         settings: settings of every race, such as time limits of agents. The task sets the fields in
             ``EntryPlan.decided``.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of ``settings``.
 
     Raises:
-        ConfigError: the task or the agent does not exist, or a setting is invalid.
+        ConfigError: the task, the split or the agent does not exist, a setting is invalid, or the
+            agent talks and the task has other words or none.
         AssetError: the game's data is missing.
     """
     task = find_task(task) if isinstance(task, str) else task
+    if split not in (TEST, TRAIN):
+        raise unknown_name("split", split, (TEST, TRAIN))
+    is_test = split == TEST
     base = plan_benchmark(
         agent,
-        split=task.test_tracks,
+        split=task.test_tracks if is_test else task.train_tracks,
         difficulty=DIFFICULTY,
         forms=("P",),
-        seeds=task.seeds,
+        seeds=task.seeds if is_test else 1,
         settings=replace(EntryPlan.choose_settings(settings, changes), max_paths=None),
     )
+    _check_words(task, base.agent.source)
     values = {own.name: getattr(base, own.name) for own in fields(base)}
     return EntryPlan(
-        **{**values, "forms": task.forms},
+        **{**values, "forms": task.forms} | ({} if is_test else {"split": TRAIN}),
         task=task.name,
         task_digest=task.digest,
-        population={member.driver: member.digest for member in POPULATION},
+        population=population_digests(),
         about=about or About(),
     )
+
+
+def _check_words(task: Task, agent: str) -> None:
+    words = find_driver(agent).words
+    if words not in (0, task.words):
+        raise ConfigError(
+            f"{agent} says one of {words} words, and {task.name} has {task.words or 'none'}; "
+            "name another task, or another env_name in the agent's module"
+        )
 
 
 def evaluate(

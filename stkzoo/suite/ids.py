@@ -6,7 +6,9 @@ import gymnasium
 import pettingzoo
 
 from stkzoo.env.ids import MAX_EPISODE_STEPS
+from stkzoo.errors import unknown_name
 from stkzoo.suite.tasks import TASKS, Task
+from stkzoo.views import ViewFactory
 
 _NAMESPACE = "stkzoo-suite"
 
@@ -14,6 +16,18 @@ _NAMESPACE = "stkzoo-suite"
 def id_of(task: Task) -> str:
     """Returns the id of a task."""
     return f"{_NAMESPACE}/{task.name}-v1"
+
+
+def view_of(env_id: str) -> ViewFactory:
+    """Returns the view of the agents of the task with an id.
+
+    Raises:
+        ConfigError: no task has this id.
+    """
+    tasks = {id_of(task): task for task in TASKS.values()}
+    if env_id not in tasks:
+        raise unknown_name("env_name", env_id, tasks)
+    return tasks[env_id].agent_view()
 
 
 def register_tasks() -> None:

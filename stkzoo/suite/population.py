@@ -42,10 +42,19 @@ POPULATION = (
     Member("ai:3", "b2608ce6a4c13123"),
     Member("pursuit", "e7a0dd3e7c727757", is_held_out=True),
     Member("heuristic", "f50bcd7ad90b57a8"),
+    Member("pretrained:rookie", "d6de5c34044c6695"),
+    Member("pretrained:regular", "9054fb94c2fa8b23", is_held_out=True),
+    Member("pretrained:hunter", "e121cfa1b5d15b11"),
+    Member("pretrained:raider", "72c87dc1435e8a09", is_held_out=True),
     Member("pretrained:scout", "12d27e85940cf506", is_held_out=True),
     Member("pretrained:ace", "3dc4f4629e43edf8"),
     Member("pretrained:apex", "81f088bd499bc1d3", is_held_out=True),
 )
+
+
+def population_digests() -> dict[str, str]:
+    """Returns the digest of each driver of the population, by its name."""
+    return {member.driver: member.digest for member in POPULATION}
 
 
 def behaviour(driver: str) -> str:
@@ -103,11 +112,20 @@ def draw_rivals(races: Iterable[BenchmarkRace]) -> Mapping[int, tuple[str, ...]]
     seeds = ",".join(str(race.seed) for race in planned)
     chance = random.Random(hashlib.sha256(seeds.encode()).hexdigest())
     waiting: list[Member] = []
-    return {race.number: _next_rivals(waiting, race.lineup.rivals, chance) for race in planned}
+    return {race.number: draw_members(waiting, race.lineup.rivals, chance) for race in planned}
 
 
-def _next_rivals(waiting: list[Member], count: int, chance: random.Random) -> tuple[str, ...]:
-    """Takes the first members that can race together from a queue, which is refilled if needed."""
+def draw_members(waiting: list[Member], count: int, chance: random.Random) -> tuple[str, ...]:
+    """Draws drivers that can race together: the first ones of a queue.
+
+    Args:
+        waiting: the queue. Drivers are removed; if it is too short, all are added in random order.
+        count: number of drivers.
+        chance: random generator.
+
+    Returns:
+        Names of the drivers.
+    """
     chosen: list[Member] = []
     while len(chosen) < count:
         levels = {member.level for member in chosen} - {None}

@@ -11,6 +11,7 @@ from stkzoo._reading import load_json, reading
 from stkzoo._schema import typed
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import Estimate
+from stkzoo.suite.population import population_digests
 from stkzoo.suite.tasks import SUITE, TIME_RATIO, find_task
 
 #: The scores of the drivers, measured by ``python -m benchmarks.suite_baselines``.
@@ -24,20 +25,24 @@ class Baselines:
     Attributes:
         suite: name of the suite.
         digests: digest of each task's definition, by its name.
+        population: digest of each driver of the population at that time, by its name.
         scores: score of each driver in each task.
     """
 
     suite: str
     digests: Mapping[str, str]
+    population: Mapping[str, str]
     scores: Mapping[str, Mapping[str, Estimate]]
 
     def has(self, task: str) -> bool:
-        """Returns whether there are scores of a task's present definition.
+        """Returns whether there are scores of a task's present definition and population.
 
         Args:
             task: name of the task.
         """
-        return self.suite == SUITE and self.digests.get(task) == find_task(task).digest
+        found = find_task(task)
+        is_met = not found.has_population or self.population == population_digests()
+        return self.suite == SUITE and self.digests.get(task) == found.digest and is_met
 
     def ends(self, task: str) -> tuple[float, float]:
         """Returns the scores of the weakest and of the strongest driver in a task.
@@ -84,3 +89,18 @@ def normalised(task: str, score: float, baselines: Baselines | None = None) -> f
     """
     weakest, strongest = (baselines or load_baselines()).ends(task)
     return (score - weakest) / (strongest - weakest)
+
+
+def scale_ends(task: str) -> tuple[float, float]:
+    """Returns the values of a task's metric that are 0 and 1 on its scale. Higher is better.
+
+    The scale is that of :func:`normalised`. Without baselines, it is the metric itself, and a time
+    ratio has a minus sign.
+
+    Args:
+        task: name of the task.
+    """
+    baselines = load_baselines()
+    if baselines.has(task):
+        return baselines.ends(task)
+    return (0.0, -1.0) if find_task(task).metric == TIME_RATIO else (0.0, 1.0)

@@ -20,8 +20,8 @@ from stkzoo.errors import unknown_name
 from stkzoo.evaluation.benchmark.races import BenchmarkForm
 from stkzoo.mdp.state import state_space
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
-from stkzoo.views import find_view
-from stkzoo.wrappers.marl import MessageChannel, PartialObservations, Teams
+from stkzoo.views import ViewFactory, find_view
+from stkzoo.wrappers.marl import MessageChannel, PartialObservations, TalkingView, Teams
 
 #: Name of the suite, with its version.
 SUITE = "stkzoo-suite-1"
@@ -87,6 +87,11 @@ class Task:
         return self.learners + self.rivals
 
     @property
+    def has_population(self) -> bool:
+        """Whether drivers of the population race in the evaluation."""
+        return any(BenchmarkForm.of(form).has_population for form in self.forms)
+
+    @property
     def num_races(self) -> int:
         """Number of races of the evaluation."""
         ends = sum(len(BenchmarkForm.of(form).ends) for form in self.forms)
@@ -111,16 +116,26 @@ class Task:
         tracks = {"train": self.train_tracks, "test": self.test_tracks}
         if split not in tracks:
             raise unknown_name("split", split, tracks)
-        view = self.view if self.sight is None else ShortSighted(self.view, self.sight)
         return {
             "num_kart": self.num_kart,
             "agents": self.learners,
             "track": tracks[split],
             "reverse": None,
             "difficulty": DIFFICULTY,
-            "view": view,
+            "view": self._learners_view(),
             "reward": self.reward,
         }
+
+    def _learners_view(self) -> Any:
+        return self.view if self.sight is None else ShortSighted(self.view, self.sight)
+
+    def agent_view(self) -> ViewFactory:
+        """Returns the view of the task's agents in races, with the words of their team.
+
+        Observations and actions are those of the learners in :meth:`make`.
+        """
+        view = find_view(self._learners_view())
+        return TalkingView(view, self.words) if self.words else view
 
     def make(self, split: str = "train", **options: Any) -> ParallelEnv[str, Any, Any]:
         """Returns the task's environment, with its teams and messages.

@@ -238,6 +238,9 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
     """Checks that an entry has all races of its task, under the conditions of the suite."""
     plan, problems = entry.plan, []
     task = find_task(plan.task)
+    if plan.is_on_training_tracks:
+        remedy = f"an entry needs `stkzoo suite evaluate {task.name} AGENT` without --split train"
+        _refuse([f"it is an evaluation on the training tracks; {remedy}"])
     expected = plan_entry(task, "random")
     conditions = {name: getattr(expected.settings, name) for name in EntryPlan.decided}
     expected = replace(

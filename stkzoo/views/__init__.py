@@ -22,6 +22,7 @@ from stkzoo.views.registry import (
     options_of,
     views,
     views_of_agents,
+    words_for,
 )
 from stkzoo.views.shipped import SHIPPED
 
@@ -41,6 +42,7 @@ __all__ = [
     "options_of",
     "views",
     "views_of_agents",
+    "words_for",
 ]
 
 

@@ -72,10 +72,11 @@ PARSED = {
 
 def enter_folder(path, monkeypatch):
     """Makes a folder with the agents that the pages name, and changes to it."""
-    agent = next(b for b in blocks("docs/reference/agents.md", "python") if b.file)
-    for name in ("my_agent", "agents/one", "agents/swift"):
+    agent, team, *_ = (b for b in blocks("docs/reference/agents.md", "python") if b.file)
+    for name in ("my_agent", "my_team", "agents/one", "agents/swift"):
         (path / name).mkdir(parents=True)
-        (path / name / "pystk_actor.py").write_text(agent.code)
+        code = team.code if name == "my_team" else agent.code
+        (path / name / "pystk_actor.py").write_text(code)
     with zipfile.ZipFile(path / "rival.zip", "w") as packed:
         packed.writestr("pystk_actor.py", agent.code)
     monkeypatch.chdir(path)

@@ -56,4 +56,4 @@ def test_every_extra_is_in_all_but_those_of_developers():
     (everything,) = extras["all"]
     named = set(re.search(r"\[(.*)\]", everything)[1].split(","))
     # Libraries that cannot be beside others, and what only makers of stkzoo need.
-    assert set(extras) - named == {"all", "dev", "docs", "rllib"}
+    assert set(extras) - named == {"all", "benchmarl", "dev", "docs", "rllib"}

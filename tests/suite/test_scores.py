@@ -8,11 +8,13 @@ import pytest
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import Estimate
 from stkzoo.suite import SUITE, TASKS, Baselines, load_baselines, normalised
+from stkzoo.suite.population import population_digests
 
 
-def baselines(task, values, digest=None, suite=SUITE):
+def baselines(task, values, digest=None, suite=SUITE, population=None):
     scores = {task: {str(n): Estimate(value, None, None) for n, value in enumerate(values)}}
-    return Baselines(suite, {task: digest or TASKS[task].digest}, scores)
+    met = population_digests() if population is None else population
+    return Baselines(suite, {task: digest or TASKS[task].digest}, met, scores)
 
 
 def test_more_is_better_where_karts_are_beaten():
@@ -37,6 +39,13 @@ def test_scores_of_another_definition_are_no_baselines(changes):
         normalised("solo-1", 0.9, baselines("solo-1", [0.9, 0.8], **changes))
     with pytest.raises(ConfigError, match="versus has no baselines yet"):
         normalised("versus", 0.9, baselines("solo-1", [0.9, 0.8]))
+
+
+def test_scores_against_another_population_are_no_baselines():
+    other = {**population_digests(), "heuristic": "0" * 16}
+    assert not baselines("team-2v2", [0.1, 0.9], population=other).has("team-2v2")
+    assert baselines("team-2v2", [0.1, 0.9]).has("team-2v2")
+    assert baselines("versus", [0.1, 0.9], population=other).has("versus")
 
 
 def test_the_shipped_baselines_are_of_these_tasks():

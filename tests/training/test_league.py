@@ -21,6 +21,7 @@ from stkzoo.agents.training.common.matches import (
     play_records,
     rate_orders,
 )
+from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.league.league import League, LeagueArguments, main
 from stkzoo.agents.training.league.learner import LeagueActor, LeagueLearner
 from stkzoo.agents.training.league.page import page
@@ -243,6 +244,11 @@ def test_after_a_kill_the_turn_is_played_again_as_it_was(tmp_path):
     assert set(states[0]["ratings"]) >= {"start", "ai", "main-001"}
     assert "main-001" in (whole / "league.html").read_text()
     assert (whole / "league.html").read_bytes() == (killed / "league.html").read_bytes()
+    weights = whole / "members" / "main-001.safetensors"
+    card = export_policy(weights, "learned", tmp_path / "learned") / "card.json"
+    (run,) = json.loads(card.read_text())["runs"]
+    assert run["kart_steps"] == states[0]["members"][1]["kart_steps"]
+    assert run["history"][-1]["arguments"]["tracks"] == states[0]["arguments"]["tracks"]
 
 
 # ---------------------------------------------------------------------- the page

@@ -3,16 +3,29 @@
 import numpy as np
 import pytest
 
+from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
 from stkzoo.agents.training.suite.actor import (
+    KartRace,
     TaskActor,
     reward_shares,
     rollout_type,
 )
+from stkzoo.agents.training.suite.exploit import Exploiter, ExploiterArguments, start_weights
+from stkzoo.agents.training.suite.fsp import FSP
 from stkzoo.agents.training.suite.ippo import IPPO
-from stkzoo.agents.training.suite.learner import TaskArguments
+from stkzoo.agents.training.suite.learner import TaskPPOArguments
 from stkzoo.agents.training.suite.mappo import MAPPO
 from stkzoo.agents.training.suite.network import TaskNetwork
+from stkzoo.agents.training.suite.past import PastActor
+from stkzoo.agents.training.suite.pfsp import PFSP
+from stkzoo.agents.training.suite.vdn import (
+    VDN,
+    VDNArguments,
+    VDNNetwork,
+    kept_rows,
+    team_slots,
+)
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -22,6 +35,7 @@ SMALL = {
     "task": "solo-1",
     "hidden": (16, 16),
     "n_steps": 16,
+    "keep_every": 32,
     "n_epochs": 2,
     "batch_size": 32,
     "num_races": 2,
@@ -33,12 +47,14 @@ SMALL = {
 
 
 def small_run(folder, kind=IPPO, **changes):
-    return kind(folder, TaskArguments(**SMALL | changes))
+    arguments = VDNArguments if kind is VDN else TaskPPOArguments
+    return kind(folder, arguments(**SMALL | changes))
 
 
 def iterate(learner, count):
     for _ in range(count):
         learner.iterate()
+        learner.save_policy()
         if learner.is_checkpoint(learner.iteration):
             learner.save_checkpoint()
             learner.begin_races()
@@ -49,17 +65,27 @@ def arrays_of(learner):
     return {**{f"policy {n}": a for n, a in policy.items()}, **critic}
 
 
-@pytest.mark.parametrize("kind", [IPPO, MAPPO])
-def test_a_run_learns_and_continues_bit_for_bit(tmp_path, kind):
-    whole = small_run(tmp_path / "whole", kind)
+@pytest.mark.parametrize(
+    ("kind", "task"),
+    [
+        (IPPO, "solo-1"),
+        (MAPPO, "solo-1"),
+        (VDN, "solo-1"),
+        (VDN, "team-2v2"),
+        (FSP, "selfplay-5"),
+        (PFSP, "team-2v2"),
+    ],
+)
+def test_a_run_learns_and_continues_bit_for_bit(tmp_path, kind, task):
+    whole = small_run(tmp_path / "whole", kind, task=task)
     before = arrays_of(whole)
     iterate(whole, 4)
-    first = small_run(tmp_path / "parts", kind)
+    first = small_run(tmp_path / "parts", kind, task=task)
     iterate(first, 2)
     first.close()
-    second = small_run(tmp_path / "parts", kind)
+    second = small_run(tmp_path / "parts", kind, task=task)
     assert second.iteration == 2
-    assert second.kart_steps == 2 * 16 * 2
+    assert second.kart_steps == first.kart_steps > 0
     iterate(second, 2)
     one, other = arrays_of(whole), arrays_of(second)
     whole.close(), second.close()
@@ -92,7 +118,9 @@ def test_members_of_a_team_get_the_mean_of_their_rewards():
 def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes():
     size = find_task("team-2v2").state_size
     memory = SharedArray((2, 40, 4), rollout_type(size))
-    actor = TaskActor("team-2v2", 1, 1, memory)
+    task = find_task("team-2v2")
+    options = {"num_races": 1, "num_starts": 1, **task.options()}
+    actor = TaskActor(options, reward_shares(task), memory)
     network = TaskNetwork((8, 8), 0, size)
     actor.begin([5])
     try:
@@ -125,8 +153,8 @@ def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes(
 @pytest.mark.slow
 def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
-        "stkzoo.agents.training.suite.learner.TaskArguments",
-        lambda **given: TaskArguments(**{**SMALL, "checkpoint_every": 100, **given}),
+        "stkzoo.agents.training.suite.learner.TaskPPOArguments",
+        lambda **given: TaskPPOArguments(**{**SMALL, "checkpoint_every": 100, **given}),
     )
     words = ["suite", "train", "solo-1", "ippo", "--kart-steps", "100", "--output", str(tmp_path)]
     assert main(words) == 0
@@ -135,6 +163,118 @@ def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
     assert not result.has_errors
     assert result.agents[0].driver == "ippo_solo_1_0"
     assert main(words) == 0  # nothing is left to do
+
+
+def test_self_play_is_refused_for_one_learner(tmp_path):
+    with pytest.raises(ConfigError, match="solo-1 has one learner, and fsp is self-play"):
+        small_run(tmp_path, FSP)
+
+
+@pytest.mark.parametrize("name", ["team-2v2", "selfplay-5"])
+def test_a_past_policy_drives_a_team_or_two_karts_and_is_not_learned_from(tmp_path, name):
+    task = find_task(name)
+    memory = SharedArray((2, 400, task.learners), rollout_type(0))
+    options = {"num_races": 1, "num_starts": 1, **task.options(), "max_cycles": 60}
+    network = TaskNetwork((8, 8), 0)
+    past = TaskNetwork((8, 8), 1)
+    save_weights(tmp_path / "past.safetensors", past.weights()[0])
+    actor = PastActor(options, reward_shares(task), memory, folder=tmp_path, teams=task.teams)
+    actor.begin([5])
+    try:
+        driven = actor.drive(0, *network.weights(), {"past.safetensors": 1.0})
+    finally:
+        actor.close()
+    rollout = memory.array()[0]
+    ends = np.flatnonzero(rollout["active"].any(axis=1) & rollout["ended"].any(axis=1)) + 1
+    races = np.split(rollout, ends)
+    learned = [tuple(np.flatnonzero(race["active"].any(axis=0))) for race in races]
+    counts = {len(slots) for slots in learned}
+    assert counts == {task.learners, task.learners - task.learners // 2}
+    if task.teams:
+        assert {*learned} - {(0, 1, 2, 3)} <= {(0, 3), (1, 2)}
+    assert driven.duels
+    assert all(who == "past.safetensors" and 0 <= beaten <= 1 for who, beaten in driven.duels)
+    assert len(driven.finishes) < task.learners * (len(races) - 1)
+
+
+def test_prioritized_self_play_meets_most_often_whom_it_beats_least(tmp_path):
+    learner = small_run(tmp_path, PFSP, task="team-2v2")
+    even = small_run(tmp_path / "even", FSP, task="team-2v2")
+    try:
+        for run in (learner, even):
+            for name in ("strong", "weak"):
+                run.save_policy(tmp_path / name)
+            for _ in range(50):
+                run._pool.update("strong", 0.0)
+                run._pool.update("weak", 1.0)
+        (odds,), (equal,) = learner._drive_options(), even._drive_options()
+    finally:
+        learner.close(), even.close()
+    assert odds["strong"] > 0.9
+    assert odds["strong"] + odds["weak"] == pytest.approx(1)
+    assert equal == {"strong": 0.5, "weak": 0.5}
+
+
+def test_team_slots_are_those_of_the_members():
+    assert team_slots(8, 4, ((0, 3), (1, 2))).tolist() == [[0, 3], [1, 2], [4, 7], [5, 6]]
+    assert team_slots(4, 2, ()).tolist() == [[0], [1], [2], [3]]
+
+
+def test_targets_end_with_the_race():
+    rollout = np.zeros((6, 2), rollout_type(0))
+    rollout["rewards"] = 1.0
+    rollout["active"] = True
+    rollout["ended"][2, 1], rollout["next_values"][2, 1] = True, 8.0
+    rows = kept_rows(rollout, VDNArguments(horizon=3, gamma=0.5))
+    assert rows["gain"][:3, 0].tolist() == [1.75, 1.75, 1.75]
+    assert rows["goes_on"][:3, 0].all()
+    # one, two and three rewards until the end, and then the value of the last observation
+    assert rows["gain"][:3, 1].tolist() == [1.75 + 1.0, 1.5 + 2.0, 1.0 + 4.0]
+    assert not rows["goes_on"][:3, 1].any()
+
+
+def test_the_value_of_the_best_choices_is_that_of_the_observation():
+    network = VDNNetwork((8, 8), 0)
+    with network.torch.no_grad():
+        network.policy[-1].weight.mul_(100.0)
+    inputs = network.torch.randn(20, 165)
+    best = network.best(inputs)
+    values = network.value(inputs)[:, 0]
+    assert network.torch.equal(network.values(inputs, best), values)
+    other = (best + 1) % network.torch.tensor([21, 4, 2, 2, 2])
+    assert (network.values(inputs, other) < values).all()
+
+
+def exploiter(folder, **changes):
+    small = {**SMALL, "task": "solo-general", "driver": "pursuit", "hidden": (8, 8)}
+    return Exploiter(folder, ExploiterArguments(**small | changes))
+
+
+def test_an_exploiter_drives_one_kart_against_the_frozen_driver(tmp_path):
+    learner = exploiter(tmp_path)
+    try:
+        line = learner.iterate()
+        learner._recent.extend(
+            [KartRace(1.0, True, 1), KartRace(1.0, True, 2), KartRace(1.0, False, 1)]
+        )
+        figures = learner._figures()
+    finally:
+        learner.close()
+    assert line["kart_steps"] == 2 * 16
+    assert figures["won"] == pytest.approx(1 / 3)
+
+
+def test_an_exploiter_starts_from_an_agent(tmp_path):
+    start = TaskNetwork((8, 8), 5).weights()[0]
+    save_weights(tmp_path / "policy.safetensors", start)
+    learner = exploiter(tmp_path / "run", init=str(tmp_path / "policy.safetensors"))
+    try:
+        own = learner._network.weights()[0]
+    finally:
+        learner.close()
+    assert all((own[name] == start[name]).all() for name in start)
+    with pytest.raises(ConfigError, match=r"layers of \(8, 8\) units, expected \(16, 16\)"):
+        start_weights(str(tmp_path / "policy.safetensors"), (16, 16))
 
 
 def test_an_unknown_algorithm_is_refused(capsys):

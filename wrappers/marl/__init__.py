@@ -1,12 +1,21 @@
 """Tools for multi-agent research: action masks, partial observability, teams and messages.
 
 :class:`ActionMasks` and :class:`PartialObservations` wrap one agent, in views; :class:`Teams` and
-:class:`MessageChannel` wrap the ``ParallelEnv``.
+:class:`MessageChannel` wrap the ``ParallelEnv``. :class:`TalkingView` gives one agent of a race the
+observations and actions of :class:`MessageChannel`.
 """
 
 from stkzoo.wrappers.marl.masks import ActionMasks
 from stkzoo.wrappers.marl.messages import MessageChannel
 from stkzoo.wrappers.marl.partial import PartialObservations
+from stkzoo.wrappers.marl.talking import TalkingView, WordChannel
 from stkzoo.wrappers.marl.teams import Teams
 
-__all__ = ["ActionMasks", "MessageChannel", "PartialObservations", "Teams"]
+__all__ = [
+    "ActionMasks",
+    "MessageChannel",
+    "PartialObservations",
+    "TalkingView",
+    "Teams",
+    "WordChannel",
+]

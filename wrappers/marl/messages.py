@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,9 @@ from pettingzoo.utils import BaseParallelWrapper
 from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.marl.teams import Teams
+
+#: One message, ``(size,)``.
+Message = npt.NDArray[np.float32]
 
 
 class MessageChannel(BaseParallelWrapper[str, Any, Any]):
@@ -56,7 +59,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
             spaces.Discrete(self.words) if self.words else spaces.Box(-1, 1, (self.size,))
         )
         self._team_of = _teams_in(env) if within_teams else dict.fromkeys(env.possible_agents, 0)
-        self._said: dict[str, npt.NDArray[np.float32]] = {}
+        self._said: dict[str, Message] = {}
         self._observation_spaces = {a: self._heard_space(a) for a in env.possible_agents}
         self._action_spaces = {a: self._said_space(a) for a in env.possible_agents}
 
@@ -65,13 +68,9 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         return spaces.Dict({"action": action, "message": copy.deepcopy(self._message_space)})
 
     def _heard_space(self, agent: str) -> spaces.Space[Any]:
-        others = len(self.env.possible_agents) - 1
+        heard = heard_spaces(len(self.env.possible_agents) - 1, self.size)
         return spaces.Dict(
-            {
-                "observation": copy.deepcopy(self.env.observation_space(agent)),
-                "messages": spaces.Box(-1, 1, (others, self.size)),
-                "heard": spaces.Box(0, 1, (others,), np.int8),
-            }
+            {"observation": copy.deepcopy(self.env.observation_space(agent)), **heard}
         )
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
@@ -106,7 +105,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         }
         return self._with_messages(observations), rewards, terminations, truncations, infos
 
-    def _message(self, agent: str, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+    def _message(self, agent: str, actions: Mapping[str, Any]) -> Message:
         action = actions.get(agent)
         parts = action if isinstance(action, Mapping) else {}
         if not {"action", "message"} <= set(parts):
@@ -123,8 +122,8 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
                 f"the message of {agent!r} is {message!r:.200}, not in {self._message_space!r}",
                 agent,
             )
-        row = message if self.words is None else np.eye(self.words)[int(message)]
-        return np.asarray(row, np.float32)
+        row: Message = message if self.words is None else message_of(int(message), self.words)
+        return row
 
     def _with_messages(self, observations: dict[str, Any]) -> dict[str, Any]:
         return {
@@ -134,12 +133,8 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
 
     def _heard(self, agent: str) -> dict[str, Any]:
         others = [other for other in self.env.possible_agents if other != agent]
-        messages = np.zeros((len(others), self.size), np.float32)
-        heard = np.zeros(len(others), np.int8)
-        for row, other in enumerate(others):
-            if other in self._said and self._hears(agent, other):
-                messages[row], heard[row] = self._said[other], 1
-        return {"messages": messages, "heard": heard}
+        said = {o: self._said[o] for o in others if o in self._said and self._hears(agent, o)}
+        return heard_messages([said.get(other) for other in others], self.size)
 
     def _hears(self, agent: str, other: str) -> bool:
         if self._team_of[agent] != self._team_of[other]:
@@ -150,6 +145,49 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         places = race.snapshot.karts["location"][list(race.race.kart_indices)]
         here, there = (places[self.possible_agents.index(name)] for name in (agent, other))
         return bool(np.linalg.norm(here - there) <= self.reach)
+
+
+def heard_spaces(others: int, size: int) -> dict[str, spaces.Space[Any]]:
+    """Returns new spaces of the entries of :func:`heard_messages`.
+
+    Args:
+        others: number of the other agents.
+        size: length of a message.
+    """
+    return {
+        "messages": spaces.Box(-1, 1, (others, size)),
+        "heard": spaces.Box(0, 1, (others,), np.int8),
+    }
+
+
+def heard_messages(said: Sequence[Message | None], size: int) -> dict[str, Any]:
+    """Returns what an agent hears.
+
+    Args:
+        said: the message of each other agent, in agent order; ``None`` for agents not heard.
+        size: length of a message.
+
+    Returns:
+        ``messages``, ``(others, size)`` float32, and ``heard``, ``(others,)`` int8; see
+            :class:`MessageChannel`.
+    """
+    messages = np.zeros((len(said), size), np.float32)
+    heard = np.zeros(len(said), np.int8)
+    for row, message in enumerate(said):
+        if message is not None:
+            messages[row], heard[row] = message, 1
+    return {"messages": messages, "heard": heard}
+
+
+def message_of(word: int, words: int) -> Message:
+    """Returns a word as a one-hot message ``(words,)`` float32.
+
+    Args:
+        word: number of the word.
+        words: number of words.
+    """
+    message: Message = np.eye(words, dtype=np.float32)[word]
+    return message
 
 
 def _teams_in(env: Any) -> dict[str, int]:

@@ -79,10 +79,19 @@ class RivalPool:
             random: random generator.
             among: names in the pool to draw from; ``None`` for all.
         """
+        odds = self.odds(among)
+        return list(odds)[int(random.choice(len(odds), p=list(odds.values())))]
+
+    def odds(self, among: Sequence[str] | None = None) -> dict[str, float]:
+        """Returns the probability with which :meth:`draw` draws each opponent.
+
+        Args:
+            among: names in the pool to draw from; ``None`` for all.
+        """
         names = list(self._opponents) if among is None else list(among)
         shares = [(1.0 - self._opponents[name].beaten) ** 2 for name in names]
         weights = np.array(shares) + _LEAST_WEIGHT
-        return names[int(random.choice(len(names), p=weights / weights.sum()))]
+        return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
 
     def update(self, name: str, beaten: float) -> None:
         """Updates an opponent after a race; ignores opponents no longer in the pool."""

@@ -24,6 +24,8 @@ from .command import training_library
 
 #: The files in a run's folder.
 ARGUMENTS, CHECKPOINT, LOG = "arguments.json", "checkpoint.pt", "log.jsonl"
+#: State of a league, in its folder.
+LEAGUE = "league.json"
 
 #: Largest size of a file of a run, and of a checkpoint [bytes].
 _MAX_BYTES, _MAX_CHECKPOINT = 64 << 20, 4 << 30

@@ -41,7 +41,7 @@ from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
 from ..common.matches import AI, MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.opponents import Rival
-from ..common.run_folder import TrainingLog, check_resumed, read_run_file, write_json
+from ..common.run_folder import LEAGUE, TrainingLog, check_resumed, read_run_file, write_json
 from ..ppo.selfplay import SelfPlayArguments
 from .learner import LeagueLearner
 from .page import page
@@ -54,7 +54,7 @@ from .players import (
     new_players,
 )
 
-_STATE, _PAGE, _MEMBERS, _DUELS = "league.json", "league.html", "members", "duels.json"
+_PAGE, _MEMBERS, _DUELS = "league.html", "members", "duels.json"
 _VERSION = 2
 
 #: Called after each iteration with the league's kart-steps, the player's name and its log line.
@@ -206,7 +206,7 @@ class League:
         self._policies = _MemberPolicies(self.folder / _MEMBERS)
         self._policies.folder.mkdir(parents=True, exist_ok=True)
         self._state = _LeagueState()
-        if (self.folder / _STATE).exists():
+        if (self.folder / LEAGUE).exists():
             self._restore()
             return
         counts = arguments.mains, arguments.exploiters, arguments.league_exploiters
@@ -311,10 +311,10 @@ class League:
         if state.ratings:
             write_text(self.page, page(state.members, state.matches, state.ratings))
         content = {"version": _VERSION, "arguments": asdict(self.arguments), **asdict(state)}
-        write_json(self.folder / _STATE, content)
+        write_json(self.folder / LEAGUE, content)
 
     def _restore(self) -> None:
-        found = read_run_file(_LeagueFile, self.folder / _STATE)
+        found = read_run_file(_LeagueFile, self.folder / LEAGUE)
         check_resumed(self.folder, found.arguments, asdict(self.arguments))
         self._state = _LeagueState(
             found.turn,

@@ -14,7 +14,7 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 
 from ..common.actors import ActorPool, SharedArray
 from ..common.fleet import Finish, FleetStep, Lineup
-from ..common.ppo import Weights
+from ..common.learner import Weights
 from ..ppo.rollouts import ActorArguments, Driven, RaceActor
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker

@@ -12,7 +12,8 @@ from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
 from stkzoo.agents.pretrained.weights import load_weights
 
-from ..common.ppo import PPONetwork, Weights
+from ..common.learner import Weights
+from ..common.ppo import PPONetwork
 from .rollouts import NUM_LOGITS, choice_columns
 
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.

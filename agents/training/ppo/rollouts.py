@@ -15,7 +15,8 @@ from stkzoo.errors import ConfigError
 
 from ..common.actors import SharedArray
 from ..common.fleet import Finish, Fleet, FleetStep, Lineup
-from ..common.ppo import FIELDS, VALUE_UNIT, Weights
+from ..common.learner import Weights
+from ..common.ppo import FIELDS, VALUE_UNIT
 
 NUM_LOGITS = sum(CHOICES)
 #: Element type of a rollout, an array ``(T, S)`` over steps and slots.

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo import RaceVectorEnv
 from stkzoo._schema import Place
+from stkzoo.agents.planning.arrays import IntArray
 from stkzoo.agents.pretrained.mlp import MlpDriver, log_probability_of, sample_choices
 from stkzoo.agents.pretrained.policy import Network
-from stkzoo.suite import Task, find_task
+from stkzoo.suite import Task
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.actors import SharedArray
-from ..common.ppo import FIELDS, VALUE_UNIT, FloatArray, Weights
+from ..common.learner import FloatArray, Weights
+from ..common.ppo import FIELDS, VALUE_UNIT
 
 
 def rollout_type(state_size: int) -> np.dtype[np.void]:
@@ -55,30 +58,34 @@ class TaskRollout:
 
     Attributes:
         last_values: ``(S,)`` values of the observations after its last step.
-        finishes: the races that ended.
+        finishes: the races of learners that ended.
+        duels: names of past policies, each with the share of its duels that the learners won in a
+            race that ended.
     """
 
     last_values: FloatArray
     finishes: list[KartRace]
+    duels: list[tuple[str, float]] = field(default_factory=list)
 
 
 class TaskActor:
     """Drives races of a task, whose learners share one policy.
 
     Args:
-        task: name of the task.
-        num_races: number of races.
-        num_starts: number of different starts, which later races repeat.
+        options: arguments of :class:`~stkzoo.RaceVectorEnv`.
+        shares: see :func:`reward_shares`.
         memory: ``(2, T, S)`` of :func:`rollout_type`, two rollouts to fill in turn.
     """
 
-    def __init__(self, task: str, num_races: int, num_starts: int, memory: SharedArray) -> None:
-        found = find_task(task)
+    def __init__(
+        self, options: Mapping[str, Any], shares: npt.NDArray[np.float64], memory: SharedArray
+    ) -> None:
         self._rollouts = memory.array()
         self._has_states = self._rollouts.dtype["state"].shape != (0,)
-        self._races = RaceVectorEnv(num_races, num_starts=num_starts, **found.options())
-        self._shares = reward_shares(found)
+        self._races = RaceVectorEnv(**options)
+        self._shares = shares
         self._returns = np.zeros(self._races.num_envs)
+        self._is_own = np.ones(self._races.num_envs, np.bool_)  # slots that the policy drives
 
     def begin(self, seed: Sequence[int]) -> None:
         """Starts new races."""
@@ -102,14 +109,14 @@ class TaskActor:
             seen = self._observations
             step["state"] = self._states()
             logits = network.logits(seen)
-            choices = sample_choices(logits, self._random)
+            choices = self._choose(logits)
             self._races.step_async(choices)
             step["inputs"], step["choices"] = seen, choices  # the races run meanwhile
             step["log_probability"] = log_probability_of(choices, logits)
             step["values"] = values_of(critic_inputs(step))[:, 0] * VALUE_UNIT
             steps = self._races.wait_slots()
             step["rewards"] = np.where(steps.active, self._shared(steps.rewards), 0.0)
-            step["active"] = step["driven"] = steps.active
+            step["active"] = step["driven"] = steps.active & self._is_own
             step["ended"] = steps.terminations | steps.truncations
             step["next_values"] = 0.0
             self._returns += step["rewards"]
@@ -117,9 +124,11 @@ class TaskActor:
                 if steps.truncations[slot]:
                     row = np.concatenate([last, step["state"][slot]])  # the race's last state
                     step["next_values"][slot] = values_of(row[None])[0, 0] * VALUE_UNIT
-                own = float(self._returns[slot]), bool(steps.terminations[slot])
-                ended.append(KartRace(*own, int(info["position"])))
+                if self._is_own[slot]:
+                    own = float(self._returns[slot]), bool(steps.terminations[slot])
+                    ended.append(KartRace(*own, int(info["position"])))
                 self._returns[slot] = 0.0
+            self._look_at(steps.finals)
             self._observations = steps.observations
         latest = np.concatenate([self._observations, self._states()], axis=1)
         return TaskRollout(values_of(latest)[:, 0] * np.float32(VALUE_UNIT), ended)
@@ -127,6 +136,13 @@ class TaskActor:
     def close(self) -> None:
         """Ends all races."""
         self._races.close()
+
+    def _choose(self, logits: FloatArray) -> IntArray:
+        """Returns the choices ``(S, 5)`` of all slots for the logits ``(S, 31)`` of the policy."""
+        return sample_choices(logits, self._random)
+
+    def _look_at(self, finals: Mapping[int, tuple[Any, dict[str, Any]]]) -> None:
+        """Is called after each step with the slots that ended."""
 
     def _states(self) -> FloatArray:
         """Returns the state of each slot's race, ``(S, state_size)``."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from .learner import TaskLearner, run_task
+from .learner import TaskPPO, run_task
 
 
-class IPPO(TaskLearner):
-    """A run of independent PPO; see :class:`.learner.TaskLearner`."""
+class IPPO(TaskPPO):
+    """A run of independent PPO; see :class:`.learner.TaskPPO`."""
 
 
 run = partial(run_task, IPPO)

@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,18 +20,17 @@ from stkzoo.errors import ConfigError
 from stkzoo.suite import Task, find_task
 
 from ..common.actors import ActorPool, SharedArray
-from ..common.arguments import OverlappedArguments
-from ..common.ppo import OverlappedPPO, RunFacts, train
+from ..common.arguments import OverlappedArguments, RolloutArguments
+from ..common.learner import OverlappedLearner, RunFacts, train
+from ..common.ppo import OverlappedPPO
 from ..export import export_policy
-from .actor import KartRace, TaskActor, rollout_type
+from .actor import KartRace, TaskActor, reward_shares, rollout_type
 from .network import TaskNetwork
 
-_SHOWN = ("return", "finished", "position", "entropy", "kl", "explained")
 
-
-@dataclass(frozen=True, slots=True)
-class TaskArguments(OverlappedArguments):
-    """Arguments of a run; they must not change when a run continues.
+@dataclass(frozen=True)  # without slots, to be one of several base classes
+class TaskArguments(RolloutArguments):
+    """Arguments of every run; they must not change when a run continues.
 
     Attributes:
         algorithm: name of the algorithm.
@@ -40,7 +39,20 @@ class TaskArguments(OverlappedArguments):
         num_starts: number of different starts in each process between two checkpoints.
     """
 
-    may_be_zero = ("seed", "warm_up", "actors", "num_races")
+    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up", "actors", "num_races")
+
+    checkpoint_every: int = 40
+    algorithm: str = "ippo"
+    task: str = "solo-1"
+    num_races: int = 0
+    num_starts: int = 40
+
+
+@dataclass(frozen=True, slots=True)
+class TaskPPOArguments(TaskArguments, OverlappedArguments):
+    """Arguments of a run of PPO."""
+
+    may_be_zero = TaskArguments.may_be_zero
 
     learning_rate: float = 5e-4
     batch_size: int = 2048
@@ -48,11 +60,6 @@ class TaskArguments(OverlappedArguments):
     ent_coef: float = 0.01
     target_kl: float = 0.03
     warm_up: int = 0
-    checkpoint_every: int = 40
-    algorithm: str = "ippo"
-    task: str = "solo-1"
-    num_races: int = 0
-    num_starts: int = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +73,8 @@ class TaskFacts(RunFacts):
     recent: tuple[KartRace, ...]
 
 
-class TaskLearner(OverlappedPPO):
-    """A run of PPO in a task; see :class:`..common.ppo.OverlappedPPO`.
+class TaskLearner(OverlappedLearner):
+    """A run in a task; see :class:`..common.learner.OverlappedLearner`.
 
     Args:
         folder: folder of the run.
@@ -76,37 +83,65 @@ class TaskLearner(OverlappedPPO):
     Attributes:
         sees_state: whether the value network sees the state of the whole race besides the
             learner's observation.
+        facts: type of the facts in a checkpoint.
+        shown: figures of the log to show.
 
     Raises:
         ConfigError: the task cannot be learned by this, or the folder contains another run.
     """
 
     sees_state: ClassVar[bool] = False
+    facts: ClassVar[type[TaskFacts]] = TaskFacts
+    shown: ClassVar[tuple[str, ...]] = ("return", "finished", "position")
     arguments: TaskArguments
 
     def __init__(self, folder: str | Path, arguments: TaskArguments) -> None:
-        self.task = _learnable(arguments.task)
+        self.task = find_task(arguments.task)
+        self.check_task(self.task)
         self._state_size = self.task.state_size if self.sees_state else 0
-        super().__init__(folder, arguments, TaskFacts)
+        super().__init__(folder, arguments, self.facts)
 
-    def _new_network(self) -> TaskNetwork:
-        return TaskNetwork(self.arguments.hidden, self.arguments.seed, self._state_size)
+    @classmethod
+    def arguments_of(cls, task: str, kart_steps: int, seed: int) -> TaskArguments:
+        """Returns the arguments of a run.
+
+        Args:
+            task: name of the task.
+            kart_steps: number of kart-steps to learn from.
+            seed: seed of all random numbers.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def check_task(cls, task: Task) -> None:
+        """Raises ``ConfigError`` if this algorithm cannot learn a task."""
+        if task.words:
+            raise ConfigError(
+                f"{task.name} has messages, which the reference algorithms do not learn; write a "
+                f"loop over its ParallelEnv, stkzoo.suite.find_task({task.name!r}).make()"
+            )
+
+    def _race_options(self) -> dict[str, Any]:
+        """Returns the arguments of the races' environments."""
+        return self.task.options()
 
     def _start_actors(self) -> tuple[ActorPool, list[npt.NDArray[np.void]]]:
         given, learners = self.arguments, self.task.learners
         races = given.num_races or max(64 // learners, 1)
         count = min(given.actors or cpu_count(), races)
-        shares = [len(range(number, races, count)) for number in range(count)]
-        kind = rollout_type(self._state_size)
-        memories = [SharedArray((2, given.n_steps, share * learners), kind) for share in shares]
-        actors = ActorPool(
-            TaskActor,
-            [
-                (given.task, share, given.num_starts, memory)
-                for share, memory in zip(shares, memories, strict=True)
-            ],
-        )
-        return actors, [memory.array() for memory in memories]
+        numbers = [len(range(number, races, count)) for number in range(count)]
+        kind, shares = rollout_type(self._state_size), reward_shares(self.task)
+        memories = [SharedArray((2, given.n_steps, own * learners), kind) for own in numbers]
+        options = {"num_starts": given.num_starts, **self._race_options()}
+        own_arguments = [
+            ({"num_races": own, **options}, shares, memory)
+            for own, memory in zip(numbers, memories, strict=True)
+        ]
+        return self._new_actors(own_arguments), [memory.array() for memory in memories]
+
+    def _new_actors(self, arguments: list[tuple[Any, ...]]) -> ActorPool:
+        """Starts actors, by the arguments of :class:`.actor.TaskActor`."""
+        return ActorPool(TaskActor, arguments)
 
     def _figures(self) -> dict[str, float]:
         if not self._recent:
@@ -118,14 +153,21 @@ class TaskLearner(OverlappedPPO):
         }
 
 
-def _learnable(name: str) -> Task:
-    task = find_task(name)
-    if task.words:
-        raise ConfigError(
-            f"{name} has messages, which the reference algorithms do not learn; write a loop over "
-            f"its ParallelEnv, stkzoo.suite.find_task({name!r}).make()"
+class TaskPPO(TaskLearner, OverlappedPPO):
+    """A run of PPO in a task; see :class:`TaskLearner`."""
+
+    shown = (*TaskLearner.shown, "entropy", "kl", "explained")
+    arguments: TaskPPOArguments
+
+    @classmethod
+    def arguments_of(cls, task: str, kart_steps: int, seed: int) -> TaskPPOArguments:
+        """See :meth:`TaskLearner.arguments_of`."""
+        return TaskPPOArguments(
+            algorithm=cls.__name__.lower(), task=task, seed=seed, anneal_timesteps=kart_steps
         )
-    return task
+
+    def _new_network(self) -> TaskNetwork:
+        return TaskNetwork(self.arguments.hidden, self.arguments.seed, self._state_size)
 
 
 def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, seed: int) -> Path:
@@ -144,11 +186,22 @@ def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, 
     Raises:
         ConfigError: an argument is invalid, or the folder contains another run.
     """
-    algorithm = kind.__name__.lower()
-    arguments = TaskArguments(
-        algorithm=algorithm, task=task, seed=seed, anneal_timesteps=kart_steps
-    )
-    with closing(kind(folder, arguments)) as learner:
-        policy = train(learner, kart_steps, _SHOWN)
-    name = f"{algorithm}_{task}_{seed}".replace("-", "_")
-    return export_policy(policy, name, folder / "agent")
+    learner = kind(folder, kind.arguments_of(task, kart_steps, seed))
+    return finish_run(learner, kart_steps, f"{kind.__name__}_{task}_{seed}")
+
+
+def finish_run(learner: TaskLearner, kart_steps: int, name: str) -> Path:
+    """Learns until a number of kart-steps, ends the races and writes the agent.
+
+    Args:
+        learner: the run.
+        kart_steps: the number of kart-steps.
+        name: name of the agent; becomes lower case, with underscores.
+
+    Returns:
+        The folder of the agent.
+    """
+    with closing(learner):
+        policy = train(learner, kart_steps, learner.shown)
+    plain = "".join(sign if sign.isalnum() else "_" for sign in name.lower())
+    return export_policy(policy, plain, learner.folder / "agent")

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from .learner import TaskLearner, run_task
+from .learner import TaskPPO, run_task
 
 
-class MAPPO(TaskLearner):
-    """A run of multi-agent PPO; see :class:`.learner.TaskLearner`."""
+class MAPPO(TaskPPO):
+    """A run of multi-agent PPO; see :class:`.learner.TaskPPO`."""
 
     sees_state = True
 

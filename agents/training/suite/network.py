@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +11,9 @@ import numpy.typing as npt
 from stkzoo.agents.pretrained.mlp import SPLITS
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
+from ..common.learner import Weights
 from ..common.network_policy import FIRST_BIASES
-from ..common.ppo import PPONetwork, Weights
+from ..common.ppo import PPONetwork
 from .actor import critic_inputs
 
 #: Minimum standard deviation of an entry of the state, so that constant ones are not amplified.
@@ -30,16 +31,22 @@ class TaskNetwork(PPONetwork):
         seed: seed of the initial weights.
         state_size: size of the race's state, which the value network sees too; 0 for none.
 
+    Attributes:
+        has_first_biases: whether the first policy has :data:`FIRST_BIASES`.
+
     Raises:
         ConfigError: PyTorch is not installed.
     """
 
+    has_first_biases: ClassVar[bool] = True
+
     def __init__(self, hidden: Sequence[int], seed: int, state_size: int = 0) -> None:
         value_sizes = SIZE + state_size, *hidden, 1
         super().__init__(seed, (SIZE, *hidden, sum(CHOICES)), value_sizes, "Tanh")
-        with self.torch.no_grad():
-            for logit, bias in FIRST_BIASES.items():
-                self.policy[-1].bias[logit] += bias
+        if self.has_first_biases:
+            with self.torch.no_grad():
+                for logit, bias in FIRST_BIASES.items():
+                    self.policy[-1].bias[logit] += bias
 
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
         """See :class:`..common.ppo.PPONetwork`. The view has fixed scales, the state has not."""
@@ -71,10 +78,20 @@ class TaskNetwork(PPONetwork):
 
     def weights(self) -> tuple[Weights, Weights]:
         """See :class:`..common.ppo.PPONetwork`."""
+        policy = {name: array.detach().numpy().copy() for name, array in self._named().items()}
+        return policy, self.arrays(self.value)
+
+    def copy(self, weights: Weights) -> None:
+        """Copies the weights of another policy, the first of :meth:`weights`."""
+        with self.torch.no_grad():
+            for name, array in self._named().items():
+                array.copy_(self.torch.from_numpy(weights[name]))
+
+    def _named(self) -> dict[str, Any]:
+        """Returns the policy's tensors by their names in files."""
         names = [f"mlp_extractor.policy_net.{n}" for n in range(0, len(self.policy) - 1, 2)]
-        policy = {
-            f"{name}.{part}": getattr(layer, part).detach().numpy().copy()
+        return {
+            f"{name}.{part}": getattr(layer, part)
             for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
             for part in ("weight", "bias")
         }
-        return policy, self.arrays(self.value)

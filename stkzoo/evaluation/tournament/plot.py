@@ -5,9 +5,14 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from stkzoo.evaluation.plotting import INK, draw_intervals, shorten, style_axes, two_panels
+from stkzoo.evaluation.plotting import (
+    INK,
+    draw_intervals,
+    draw_shares,
+    shorten,
+    style_axes,
+    two_panels,
+)
 from stkzoo.evaluation.ratings import Rating
 
 if TYPE_CHECKING:
@@ -57,15 +62,5 @@ def _draw_ratings(axes: Any, result: TournamentResult, labels: list[str]) -> Non
 
 def _draw_matrix(axes: Any, result: TournamentResult, labels: list[str]) -> None:
     agents = range(len(labels))
-    shares = [[result.payoff(one, two) for two in agents] for one in agents]
-    numbers = np.array([[np.nan if s is None else s for s in row] for row in shares], float)
-    axes.imshow(numbers, cmap="RdBu", vmin=-0.25, vmax=1.25, aspect="auto")
-    for one, row in enumerate(shares):
-        for two, share in enumerate(row):
-            text = "" if one == two else "-" if share is None else f"{100 * share:.0f}"
-            is_dark = share is not None and abs(share - 0.5) > 0.4
-            color = "white" if is_dark else INK
-            axes.text(two, one, text, ha="center", va="center", fontsize=8, color=color)
-    axes.set_xticks(agents, labels, rotation=35, ha="right", rotation_mode="anchor")
-    axes.set_yticks(agents, labels)
+    draw_shares(axes, [[result.payoff(one, two) for two in agents] for one in agents], labels)
     style_axes(axes, "Races in which the row beats the column [%]")

@@ -1,0 +1,312 @@
+"""A run that learns while its actors drive on: its iterations, log, checkpoints and policies.
+
+Processes drive races and fill rollouts in shared memory (:mod:`.actors`). They drive the next
+rollout during an update, with the networks before it.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo._schema import Count, Within
+from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.errors import ConfigError
+
+from .actors import ActorPool
+from .arguments import RolloutArguments
+from .command import ProgressBar
+from .run_folder import (
+    ARGUMENTS,
+    TrainingLog,
+    check_resumed,
+    load_checkpoint,
+    reading_checkpoint,
+    save_checkpoint,
+    write_json,
+)
+
+FloatArray = npt.NDArray[np.float32]
+Weights = Mapping[str, FloatArray]
+
+#: Number of finished races in the means of the log.
+_RECENT = 200
+
+
+@dataclass(frozen=True, slots=True)
+class RunFacts:
+    """The facts in the checkpoint of a run. Runs add ``recent``, their latest finishes.
+
+    Attributes:
+        history: the arguments, each with the kart-steps from which on they hold.
+        kart_steps: driven by then.
+        iteration: number of iterations by then.
+    """
+
+    history: Annotated[list[dict[str, Any]], Within(1)]
+    kart_steps: Count
+    iteration: Count
+
+    def __post_init__(self) -> None:
+        for chapter in self.history:
+            parts = chapter.get("arguments"), chapter.get("rules", {})
+            if not all(isinstance(part, dict) for part in parts):
+                raise ConfigError("history has no arguments or rules")
+
+
+class Learnable(Protocol):
+    """The networks of a run, with their optimizer.
+
+    Attributes:
+        torch: the module ``torch``.
+    """
+
+    torch: Any
+
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
+        """Uses the rows of the first rollout, such as for the scale of inputs.
+
+        Returns:
+            Whether the networks changed.
+        """
+
+    def weights(self) -> tuple[Weights, Weights]:
+        """Returns the weights of policy and value network for the actors; the first go to files."""
+
+    def state(self) -> dict[str, Any]:
+        """Returns everything that learning changes as tensors, for :meth:`restore`."""
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Restores a :meth:`state`."""
+
+
+class OverlappedLearner(ABC):
+    """A run: its races, networks and files.
+
+    Args:
+        folder: folder of the run.
+        arguments: arguments of the run.
+        facts: type of the facts in a checkpoint, a :class:`RunFacts` with ``recent``.
+        may_change: whether to continue even if the run had other arguments.
+
+    Attributes:
+        remedy: another remedy to suggest if the run had other arguments.
+
+    Raises:
+        ConfigError: the folder contains a run with other arguments, or an argument is invalid.
+    """
+
+    remedy: ClassVar[str] = ""
+    arguments: RolloutArguments
+
+    def __init__(
+        self,
+        folder: str | Path,
+        arguments: RolloutArguments,
+        facts: type[Any],
+        *,
+        may_change: bool = False,
+    ) -> None:
+        self.folder, self.arguments = Path(folder), arguments
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._network = self._new_network()
+        self.kart_steps = self.iteration = 0
+        self._recent: deque[Any] = deque(maxlen=_RECENT)
+        self._history: list[dict[str, Any]] = [self._chapter()]
+        if checkpoint := load_checkpoint(self.folder, facts):
+            self._restore(*checkpoint, may_change)
+        write_json(self.folder / ARGUMENTS, self._history)
+        self._actors, self._rollouts = self._start_actors()
+        self.begin_races()
+
+    @abstractmethod
+    def _new_network(self) -> Learnable:
+        """Returns new networks."""
+
+    @abstractmethod
+    def _start_actors(self) -> tuple[ActorPool, list[npt.NDArray[np.void]]]:
+        """Starts the actors.
+
+        Their ``begin(seed)`` starts new races. Their ``drive(number, policy, critic)`` fills the
+        rollout ``number`` and returns an object with ``finishes``, the ends of learners' races,
+        and what :meth:`_update` needs.
+
+        Returns:
+            The actors, and two rollouts ``(2, T, S)`` of each.
+        """
+
+    def _rules(self) -> dict[str, Any]:
+        """Returns rules that, like the arguments, must not change when a run continues."""
+        return {}
+
+    @abstractmethod
+    def _update(
+        self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[Any]
+    ) -> dict[str, float]:
+        """Updates the networks.
+
+        Args:
+            rollouts: a rollout ``(T, S)`` of each actor.
+            driven: what each actor returned for it.
+
+        Returns:
+            Figures for the log.
+        """
+
+    @abstractmethod
+    def _figures(self) -> dict[str, float]:
+        """Returns figures about the recent finishes for the log."""
+
+    def begin_races(self) -> None:
+        """Starts new races; later random numbers derive from seed and iteration."""
+        seed = self.arguments.seed
+        self._random = np.random.default_rng([seed, self.iteration])
+        self._actors.forget()
+        seeds = [([seed, self.iteration, number],) for number in range(len(self._actors))]
+        self._actors.call("begin", seeds)
+
+    def iterate(self) -> dict[str, float]:
+        """Updates the networks with a rollout; returns the log entry."""
+        begin = time.perf_counter()
+        if not self._actors.is_busy:
+            self._drive(self.iteration)
+        driven = self._driven()
+        rollouts = [memory[self.iteration % 2] for memory in self._rollouts]
+        is_changed = self.iteration == 0 and self._network.prepare(
+            np.concatenate([rollout[rollout["active"]] for rollout in rollouts])
+        )
+        is_last = self.is_checkpoint(self.iteration + 1)
+        if not (is_changed or is_last or self.arguments.on_policy):
+            self._drive(self.iteration + 1)
+        waited = time.perf_counter()
+        learned = self._update(rollouts, driven)
+        for own in driven:
+            self._recent.extend(own.finishes)
+        self.iteration += 1
+        steps = int(sum(rollout["active"].sum() for rollout in rollouts))
+        self.kart_steps += steps
+        end = time.perf_counter()
+        line = {
+            "iteration": self.iteration,
+            "kart_steps": self.kart_steps,
+            **self._figures(),
+            **learned,
+            "wait_s": waited - begin,
+            "learn_s": end - waited,
+            "kart_steps_per_s": steps / (end - begin),
+        }
+        return {name: round(value, 6) for name, value in line.items()}
+
+    def is_checkpoint(self, iteration: int) -> bool:
+        """Whether a checkpoint follows an iteration; all races restart after it."""
+        return iteration % self.arguments.checkpoint_every == 0
+
+    def _drive(self, iteration: int) -> None:
+        """Lets the actors drive the rollout of an iteration with the current networks."""
+        call = (iteration % 2, *self._network.weights(), *self._drive_options())
+        self._actors.send("drive", [call] * len(self._actors))
+
+    def _drive_options(self) -> tuple[Any, ...]:
+        """Returns more arguments of the actors' ``drive``."""
+        return ()
+
+    def _driven(self) -> list[Any]:
+        """Waits for the actors' rollouts."""
+        return self._actors.receive()
+
+    # ------------------------------------------------------------------ files
+
+    def save_checkpoint(self) -> None:
+        """Writes ``checkpoint.pt``; call :meth:`begin_races` next, as a resumed run does."""
+        save_checkpoint(self.folder, self._facts(), self._state())
+
+    def save_policy(self, path: Path | None = None) -> Path:
+        """Writes the current policy, by default to the run's folder; returns its path."""
+        path = path or self.folder / f"policy-{self.kart_steps:09d}.safetensors"
+        save_weights(path, self._network.weights()[0])
+        return path
+
+    def _facts(self) -> dict[str, Any]:
+        """Returns the facts of a checkpoint as JSON values."""
+        return {
+            "history": self._history,
+            "kart_steps": self.kart_steps,
+            "iteration": self.iteration,
+            "recent": [asdict(finish) for finish in self._recent],
+        }
+
+    def _state(self) -> dict[str, Any]:
+        """Returns the tensors of a checkpoint."""
+        return {"network": self._network.state()}
+
+    def close(self) -> None:
+        """Ends all races."""
+        self._actors.close()
+
+    def _chapter(self, kart_steps: int = 0) -> dict[str, Any]:
+        """Returns the arguments that apply from a number of kart-steps on."""
+        rules = self._rules()
+        own = {"from": kart_steps, "arguments": asdict(self.arguments)}
+        return {**own, "rules": rules} if rules else own
+
+    def _restore(self, facts: Any, state: dict[str, Any], may_change: bool) -> None:
+        self._history = facts.history
+        now, last = self._chapter(facts.kart_steps), self._history[-1]
+        new = now.get("rules", {})
+        rules = {name: last.get("rules", {}).get(name) for name in new}
+        if check_resumed(
+            self.folder,
+            {**last["arguments"], **rules},
+            {**now["arguments"], **new},
+            self.remedy,
+            may_change=may_change,
+        ):
+            self._history.append(now)
+        self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
+        self._recent.extend(facts.recent)
+        with reading_checkpoint(self.folder):
+            self._restore_state(state)
+
+    def _restore_state(self, state: dict[str, Any]) -> None:
+        """Restores :meth:`_state`."""
+        self._network.restore(state["network"])
+
+
+def train(learner: OverlappedLearner, total: int, shown: Sequence[str]) -> Path:
+    """Learns until a number of kart-steps, with a progress bar, a log, checkpoints and policies.
+
+    Args:
+        learner: the run.
+        total: the number of kart-steps.
+        shown: figures of the log to show.
+
+    Returns:
+        The file of the last policy.
+    """
+    keep_every = learner.arguments.keep_every
+    with (
+        TrainingLog(learner.folder, learner.iteration) as log,
+        ProgressBar(total, learner.kart_steps) as bar,
+    ):
+        while learner.kart_steps < total:
+            before = learner.kart_steps
+            line = learner.iterate()
+            log.write(line)
+            figures = [f"{name} {line[name]:.3f}" for name in shown if name in line]
+            text = f"{'  '.join(figures)}  {line['kart_steps_per_s']:.0f}/s"
+            bar.report(learner.kart_steps, text)
+            if learner.kart_steps // keep_every > before // keep_every:
+                learner.save_policy()
+            if learner.is_checkpoint(learner.iteration):
+                learner.save_checkpoint()
+                learner.begin_races()
+        learner.save_checkpoint()
+        return learner.save_policy()

@@ -1,0 +1,24 @@
+"""Fictitious self-play: PPO against itself and against all its past policies, drawn evenly.
+
+    stkzoo suite train selfplay-5 fsp
+
+As independent PPO (:mod:`.ippo`). In half of the races a past policy drives some of the karts. Each
+of 40 past policies is equally likely, so that the learner answers to the mean of its past (Heinrich
+et al., 2015).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from .learner import run_task
+from .past import PastSelfPlay
+
+
+class FSP(PastSelfPlay):
+    """A run of fictitious self-play; see :class:`.past.PastSelfPlay`."""
+
+    is_prioritized = False
+
+
+run = partial(run_task, FSP)

@@ -1,0 +1,23 @@
+"""Prioritized fictitious self-play: PPO against itself and the past policies that it beats least.
+
+    stkzoo suite train selfplay-5 pfsp
+
+As fictitious self-play (:mod:`.fsp`), but a past policy that is beaten with probability p is met
+with weight (1 - p)^2 (Vinyals et al., 2019).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+from .learner import run_task
+from .past import PastSelfPlay
+
+
+class PFSP(PastSelfPlay):
+    """A run of prioritized fictitious self-play; see :class:`.past.PastSelfPlay`."""
+
+    is_prioritized = True
+
+
+run = partial(run_task, PFSP)

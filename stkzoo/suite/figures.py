@@ -1,0 +1,197 @@
+"""Figures of a report: learning curves, scores, profiles, comparisons and gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from stkzoo.evaluation.plotting import (
+    GREY,
+    INK,
+    draw_intervals,
+    new_figure,
+    save_figure,
+    style_axes,
+)
+from stkzoo.evaluation.statistics import Estimate
+from stkzoo.suite.report_document import Band, SuiteReport
+
+#: Colors that people with any kind of color blindness can tell apart (Okabe and Ito, 2008).
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+_LINES = ("-", "--", "-.", ":")
+_PANEL = (5.0, 2.9)
+_ROW = 0.3
+#: A row of a figure with intervals: its label, its algorithm for the color, and its estimate.
+_Row = tuple[str, str, Estimate]
+
+
+def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
+    """Draws the figures of a report as SVG files.
+
+    Args:
+        report: the report.
+        folder: folder for the files.
+
+    Returns:
+        File of each figure by name, relative to the folder.
+
+    Raises:
+        ConfigError: matplotlib is not installed, or a file cannot be written.
+    """
+    found = {}
+    for name, draw in _FIGURES.items():
+        figure = draw(report)
+        if figure is not None:
+            save_figure(figure, folder / f"{name}.svg")
+            found[name] = Path(f"{name}.svg")
+    return found
+
+
+def learning_curves(report: SuiteReport) -> Any:
+    """Returns the figure of returns during the trainings; ``None`` if there are none."""
+    panels = {
+        task.task: {own.algorithm: own.returns for own in task.algorithms if own.returns}
+        for task in report.tasks
+    }
+    shown = {name: curves for name, curves in panels.items() if curves}
+    return _curves(shown, _styles(report), "million kart-steps", "return of a race", x_unit=1e6)
+
+
+def profiles(report: SuiteReport) -> Any:
+    """Returns the figure of performance profiles."""
+    panels = {
+        f"{task.task} ({task.scale.replace('_', ' ')})": {
+            own.algorithm: own.profile for own in task.algorithms
+        }
+        for task in report.tasks
+    }
+    if report.overall is not None:
+        panels["all of these tasks with normalized scores"] = {
+            own.algorithm: own.profile for own in report.overall.algorithms
+        }
+    return _curves(panels, _styles(report), "score", "share of runs and tracks above")
+
+
+def scores(report: SuiteReport) -> Any:
+    """Returns the figure of interquartile means."""
+    panels: dict[str, list[_Row]] = {}
+    for task in report.tasks:
+        title = f"IQM, {task.scale.replace('_', ' ')}; more is better"
+        panels.setdefault(title, []).extend(
+            (f"{task.task}, {own.algorithm}", own.algorithm, own.iqm) for own in task.algorithms
+        )
+    if report.overall is not None:
+        panels["IQM, normalized score; more is better"] += [
+            (f"all of these, {own.algorithm}", own.algorithm, own.iqm)
+            for own in report.overall.algorithms
+        ]
+    return _intervals(panels, _styles(report))
+
+
+def improvement(report: SuiteReport) -> Any:
+    """Returns the figure of comparisons; ``None`` with a single algorithm."""
+    found = [(task.task, task.improvements) for task in report.tasks]
+    if report.overall is not None:
+        found.append(("all of these", report.overall.improvements))
+    rows = [
+        (f"{name}, {own.first} over {own.second}", own.first, own.probability)
+        for name, comparisons in found
+        for own in comparisons
+    ]
+    panels = {"Probability of improvement; the line is chance": rows} if rows else {}
+    return _intervals(panels, _styles(report), mark=0.5, limits=(-0.03, 1.03))
+
+
+def gap(report: SuiteReport) -> Any:
+    """Returns the figure of gaps between training and test tracks."""
+    panels: dict[str, list[_Row]] = {}
+    for task in report.tasks:
+        title = f"Training minus test tracks, {task.scale.replace('_', ' ')}"
+        panels.setdefault(title, []).extend(
+            (f"{task.task}, {own.algorithm}", own.algorithm, own.gap) for own in task.algorithms
+        )
+    return _intervals(panels, _styles(report), mark=0.0)
+
+
+_FIGURES: Mapping[str, Callable[[SuiteReport], Any]] = {
+    "learning_curves": learning_curves,
+    "scores": scores,
+    "profiles": profiles,
+    "improvement": improvement,
+    "gap": gap,
+}
+
+
+def _styles(report: SuiteReport) -> dict[str, tuple[str, str]]:
+    """Returns the color and the line of each algorithm."""
+    names = sorted({own.algorithm for task in report.tasks for own in task.algorithms})
+    return {
+        name: (_COLORS[number % len(_COLORS)], _LINES[number % len(_LINES)])
+        for number, name in enumerate(names)
+    }
+
+
+def _curves(
+    panels: Mapping[str, Mapping[str, Band]],
+    styles: Mapping[str, tuple[str, str]],
+    x_label: str,
+    y_label: str,
+    x_unit: float = 1.0,
+) -> Any:
+    """Returns a figure with a panel of curves for each title; ``None`` without panels."""
+    if not panels:
+        return None
+    columns = min(len(panels), 2)
+    rows = -(-len(panels) // columns)
+    figure = new_figure(_PANEL[0] * columns, _PANEL[1] * rows + 0.4)
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    handles: dict[str, Any] = {}
+    for axis, (title, curves) in zip(axes, panels.items(), strict=False):
+        style_axes(axis, title)
+        for name, band in curves.items():
+            color, line = styles[name]
+            x = [value / x_unit for value in band.x]
+            (handles[name],) = axis.plot(x, band.values, line, color=color, linewidth=1.8)
+            if band.low is not None and band.high is not None:
+                axis.fill_between(x, band.low, band.high, color=color, alpha=0.18, linewidth=0)
+        axis.set_xlabel(x_label, fontsize=9, color=INK)
+        axis.set_ylabel(y_label, fontsize=9, color=INK)
+        axis.grid(color=GREY, alpha=0.25)
+    for axis in axes[len(panels) :]:
+        axis.remove()
+    figure.legend(
+        handles.values(),
+        handles,
+        loc="outside lower center",
+        ncols=6,
+        frameon=False,
+        fontsize=9,
+        handlelength=3,
+    )
+    return figure
+
+
+def _intervals(
+    panels: Mapping[str, Sequence[_Row]],
+    styles: Mapping[str, tuple[str, str]],
+    mark: float | None = None,
+    limits: tuple[float, float] | None = None,
+) -> Any:
+    """Returns a figure with a panel of intervals for each title; ``None`` without panels."""
+    if not panels:
+        return None
+    counts = [len(rows) for rows in panels.values()]
+    figure = new_figure(7.5, sum(0.8 + _ROW * count for count in counts))
+    axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=counts)[:, 0]
+    for axis, (title, rows) in zip(axes, panels.items(), strict=True):
+        if mark is not None:
+            axis.axvline(mark, color=GREY, linewidth=1.2, linestyle="--", zorder=0)
+        for place, (_, algorithm, estimate) in enumerate(rows):
+            draw_intervals(axis, {place: estimate}, color=styles[algorithm][0])
+        axis.set_yticks(range(len(rows)), [label for label, _, _ in rows])
+        axis.set_ylim(len(rows) - 0.4, -0.6)
+        if limits is not None:
+            axis.set_xlim(*limits)
+        style_axes(axis, title)
+    return figure

@@ -1,0 +1,192 @@
+"""Statistics over training runs: interquartile means, profiles and comparisons, with intervals.
+
+All functions work on tables ``(R, C)`` of the scores of ``R`` runs in ``C`` columns, which are the
+tracks and directions of an evaluation. Higher scores are better. The interquartile mean, the
+performance profile and the probability of improvement are those of Agarwal et al. (2021).
+
+Their bootstrap resamples each column on its own, because a column there is a task with its own
+training runs. Here, one run drives all columns of a task, so a good run is good in all of them.
+The bootstrap therefore resamples whole runs, and whole columns, independently of each other (Owen
+2007). As in :mod:`stkzoo.evaluation.statistics`, it draws one less than there are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.errors import import_extra
+from stkzoo.evaluation.statistics import DRAWS, Estimate, percentile_interval
+
+FloatArray = npt.NDArray[np.float64]
+#: Function of tables ``(..., R, C)`` that returns one value, or one row of values, for each.
+Statistic = Callable[..., FloatArray]
+
+#: Fraction of the scores that an interquartile mean leaves out at each end.
+_QUARTER = 0.25
+#: Fewer runs say nothing about how much runs differ.
+FEWEST_RUNS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScoreTable:
+    """The scores of an algorithm's runs.
+
+    Attributes:
+        scores: score of each run in each column, ``(R, C)``.
+        runs: name of the set of runs. Tables with the same name are of the same runs.
+        columns: name of the set of columns. Tables with the same name have the same columns.
+    """
+
+    scores: FloatArray
+    runs: Hashable
+    columns: Hashable
+
+
+def estimate(statistic: Statistic, *tables: ScoreTable) -> Estimate:
+    """Returns a statistic with a 95 % bootstrap interval over runs and columns.
+
+    Args:
+        statistic: function that takes as many tables ``(..., R, C)`` as there are, and returns one
+            value for each ``(...,)``.
+        *tables: the tables. Those with the same runs, or the same columns, are resampled together.
+
+    Returns:
+        The estimate. It has no interval if a table has fewer than :data:`FEWEST_RUNS` runs, or if
+        all draws are equal.
+    """
+    value, low, high = estimate_curve(statistic, *tables)
+    if low is None or high is None or low == high:
+        return Estimate(float(value), None, None)
+    return Estimate(float(value), min(float(low), float(value)), max(float(high), float(value)))
+
+
+def estimate_curve(
+    statistic: Statistic, *tables: ScoreTable
+) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
+    """Returns a statistic with several values, and both ends of their 95 % intervals.
+
+    Args:
+        statistic: as for :func:`estimate`; it returns ``(..., N)``.
+        *tables: as for :func:`estimate`.
+
+    Returns:
+        Three arrays ``(N,)``: values, lower and upper ends. The ends are ``None`` if a table has
+        fewer than :data:`FEWEST_RUNS` runs.
+    """
+    value = np.asarray(statistic(*(table.scores for table in tables)))
+    if min(len(table.scores) for table in tables) < FEWEST_RUNS:
+        return value, None, None
+    low, high = percentile_interval(statistic(*_resampled(tables)))
+    return value, low, high
+
+
+def _resampled(tables: Sequence[ScoreTable]) -> list[FloatArray]:
+    """Returns resampled tables ``(DRAWS, R - 1, C - 1)``."""
+    generator = np.random.default_rng(0)
+    drawn: dict[tuple[str, Hashable], npt.NDArray[np.int64]] = {}
+
+    def draw(kind: str, name: Hashable, count: int) -> npt.NDArray[np.int64]:
+        if (kind, name) not in drawn:
+            size = DRAWS, max(count - 1, 1)
+            drawn[kind, name] = generator.integers(count, size=size)
+        return drawn[kind, name]
+
+    found = []
+    for table in tables:
+        rows = draw("runs", table.runs, table.scores.shape[0])
+        columns = draw("columns", table.columns, table.scores.shape[1])
+        found.append(table.scores[rows[:, :, None], columns[:, None, :]])
+    return found
+
+
+# ------------------------------------------------------------------ statistics
+
+
+def mean(scores: FloatArray) -> FloatArray:
+    """Returns the mean of tables ``(..., R, C)``."""
+    return np.asarray(scores.mean(axis=(-2, -1)))
+
+
+def interquartile_mean(*scores: FloatArray) -> FloatArray:
+    """Returns the interquartile mean: the mean of the middle half of the scores.
+
+    Args:
+        *scores: one table ``(..., R, C)``, whose cells are the scores; or the tables of several
+            tasks, whose scores are the means of the runs.
+
+    Raises:
+        ConfigError: SciPy is not installed.
+    """
+    if len(scores) == 1:
+        values = scores[0].reshape(*scores[0].shape[:-2], -1)
+    else:
+        values = np.concatenate([table.mean(axis=-1) for table in scores], axis=-1)
+    return np.asarray(require_scipy().trim_mean(values, _QUARTER, axis=-1))
+
+
+def performance_profile(thresholds: FloatArray) -> Statistic:
+    """Returns the statistic of a performance profile: the share of scores above each threshold.
+
+    Args:
+        thresholds: the thresholds ``(N,)``.
+
+    Returns:
+        Function of one or several tables ``(..., R, C)`` that returns the mean over the tables of
+        their shares, ``(..., N)``.
+    """
+
+    def shares(*scores: FloatArray) -> FloatArray:
+        return np.asarray(np.mean([_shares_above(table, thresholds) for table in scores], axis=0))
+
+    return shares
+
+
+def _shares_above(scores: FloatArray, thresholds: FloatArray) -> FloatArray:
+    cells = np.sort(scores.reshape(-1, scores.shape[-2] * scores.shape[-1]), axis=-1)
+    below = [np.searchsorted(row, thresholds, side="right") for row in cells]
+    shares = 1.0 - np.array(below, float) / cells.shape[-1]
+    return np.asarray(shares.reshape(*scores.shape[:-2], len(thresholds)))
+
+
+def improvement(*scores: FloatArray) -> FloatArray:
+    """Returns the probability that a run of one algorithm is better than one of another.
+
+    It is the mean over columns of the share of pairs of runs in which the first is better; ties
+    count half.
+
+    Args:
+        *scores: a table ``(..., R, C)`` of each algorithm; or those of the first and of the second
+            algorithm in each of several tasks, in turn, whose probabilities are averaged.
+    """
+    pairs = zip(scores[::2], scores[1::2], strict=True)
+    return np.asarray(np.mean([_improvement(first, second) for first, second in pairs], axis=0))
+
+
+def _improvement(first: FloatArray, second: FloatArray) -> FloatArray:
+    mine, theirs = first[..., :, None, :], second[..., None, :, :]
+    better = (mine > theirs) + 0.5 * (mine == theirs)
+    return np.asarray(better.mean(axis=(-3, -2, -1)))
+
+
+def gap(train: FloatArray, test: FloatArray) -> FloatArray:
+    """Returns how much higher the mean score is on training tracks than on test tracks.
+
+    Args:
+        train: table ``(..., R, C)`` on the training tracks.
+        test: table ``(..., R, D)`` of the same runs on the test tracks.
+    """
+    return mean(train) - mean(test)
+
+
+def require_scipy() -> Any:
+    """Imports ``scipy.stats``.
+
+    Raises:
+        ConfigError: SciPy is not installed.
+    """
+    return import_extra("scipy.stats", "the report needs", "report")

@@ -1,0 +1,31 @@
+"""Says a word that its task does not have, past the checks of its own process."""
+
+import os
+import socket
+import stat
+
+import numpy as np
+
+from stkzoo.drivers.codec import encode
+from stkzoo.drivers.replies import LENGTH
+
+env_name = "stkzoo-suite/talk-2v2-v1"
+
+BUTTONS = dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0)
+HALF = np.array([0.5], np.float32)
+WORD = {"acceleration": HALF, "steer": HALF, **BUTTONS, "message": 200}
+REPLY = encode({"number": 1, "action": WORD, "is_clipped": False})
+
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        for number in range(3, 64):
+            try:
+                is_socket = stat.S_ISSOCK(os.fstat(number).st_mode)
+            except OSError:
+                continue
+            if is_socket:
+                with socket.socket(fileno=os.dup(number)) as connection:
+                    connection.sendall(LENGTH.pack(len(REPLY)) + REPLY)
+
+    return actor

@@ -1,0 +1,45 @@
+"""Evaluations on the training tracks show overfitting, and are no entries."""
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.suite import TASKS, Entry, EntryRefused, plan_entry, verify_entry
+from stkzoo.suite.entry import ENTRY_FILE
+
+
+@pytest.mark.parametrize(("name", "races"), [("solo-1", 2), ("versus", 60), ("selfplay-5", 120)])
+def test_the_training_tracks_have_one_race_of_each_kind(name, races):
+    plan = plan_entry(name, "random", split="train")
+    assert plan.tracks == TASKS[name].train_tracks
+    assert plan.is_on_training_tracks
+    assert len(plan.races()) == races
+    assert len({race.kind for race in plan.races()}) == races
+    assert {race.form for race in plan.races()} == set(TASKS[name].forms)
+
+
+def test_an_entry_is_on_the_test_tracks():
+    plan = plan_entry("versus", "random")
+    assert not plan.is_on_training_tracks
+    assert plan == plan_entry("versus", "random", split="test")
+    assert plan.tracks == TASKS["versus"].test_tracks
+
+
+def test_another_split_is_refused(capsys):
+    with pytest.raises(ConfigError, match=r"unknown split 'trian'\. Did you mean 'train'"):
+        plan_entry("versus", "random", split="trian")
+    assert main(["suite", "evaluate", "versus", "random", "--split", "validation"]) == 2
+    assert "'validation' is not one of test, train" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["solo-1", "versus"])
+def test_an_evaluation_on_the_training_tracks_is_no_entry(name, tmp_path):
+    evaluation = Entry(plan_entry(name, "random", split="train"), ())
+    (tmp_path / ENTRY_FILE).write_text(evaluation.to_json())
+    with pytest.raises(EntryRefused, match="an evaluation on the training tracks; an entry needs"):
+        verify_entry(tmp_path)
+
+
+def test_an_evaluation_on_the_training_tracks_does_not_continue_as_an_entry():
+    entry, other = plan_entry("solo-1", "random"), plan_entry("solo-1", "random", split="train")
+    assert entry.differences(other)

@@ -1,0 +1,254 @@
+"""Reports of runs: numbers, figures and files, and bad results that are refused."""
+
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+
+from stkzoo.cli import main
+from stkzoo.errors import ConfigError
+from stkzoo.suite import TASKS, SuiteReport, SuiteRun, load_runs, make_report, write_suite_report
+from stkzoo.suite.report_document import NORMALIZED
+from stkzoo.suite.scores import load_baselines
+from stkzoo.suite.tables import report_sections
+from tests.support.suite_runs import suite_run, write_run
+
+FILES = {"report.json", "report.md", "marl_eval.json", "scores.svg", "profiles.svg", "gap.svg"}
+
+
+def constant(value):
+    return lambda *_: value
+
+
+@pytest.fixture
+def two_runs(tmp_path):
+    """The files of two runs."""
+    return [write_run(tmp_path, suite_run("versus", "ippo", seed)) for seed in (0, 1)]
+
+
+# ------------------------------------------------------------------ numbers
+
+
+def test_scores_are_on_the_scale_of_the_baselines():
+    weakest, strongest = load_baselines().ends("versus")
+    value = (weakest + strongest) / 2
+    report = make_report([suite_run("versus", "ippo", 0, constant(value))])
+    (task,), missing = report.tasks, report.missing
+    (own,) = task.algorithms
+    assert (task.scale, missing, report.overall) == (NORMALIZED, (), None)
+    assert own.score.value == pytest.approx(value)
+    assert own.iqm.value == pytest.approx(0.5)
+    assert own.gap.value == pytest.approx(0.0)
+    assert own.seeds == (0,)
+
+
+def test_a_faster_run_is_better_and_has_a_higher_score():
+    slow = suite_run("solo-general", "slow", 0, constant(1.3))
+    fast = suite_run("solo-general", "quick", 0, constant(0.9))
+    (task,) = make_report(sorted([fast, slow], key=lambda run: run.algorithm)).tasks
+    quick, other = task.algorithms
+    assert quick.iqm.value > other.iqm.value
+    assert quick.score.value < other.score.value
+    (comparison,) = task.improvements
+    assert (comparison.first, comparison.probability.value) == ("quick", 1.0)
+
+
+def test_a_task_without_baselines_has_the_metric_as_its_scale(monkeypatch):
+    monkeypatch.setattr(
+        "stkzoo.suite.scores.Baselines.has", lambda _, task: task in ("versus", "team-2v2")
+    )
+    runs = [suite_run(task, "ippo", 0, constant(0.5)) for task in ("selfplay-5", "versus")]
+    runs.append(suite_run("solo-1", "ippo", 0, constant(1.2)))
+    found = {task.task: task for task in make_report(runs).tasks}
+    assert found["selfplay-5"].scale == "beaten"
+    assert found["selfplay-5"].algorithms[0].iqm.value == pytest.approx(0.5)
+    assert found["solo-1"].scale == "time_ratio"
+    assert found["solo-1"].algorithms[0].iqm.value == pytest.approx(-1.2)
+    text = report_sections(make_report(runs), {})
+    assert "`solo-1`, `selfplay-5`: the baselines have not been measured" in text
+
+
+def test_the_gap_is_positive_if_training_tracks_went_better():
+    tracks = set(TASKS["versus"].test_tracks)
+    runs = [
+        suite_run("versus", "ippo", seed, lambda track, *_: 0.25 if track in tracks else 0.5)
+        for seed in (0, 1)
+    ]
+    (task,) = make_report(runs).tasks
+    (own,) = task.algorithms
+    weakest, strongest = load_baselines().ends("versus")
+    assert own.gap.value == pytest.approx(0.25 / (strongest - weakest))
+    assert (own.score.value, own.train_score.value) == (0.25, 0.5)
+
+
+def test_all_tasks_together_count_only_if_all_algorithms_have_runs():
+    runs = [
+        suite_run(task, name, seed)
+        for task in ("solo-general", "versus")
+        for name in ("ippo", "mappo")
+        for seed in (0, 1)
+    ]
+    overall = make_report(runs).overall
+    assert overall.tasks == ("solo-general", "versus")
+    assert [own.seeds for own in overall.algorithms] == [(0, 1), (0, 1)]
+    assert overall.algorithms[0].iqm.low < overall.algorithms[0].iqm.value
+    fewer = [run for run in runs if (run.task, run.algorithm) != ("versus", "mappo")]
+    assert make_report(fewer).overall is None
+    assert make_report(fewer).missing == (("versus", "mappo", 0), ("versus", "mappo", 1))
+
+
+def test_missing_runs_are_listed():
+    report = make_report(
+        [suite_run("versus", "ippo", 0)], [("versus", "ippo", seed) for seed in (0, 1, 2)]
+    )
+    assert "## Missing runs\n\n- versus, ippo: seed 1, 2" in report_sections(report, {})
+
+
+# ------------------------------------------------------------------ files
+
+
+@pytest.mark.slow
+def test_a_report_has_its_files_and_is_the_same_again(two_runs, tmp_path, capsys):
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert main(["suite", "report", *map(str, two_runs), "--output", str(one)]) == 0
+    assert f"Wrote the report of 2 runs to {one / 'report.md'}" in capsys.readouterr().out
+    write_suite_report([tmp_path], two)
+    names = {file.name for file in one.iterdir()}
+    assert names == FILES | {"learning_curves.svg"}  # nothing to compare with a single algorithm
+    for name in names:
+        assert (one / name).read_bytes() == (two / name).read_bytes(), name
+    report = SuiteReport.load(one / "report.json")
+    assert report == make_report(load_runs(two_runs))
+    assert "| versus | ippo | beaten | 2 |" in (one / "report.md").read_text()
+
+
+@pytest.mark.slow
+def test_two_algorithms_are_compared(tmp_path):
+    for name in ("ippo", "mappo"):
+        write_run(tmp_path, suite_run("versus", name, 0))
+    write_suite_report([tmp_path], tmp_path / "report")
+    assert (tmp_path / "report" / "improvement.svg").exists()
+    assert "| versus | ippo | mappo |" in (tmp_path / "report" / "report.md").read_text()
+
+
+def test_a_run_without_an_ended_race_has_no_learning_curve(tmp_path):
+    run = suite_run("versus", "ippo", 0)
+    nothing = (None,) * len(run.curve.kart_steps)
+    curve = replace(run.curve, returns=nothing, finished=nothing, position=nothing)
+    write_run(tmp_path, replace(run, curve=curve))
+    write_suite_report([tmp_path], tmp_path / "report")
+    assert {file.name for file in (tmp_path / "report").iterdir()} == FILES
+
+
+@pytest.mark.slow
+def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(tmp_path):
+    runs = [write_run(tmp_path, suite_run("versus", "ippo", seed)) for seed in (0, 1)]
+    write_suite_report(runs, tmp_path / "report")
+    found = json.loads((tmp_path / "report" / "marl_eval.json").read_text())
+    assert list(found) == ["stkzoo-suite-1", "stkzoo-suite-1-training"]
+    for environment, metrics in zip(
+        found.values(), ({"score"}, {"return", "finished", "position"}), strict=True
+    ):
+        own = environment["versus"]["ippo"]
+        assert list(own) == ["seed_0", "seed_1"]
+        for steps in own.values():
+            assert set(steps["absolute_metrics"]) == metrics
+            counts = [step["step_count"] for name, step in steps.items() if "step_" in name]
+            assert counts == sorted(counts)
+            assert all(set(step) - {"step_count"} == metrics for step in steps.values())
+            assert list(steps)[:-1] == [f"step_{n}" for n in range(len(counts))]
+    score = found["stkzoo-suite-1"]["versus"]["ippo"]["seed_0"]["absolute_metrics"]["score"]
+    assert len(score) == TASKS["versus"].num_races
+
+
+def test_a_missing_library_names_the_extra(two_runs, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "scipy.stats", None)
+    assert main(["suite", "report", str(two_runs[0]), "--output", str(tmp_path / "report")]) == 2
+    assert "the report needs scipy" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------ bad results
+
+
+def changed(file, **changes):
+    file.write_text(json.dumps({**json.loads(file.read_text()), **changes}))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"type": "suite-entry"}, "expected a suite-run of version 1"),
+        ({"suite": "stkzoo-suite-0"}, "the suite is 'stkzoo-suite-0', expected stkzoo-suite-1"),
+        ({"task": "verus"}, "versus"),
+        ({"task_digest": "0" * 64}, "another definition of versus"),
+        ({"population": {"ai:1": "8b779db5539ae7e6"}}, "another population of versus"),
+        ({"algorithm": "a | b"}, "algorithm is 'a | b', expected letters"),
+        ({"seed": -1}, "seed is -1"),
+        ({"cores": "two"}, "cores is 'two'"),
+        ({"train": None}, "train is None"),
+    ],
+)
+def test_a_bad_field_is_one_error_that_names_the_file(two_runs, changes, text):
+    changed(two_runs[0], **changes)
+    with pytest.raises(ConfigError) as caught:
+        load_runs(two_runs)
+    assert str(two_runs[0]) in str(caught.value)
+    assert text in str(caught.value)
+
+
+def with_races(file, change):
+    test = json.loads(file.read_text())["test"]
+    change(test)
+    changed(file, test=test)
+
+
+def test_a_missing_race_is_refused(two_runs):
+    with_races(two_runs[0], lambda test: test["races"].pop())
+    with pytest.raises(ConfigError, match="test has 9 races of zengarden reversed PAAAA, expected"):
+        load_runs(two_runs)
+
+
+def test_a_score_that_does_not_follow_from_the_races_is_refused(two_runs):
+    with_races(two_runs[0], lambda test: test["score"].update(value=0.99))
+    with pytest.raises(ConfigError, match=r"test has the score 0\.99; its races give"):
+        load_runs(two_runs)
+
+
+def test_a_share_above_one_is_refused(two_runs):
+    with_races(two_runs[0], lambda test: test["races"][0].update(value=1.5))
+    with pytest.raises(ConfigError, match=r"test has a race with beaten 1\.5"):
+        load_runs(two_runs)
+
+
+def test_a_curve_with_lists_of_different_lengths_is_refused(two_runs):
+    curve = json.loads(two_runs[0].read_text())["curve"]
+    changed(two_runs[0], curve={**curve, "seconds": curve["seconds"][1:]})
+    with pytest.raises(ConfigError, match="lists of the curve have different lengths"):
+        load_runs(two_runs)
+
+
+def test_the_same_run_twice_is_refused(two_runs, tmp_path):
+    copy = tmp_path / "copy.json"
+    copy.write_bytes(two_runs[0].read_bytes())
+    with pytest.raises(ConfigError, match="are the same run, versus-ippo-0"):
+        load_runs([two_runs[0], copy])
+
+
+def test_runs_with_different_budgets_are_refused(two_runs):
+    changed(two_runs[1], budget=10_000_000)
+    with pytest.raises(ConfigError, match="write a report for each budget"):
+        load_runs(two_runs)
+
+
+def test_nothing_to_report_is_one_error(tmp_path, capsys):
+    assert main(["suite", "report", str(tmp_path)]) == 2
+    assert f"{tmp_path} has no results" in capsys.readouterr().err
+    assert main(["suite", "report", str(tmp_path / "no.json")]) == 2
+    assert "has no suite run" in capsys.readouterr().err
+
+
+def test_a_result_survives_its_file(two_runs):
+    run = suite_run("versus", "ippo", 0)
+    assert SuiteRun.load(two_runs[0]) == run
+    assert len(two_runs[0].read_bytes()) < 60_000

@@ -1,0 +1,116 @@
+"""Statistics over runs: known values, and what is resampled together."""
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu
+
+from stkzoo.evaluation import Estimate
+from stkzoo.suite.statistics import (
+    ScoreTable,
+    estimate,
+    estimate_curve,
+    gap,
+    improvement,
+    interquartile_mean,
+    mean,
+    performance_profile,
+)
+
+#: Three runs and two runs in four columns; the expected values below are those of rliable 1.2.0.
+SCORES = np.array([[0.1, 0.5, 0.9, 0.3], [0.2, 0.5, 0.8, 0.7], [0.4, 0.6, 1.1, 0.2]])
+OTHERS = np.array([[0.2, 0.5, 0.7, 0.3], [0.3, 0.4, 0.8, 0.1]])
+
+
+def table(scores, runs="runs", columns="columns"):
+    return ScoreTable(np.asarray(scores, float), runs, columns)
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
+    assert interquartile_mean(SCORES) == pytest.approx(0.5)
+    assert interquartile_mean(np.array([[0.0, 1.0, 3.0, 1000.0]])) == pytest.approx(2.0)
+
+
+def test_the_interquartile_mean_over_tasks_takes_one_score_per_run_and_task():
+    first, second = np.array([[0.0, 2.0], [1.0, 3.0]]), np.array([[10.0], [1000.0]])
+    assert interquartile_mean(first, second) == pytest.approx(6.0)  # of 1, 2, 10 and 1000
+
+
+def test_the_profile_is_the_share_of_scores_above_each_threshold():
+    profile = performance_profile(np.array([0.0, 0.2, 0.5, 0.8, 1.0]))
+    expected = [1.0, 0.75, 0.41666667, 0.16666667, 0.08333333]
+    assert profile(SCORES) == pytest.approx(expected)
+    assert profile(SCORES, SCORES + 5) == pytest.approx([(1 + own) / 2 for own in expected])
+
+
+def test_the_probability_of_improvement_counts_ties_half():
+    assert improvement(SCORES, OTHERS) == pytest.approx(0.7291666666666666)
+    assert improvement(SCORES, SCORES) == pytest.approx(0.5)
+    assert improvement(SCORES, SCORES - 2, SCORES, SCORES + 2) == pytest.approx(0.5)
+
+
+def test_the_probability_of_improvement_is_the_u_statistic():
+    found = mannwhitneyu(SCORES, OTHERS, axis=0, method="asymptotic").statistic / (3 * 2)
+    assert improvement(SCORES, OTHERS) == pytest.approx(found.mean())
+
+
+def test_an_interval_contains_the_value():
+    found = estimate(interquartile_mean, table(SCORES))
+    assert found.value == pytest.approx(0.5)
+    assert found.low < 0.5 < found.high
+
+
+def test_one_run_has_no_interval():
+    assert estimate(mean, table(SCORES[:1])) == Estimate(pytest.approx(0.45), None, None)
+    assert estimate(improvement, table(SCORES, "a"), table(SCORES[:1], "b")).low is None
+
+
+def test_equal_scores_have_no_interval():
+    assert estimate(mean, table(np.ones((3, 12)))) == Estimate(1.0, None, None)
+
+
+def test_runs_are_resampled_as_a_whole():
+    """Runs that differ in all columns alike have the spread of the runs, not of the cells."""
+    skill = np.array([[0.0], [0.5], [1.0]])
+    found = estimate(mean, table(skill + np.zeros(12)))
+    assert (found.low, found.high) == (0.0, 1.0)
+
+
+def test_columns_are_resampled_as_a_whole():
+    """Tracks that differ for all runs alike leave the intervals as wide as the tracks need."""
+    found = estimate(mean, table(np.zeros((10, 1)) + np.array([0.0, 0.0, 1.0, 1.0])))
+    assert (found.low, found.high) == (0.0, 1.0)
+
+
+def test_what_tables_share_cancels_out():
+    difficulty = np.arange(12.0)
+    noise = np.random.default_rng(1).normal(0, 0.01, (2, 3, 12))
+    easy, hard = table(noise[0] + 1 + difficulty, "a"), table(noise[1] + difficulty, "b")
+    assert estimate(improvement, easy, hard) == Estimate(1.0, None, None)
+    found = estimate(gap, table(easy.scores), table(hard.scores))
+    assert found.high - found.low < 0.1
+    assert estimate(mean, easy).high - estimate(mean, easy).low > 1
+
+
+def test_the_same_scores_have_the_same_interval():
+    assert estimate(interquartile_mean, table(SCORES)) == estimate(
+        interquartile_mean, table(SCORES)
+    )
+
+
+def test_intervals_of_a_simulation_cover_the_truth():
+    """Of 95 % intervals from four runs and twelve tracks, most contain the mean behind them."""
+    random, hits = np.random.default_rng(0), 0
+    for _ in range(100):
+        tracks, runs = random.normal(0, 0.15, 12), random.normal(0, 0.05, (4, 1))
+        found = estimate(mean, table(tracks + runs + random.normal(0, 0.08, (4, 12))))
+        hits += found.low <= 0 <= found.high
+    assert 85 <= hits <= 100
+
+
+def test_a_curve_has_a_band():
+    thresholds = np.linspace(0, 1, 11)
+    values, low, high = estimate_curve(performance_profile(thresholds), table(SCORES))
+    assert values.shape == low.shape == high.shape == (11,)
+    assert (low <= high).all()
+    assert (np.diff(values) <= 0).all()
+    assert estimate_curve(performance_profile(thresholds), table(SCORES[:1]))[1:] == (None, None)

@@ -1,0 +1,161 @@
+"""Agents of talk-2v2 see and hear in races what they see and hear while they learn."""
+
+import importlib.util
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from stkzoo.config import AgentSpec
+from stkzoo.errors import ConfigError
+from stkzoo.race import Driver, RaceListener, find_driver, run_race
+from stkzoo.suite import TASKS, Task, evaluate, find_task, id_of, plan_entry, verify_entry, view_of
+from tests.support.paths import AGENTS, ROOT
+
+TASK = find_task("talk-2v2")
+EXAMPLE = str(ROOT / "examples" / "talking")
+CHECKSUMS = str(AGENTS / "talking")
+RACE = {"track": "lighthouse", "seed": 5}
+#: The lineup and the grid of the task's learners.
+TEAMS, GRID = ("@:Red", "@:Blue", "@:Blue", "@:Red"), (1, 2, 3, 4)
+
+#: Two races with two karts of the agent and one of the population.
+SMALL = Task(
+    name="small-talk",
+    goal="Be verified quickly.",
+    train_tracks=("lighthouse",),
+    test_tracks=("lighthouse",),
+    learners=4,
+    teams=TASK.teams,
+    sight=TASK.sight,
+    words=TASK.words,
+    forms=("PPB",),
+    seeds=1,
+)
+
+
+class Motion(RaceListener):
+    """Records all karts at the start and after each step."""
+
+    def __init__(self):
+        self.karts = []
+
+    def started(self, race):
+        self.karts.append(race.env.snapshot.karts.tobytes())
+
+    stepped = started
+
+
+def environment(**options):
+    specs = [AgentSpec(place - 1, color=n / 4) for n, place in enumerate(GRID)]
+    return TASK.make(track="lighthouse", reverse=False, agents=specs, **options)
+
+
+def karts(env):
+    return env.unwrapped.snapshot.karts.tobytes()
+
+
+def actors():
+    """One actor of the agent that acts by a checksum for each learner, with the spaces."""
+    file = AGENTS / "talking" / "pystk_actor.py"
+    spec = importlib.util.spec_from_file_location("checksums", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+    def make(seen, acted):
+        actor, memory = module.get_actor(None, seen, acted), module.create_state()
+        return lambda observation: actor(memory, observation)
+
+    return make
+
+
+@pytest.mark.parametrize("inline", [False, True])
+def test_a_race_of_two_teams_is_that_of_the_tasks_environment(inline):
+    """Each action depends on each bit that its kart has observed and heard."""
+    motion, steps = Motion(), 150
+    drivers = [CHECKSUMS + team for team in TEAMS]
+    changes = {"difficulty": 3, "max_steps": steps, "inline": inline, "error_handling": "raise"}
+    run_race(drivers, start_positions=GRID, listeners=[motion], **RACE, **changes)
+    make = actors()
+    with closing(environment()) as env:
+        observations, _ = env.reset(seed=RACE["seed"])
+        acting = {a: make(env.observation_space(a), env.action_space(a)) for a in env.agents}
+        driven = [karts(env)]
+        for _ in range(steps):
+            actions = {agent: acting[agent](observations[agent]) for agent in env.agents}
+            observations = env.step(actions)[0]
+            driven.append(karts(env))
+    assert driven == motion.karts
+
+
+def test_an_agent_has_the_spaces_and_the_observations_of_the_learners():
+    steps, found = 40, {}
+
+    def maker(seen, acted, seed):
+        log = found.setdefault(len(found), [(seen, acted)])
+        words = np.random.default_rng(seed)
+
+        def actor(observation):
+            action = {"action": np.array([10, 0, 0, 0, 0]), "message": int(words.integers(8))}
+            log.append((observation, action))
+            return action
+
+        return actor
+
+    drivers = [Driver.of_actor(team, maker, TASK.agent_view()) for team in TEAMS]
+    settings = {"difficulty": 3, "max_steps": steps, "error_handling": "raise"}
+    run_race(drivers, start_positions=GRID, **RACE, **settings)
+    logs = {f"kart_{number}": log for number, log in found.items()}
+    with closing(environment()) as env:
+        for agent, log in logs.items():
+            assert log.pop(0) == (env.observation_space(agent), env.action_space(agent))
+        observations, _ = env.reset(seed=RACE["seed"])
+        num_heard = 0
+        for step in range(steps):
+            for agent, seen in observations.items():
+                assert seen in env.observation_space(agent)
+                other = logs[agent][step][0]
+                assert seen.keys() == other.keys()
+                for key, value in seen.items():
+                    assert value.dtype == other[key].dtype
+                    assert value.tobytes() == other[key].tobytes()
+                num_heard += int(seen["heard"].sum())
+            observations = env.step({agent: log[step][1] for agent, log in logs.items()})[0]
+    assert num_heard == 4 * (steps - 1)
+
+
+@pytest.mark.slow
+def test_an_entry_of_an_agent_that_talks_is_verified(tmp_path, monkeypatch):
+    monkeypatch.setitem(TASKS, SMALL.name, SMALL)
+    entry = evaluate(SMALL, EXAMPLE, output=tmp_path / "entry", plot=False)
+    assert [kart.errors for race in entry.races for kart in race.karts] == [0] * 8
+    assert all(kart.time for race in entry.races for kart in race.karts)
+    assert verify_entry(tmp_path / "entry").races == entry.races
+
+
+def test_agents_that_do_not_talk_race_in_the_task_too():
+    assert find_driver(EXAMPLE).words == find_driver(EXAMPLE, inline=True).words == 8
+    assert find_driver("heuristic").words == find_driver(str(AGENTS / "plain")).words == 0
+    for agent in (EXAMPLE, "heuristic", str(AGENTS / "plain")):
+        orders = plan_entry("talk-2v2", agent).orders()
+        assert len(orders) == TASK.num_races
+
+
+@pytest.mark.parametrize("task", ["versus", "team-2v2"])
+def test_an_agent_does_not_talk_in_tasks_without_words(task):
+    with pytest.raises(ConfigError, match=f"says one of 8 words, and {task} has none"):
+        plan_entry(task, EXAMPLE)
+
+
+def test_each_task_is_the_view_of_an_agent(tmp_path):
+    versus = tmp_path / "versus.py"
+    versus.write_text(
+        f"env_name = {id_of(find_task('versus'))!r}\n"
+        "def get_actor(module_dir, seen, acted):\n"
+        "    assert seen.shape == (165,)\n"
+        "    return lambda state, observation: [10, 0, 0, 0, 0]\n"
+    )
+    result = run_race([str(versus)], max_steps=3, error_handling="raise", **RACE)
+    assert result.agents[0].num_errors == 0
+    with pytest.raises(ConfigError, match="Did you mean 'stkzoo-suite/talk-2v2-v1'"):
+        view_of("stkzoo-suite/talk-2v2-v0")
