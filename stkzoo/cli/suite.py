@@ -6,13 +6,13 @@ replay of each race. `verify` runs all races of an entry again, without the agen
 every number.
 
 Examples:
-  stkzoo suite list                                the tasks and the population
-  stkzoo suite train versus ippo                   train an agent
-  stkzoo suite exploit pretrained:ace              train an opponent that beats it
-  stkzoo suite evaluate versus my_agent/           120 races on the test tracks
-  stkzoo suite verify suite/versus-my_agent        run all races again
-  stkzoo suite conduct suite/versus-my_agent       contacts and who is at fault
-  stkzoo suite report results/                     compare trained algorithms
+  stkzoo suite list                             the tasks and the population
+  stkzoo suite train versus ippo                train an agent
+  stkzoo suite exploit pretrained:ace           train an opponent that beats it
+  stkzoo suite evaluate versus my_agent/        120 races on the test tracks
+  stkzoo suite verify suite/versus-my_agent     run all races again
+  stkzoo suite conduct suite/versus-my_agent    contacts and who is at fault
+  stkzoo suite report results/                  compare trained algorithms
 """
 
 from __future__ import annotations

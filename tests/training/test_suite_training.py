@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from stkzoo.agents.pretrained.mlp import likeliest
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
+from stkzoo.agents.training.common.ppo import VALUE_UNIT
 from stkzoo.agents.training.suite.actor import (
     KartRace,
     TaskActor,
@@ -19,13 +21,7 @@ from stkzoo.agents.training.suite.mappo import MAPPO
 from stkzoo.agents.training.suite.network import TaskNetwork
 from stkzoo.agents.training.suite.past import PastActor
 from stkzoo.agents.training.suite.pfsp import PFSP
-from stkzoo.agents.training.suite.vdn import (
-    VDN,
-    VDNArguments,
-    VDNNetwork,
-    kept_rows,
-    team_slots,
-)
+from stkzoo.agents.training.suite.vdn import VDN, VDNArguments, VDNNetwork, team_slots
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -220,29 +216,34 @@ def test_team_slots_are_those_of_the_members():
     assert team_slots(4, 2, ()).tolist() == [[0], [1], [2], [3]]
 
 
-def test_targets_end_with_the_race():
-    rollout = np.zeros((6, 2), rollout_type(0))
-    rollout["rewards"] = 1.0
-    rollout["active"] = True
-    rollout["ended"][2, 1], rollout["next_values"][2, 1] = True, 8.0
-    rows = kept_rows(rollout, VDNArguments(horizon=3, gamma=0.5))
-    assert rows["gain"][:3, 0].tolist() == [1.75, 1.75, 1.75]
-    assert rows["goes_on"][:3, 0].all()
-    # one, two and three rewards until the end, and then the value of the last observation
-    assert rows["gain"][:3, 1].tolist() == [1.75 + 1.0, 1.5 + 2.0, 1.0 + 4.0]
-    assert not rows["goes_on"][:3, 1].any()
-
-
 def test_the_value_of_the_best_choices_is_that_of_the_observation():
     network = VDNNetwork((8, 8), 0)
     with network.torch.no_grad():
         network.policy[-1].weight.mul_(100.0)
     inputs = network.torch.randn(20, 165)
-    best = network.best(inputs)
-    values = network.value(inputs)[:, 0]
-    assert network.torch.equal(network.values(inputs, best), values)
+    parts = network.policy(inputs).detach().numpy()
+    best = network.torch.from_numpy(likeliest(parts))
+    values = VALUE_UNIT * network.value(inputs)[:, 0]
+    assert network.torch.allclose(network.values(inputs, best), values)
     other = (best + 1) % network.torch.tensor([21, 4, 2, 2, 2])
     assert (network.values(inputs, other) < values).all()
+
+
+def test_the_sum_over_a_team_moves_towards_its_targets(tmp_path):
+    learner = small_run(tmp_path, VDN, task="team-2v2")
+    torch = learner._network.torch
+    inputs, active = torch.randn(64, 2, 165), torch.ones(64, 2, dtype=torch.bool)
+    choices = torch.zeros(64, 2, 5, dtype=torch.int64)
+    targets = torch.full((64, 2), 3.0)
+    targets[:, 1] = 1.0
+    try:
+        losses = [learner._gradient_step(inputs, choices, active, targets) for _ in range(200)]
+        values = learner._network.values(inputs.flatten(0, 1), choices.flatten(0, 1))
+    finally:
+        learner.close()
+    assert losses[-1] < losses[0] / 100
+    # only the sum is learned, so both members may share it
+    assert values.view(64, 2).sum(1).mean().item() == pytest.approx(4.0, abs=0.2)
 
 
 def exploiter(folder, **changes):
