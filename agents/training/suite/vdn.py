@@ -10,7 +10,7 @@ minus what each choice loses against the best one (dueling branches; Tavakoli et
 
 V is therefore the value of the best choices. There is no replay memory: the networks learn from
 each rollout as PPO's do, towards Q(lambda) returns, as parallelized Q-networks (Gallici et al.,
-2025). Each choice is random with a probability that decays.
+2025). Choices are drawn by Boltzmann exploration: softmax of A over a temperature that decays.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
-from stkzoo.agents.pretrained.mlp import SPLITS, likeliest, sample_choices
+from stkzoo.agents.pretrained.mlp import SPLITS, sample_choices
 from stkzoo.wrappers.racing import CHOICES
 
 from ..common.actors import ActorPool
@@ -44,8 +44,8 @@ class VDNArguments(TaskArguments, NetworkArguments):
     Attributes:
         gamma: discount factor per step.
         td_lambda: lambda of the returns.
-        exploration_fraction: fraction of the run in which the exploration decays.
-        final_exploration: final probability of each random choice.
+        temperature: initial temperature of the exploration, in units of rewards.
+        final_temperature: its value at the end; it decays exponentially.
     """
 
     may_be_zero = TaskArguments.may_be_zero
@@ -54,15 +54,20 @@ class VDNArguments(TaskArguments, NetworkArguments):
     batch_size: int = 1024
     gamma: float = 0.98
     td_lambda: float = 0.9
-    exploration_fraction: float = 0.3
-    final_exploration: float = 0.02
+    temperature: float = 0.1
+    final_temperature: float = 0.01
 
 
 class ExploringActor(TaskActor):
-    """Drives races of a task by the best choices, and by random ones now and then."""
+    """Drives races of a task by Boltzmann exploration."""
 
     def drive(
-        self, number: int, policy: Weights, critic: Weights, exploration: float = 0.0
+        self,
+        number: int,
+        policy: Weights,
+        critic: Weights,
+        temperature: float = 1.0,
+        preference: float = 0.0,
     ) -> TaskRollout:
         """Fills a rollout.
 
@@ -70,15 +75,14 @@ class ExploringActor(TaskActor):
             number: number of the rollout, 0 or 1.
             policy: weights of the policy.
             critic: weights of the value network.
-            exploration: probability of each random choice.
+            temperature: temperature by which the logits are divided.
+            preference: weight of the preferences of every first policy.
         """
-        self._exploration = exploration
+        self._temperature, self._preferences = temperature, preference * _first_logits()
         return super().drive(number, policy, critic)
 
     def _choose(self, logits: FloatArray) -> IntArray:
-        best = likeliest(logits)
-        random = sample_choices(np.tile(_first_logits(), (len(logits), 1)), self._random)
-        return np.where(self._random.random(best.shape) < self._exploration, random, best)
+        return sample_choices(logits / self._temperature + self._preferences, self._random)
 
 
 def _first_logits() -> FloatArray:
@@ -107,7 +111,7 @@ class VDN(TaskLearner):
 
     arguments: VDNArguments
     _network: VDNNetwork
-    shown = (*TaskLearner.shown, "exploration", "loss", "explained")
+    shown = (*TaskLearner.shown, "temperature", "loss", "explained")
 
     @classmethod
     def arguments_of(cls, task: str, kart_steps: int, seed: int) -> VDNArguments:
@@ -121,21 +125,24 @@ class VDN(TaskLearner):
         return ActorPool(ExploringActor, arguments)
 
     def _drive_options(self) -> tuple[Any, ...]:
-        return (self._exploration(),)
+        return self._temperature(), self._left()
 
-    def _exploration(self) -> float:
-        given = self.arguments
-        done = self.kart_steps / (given.exploration_fraction * given.anneal_timesteps)
-        return 1.0 - min(done, 1.0) * (1.0 - given.final_exploration)
+    def _left(self) -> float:
+        """Returns the share of the run that is left."""
+        return max(1.0 - self.kart_steps / self.arguments.anneal_timesteps, 0.0)
+
+    def _temperature(self) -> float:
+        first, last = self.arguments.temperature, self.arguments.final_temperature
+        return float(last * (first / last) ** self._left())
 
     def _update(
         self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[Any]
     ) -> dict[str, float]:
         """Runs several epochs of gradient steps on the teams' moments in the rollouts."""
         given, torch = self.arguments, self._network.torch
-        left = max(1.0 - self.kart_steps / given.anneal_timesteps, 0.05)
+        rate = given.learning_rate * max(self._left(), 0.05)
         for group in self._network.optimiser.param_groups:
-            group["lr"] = given.learning_rate * left
+            group["lr"] = rate
         seen = np.concatenate(rollouts, axis=1)
         gained = [
             advantages_of(rollout, own.last_values, given.gamma, given.td_lambda)
@@ -159,8 +166,8 @@ class VDN(TaskLearner):
         unexplained = np.var((rows[1] - rows[0]["values"])[rows[0]["active"]])
         return {
             "loss": float(np.mean(losses)),
-            "exploration": self._exploration(),
-            "learning_rate": given.learning_rate * left,
+            "temperature": self._temperature(),
+            "learning_rate": rate,
             "explained": float(1 - unexplained / max(np.var(rows[1][rows[0]["active"]]), 1e-9)),
             "reward": float(seen["rewards"].sum() / max(active.sum(), 1)),
         }
