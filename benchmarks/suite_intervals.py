@@ -4,8 +4,8 @@
 
 Draws scores of runs on twelve tracks and directions from normal distributions with known means: a
 part of the track, a part of the run, and a part of both. Compares the bootstrap of
-``stkzoo.suite.statistics`` with two others: one that resamples each column on its own, as the
-stratified bootstrap of rliable does, and one that resamples whole runs only. Writes
+``stkzoo.suite.report.statistics`` with two others: one that resamples each column on its own, as
+the stratified bootstrap of rliable does, and one that resamples whole runs only. Writes
 ``benchmarks/results/suite_intervals.json``.
 """
 
@@ -24,7 +24,7 @@ from rich.progress import track
 from benchmarks.bench_common import RESULTS
 from stkzoo._os import write_text
 from stkzoo.evaluation import percentile_interval
-from stkzoo.suite.statistics import DRAWS, ScoreTable, estimate, mean
+from stkzoo.suite.report.statistics import DRAWS, ScoreTable, estimate, mean
 
 OUTPUT = RESULTS / "suite_intervals.json"
 #: Number of runs, and standard deviations of the parts of the track, of the run and of both.

@@ -43,8 +43,8 @@ from stkzoo.suite import (
     evaluate,
     find_task,
 )
-from stkzoo.suite.report_document import RunKey
-from stkzoo.suite.results import population_of
+from stkzoo.suite.report.document import RunKey
+from stkzoo.suite.report.results import population_of
 
 #: Tasks with reference results.
 REFERENCE_TASKS = ("solo-general", "versus", "selfplay-5", "team-2v2")

@@ -19,8 +19,8 @@ from benchmarks import suite_intervals
 from benchmarks.suite_reference import OUTPUT, reference_keys
 from stkzoo._os import write_text
 from stkzoo.suite import load_runs, make_report
-from stkzoo.suite.figures import draw_figures
-from stkzoo.suite.tables import missing_runs, report_sections
+from stkzoo.suite.report.figures import draw_figures
+from stkzoo.suite.report.tables import missing_runs, report_sections
 
 _DOCS = Path(__file__).parents[1] / "docs"
 PAGE = _DOCS / "explanation" / "suite-report.md"

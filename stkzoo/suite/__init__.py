@@ -22,9 +22,16 @@ from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.flat import FlatTask
 from stkzoo.suite.ids import id_of, register_tasks, view_of
 from stkzoo.suite.population import POPULATION, Member, behaviour
-from stkzoo.suite.report import make_report, write_suite_report
-from stkzoo.suite.report_document import SuiteReport
-from stkzoo.suite.results import LearningCurve, RaceScore, SplitScores, SuiteRun, load_runs
+from stkzoo.suite.report import (
+    LearningCurve,
+    RaceScore,
+    SplitScores,
+    SuiteReport,
+    SuiteRun,
+    load_runs,
+    make_report,
+    write_suite_report,
+)
 from stkzoo.suite.scores import Baselines, load_baselines, normalised
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry

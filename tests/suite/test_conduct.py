@@ -12,8 +12,8 @@ from stkzoo.race import run_race
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, play_replay, save_replay
 from stkzoo.suite import JudgedContact, mean_conduct, measure_conduct, race_conduct
-from stkzoo.suite.conduct import find_replays
-from stkzoo.suite.contacts import Contact, merge_touches
+from stkzoo.suite.conduct.contacts import Contact, merge_touches
+from stkzoo.suite.conduct.races import find_replays
 
 DRIVERS = ["benchmarks.rammer", "heuristic", "heuristic", "ai", "ai"]
 

@@ -9,9 +9,9 @@ import pytest
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.suite import TASKS, SuiteReport, SuiteRun, load_runs, make_report, write_suite_report
-from stkzoo.suite.report_document import NORMALIZED
+from stkzoo.suite.report.document import NORMALIZED
+from stkzoo.suite.report.tables import report_sections
 from stkzoo.suite.scores import load_baselines
-from stkzoo.suite.tables import report_sections
 from tests.support.suite_runs import suite_run, write_run
 
 FILES = {"report.json", "report.md", "marl_eval.json", "scores.svg", "profiles.svg", "gap.svg"}

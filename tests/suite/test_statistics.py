@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import mannwhitneyu
 
 from stkzoo.evaluation import Estimate
-from stkzoo.suite.statistics import (
+from stkzoo.suite.report.statistics import (
     ScoreTable,
     estimate,
     estimate_curve,

@@ -13,7 +13,13 @@ from stkzoo._os import write_text
 from stkzoo.evaluation import BenchmarkForm, Estimate
 from stkzoo.evaluation.benchmark.races import direction_name, make_races
 from stkzoo.suite import SUITE, find_task
-from stkzoo.suite.results import LearningCurve, RaceScore, SplitScores, SuiteRun, population_of
+from stkzoo.suite.report.results import (
+    LearningCurve,
+    RaceScore,
+    SplitScores,
+    SuiteRun,
+    population_of,
+)
 
 #: Value of a race, from its track, direction and form.
 Value = Callable[[str, str, str], float]

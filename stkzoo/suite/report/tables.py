@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from stkzoo.evaluation.statistics import Estimate
-from stkzoo.suite.report_document import (
+from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
     RunKey,

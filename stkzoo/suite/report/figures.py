@@ -15,7 +15,7 @@ from stkzoo.evaluation.plotting import (
     style_axes,
 )
 from stkzoo.evaluation.statistics import Estimate
-from stkzoo.suite.report_document import Band, SuiteReport
+from stkzoo.suite.report.document import Band, SuiteReport
 
 #: Colors that people with any kind of color blindness can tell apart (Okabe and Ito, 2008).
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")

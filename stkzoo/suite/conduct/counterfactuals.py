@@ -20,7 +20,7 @@ from stkzoo.env.state import RaceState
 from stkzoo.mdp.events import RaceEvents
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import Replay, action_of
-from stkzoo.suite.contacts import Contact, new_events
+from stkzoo.suite.conduct.contacts import Contact, new_events
 
 #: The reference drivers. Both avoid other karts, read the ``full`` view, and decide from
 #: observations alone.

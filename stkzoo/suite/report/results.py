@@ -21,7 +21,7 @@ from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.document import Document
 from stkzoo.suite.entry import TEST, TRAIN, Entry
 from stkzoo.suite.population import population_digests
-from stkzoo.suite.statistics import FloatArray
+from stkzoo.suite.report.statistics import FloatArray
 from stkzoo.suite.tasks import SUITE, TIME_RATIO, Task, find_task
 
 _Algorithm = Annotated[str, Matching(r"[\w.+-]{1,40}", "letters, digits and any of _ . + -")]

@@ -14,9 +14,7 @@ import numpy as np
 from stkzoo._os import write_text
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
-from stkzoo.suite.figures import draw_figures
-from stkzoo.suite.marl_eval import marl_eval_json
-from stkzoo.suite.report_document import (
+from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
     Band,
@@ -27,9 +25,10 @@ from stkzoo.suite.report_document import (
     SuiteReport,
     TaskReport,
 )
-from stkzoo.suite.results import SuiteRun, load_runs
-from stkzoo.suite.scores import load_baselines, scale_ends
-from stkzoo.suite.statistics import (
+from stkzoo.suite.report.figures import draw_figures
+from stkzoo.suite.report.marl_eval import marl_eval_json
+from stkzoo.suite.report.results import SuiteRun, load_runs
+from stkzoo.suite.report.statistics import (
     FloatArray,
     ScoreTable,
     estimate,
@@ -40,7 +39,8 @@ from stkzoo.suite.statistics import (
     mean,
     performance_profile,
 )
-from stkzoo.suite.tables import report_page
+from stkzoo.suite.report.tables import report_page
+from stkzoo.suite.scores import load_baselines, scale_ends
 from stkzoo.suite.tasks import SUITE, TASKS, find_task
 
 _NUM_POINTS = 100
@@ -105,7 +105,7 @@ def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = No
     """Returns the report of training runs.
 
     Args:
-        runs: the runs, as :func:`~stkzoo.suite.results.load_runs` returns them.
+        runs: the runs, as :func:`~stkzoo.suite.report.results.load_runs` returns them.
         expected: task, algorithm and seed of the runs that should be there; by default, each
             combination of those that occur.
 

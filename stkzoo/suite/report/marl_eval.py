@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.suite.results import LearningCurve, SuiteRun
+from stkzoo.suite.report.results import LearningCurve, SuiteRun
 from stkzoo.suite.scores import scale_ends
 from stkzoo.suite.tasks import SUITE
 
 _NUM_STEPS = 50
-#: Names of the metrics by fields of :class:`~stkzoo.suite.results.LearningCurve`.
+#: Names of the metrics by fields of :class:`~stkzoo.suite.report.results.LearningCurve`.
 _METRICS = {"returns": "return", "finished": "finished", "position": "position"}
 
 

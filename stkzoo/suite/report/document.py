@@ -9,7 +9,7 @@ import numpy as np
 
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.document import Document
-from stkzoo.suite.statistics import FloatArray
+from stkzoo.suite.report.statistics import FloatArray
 
 #: Name of the scale of tasks with baselines.
 NORMALIZED = "normalized score"

@@ -1,7 +1,7 @@
 """Conduct: how karts behave in recorded races, and which of them are at fault in contacts.
 
 A kart is at fault in a contact if reference drivers in its place avoid it, and from a later start
-than in the place of the other kart (:mod:`stkzoo.suite.counterfactuals`).
+than in the place of the other kart (:mod:`stkzoo.suite.conduct.counterfactuals`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.replay import Replay, ReplayError, load_replay, play_replay
 from stkzoo.race.settings import RaceSettings
-from stkzoo.suite.contacts import ConductCounter, merge_touches
-from stkzoo.suite.counterfactuals import CLOSE_STARTS, CounterfactualJudge
+from stkzoo.suite.conduct.contacts import ConductCounter, merge_touches
+from stkzoo.suite.conduct.counterfactuals import CLOSE_STARTS, CounterfactualJudge
 
 #: Touches of the same two karts within this time are one contact for the judge [s].
 MERGED_WITHIN = 1.0
