@@ -194,7 +194,6 @@ def _train(arguments: argparse.Namespace) -> int:
       mappo    the same with a value network that sees the whole race
       fsp      fictitious self-play: ippo that also meets all its past policies
       pfsp     the same, which meets those most often that it beats least
-      vdn      value decomposition: Q-learning of the sum over a team's karts
 
     Examples:
       stkzoo suite train solo-1 ippo

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.pretrained.mlp import likeliest
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
-from stkzoo.agents.training.common.ppo import VALUE_UNIT
 from stkzoo.agents.training.suite.actor import (
     KartRace,
     TaskActor,
@@ -16,12 +14,11 @@ from stkzoo.agents.training.suite.actor import (
 from stkzoo.agents.training.suite.exploit import Exploiter, ExploiterArguments, start_weights
 from stkzoo.agents.training.suite.fsp import FSP
 from stkzoo.agents.training.suite.ippo import IPPO
-from stkzoo.agents.training.suite.learner import TaskPPOArguments
+from stkzoo.agents.training.suite.learner import TaskArguments
 from stkzoo.agents.training.suite.mappo import MAPPO
 from stkzoo.agents.training.suite.network import TaskNetwork
 from stkzoo.agents.training.suite.past import PastActor
 from stkzoo.agents.training.suite.pfsp import PFSP
-from stkzoo.agents.training.suite.vdn import VDN, VDNArguments, VDNNetwork, team_slots
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -43,8 +40,7 @@ SMALL = {
 
 
 def small_run(folder, kind=IPPO, **changes):
-    arguments = VDNArguments if kind is VDN else TaskPPOArguments
-    return kind(folder, arguments(**SMALL | changes))
+    return kind(folder, TaskArguments(**SMALL | changes))
 
 
 def iterate(learner, count):
@@ -66,8 +62,6 @@ def arrays_of(learner):
     [
         (IPPO, "solo-1"),
         (MAPPO, "solo-1"),
-        (VDN, "solo-1"),
-        (VDN, "team-2v2"),
         (FSP, "selfplay-5"),
         (PFSP, "team-2v2"),
     ],
@@ -149,8 +143,8 @@ def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes(
 @pytest.mark.slow
 def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
-        "stkzoo.agents.training.suite.learner.TaskPPOArguments",
-        lambda **given: TaskPPOArguments(**{**SMALL, "checkpoint_every": 100, **given}),
+        "stkzoo.agents.training.suite.learner.TaskArguments",
+        lambda **given: TaskArguments(**{**SMALL, "checkpoint_every": 100, **given}),
     )
     words = ["suite", "train", "solo-1", "ippo", "--kart-steps", "100", "--output", str(tmp_path)]
     assert main(words) == 0
@@ -209,41 +203,6 @@ def test_prioritized_self_play_meets_most_often_whom_it_beats_least(tmp_path):
     assert odds["strong"] > 0.9
     assert odds["strong"] + odds["weak"] == pytest.approx(1)
     assert equal == {"strong": 0.5, "weak": 0.5}
-
-
-def test_team_slots_are_those_of_the_members():
-    assert team_slots(8, 4, ((0, 3), (1, 2))).tolist() == [[0, 3], [1, 2], [4, 7], [5, 6]]
-    assert team_slots(4, 2, ()).tolist() == [[0], [1], [2], [3]]
-
-
-def test_the_value_of_the_best_choices_is_that_of_the_observation():
-    network = VDNNetwork((8, 8), 0)
-    with network.torch.no_grad():
-        network.policy[-1].weight.mul_(100.0)
-    inputs = network.torch.randn(20, 165)
-    parts = network.policy(inputs).detach().numpy()
-    best = network.torch.from_numpy(likeliest(parts))
-    values = VALUE_UNIT * network.value(inputs)[:, 0]
-    assert network.torch.allclose(network.values(inputs, best), values)
-    other = (best + 1) % network.torch.tensor([21, 4, 2, 2, 2])
-    assert (network.values(inputs, other) < values).all()
-
-
-def test_the_sum_over_a_team_moves_towards_its_targets(tmp_path):
-    learner = small_run(tmp_path, VDN, task="team-2v2")
-    torch = learner._network.torch
-    inputs, active = torch.randn(64, 2, 165), torch.ones(64, 2, dtype=torch.bool)
-    choices = torch.zeros(64, 2, 5, dtype=torch.int64)
-    targets = torch.full((64, 2), 3.0)
-    targets[:, 1] = 1.0
-    try:
-        losses = [learner._gradient_step(inputs, choices, active, targets) for _ in range(200)]
-        values = learner._network.values(inputs.flatten(0, 1), choices.flatten(0, 1))
-    finally:
-        learner.close()
-    assert losses[-1] < losses[0] / 100
-    # only the sum is learned, so both members may share it
-    assert values.view(64, 2).sum(1).mean().item() == pytest.approx(4.0, abs=0.2)
 
 
 def exploiter(folder, **changes):

@@ -89,8 +89,8 @@ class PPOArguments(NetworkArguments):
     ent_coef: float = option(0.0, metavar="X", group=_LEARNING)
 
 
-@dataclass(frozen=True)  # without slots, to be one of several base classes
-class RolloutArguments(RunArguments):
+@dataclass(frozen=True, slots=True)
+class OverlappedArguments(PPOArguments):
     """Arguments of every script whose actors drive on while it learns.
 
     Attributes:
@@ -99,34 +99,25 @@ class RolloutArguments(RunArguments):
         on_policy: drive each rollout with the latest networks. By default, the actors drive the
             next rollout during an update, with the networks before it.
         n_steps: steps of each race between two updates.
-        anneal_timesteps: kart-steps over which what decays, such as the learning rate, decays.
-        keep_every: kart-steps between two saved policies.
-        checkpoint_every: iterations between two checkpoints.
-    """
-
-    actors: int = 0
-    on_policy: bool = False
-    n_steps: int = 128
-    anneal_timesteps: int = 20_000_000
-    keep_every: int = 500_000
-    checkpoint_every: int = 20
-
-
-@dataclass(frozen=True, slots=True)
-class OverlappedArguments(RolloutArguments, PPOArguments):
-    """Arguments of every script that trains with PPO while its actors drive on.
-
-    Attributes:
+        anneal_timesteps: kart-steps over which learning rate and entropy coefficient decay.
         target_kl: KL divergence at which an update stops early.
         warm_up: iterations at the start that train only the value network.
+        keep_every: kart-steps between two saved policies.
+        checkpoint_every: iterations between two checkpoints.
     """
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up", "actors")
 
     batch_size: int = 4096
     n_epochs: int = 3
+    actors: int = 0
+    on_policy: bool = False
+    n_steps: int = 128
+    anneal_timesteps: int = 20_000_000
     target_kl: float = 0.02
     warm_up: int = 10
+    keep_every: int = 500_000
+    checkpoint_every: int = 20
 
 
 def track_names(names: Sequence[str]) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
 from .actors import ActorPool
-from .arguments import RolloutArguments
+from .arguments import OverlappedArguments
 from .command import ProgressBar
 from .run_folder import (
     ARGUMENTS,
@@ -62,7 +62,7 @@ class RunFacts:
                 raise ConfigError("history has no arguments or rules")
 
 
-class Learnable(Protocol):
+class LearningNetwork(ABC):
     """The networks of a run, with their optimizer.
 
     Attributes:
@@ -71,6 +71,7 @@ class Learnable(Protocol):
 
     torch: Any
 
+    @abstractmethod
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
         """Uses the rows of the first rollout, such as for the scale of inputs.
 
@@ -78,12 +79,15 @@ class Learnable(Protocol):
             Whether the networks changed.
         """
 
+    @abstractmethod
     def weights(self) -> tuple[Weights, Weights]:
-        """Returns the weights of policy and value network for the actors; the first go to files."""
+        """Returns the weights of policy and value network for the actors; files have the first."""
 
+    @abstractmethod
     def state(self) -> dict[str, Any]:
         """Returns everything that learning changes as tensors, for :meth:`restore`."""
 
+    @abstractmethod
     def restore(self, state: dict[str, Any]) -> None:
         """Restores a :meth:`state`."""
 
@@ -105,12 +109,12 @@ class OverlappedLearner(ABC):
     """
 
     remedy: ClassVar[str] = ""
-    arguments: RolloutArguments
+    arguments: OverlappedArguments
 
     def __init__(
         self,
         folder: str | Path,
-        arguments: RolloutArguments,
+        arguments: OverlappedArguments,
         facts: type[Any],
         *,
         may_change: bool = False,
@@ -128,7 +132,7 @@ class OverlappedLearner(ABC):
         self.begin_races()
 
     @abstractmethod
-    def _new_network(self) -> Learnable:
+    def _new_network(self) -> LearningNetwork:
         """Returns new networks."""
 
     @abstractmethod
@@ -226,7 +230,7 @@ class OverlappedLearner(ABC):
 
     def save_checkpoint(self) -> None:
         """Writes ``checkpoint.pt``; call :meth:`begin_races` next, as a resumed run does."""
-        save_checkpoint(self.folder, self._facts(), self._state())
+        save_checkpoint(self.folder, self._facts(), {"network": self._network.state()})
 
     def save_policy(self, path: Path | None = None) -> Path:
         """Writes the current policy, by default to the run's folder; returns its path."""
@@ -242,10 +246,6 @@ class OverlappedLearner(ABC):
             "iteration": self.iteration,
             "recent": [asdict(finish) for finish in self._recent],
         }
-
-    def _state(self) -> dict[str, Any]:
-        """Returns the tensors of a checkpoint."""
-        return {"network": self._network.state()}
 
     def close(self) -> None:
         """Ends all races."""
@@ -273,11 +273,7 @@ class OverlappedLearner(ABC):
         self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
         self._recent.extend(facts.recent)
         with reading_checkpoint(self.folder):
-            self._restore_state(state)
-
-    def _restore_state(self, state: dict[str, Any]) -> None:
-        """Restores :meth:`_state`."""
-        self._network.restore(state["network"])
+            self._network.restore(state["network"])
 
 
 def train(learner: OverlappedLearner, total: int, shown: Sequence[str]) -> Path:

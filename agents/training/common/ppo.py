@@ -7,7 +7,7 @@ are from the networks before the latest update; PPO's probability ratio corrects
 from __future__ import annotations
 
 import itertools
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,7 +18,7 @@ from stkzoo.agents.pretrained.policy import INPUT_CLIP
 
 from .arguments import OverlappedArguments
 from .command import training_torch
-from .learner import FloatArray, OverlappedLearner, Weights
+from .learner import FloatArray, LearningNetwork, OverlappedLearner
 
 #: Value that corresponds to an output of 1 of the value network.
 VALUE_UNIT = 10.0
@@ -38,7 +38,7 @@ _VALUE_RATE = 4.0
 _PARTS = ("policy", "value", "optimiser")
 
 
-class PPONetwork(ABC):
+class PPONetwork(LearningNetwork):
     """A policy and a value network in PyTorch, with their optimizer.
 
     Args:
@@ -82,14 +82,6 @@ class PPONetwork(ABC):
         )
 
     @abstractmethod
-    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
-        """Uses the rows of the first rollout, such as for the scale of inputs.
-
-        Returns:
-            Whether the networks changed.
-        """
-
-    @abstractmethod
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns what :meth:`evaluate` needs of the rows of a rollout, as tensors ``(N, ...)``."""
 
@@ -101,10 +93,6 @@ class PPONetwork(ABC):
             Tensors ``(N,)``: log-probability of the choices, entropy of the policy, a penalty, and
                 the value in units of :data:`VALUE_UNIT`.
         """
-
-    @abstractmethod
-    def weights(self) -> tuple[Weights, Weights]:
-        """Returns the weights of policy and value network for the actors and for files."""
 
     def normalised(self, inputs: FloatArray) -> FloatArray:
         """Returns inputs ``(N, F)`` of the value network, normalized and clipped."""
@@ -120,13 +108,13 @@ class PPONetwork(ABC):
         return arrays
 
     def state(self) -> dict[str, Any]:
-        """Returns everything that learning changes as tensors, for :meth:`restore`."""
+        """See :class:`.learner.LearningNetwork`."""
         parts = {name: getattr(self, name).state_dict() for name in _PARTS}
         scales = {"mean": self.mean, "scale": self.scale}
         return parts | {name: self.torch.from_numpy(array) for name, array in scales.items()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restores a :meth:`state`."""
+        """See :class:`.learner.LearningNetwork`."""
         for name in _PARTS:
             getattr(self, name).load_state_dict(state[name])
         self.mean, self.scale = state["mean"].numpy(), state["scale"].numpy()

@@ -63,7 +63,7 @@ class ActorCritic(PPONetwork):
                 layer.bias.copy_(self.torch.from_numpy(weights[f"b{number}"]))
 
     def weights(self) -> tuple[Weights, Weights]:
-        """See :class:`..common.ppo.PPONetwork`."""
+        """See :class:`..common.learner.LearningNetwork`."""
         return self.arrays(self.policy), self.arrays(self.value)
 
     def fit_normalisation(self, inputs: FloatArray) -> None:
@@ -73,7 +73,10 @@ class ActorCritic(PPONetwork):
         self.scale = 1.0 / np.maximum(both.std(axis=0), _LEAST_SCALE)
 
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
-        """See :class:`..common.ppo.PPONetwork`: fits the normalization unless it is given."""
+        """Fits the normalization unless it is given.
+
+        See :class:`..common.learner.LearningNetwork`.
+        """
         if not self._is_given:
             self.fit_normalisation(seen["inputs"])
         return not self._is_given

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from .learner import TaskPPO, run_task
+from .learner import TaskLearner, run_task
 
 
-class IPPO(TaskPPO):
-    """A run of independent PPO; see :class:`.learner.TaskPPO`."""
+class IPPO(TaskLearner):
+    """A run of independent PPO; see :class:`.learner.TaskLearner`."""
 
 
 run = partial(run_task, IPPO)

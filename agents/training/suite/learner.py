@@ -20,17 +20,20 @@ from stkzoo.errors import ConfigError
 from stkzoo.suite import Task, find_task
 
 from ..common.actors import ActorPool, SharedArray
-from ..common.arguments import OverlappedArguments, RolloutArguments
-from ..common.learner import OverlappedLearner, RunFacts, train
+from ..common.arguments import OverlappedArguments
+from ..common.learner import RunFacts, train
 from ..common.ppo import OverlappedPPO
 from ..export import export_policy
 from .actor import KartRace, TaskActor, reward_shares, rollout_type
 from .network import TaskNetwork
 
+#: Figures of the log to show.
+_SHOWN = ("return", "finished", "position", "entropy", "kl", "explained")
 
-@dataclass(frozen=True)  # without slots, to be one of several base classes
-class TaskArguments(RolloutArguments):
-    """Arguments of every run; they must not change when a run continues.
+
+@dataclass(frozen=True, slots=True)
+class TaskArguments(OverlappedArguments):
+    """Arguments of a run; they must not change when a run continues.
 
     Attributes:
         algorithm: name of the algorithm.
@@ -41,25 +44,17 @@ class TaskArguments(RolloutArguments):
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up", "actors", "num_races")
 
-    checkpoint_every: int = 40
-    algorithm: str = "ippo"
-    task: str = "solo-1"
-    num_races: int = 0
-    num_starts: int = 40
-
-
-@dataclass(frozen=True, slots=True)
-class TaskPPOArguments(TaskArguments, OverlappedArguments):
-    """Arguments of a run of PPO."""
-
-    may_be_zero = TaskArguments.may_be_zero
-
     learning_rate: float = 5e-4
     batch_size: int = 2048
     n_epochs: int = 4
     ent_coef: float = 0.01
     target_kl: float = 0.03
     warm_up: int = 0
+    checkpoint_every: int = 40
+    algorithm: str = "ippo"
+    task: str = "solo-1"
+    num_races: int = 0
+    num_starts: int = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +68,8 @@ class TaskFacts(RunFacts):
     recent: tuple[KartRace, ...]
 
 
-class TaskLearner(OverlappedLearner):
-    """A run in a task; see :class:`..common.learner.OverlappedLearner`.
+class TaskLearner(OverlappedPPO):
+    """A run of PPO in a task; see :class:`..common.ppo.OverlappedPPO`.
 
     Args:
         folder: folder of the run.
@@ -92,7 +87,7 @@ class TaskLearner(OverlappedLearner):
 
     sees_state: ClassVar[bool] = False
     facts: ClassVar[type[TaskFacts]] = TaskFacts
-    shown: ClassVar[tuple[str, ...]] = ("return", "finished", "position")
+    shown: ClassVar[tuple[str, ...]] = _SHOWN
     arguments: TaskArguments
 
     def __init__(self, folder: str | Path, arguments: TaskArguments) -> None:
@@ -110,7 +105,9 @@ class TaskLearner(OverlappedLearner):
             kart_steps: number of kart-steps to learn from.
             seed: seed of all random numbers.
         """
-        raise NotImplementedError
+        return TaskArguments(
+            algorithm=cls.__name__.lower(), task=task, seed=seed, anneal_timesteps=kart_steps
+        )
 
     @classmethod
     def check_task(cls, task: Task) -> None:
@@ -120,6 +117,9 @@ class TaskLearner(OverlappedLearner):
                 f"{task.name} has messages, which the reference algorithms do not learn; write a "
                 f"loop over its ParallelEnv, stkzoo.suite.find_task({task.name!r}).make()"
             )
+
+    def _new_network(self) -> TaskNetwork:
+        return TaskNetwork(self.arguments.hidden, self.arguments.seed, self._state_size)
 
     def _race_options(self) -> dict[str, Any]:
         """Returns the arguments of the races' environments."""
@@ -151,23 +151,6 @@ class TaskLearner(OverlappedLearner):
             "finished": fmean(race.is_finished for race in self._recent),
             "position": fmean(race.position for race in self._recent),
         }
-
-
-class TaskPPO(TaskLearner, OverlappedPPO):
-    """A run of PPO in a task; see :class:`TaskLearner`."""
-
-    shown = (*TaskLearner.shown, "entropy", "kl", "explained")
-    arguments: TaskPPOArguments
-
-    @classmethod
-    def arguments_of(cls, task: str, kart_steps: int, seed: int) -> TaskPPOArguments:
-        """See :meth:`TaskLearner.arguments_of`."""
-        return TaskPPOArguments(
-            algorithm=cls.__name__.lower(), task=task, seed=seed, anneal_timesteps=kart_steps
-        )
-
-    def _new_network(self) -> TaskNetwork:
-        return TaskNetwork(self.arguments.hidden, self.arguments.seed, self._state_size)
 
 
 def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, seed: int) -> Path:

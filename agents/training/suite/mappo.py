@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from functools import partial
 
-from .learner import TaskPPO, run_task
+from .learner import TaskLearner, run_task
 
 
-class MAPPO(TaskPPO):
-    """A run of multi-agent PPO; see :class:`.learner.TaskPPO`."""
+class MAPPO(TaskLearner):
+    """A run of multi-agent PPO; see :class:`.learner.TaskLearner`."""
 
     sees_state = True
 

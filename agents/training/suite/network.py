@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,25 +31,22 @@ class TaskNetwork(PPONetwork):
         seed: seed of the initial weights.
         state_size: size of the race's state, which the value network sees too; 0 for none.
 
-    Attributes:
-        has_first_biases: whether the first policy has :data:`FIRST_BIASES`.
-
     Raises:
         ConfigError: PyTorch is not installed.
     """
 
-    has_first_biases: ClassVar[bool] = True
-
     def __init__(self, hidden: Sequence[int], seed: int, state_size: int = 0) -> None:
         value_sizes = SIZE + state_size, *hidden, 1
         super().__init__(seed, (SIZE, *hidden, sum(CHOICES)), value_sizes, "Tanh")
-        if self.has_first_biases:
-            with self.torch.no_grad():
-                for logit, bias in FIRST_BIASES.items():
-                    self.policy[-1].bias[logit] += bias
+        with self.torch.no_grad():
+            for logit, bias in FIRST_BIASES.items():
+                self.policy[-1].bias[logit] += bias
 
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
-        """See :class:`..common.ppo.PPONetwork`. The view has fixed scales, the state has not."""
+        """Fits the scale of the state; that of the view is fixed.
+
+        See :class:`..common.learner.LearningNetwork`.
+        """
         states = seen["state"]
         if not states.shape[1]:
             return False
@@ -77,7 +74,7 @@ class TaskNetwork(PPONetwork):
         return log_probability, entropy, penalty, self.value(central)[:, 0]
 
     def weights(self) -> tuple[Weights, Weights]:
-        """See :class:`..common.ppo.PPONetwork`."""
+        """See :class:`..common.learner.LearningNetwork`."""
         policy = {name: array.detach().numpy().copy() for name, array in self._named().items()}
         return policy, self.arrays(self.value)
 

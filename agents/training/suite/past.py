@@ -24,7 +24,7 @@ from ..common.actors import ActorPool
 from ..common.learner import Weights
 from ..common.opponents import Rival, RivalPool
 from .actor import TaskActor, TaskRollout
-from .learner import TaskFacts, TaskPPO, TaskPPOArguments
+from .learner import TaskArguments, TaskFacts, TaskLearner
 
 #: Number of past policies that a run keeps.
 _POOL_SIZE = 40
@@ -128,8 +128,8 @@ class PastFacts(TaskFacts):
     pool: tuple[Rival, ...]
 
 
-class PastSelfPlay(TaskPPO):
-    """A run of self-play against past policies; see :class:`.learner.TaskPPO`.
+class PastSelfPlay(TaskLearner):
+    """A run of self-play against past policies; see :class:`.learner.TaskLearner`.
 
     Attributes:
         is_prioritized: whether past policies are met more often the less they are beaten.
@@ -137,14 +137,14 @@ class PastSelfPlay(TaskPPO):
 
     is_prioritized: ClassVar[bool]
     facts = PastFacts
-    shown = (*TaskPPO.shown, "beaten")
+    shown = (*TaskLearner.shown, "beaten")
 
-    def __init__(self, folder: str | Path, arguments: TaskPPOArguments) -> None:
+    def __init__(self, folder: str | Path, arguments: TaskArguments) -> None:
         self._pool = RivalPool(_POOL_SIZE)
         super().__init__(folder, arguments)
 
     @classmethod
-    def arguments_of(cls, task: str, kart_steps: int, seed: int) -> TaskPPOArguments:
+    def arguments_of(cls, task: str, kart_steps: int, seed: int) -> TaskArguments:
         """See :meth:`.learner.TaskLearner.arguments_of`."""
         keep_every = max(kart_steps // _POOL_SIZE, 1)
         return replace(super().arguments_of(task, kart_steps, seed), keep_every=keep_every)
