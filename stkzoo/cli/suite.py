@@ -25,11 +25,12 @@ from typing import TYPE_CHECKING, cast
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
 from stkzoo.cli._conduct import ConductArguments, conduct
+from stkzoo.cli._suite_tables import print_tasks, show_entry, show_task, show_tasks
 from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
-    from stkzoo.suite import Entry, Task
+    from stkzoo.suite import Entry
 
 #: Options that are also fields of ``About``.
 _ABOUT = ("authors", "description", "kart_steps")
@@ -173,11 +174,11 @@ def _list(arguments: argparse.Namespace) -> int:
 
     tasks = [find_task(arguments.task)] if arguments.task else [*TASKS.values()]
     if arguments.json:
-        _list_json(tasks)
+        print_tasks(tasks)
     elif arguments.task:
-        _show_task(tasks[0])
+        show_task(tasks[0])
     else:
-        _show_tasks(tasks)
+        show_tasks(tasks)
     return 0
 
 
@@ -279,7 +280,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     name = f"{plan.task}-{plan.agent.label}".replace("/", "_").replace(":", "-")
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
-    return run_plan(arguments, plan, folder, lambda entry: _show_entry(cast("Entry", entry)))
+    return run_plan(arguments, plan, folder, lambda entry: show_entry(cast("Entry", entry)))
 
 
 @usage_errors
@@ -319,7 +320,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(entry.to_json())
         return code
-    _show_entry(entry)
+    show_entry(entry)
     say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
     return code
 
@@ -346,86 +347,3 @@ def _report(arguments: argparse.Namespace) -> int:
     runs = sum(len(own.seeds) for task in report.tasks for own in task.algorithms)
     say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
     return 0
-
-
-# ------------------------------------------------------------------ tables
-
-
-def _list_json(tasks: list[Task]) -> None:
-    import json
-    from dataclasses import asdict
-
-    from stkzoo.suite import POPULATION, SUITE
-
-    found = {
-        "suite": SUITE,
-        "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
-        "population": [asdict(member) for member in POPULATION],
-    }
-    print(json.dumps(found, indent=2))
-
-
-def _show_tasks(tasks: list[Task]) -> None:
-    from stkzoo.cli._console import say, show_table
-    from stkzoo.suite import POPULATION, SUITE
-
-    rows = [
-        (
-            task.name,
-            task.goal,
-            f"{task.budget / 1e6:g} M",
-            " ".join(task.forms),
-            str(task.num_races),
-            task.metric.replace("_", " "),
-        )
-        for task in tasks
-    ]
-    columns = ("task", "goal", "kart-steps", "forms", "races", "metric")
-    show_table(columns, rows, left=("task", "goal", "forms", "metric"), title=SUITE)
-    members = [
-        (member.driver, "held out" if member.is_held_out else "", member.digest)
-        for member in POPULATION
-    ]
-    show_table(("population", "in training", "digest"), members, left=("population", "in training"))
-    say("`stkzoo suite list TASK` shows all rules of a task.")
-
-
-def _show_task(task: Task) -> None:
-    from dataclasses import asdict
-
-    from stkzoo.cli._console import show_table
-
-    values = {**asdict(task), "races": task.num_races, "digest": task.digest}
-    rows = [
-        (name.replace("_", " "), _text(value))
-        for name, value in values.items()
-        if value not in ((), None)
-    ]
-    show_table(("rule", task.name), rows, left=("rule", task.name))
-
-
-def _text(value: object) -> str:
-    if isinstance(value, tuple):
-        return ", ".join(map(str, value))
-    return f"{value:,}" if isinstance(value, int) else str(value)
-
-
-def _show_entry(entry: Entry) -> None:
-    """Prints the scores of an entry."""
-    from stkzoo.cli._console import say
-    from stkzoo.cli.benchmark import show_results
-
-    show_results([entry])
-    score, task = entry.score, entry.task
-    if score is None:
-        return
-    low, high = score.interval
-    say(
-        f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
-        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {len(entry.plan.races())} races."
-    )
-    if entry.normalised_score is not None:
-        say(
-            f"Normalised: {entry.normalised_score:.2f}; 0 is the weakest and 1 the strongest "
-            "driver that comes with stkzoo."
-        )

@@ -1,0 +1,92 @@
+"""Tables of ``stkzoo suite``: tasks, the population, and entries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from stkzoo.suite import Entry, Task
+
+
+def print_tasks(tasks: Sequence[Task]) -> None:
+    """Prints tasks and the population as JSON."""
+    import json
+    from dataclasses import asdict
+
+    from stkzoo.suite import POPULATION, SUITE
+
+    found = {
+        "suite": SUITE,
+        "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
+        "population": [asdict(member) for member in POPULATION],
+    }
+    print(json.dumps(found, indent=2))
+
+
+def show_tasks(tasks: Sequence[Task]) -> None:
+    """Prints tables of tasks and of the population."""
+    from stkzoo.cli._console import say, show_table
+    from stkzoo.suite import POPULATION, SUITE
+
+    rows = [
+        (
+            task.name,
+            task.goal,
+            f"{task.budget / 1e6:g} M",
+            " ".join(task.forms),
+            str(task.num_races),
+            task.metric.replace("_", " "),
+        )
+        for task in tasks
+    ]
+    columns = ("task", "goal", "kart-steps", "forms", "races", "metric")
+    show_table(columns, rows, left=("task", "goal", "forms", "metric"), title=SUITE)
+    members = [
+        (member.driver, "held out" if member.is_held_out else "", member.digest)
+        for member in POPULATION
+    ]
+    show_table(("population", "in training", "digest"), members, left=("population", "in training"))
+    say("`stkzoo suite list TASK` shows all rules of a task.")
+
+
+def show_task(task: Task) -> None:
+    """Prints all rules of a task."""
+    from dataclasses import asdict
+
+    from stkzoo.cli._console import show_table
+
+    values = {**asdict(task), "races": task.num_races, "digest": task.digest}
+    rows = [
+        (name.replace("_", " "), _text(value))
+        for name, value in values.items()
+        if value not in ((), None)
+    ]
+    show_table(("rule", task.name), rows, left=("rule", task.name))
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def show_entry(entry: Entry) -> None:
+    """Prints the scores of an entry."""
+    from stkzoo.cli._console import say
+    from stkzoo.cli.benchmark import show_results
+
+    show_results([entry])
+    score, task = entry.score, entry.task
+    if score is None:
+        return
+    low, high = score.interval
+    say(
+        f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
+        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {len(entry.plan.races())} races."
+    )
+    if entry.normalised_score is not None:
+        say(
+            f"Normalised: {entry.normalised_score:.2f}; 0 is the weakest and 1 the strongest "
+            "driver that comes with stkzoo."
+        )
