@@ -80,11 +80,11 @@ def show_entry(entry: Entry) -> None:
     score, task = entry.score, entry.task
     if score is None:
         return
-    low, high = score.interval
-    say(
-        f"{entry.label} in {task.name}: {task.metric.replace('_', ' ')} {score.value:.3f} "
-        f"({low:.3f}..{high:.3f}) in {len(entry.races)} of {len(entry.plan.races())} races."
-    )
+    metric, count = task.metric.replace("_", " "), len(entry.plan.races())
+    forms = [group for group in entry.groups if group.by == "form"]
+    for group in forms if len(task.forms) > 1 else ():
+        say(f"{group.name}: {metric} {group.figures[task.metric]} in {group.races} races.")
+    say(f"{entry.label} in {task.name}: {metric} {score} in {len(entry.races)} of {count} races.")
     if entry.normalised_score is not None:
         say(
             f"Normalised: {entry.normalised_score:.2f}; 0 is the weakest and 1 the strongest "

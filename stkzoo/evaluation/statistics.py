@@ -42,6 +42,12 @@ class Estimate:
             return self.value, self.value
         return self.low, self.high
 
+    def __str__(self) -> str:
+        """Returns for example ``0.512 (0.480..0.550)``, or ``0.512`` without an interval."""
+        if self.low is None or self.high is None:
+            return f"{self.value:.3f}"
+        return f"{self.value:.3f} ({self.low:.3f}..{self.high:.3f})"
+
 
 def estimate_mean(
     values: Sequence[float | None],

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from stkzoo.evaluation.statistics import Estimate
 from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
@@ -76,10 +75,10 @@ def _score_table(tasks: Sequence[TaskReport]) -> str:
             own.algorithm,
             task.metric.replace("_", " "),
             str(len(own.seeds)),
-            _shown(own.score),
-            _shown(own.train_score),
-            _shown(own.iqm),
-            _shown(own.gap),
+            str(own.score),
+            str(own.train_score),
+            str(own.iqm),
+            str(own.gap),
         )
         for task, own in _each(tasks)
     ]
@@ -105,9 +104,7 @@ def _has_time_ratio(tasks: Sequence[TaskReport]) -> bool:
 def _overall_table(report: SuiteReport) -> str:
     if report.overall is None:
         return ""
-    rows = [
-        (own.algorithm, str(len(own.seeds)), _shown(own.iqm)) for own in report.overall.algorithms
-    ]
+    rows = [(own.algorithm, str(len(own.seeds)), str(own.iqm)) for own in report.overall.algorithms]
     names = ", ".join(f"`{name}`" for name in report.overall.tasks)
     table = _table(("algorithm", "runs per task", "IQM"), rows, 1)
     return f"From the scores of runs in {len(report.overall.tasks)} tasks ({names}):\n\n{table}"
@@ -115,13 +112,13 @@ def _overall_table(report: SuiteReport) -> str:
 
 def _improvement_table(report: SuiteReport) -> str:
     rows = [
-        (task.task, own.first, own.second, _shown(own.probability))
+        (task.task, own.first, own.second, str(own.probability))
         for task in report.tasks
         for own in task.improvements
     ]
     if report.overall is not None:
         rows += [
-            ("all of these", own.first, own.second, _shown(own.probability))
+            ("all of these", own.first, own.second, str(own.probability))
             for own in report.overall.improvements
         ]
     return _table(("task", "first", "second", "first is better"), rows, 3) if rows else ""
@@ -159,13 +156,6 @@ def missing_runs(missing: Sequence[RunKey]) -> str:
 
 def _each(tasks: Iterable[TaskReport]) -> Iterable[tuple[TaskReport, AlgorithmReport]]:
     return ((task, own) for task in tasks for own in task.algorithms)
-
-
-def _shown(estimate: Estimate) -> str:
-    """Returns an estimate as ``0.512 (0.480..0.550)``."""
-    if estimate.low is None or estimate.high is None:
-        return f"{estimate.value:.3f}"
-    return f"{estimate.value:.3f} ({estimate.low:.3f}..{estimate.high:.3f})"
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], num_left: int) -> str:
