@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -280,7 +281,7 @@ class ModuleScope:
         self._depth -= 1
         if self._depth:
             return
-        if len(sys.modules) != self._count:
+        if len(sys.modules) > self._count:
             self._own.update(self._new_modules())
         for name in self._own:
             sys.modules.pop(name, None)
@@ -317,9 +318,12 @@ class ModuleScope:
         return named | {name: module for name, module in loaded if _top(name) in foreign}
 
     def _new_modules(self) -> dict[str, ModuleType]:
+        # Those that were imported in the context are the last ones. Others in the agent's folders
+        # are the program's.
+        latest = list(islice(reversed(sys.modules.items()), len(sys.modules) - self._count))
         return {
             name: module
-            for name, module in list(sys.modules.items())
+            for name, module in reversed(latest)
             if name not in self._own and _top(name) != "stkzoo" and self._is_own(module)
         }
 

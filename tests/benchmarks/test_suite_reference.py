@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.suite_reference import learning_curve, main, reference_keys
-from stkzoo.agents.training.suite.learner import TaskPPOArguments
+from stkzoo.agents.training.suite.learner import TaskArguments
 from stkzoo.errors import ConfigError
 from stkzoo.suite import TASKS, SuiteRun, load_runs
 
@@ -49,8 +49,8 @@ def test_a_learning_curve_has_the_time_of_all_iterations_and_ends_with_the_last(
 @pytest.mark.slow
 def test_a_small_run_is_trained_evaluated_and_written_once(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
-        "stkzoo.agents.training.suite.learner.TaskPPOArguments",
-        lambda **given: TaskPPOArguments(**{**SMALL, **given}),
+        "stkzoo.agents.training.suite.learner.TaskArguments",
+        lambda **given: TaskArguments(**{**SMALL, **given}),
     )
     monkeypatch.setitem(TASKS, "solo-1", replace(TASKS["solo-1"], seeds=1))
     results, runs = tmp_path / "results", tmp_path / "runs"

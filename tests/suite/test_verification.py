@@ -189,7 +189,7 @@ def test_controls_that_a_rival_did_not_give_are_refused(entry):
         controls[100, 0, 2] = 1 - controls[100, 0, 2]
         return controls
 
-    assert plan_entry(SMALL, "random").orders()[WITH_DRIVER].drivers[0] == "pretrained:apex"
+    assert plan_entry(SMALL, "random").orders()[WITH_DRIVER].drivers[0] == "heuristic"
     change_controls(entry, WITH_DRIVER, brake)
     name_replays(entry)
     expected = f"race {WITH_DRIVER} (lighthouse forward): step 101 has other controls of a rival"
