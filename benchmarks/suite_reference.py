@@ -207,7 +207,7 @@ def learning_curve(log: Sequence[Mapping[str, Any]]) -> LearningCurve:
     """
     steps = [line["kart_steps"] for line in log]
     lengths = np.diff(steps, prepend=0) / [line["kart_steps_per_s"] for line in log]
-    seconds = np.cumsum(lengths).round(1).tolist()
+    seconds = np.cumsum(lengths).round(3).tolist()
     count = min(len(log), _MAX_POINTS)
     chosen = np.linspace(0, len(log) - 1, count).round().astype(int).tolist()
 
