@@ -90,7 +90,7 @@ class MlpDriver:
 
     def best(self, observations: FloatArray) -> IntArray:
         """Returns the most likely choices, ``(A, 5)``; a kart's do not depend on other karts."""
-        return likeliest(self.logits(observations))
+        return _likeliest(self.logits(observations))
 
     def seat(self) -> NoReturn:
         """Rejects a call from agents that older versions exported."""
@@ -106,7 +106,7 @@ class MlpDriver:
 
 def sample_choices(logits: FloatArray, random: np.random.Generator) -> IntArray:
     """Samples choices from their logits ``(A, 31)`` by Gumbel noise, ``(A, 5)``."""
-    return likeliest(logits + random.gumbel(size=logits.shape).astype(np.float32))
+    return _likeliest(logits + random.gumbel(size=logits.shape).astype(np.float32))
 
 
 def log_probabilities(logits: FloatArray) -> FloatArray:
@@ -129,8 +129,7 @@ def log_probability_of(choices: IntArray, logits: FloatArray) -> FloatArray:
     return total
 
 
-def likeliest(logits: FloatArray) -> IntArray:
-    """Returns the most likely choices ``(A, 5)`` by their logits ``(A, 31)``."""
+def _likeliest(logits: FloatArray) -> IntArray:
     parts = np.split(logits, SPLITS, axis=1)
     return np.stack([part.argmax(axis=1) for part in parts], axis=1)
 

@@ -68,6 +68,25 @@ def run_batch(
             return None, _INTERRUPTED
 
 
+def run_replays(
+    arguments: argparse.Namespace, run: Callable[..., Result]
+) -> tuple[Result | None, int]:
+    """Runs recorded races again with a progress bar.
+
+    Args:
+        arguments: see :func:`run_batch`.
+        run: function that runs the races, with arguments ``jobs``, ``race_timeout``, ``on_race``.
+
+    Returns:
+        See :func:`run_batch`.
+    """
+
+    def rerun(options: RunOptions) -> Result:
+        return run(jobs=options.jobs, race_timeout=options.race_timeout, on_race=options.on_race)
+
+    return run_batch(arguments, rerun)
+
+
 def run_plan(
     arguments: argparse.Namespace,
     plan: BatchPlan[batch.AnyDocument],

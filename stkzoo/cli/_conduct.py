@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from stkzoo._arguments import positional
@@ -52,19 +53,10 @@ def conduct(arguments: argparse.Namespace) -> int:
       0 success, 1 a replay is damaged or not reproducible, 2 invalid command
       line, 130 interrupted
     """
-    from stkzoo.cli._batch import run_batch
-    from stkzoo.evaluation import RunOptions
+    from stkzoo.cli._batch import run_replays
     from stkzoo.suite import measure_conduct
 
-    def measure(options: RunOptions) -> list[RaceConduct]:
-        return measure_conduct(
-            arguments.places,
-            jobs=options.jobs,
-            race_timeout=options.race_timeout,
-            on_race=options.on_race,
-        )
-
-    races, code = run_batch(arguments, measure)
+    races, code = run_replays(arguments, partial(measure_conduct, arguments.places))
     if races is None:
         return code
     if arguments.json:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -301,20 +302,11 @@ def _verify(arguments: argparse.Namespace) -> int:
     exit codes:
       0 verified, 1 refused, 2 invalid command line, 130 interrupted
     """
-    from stkzoo.cli._batch import run_batch
+    from stkzoo.cli._batch import run_replays
     from stkzoo.cli._console import say
-    from stkzoo.evaluation import RunOptions
     from stkzoo.suite import verify_entry
 
-    def verify(options: RunOptions) -> Entry:
-        return verify_entry(
-            arguments.entry,
-            jobs=options.jobs,
-            race_timeout=options.race_timeout,
-            on_race=options.on_race,
-        )
-
-    entry, code = run_batch(arguments, verify)
+    entry, code = run_replays(arguments, partial(verify_entry, arguments.entry))
     if entry is None:
         return code
     if arguments.json:

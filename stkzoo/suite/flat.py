@@ -71,7 +71,7 @@ class FlatTask(BaseParallelWrapper[str, Any, Any]):
       on above 0.5.
 
     If agents send one of W words, the word multiplies the numbers (``action * W + word``), and
-    the continuous form has W more entries, the largest of which is the word.
+    the continuous form has W more entries. The index of the largest is the word.
 
     Args:
         env: the environment of a task (:meth:`Task.make <stkzoo.suite.Task.make>`).

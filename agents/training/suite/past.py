@@ -73,7 +73,7 @@ class PastActor(TaskActor):
         return replace(super().drive(number, policy, critic), duels=self._duels)
 
     def _draw_rival(self, race: int) -> None:
-        """Draws who drives the karts of a race that begins."""
+        """Draws the drivers of a race that begins."""
         learners = self._races.num_agents
         own = np.ones(learners, np.bool_)
         self._rivals[race] = ""
