@@ -196,6 +196,7 @@ def _train(arguments: argparse.Namespace) -> int:
       mappo    the same with a value network that sees the whole race
       fsp      fictitious self-play: ippo that also meets all its past policies
       pfsp     the same, which meets those most often that it beats least
+      impala   V-trace: one pass over each rollout, with importance weights
 
     Examples:
       stkzoo suite train solo-1 ippo

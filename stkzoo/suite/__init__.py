@@ -37,7 +37,7 @@ from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
 #: Reference algorithms: modules of ``stkzoo.agents.training.suite``.
-ALGORITHMS = ("ippo", "mappo", "fsp", "pfsp")
+ALGORITHMS = ("ippo", "mappo", "fsp", "pfsp", "impala")
 
 register_tasks()
 

@@ -5,6 +5,7 @@ import pytest
 
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
+from stkzoo.agents.training.common.ppo import advantages_of
 from stkzoo.agents.training.suite.actor import (
     KartRace,
     TaskActor,
@@ -13,6 +14,7 @@ from stkzoo.agents.training.suite.actor import (
 )
 from stkzoo.agents.training.suite.exploit import Exploiter, ExploiterArguments, start_weights
 from stkzoo.agents.training.suite.fsp import FSP
+from stkzoo.agents.training.suite.impala import IMPALA, vtrace
 from stkzoo.agents.training.suite.ippo import IPPO
 from stkzoo.agents.training.suite.learner import TaskArguments
 from stkzoo.agents.training.suite.mappo import MAPPO
@@ -64,6 +66,7 @@ def arrays_of(learner):
         (MAPPO, "solo-1"),
         (FSP, "selfplay-5"),
         (PFSP, "team-2v2"),
+        (IMPALA, "selfplay-5"),
     ],
 )
 def test_a_run_learns_and_continues_bit_for_bit(tmp_path, kind, task):
@@ -203,6 +206,50 @@ def test_prioritized_self_play_meets_most_often_whom_it_beats_least(tmp_path):
     assert odds["strong"] > 0.9
     assert odds["strong"] + odds["weak"] == pytest.approx(1)
     assert equal == {"strong": 0.5, "weak": 0.5}
+
+
+def random_rollout(steps, slots):
+    random = np.random.default_rng(3)
+    rollout = np.zeros((steps, slots), rollout_type(0))
+    for name in ("rewards", "values", "next_values"):
+        rollout[name] = random.normal(size=rollout.shape)
+    rollout["ended"] = random.random(rollout.shape) < 0.2
+    rollout["next_values"] *= rollout["ended"]
+    rollout["active"] = random.random(rollout.shape) < 0.9
+    return rollout, random.normal(size=slots).astype(np.float32)
+
+
+def test_v_trace_of_the_current_policy_has_the_targets_of_gae():
+    rollout, last_values = random_rollout(20, 7)
+    values = rollout["values"]
+    targets, advantages = vtrace(rollout, values, np.ones_like(values), last_values, 0.9, 0.8)
+    expected = advantages_of(rollout, last_values, 0.9, 0.8)
+    assert np.allclose(targets - values, expected, atol=1e-5)
+    assert (advantages[~rollout["active"]] == 0).all()
+    returns, gained = vtrace(rollout, values, np.ones_like(values), last_values, 0.9, 1.0)
+    assert np.allclose(gained, (returns - values), atol=1e-5)
+
+
+def test_v_trace_clips_large_ratios_and_discounts_small_ones():
+    rollout, _ = random_rollout(3, 1)
+    rollout["ended"], rollout["active"] = False, True
+    rollout["rewards"] = [[1.0], [2.0], [4.0]]
+    values = np.array([[10.0], [20.0], [30.0]], np.float32)
+    ratios = np.array([[0.5], [3.0], [0.25]], np.float32)
+    targets, advantages = vtrace(
+        rollout, values, ratios, np.array([40.0], np.float32), gamma=0.5, trace=1.0
+    )
+    last = 30.0 + 0.25 * (4.0 + 0.5 * 40.0 - 30.0)
+    middle = 20.0 + (2.0 + 0.5 * 30.0 - 20.0) + 0.5 * (last - 30.0)
+    first = 10.0 + 0.5 * (1.0 + 0.5 * 20.0 - 10.0) + 0.5 * 0.5 * (middle - 20.0)
+    assert targets.ravel() == pytest.approx([first, middle, last])
+    assert advantages.ravel() == pytest.approx(
+        [
+            0.5 * (1.0 + 0.5 * middle - 10.0),
+            2.0 + 0.5 * last - 20.0,
+            0.25 * (4.0 + 0.5 * 40.0 - 30.0),
+        ]
+    )
 
 
 def exploiter(folder, **changes):

@@ -34,6 +34,8 @@ FIELDS: list[tuple[Any, ...]] = [
 ]
 #: Ratio of the learning rates of value and policy.
 _VALUE_RATE = 4.0
+#: Largest norm of the gradient of policy or value network.
+_MAX_GRADIENT = 0.5
 #: Parts of a network with a PyTorch state.
 _PARTS = ("policy", "value", "optimiser")
 
@@ -93,6 +95,14 @@ class PPONetwork(LearningNetwork):
             Tensors ``(N,)``: log-probability of the choices, entropy of the policy, a penalty, and
                 the value in units of :data:`VALUE_UNIT`.
         """
+
+    def descend(self, loss: Any) -> None:
+        """Makes a gradient step on a loss."""
+        self.optimiser.zero_grad()
+        loss.backward()
+        for layers in (self.policy, self.value):
+            self.torch.nn.utils.clip_grad_norm_(layers.parameters(), _MAX_GRADIENT)
+        self.optimiser.step()
 
     def normalised(self, inputs: FloatArray) -> FloatArray:
         """Returns inputs ``(N, F)`` of the value network, normalized and clipped."""
@@ -181,12 +191,7 @@ class OverlappedPPO(OverlappedLearner):
         seen = np.concatenate([rollout[chosen] for rollout, chosen in pairs])
         advantages = np.concatenate([own[r] for own, r in zip(gained, rows, strict=True)])
         returns = advantages + seen["values"]
-        left = max(1.0 - self.kart_steps / settings.anneal_timesteps, 0.0)
-        rate = settings.learning_rate * max(left, 0.05)
-        ent_coef = settings.ent_coef * max(left, 0.1)
-        is_warming = self.iteration < settings.warm_up
-        nets.optimiser.param_groups[0]["lr"] = 0.0 if is_warming else rate
-        nets.optimiser.param_groups[1]["lr"] = _VALUE_RATE * rate
+        rate, ent_coef = self._anneal()
         from_numpy = nets.torch.from_numpy
         data = [
             from_numpy(seen["log_probability"].copy()),
@@ -215,6 +220,16 @@ class OverlappedPPO(OverlappedLearner):
             "reward": float(sum(rollout["rewards"].sum() for rollout in rollouts) / len(seen)),
         }
 
+    def _anneal(self) -> tuple[float, float]:
+        """Sets the learning rates; returns the policy's and the entropy coefficient."""
+        settings, groups = self.arguments, self._network.optimiser.param_groups
+        left = max(1.0 - self.kart_steps / settings.anneal_timesteps, 0.0)
+        rate = settings.learning_rate * max(left, 0.05)
+        is_warming = self.iteration < settings.warm_up
+        groups[0]["lr"] = 0.0 if is_warming else rate
+        groups[1]["lr"] = _VALUE_RATE * rate
+        return rate, settings.ent_coef * max(left, 0.1)
+
     def _batches(self, count: int) -> list[Any]:
         order = self._network.torch.from_numpy(self._random.permutation(count))
         return [rows for rows in order.split(self.arguments.batch_size) if len(rows) > 1]
@@ -230,11 +245,7 @@ class OverlappedPPO(OverlappedLearner):
         value_loss = (values - returns).square().mean()
         penalty = penalty.mean()
         loss = value_loss - objective - ent_coef * entropy.mean() + nets.penalty_coef * penalty
-        nets.optimiser.zero_grad()
-        loss.backward()
-        for layers in (nets.policy, nets.value):
-            torch.nn.utils.clip_grad_norm_(layers.parameters(), 0.5)
-        nets.optimiser.step()
+        nets.descend(loss)
         with torch.no_grad():
             return {
                 "kl": float((ratio - 1 - log_ratio).mean()),
