@@ -1,4 +1,4 @@
-"""Plans chosen by what they are worth and by what networks would do."""
+"""Ensembles, which choose by the values of plans and the preferences of networks."""
 
 import json
 
@@ -40,7 +40,7 @@ def ensemble(weight, *networks):
 
 @pytest.fixture(scope="module")
 def views():
-    """What four karts see in a race that the plans drive, 50 moments of it."""
+    """Returns 50 views of four karts in a race that the plans drive."""
     fleet = Fleet([Lineup(4, 0)], ["snowmountain"], mirrors=False)
     plans, seen = RacingPolicy.of_plans_alone(), []
     try:
@@ -56,12 +56,12 @@ def views():
     return seen
 
 
-def test_without_weight_it_is_the_plans_alone(views):
+def test_with_weight_0_the_plans_decide_alone(views):
     plans = RacingPolicy.of_plans_alone()
     assert all((ensemble(0.0).best(view) == plans.best(view)).all() for view in views)
 
 
-def test_a_small_weight_changes_some_choices_and_a_large_one_more(views):
+def test_a_larger_weight_changes_more_choices(views):
     def changed(weight):
         policy, plans = ensemble(weight), RacingPolicy.of_plans_alone()
         return np.mean([policy.best(view) != plans.best(view) for view in views])
@@ -74,7 +74,7 @@ def _nearest(turns):
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_it_steers_as_far_as_its_plans_let_it_where_networks_would(views, side):
+def test_it_steers_towards_the_networks_choice_as_far_as_its_plans_allow(views, side):
     for view in views:
         begin, turn, *_ = ensemble(1e3, small_network(steers=side)).best(view).T
         planned = plan_turns(view.inputs)[range(4), begin]
@@ -97,8 +97,8 @@ def test_networks_decide_on_drifts_brakes_nitro_and_fire(views):
             assert all((policy.best(view)[:, choice] == pressed).all() for view in views)
 
 
-def test_who_begins_a_drift_steers_far_enough_to_its_side(views):
-    """The networks say the same for a turn of 0.1 and one of 0.3: both are steered as 0.3."""
+def test_a_drift_starts_with_enough_steering_to_its_side(views):
+    """The networks do not distinguish turns of 0.1 and 0.3, so the policy uses 0.3 for both."""
     nearest = np.abs(STEERS - START_STEER).argmin()
     policy = ensemble(1e3, small_network([DRIFT + 1, STEER + nearest]))
     count = 0
@@ -106,13 +106,13 @@ def test_who_begins_a_drift_steers_far_enough_to_its_side(views):
         begin, turn, *_ = policy.best(view).T
         begins = (begin == DRIFT_RIGHT) & ~is_drifting(view.inputs)
         planned = plan_turns(view.inputs)[:, DRIFT_RIGHT]
-        as_planned = planned < 0.2  # so that it needs no more turn than the plan has
+        as_planned = planned < 0.2  # the plan turns less, so START_STEER is enough
         assert (OFFSETS[turn[begins & as_planned]] <= 0.08).all()
         count += (begins & as_planned).sum()
     assert count > 0
 
 
-def test_several_networks_count_by_their_mean(views):
+def test_several_networks_are_averaged(views):
     one, other = small_network(seed=1), small_network(seed=2)
     view = views[20]
     both, swapped = ensemble(2.0, one, other), ensemble(2.0, other, one)
@@ -123,7 +123,7 @@ def test_several_networks_count_by_their_mean(views):
     assert len({int(begin) for best in undecided for begin in best[:, 0]}) > 1
 
 
-def test_networks_come_back_from_one_file():
+def test_several_networks_are_stored_in_one_file():
     joined = join_members([small_network(seed=1), small_network(seed=2)], [])
     found, policies = members_of(joined, "both")
     seen = np.random.default_rng(0).normal(size=(3, action_filter.INPUT_SIZE)).astype(np.float32)
@@ -135,7 +135,7 @@ def test_networks_come_back_from_one_file():
 
 @pytest.fixture
 def files(tmp_path):
-    """Two networks of runs."""
+    """Writes the networks of two training runs and returns the paths."""
     paths = []
     for seed in (0, 1):
         run = tmp_path / f"run{seed}"
@@ -191,7 +191,7 @@ def test_invalid_ensembles_are_refused(files, tmp_path, weight, message):
     assert not (tmp_path / "wise").exists()
 
 
-def test_a_card_whose_weight_is_no_number_is_refused(files, tmp_path):
+def test_a_card_with_an_invalid_weight_is_refused(files, tmp_path):
     folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
     card = json.loads((folder / "card.json").read_text())
     (folder / "card.json").write_text(json.dumps({**card, "ensemble_weight": "much"}))
@@ -209,12 +209,12 @@ def test_a_card_of_an_older_version_says_what_to_rename(files, tmp_path):
 
 
 def plan_policy(seed):
-    """A policy over plans that has learned something at random."""
+    """Returns a policy over plans with random weights."""
     random, shapes = np.random.default_rng(seed), network_shapes((4, 4))
     return {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
 
 
-def test_what_policies_over_plans_have_learned_is_added_to_the_prior(views):
+def test_the_learned_logits_of_policies_over_plans_are_added_to_the_prior(views):
     one, other = (RacingPolicy(plan_policy(seed)) for seed in (0, 1))
     network = MlpDriver(small_network())
     both, plain = EnsemblePolicy([network], 1.0, [one, other]), EnsemblePolicy([network], 1.0)
@@ -227,7 +227,7 @@ def test_what_policies_over_plans_have_learned_is_added_to_the_prior(views):
     assert differences > 10
 
 
-def test_an_ensemble_of_one_policy_over_plans_is_that_policy(views):
+def test_an_ensemble_of_one_policy_over_plans_acts_like_that_policy(views):
     policy = RacingPolicy(plan_policy(2))
     assert all(
         (EnsemblePolicy([], 1.0, [policy]).best(view) == policy.best(view)).all() for view in views
@@ -236,7 +236,7 @@ def test_an_ensemble_of_one_policy_over_plans_is_that_policy(views):
 
 @pytest.fixture
 def plan_file(tmp_path):
-    """A policy over plans of a run whose offsets hold."""
+    """Writes a policy over plans from a run with held offsets, and returns its path."""
     run = tmp_path / "plans"
     run.mkdir()
     rules = {"turn_hold": 4}
@@ -265,9 +265,7 @@ def test_the_folder_of_an_ensemble_adds_its_members(files, plan_file, tmp_path):
     assert one["runs"] == other["runs"]
 
 
-def test_an_ensemble_of_networks_takes_other_plans_and_one_with_policies_keeps_its_own(
-    files, plan_file, tmp_path
-):
+def test_only_an_ensemble_without_policies_can_use_other_plans(files, plan_file, tmp_path):
     plans = tmp_path / "best.json"
     plans.write_text(json.dumps({"learned_motion": True, "margin": 0.5}))
     folder = export_policy(files, "wise", tmp_path / "wise", 1.0, plans)
@@ -280,7 +278,7 @@ def test_an_ensemble_of_networks_takes_other_plans_and_one_with_policies_keeps_i
         export_policy(plan_file, "plain", tmp_path / "plain", plans=plans)
 
 
-def test_a_folder_that_is_no_ensemble_is_refused(plan_file, tmp_path):
+def test_a_folder_without_an_ensemble_is_refused(plan_file, tmp_path):
     folder = export_policy(plan_file, "plain", tmp_path / "plain")
     with pytest.raises(ConfigError, match="is not an ensemble"):
         export_policy([folder], "wise", tmp_path / "wise", ensemble_weight=1.0)
@@ -296,7 +294,7 @@ def test_policies_of_runs_with_different_plans_are_refused(plan_file, tmp_path):
         export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
 
 
-def test_weights_that_are_no_policy_are_no_member(tmp_path):
+def test_weights_of_another_kind_are_refused_as_a_member(tmp_path):
     file = tmp_path / "odd.safetensors"
     save_weights(file, {"w0": np.zeros((2, 2), np.float32)})
     with pytest.raises(ConfigError, match="another version of stkzoo, or of something else"):

@@ -36,12 +36,12 @@ def test_finishes_alone(track):
 
 
 @pytest.mark.slow
-def test_finishes_the_other_way_round():
+def test_finishes_a_reversed_track():
     assert run_race(["heuristic"], track="lighthouse", reverse=True, seed=5).is_finished
 
 
 @pytest.mark.slow
-def test_is_far_ahead_of_chance():
+def test_drives_much_farther_than_a_random_agent():
     result = run_race(["random", "heuristic"], track="olivermath", seed=1, max_steps=300)
     distances = {row.driver: row.distance for row in result.agents}
     assert distances["heuristic"] > 3 * distances["random"]
@@ -70,7 +70,7 @@ def test_acts_within_its_space_on_every_step():
     assert agents == ["kart_0", "kart_1"]
 
 
-def test_leaves_the_observation_as_it_is():
+def test_does_not_change_the_observation():
     with race_v0.parallel_env(agents=[AgentSpec()], num_kart=3, track="xr591") as env:
         observation = env.reset(seed=0)[0]["kart_0"]
         before = copy.deepcopy(observation)
@@ -79,13 +79,13 @@ def test_leaves_the_observation_as_it_is():
 
 
 def on_the_grid():
-    """What a kart sees there."""
+    """Returns a kart's first observation in a race."""
     with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
         return env.reset(seed=0)[0]["kart_0"]
 
 
 def what_a_held_kart_does(speed=0.0, **rules):
-    """``go``, ``brake`` or ``rescue`` for each step of one that does not get away."""
+    """Returns ``go``, ``brake`` or ``rescue`` for each step of a kart that cannot move."""
     observation = on_the_grid()
     held = {**observation, "phase": 3, "velocity": np.array([0, 0, speed], np.float32)}
     driver = heuristic.create_state(DriverParameters(**rules))
@@ -93,23 +93,23 @@ def what_a_held_kart_does(speed=0.0, **rules):
     return ["rescue" if a["rescue"] else "brake" if a["brake"] else "go" for a in actions]
 
 
-def test_calls_the_rescue_when_it_is_held_and_gives_it_time():
+def test_calls_rescue_when_stuck_and_waits_for_it():
     done = what_a_held_kart_does()
     calls = [step for step, what in enumerate(done) if what == "rescue"]
     assert calls[0] == pytest.approx(DriverParameters().stuck_time / STEP, abs=1)
     assert min(later - call for call, later in itertools.pairwise(calls)) >= RESCUE_STEPS
     order = [what for what, _ in itertools.groupby(done)]
-    assert order[:5] == ["go", "rescue", "go", "brake", "rescue"]  # the first did not help
+    assert order[:5] == ["go", "rescue", "go", "brake", "rescue"]  # the first rescue did not help
 
 
-def test_calls_the_rescue_when_it_crawls_along_an_obstacle():
+def test_calls_rescue_when_it_crawls():
     rules = DriverParameters()
     assert "rescue" not in what_a_held_kart_does(rules.crawl_speed + 0.5)
     calls = what_a_held_kart_does(rules.crawl_speed - 0.5).index("rescue")
     assert calls == pytest.approx(rules.crawl_time / STEP, abs=1)
 
 
-def test_calls_the_rescue_when_it_is_lost():
+def test_calls_rescue_when_far_from_the_road():
     calls = []
     observation = on_the_grid()
     _, around = surroundings_of(observation, LINE_MARKS)
@@ -128,9 +128,9 @@ def test_calls_the_rescue_when_it_is_lost():
     assert calls == [0, 1]
 
 
-def test_brakes_for_what_is_ahead_unless_it_would_drive_backwards():
+def test_brakes_for_a_bend_unless_it_would_drive_backwards():
     observation = on_the_grid()
-    cosine, sine = np.cos(1.0), np.sin(1.0)  # the road is to the right, and turned away
+    cosine, sine = np.cos(1.0), np.sin(1.0)  # the road is to the right and points away
     turned = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], np.float32)
     sharp = {
         **observation,
@@ -148,7 +148,7 @@ def test_brakes_for_what_is_ahead_unless_it_would_drive_backwards():
     assert brakes == [0, 1]
 
 
-def test_may_back_out_first_and_then_call_the_rescue():
+def test_can_back_out_before_it_calls_rescue():
     done = what_a_held_kart_does(rescue_reverses=1)
     order = [what for what, _ in itertools.groupby(done)]
     assert order[:3] == ["go", "brake", "rescue"]

@@ -1,4 +1,4 @@
-"""The planner in real races, and its candidates."""
+"""The planner in races, and its candidates."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from stkzoo.evaluation import check_demonstrations, record_demonstrations
 from stkzoo.race import run_race
 
 SMALL = PlannerSettings(num_candidates=3, num_finalists=2, final_steps=4)
-#: Steps until the karts may drive, and some more.
+#: Steps until the karts may drive, and steps after that.
 GRID, SOME = 20, 40
 
 
@@ -23,7 +23,7 @@ def make(**options):
 
 
 def drive(env, act, steps, seed=2):
-    """Drives some steps; returns the actions and the distance."""
+    """Drives at most ``steps`` steps; returns the actions and the distance."""
     observations, infos = env.reset(seed=seed)
     actions = []
     while env.agents and len(actions) < steps:
@@ -44,7 +44,7 @@ def env():
 
 
 @pytest.mark.slow
-def test_gets_further_than_the_driver_whose_choices_it_changes(env):
+def test_drives_farther_than_its_base_policy(env):
     driver, choose = base_policy("pretrained:ace")
     _, base = drive(env, lambda observation: driver.drive(observation, choose), 120)
     _, planned = plan(env, 120, PlannerSettings())
@@ -69,19 +69,19 @@ def test_drives_another_race_with_another_seed(env):
     assert first != second
 
 
-def test_planning_does_not_affect_the_race(env):
+def test_planning_does_not_change_the_race(env):
     actions, distance = plan(env, GRID + SOME)
     recorded = iter(actions)
     assert drive(env, lambda _: next(recorded), GRID + SOME) == (actions, distance)
 
 
-def test_plans_among_karts_of_the_game():
+def test_plans_in_races_against_bots():
     with make(num_kart=3) as env:
         _, distance = plan(env, GRID + 12)
     assert distance > 0
 
 
-def test_a_new_race_needs_copies_of_its_own_after_close(env):
+def test_a_new_race_after_close_needs_new_copies(env):
     planner = Planner(SMALL)
     drive(env, lambda observation: planner.act(env, observation), GRID + 4)
     planner.close()
@@ -99,18 +99,18 @@ def test_refuses_an_environment_of_several_agents():
 # ---------------------------------------------------------------------- as a driver
 
 
-def test_is_a_driver_of_races_against_the_game():
+def test_races_against_bots_as_a_driver():
     result = run_race(["planner", "ai"], track="olivermath", seed=1, max_steps=GRID + 12)
     distances = {row.driver: row.distance for row in result.agents}
     assert distances["planner"] > 0
 
 
-def test_a_race_with_another_driver_says_what_the_planner_expects():
+def test_a_race_with_another_driver_raises_an_error():
     with pytest.raises(AgentError, match="plans for 2 agents"):
         run_race(["planner", "heuristic"], track="olivermath", error_handling="raise")
 
 
-def test_as_an_opponent_in_an_environment_it_says_where_it_can_drive(caplog):
+def test_use_as_an_opponent_in_an_environment_raises_an_error(caplog):
     env = race_v0.parallel_env(agents=1, num_kart=2, track="olivermath", opponents=["planner"])
     with env:
         env.reset(seed=1)
@@ -132,12 +132,12 @@ def test_its_demonstrations_are_repeatable(tmp_path):
 # ---------------------------------------------------------------------- the base policy
 
 
-def test_knows_the_learned_drivers_that_choose_among_plans():
+def test_accepts_learned_drivers_that_choose_among_plans():
     _, choose = base_policy("pretrained:ace")
     assert choose is not None
 
 
-def test_refuses_a_base_that_is_no_driver(tmp_path):
+def test_refuses_an_unknown_base_driver(tmp_path):
     with pytest.raises(ConfigError, match=r"card\.json"):
         base_policy(tmp_path)
 
@@ -146,7 +146,7 @@ def test_refuses_a_base_that_is_no_driver(tmp_path):
 
 
 def choices_of(candidate, step=0, offset=3, missing=()):
-    """Returns the choices with a candidate, where the base policy goes on with an offset."""
+    """Returns the choices with a candidate. The base policy continues with ``offset``."""
     prior = np.zeros((1, sum(CHOICES)), np.float32)
     prior[:, HEADS[0]][:, list(missing)] = -30.0
     base = np.array([[FREE, offset, 0, 0]])
@@ -167,12 +167,12 @@ def test_a_candidate_ends_after_its_steps():
     assert choices_of(Candidate(shift=-2, steps=3), step=3) == [FREE, 3, 0, 0]
 
 
-def test_a_candidate_begins_a_manoeuvre():
+def test_a_candidate_can_start_a_drift():
     candidate = Candidate(shift=1, steps=3, manoeuvre=DRIFT_LEFT)
     assert choices_of(candidate) == [DRIFT_LEFT, 4, 0, 0]
 
 
-def test_a_candidate_begins_no_manoeuvre_without_plans():
+def test_a_candidate_starts_no_drift_without_plans():
     candidate = Candidate(shift=1, steps=3, manoeuvre=DRIFT_LEFT)
     assert choices_of(candidate, missing=[DRIFT_LEFT]) == [FREE, 4, 0, 0]
 
@@ -187,11 +187,11 @@ def test_the_rest_of_a_candidate_is_shorter():
     assert Candidate(shift=2, steps=6).rest(4) == Candidate(shift=2, steps=2)
 
 
-def test_a_candidate_that_is_over_has_no_rest():
+def test_the_rest_of_an_ended_candidate_has_no_steps():
     assert Candidate(shift=2, steps=3).rest(4).steps == 0
 
 
-def test_drawn_candidates_change_the_offset():
+def test_sampled_candidates_change_the_offset():
     random = np.random.default_rng(0)
     drawn = [draw_candidate(random, (3, 6)) for _ in range(50)]
     assert all(own.shift and own.steps in (3, 6) and own.manoeuvre is None for own in drawn)

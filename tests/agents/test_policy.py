@@ -1,4 +1,4 @@
-"""Policies over plans: choices by the prior and by what a network adds to it."""
+"""Policies over plans: the prior and the logits that a network adds."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_sampled_choices_follow_their_probabilities():
     )
 
 
-def test_what_is_learned_is_added_to_the_prior():
+def test_learned_logits_are_added_to_the_prior():
     prior = np.zeros((1, sum(CHOICES)), np.float32)
     prior[0, FREE] = 2.0
     view = PolicyInput(np.zeros((1, INPUT_SIZE), np.float32), prior)

@@ -1,4 +1,4 @@
-"""Learned drivers: their files are checked, and they race."""
+"""Learned drivers: checks of their files, and races."""
 
 import json
 import struct
@@ -46,7 +46,7 @@ def agent(tmp_path):
 
 @pytest.fixture
 def quick_agent(tmp_path):
-    """Of a network without plans."""
+    """Exports a network without plans as an agent."""
     run = tmp_path / "run"
     run.mkdir()
     save_weights(run / "policy-000000123.safetensors", small_network())
@@ -55,7 +55,7 @@ def quick_agent(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
+def test_a_network_without_plans_can_be_exported(quick_agent):
     card = json.loads((quick_agent / "card.json").read_text())
     assert card["runs"][0]["history"] == [
         {"from": 0, "arguments": {"seed": 7, "tracks": ["lighthouse"]}}
@@ -68,7 +68,7 @@ def test_a_network_without_plans_becomes_an_agent_too(quick_agent):
     assert result.agents[0].num_errors == 0
 
 
-def test_a_network_that_is_not_the_cards_is_refused(quick_agent):
+def test_a_network_that_does_not_match_the_card_is_refused(quick_agent):
     file = quick_agent / "weights.safetensors"
     save_weights(file, {n: a + 1 for n, a in load_weights(file).items()})
     with pytest.raises(ConfigError, match="not those of the card"):
@@ -77,7 +77,7 @@ def test_a_network_that_is_not_the_cards_is_refused(quick_agent):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["new_network_state", "new_seat"])
-def test_an_agent_that_was_exported_with_other_names_races(quick_agent, name):
+def test_an_agent_exported_with_old_names_races(quick_agent, name):
     module = quick_agent / "pystk_actor.py"
     text = module.read_text().replace("new_state", name)
     module.write_text(text.replace("make_actor", "make_network_actor"))
@@ -85,7 +85,7 @@ def test_an_agent_that_was_exported_with_other_names_races(quick_agent, name):
     assert result.agents[0].num_errors == 0
 
 
-def test_weights_come_back_as_they_were(tmp_path):
+def test_saved_weights_are_loaded_unchanged(tmp_path):
     save_weights(tmp_path / "w.safetensors", network())
     found = load_weights(tmp_path / "w.safetensors", digest_of(tmp_path / "w.safetensors"))
     assert {name: array.tolist() for name, array in found.items()} == {
@@ -93,7 +93,7 @@ def test_weights_come_back_as_they_were(tmp_path):
     }
 
 
-def test_the_file_is_laid_out_as_safetensors_says(tmp_path):
+def test_weight_files_have_the_safetensors_layout(tmp_path):
     save_weights(tmp_path / "w.safetensors", {"a": np.arange(6, dtype=np.float32).reshape(2, 3)})
     data = (tmp_path / "w.safetensors").read_bytes()
     (size,) = struct.unpack_from("<Q", data)
@@ -115,7 +115,7 @@ def test_the_file_is_laid_out_as_safetensors_says(tmp_path):
     ],
     ids=["cut", "empty", "huge header", "no object", "other type", "other shape"],
 )
-def test_broken_weights_are_refused(tmp_path, spoil):
+def test_damaged_weights_are_refused(tmp_path, spoil):
     file = tmp_path / "w.safetensors"
     save_weights(file, network())
     file.write_bytes(spoil(file.read_bytes()))
@@ -134,7 +134,7 @@ def test_missing_weights_are_refused(tmp_path):
         load_weights(tmp_path / "none.safetensors")
 
 
-def test_exchanged_weights_are_refused(agent):
+def test_weights_that_do_not_match_the_card_are_refused(agent):
     save_weights(agent / "weights.safetensors", network(seed=1))
     with pytest.raises(ConfigError, match=r"not those of the card.*SHA-256"):
         read_policy(agent)
@@ -153,7 +153,7 @@ def test_a_card_of_other_plans_is_refused(agent, rules):
         new_state(agent)
 
 
-def test_plans_go_by_the_numbers_on_the_card(agent):
+def test_plans_use_the_parameters_on_the_card(agent):
     with race_v0.parallel_env(num_kart=1, track="olivermath") as env:
         observation = env.reset(seed=1)[0]["kart_0"]
     around = surroundings_of(observation, ALL_LOOKS)
@@ -167,7 +167,7 @@ def change_card(folder, **facts):
     file.write_text(json.dumps({**json.loads(file.read_text()), **facts}))
 
 
-def test_another_networks_weights_are_refused():
+def test_weights_of_another_network_are_refused():
     weights = network()
     weights["w0"] = weights["w0"][:-1]
     with pytest.raises(ConfigError, match="of another version"):
@@ -178,7 +178,7 @@ def test_another_networks_weights_are_refused():
         check_shapes(weights, "w")
 
 
-def test_exporting_tells_where_the_agent_comes_from(tmp_path, capsys):
+def test_the_card_records_the_training_runs(tmp_path, capsys):
     file = tmp_path / "policy-000000123.safetensors"
     save_weights(file, network())
     (tmp_path / "arguments.json").write_text(
@@ -197,7 +197,7 @@ def test_exporting_tells_where_the_agent_comes_from(tmp_path, capsys):
     assert "stkzoo race" in capsys.readouterr().out
 
 
-def test_exporting_spares_other_folders(tmp_path, capsys):
+def test_exporting_does_not_overwrite_other_folders(tmp_path, capsys):
     file = tmp_path / "w.safetensors"
     save_weights(file, network())
     (tmp_path / "mine").mkdir()
@@ -209,7 +209,7 @@ def test_exporting_spares_other_folders(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_an_exported_folder_races_as_any_agent(agent):
+def test_an_exported_folder_races_like_any_agent(agent):
     result = run_race([str(agent), "ai"], track="olivermath", seed=1, max_steps=60)
     mine = next(row for row in result.agents if row.agent == "kart_0")
     assert mine.driver == "tiny"
@@ -244,7 +244,7 @@ def test_a_shipped_driver_is_small_and_has_a_card(name):
     assert isinstance(read_policy(folder), kinds[name.partition(":")[2]])
 
 
-def test_before_go_it_waits_with_full_throttle_and_then_it_drives(agent):
+def test_it_holds_full_throttle_before_the_start_and_then_drives(agent):
     actor, state = make_actor(agent), new_state(agent)
     with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
         observations, _ = env.reset(seed=1)
@@ -265,7 +265,7 @@ def test_a_learned_driver_races_the_heuristic_and_the_hardest_ai():
     assert [row.errors for row in result.agents] == [(), (), ()]
 
 
-def test_levels_of_the_ai_that_cannot_be_are_refused():
+def test_invalid_levels_of_the_ai_are_refused():
     with pytest.raises(ConfigError, match="expected ai:0"):
         find_driver("ai:4")
     with pytest.raises(ConfigError, match="one level"):

@@ -8,7 +8,7 @@ from stkzoo.agents.pretrained import ace
 from stkzoo.drivers.code import read_module
 
 
-def test_the_networks_have_no_say():
+def test_the_networks_have_no_effect():
     random = np.random.default_rng(0)
     inputs = random.normal(size=(200, INPUT_SIZE)).astype(np.float32)
     prior = random.normal(size=(200, sum(CHOICES))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The benchmark commands run and save what they measured; how fast anything is, is not asked."""
+"""The benchmark commands run and save their measurements. Speeds are not checked."""
 
 import argparse
 import importlib
@@ -43,7 +43,7 @@ PHYSICAL_VIEWS = ("control", "flattened_control")
 
 def run(name, *arguments):
     command = [sys.executable, "-m", f"benchmarks.bench_{name}", *map(str, arguments)]
-    # The reference compiles its rotations in every process; a trial is faster without.
+    # The reference compiles its rotations in each process; short runs are faster without.
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     return subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300
@@ -56,7 +56,7 @@ def processes_below(pid):
 
 
 def wait_until_gone(pids):
-    """The ids that are still there after a while; zombies have gone."""
+    """Waits up to 10 s; returns the processes that still run. Zombies do not count."""
     for _ in range(200):
         living = [pid for pid in pids if is_alive(pid)]
         if not living:
@@ -74,18 +74,18 @@ def is_alive(pid):
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory):
-    """The folder with the results of a trial of all benchmarks, and how they ended."""
+    """Runs all benchmarks briefly; returns the folder with the results, and the ended process."""
     folder = tmp_path_factory.mktemp("trial")
     return folder, run("all", "--quick", "--output", folder)
 
 
-def test_a_trial_of_all_benchmarks_succeeds(trial):
+def test_a_short_run_of_all_benchmarks_succeeds(trial):
     _, ended = trial
     assert (ended.returncode, ended.stderr[-2000:] if ended.returncode else "") == (0, "")
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_a_result_tells_command_host_and_settings(trial, name):
+def test_a_result_has_command_host_and_settings(trial, name):
     report = json.loads((trial[0] / f"{name}.json").read_text())
     assert report["command"].startswith(f"python -m benchmarks.bench_{name} --steps ")
     assert report["host"]["packages"]["PySuperTuxKart2"]
@@ -93,7 +93,7 @@ def test_a_result_tells_command_host_and_settings(trial, name):
     assert len(report["results"]) > 0
 
 
-def test_a_command_that_was_saved_can_be_run_again(trial, tmp_path):
+def test_a_saved_command_can_be_repeated(trial, tmp_path):
     command = json.loads((trial[0] / "resets.json").read_text())["command"].split()
     again = run("resets", *command[3:], "--output", tmp_path / "again.json")
     assert again.returncode == 0
@@ -101,7 +101,7 @@ def test_a_command_that_was_saved_can_be_run_again(trial, tmp_path):
     assert report["command"].split() == command
 
 
-def test_results_name_neither_the_machine_nor_its_folders(trial):
+def test_results_contain_no_paths(trial):
     for path in trial[0].glob("*.json"):
         report = json.loads(path.read_text())
         text = report["command"] + json.dumps(report["host"]) + json.dumps(report["settings"])
@@ -126,11 +126,11 @@ def test_all_five_contenders_are_compared(trial):
     }
 
 
-def test_every_view_without_pictures_is_measured():
+def test_every_view_without_images_is_measured():
     assert set(VIEWS) == set(VIEWS_OF_STKZOO)
 
 
-def test_every_contender_tells_the_time_inside_the_engine(trial):
+def test_every_contender_reports_the_time_in_the_engine(trial):
     results = json.loads((trial[0] / "steps.json").read_text())["results"]
     for result in results:
         for found in result["contenders"].values():
@@ -153,7 +153,7 @@ def test_the_page_is_written_from_the_results(trial, tmp_path):
     assert "stkzoo, worker" in text
 
 
-def test_the_charts_are_of_the_saved_results(tmp_path):
+def test_the_charts_show_the_saved_results(tmp_path):
     assert bench_charts.main(["--output", str(tmp_path)]) == 0
     saved = ROOT / "docs" / "images" / "benchmarks"
     for name in bench_charts.CHARTS:
@@ -180,13 +180,13 @@ def test_every_command_has_help(name, capsys):
 
 
 @pytest.mark.parametrize("arguments", [["--steps", "0"], ["--karts", "-1"], ["--cores", "-1"]])
-def test_sizes_that_are_too_small_are_refused(arguments, capsys):
+def test_too_small_sizes_are_refused(arguments, capsys):
     with pytest.raises(SystemExit, match="2"):
         bench_steps.main(arguments)
     assert "is less than" in capsys.readouterr().err
 
 
-def test_the_reference_runs_the_race_of_the_engine_to_the_last_bit():
+def test_the_reference_runs_the_same_race_bit_for_bit():
     specs = {
         "engine": Spec("bare", num_kart=2, num_agents=2),
         "stkzoo": Spec("stkzoo", "multi", num_kart=2, num_agents=2),
@@ -198,7 +198,7 @@ def test_the_reference_runs_the_race_of_the_engine_to_the_last_bit():
     assert [len(times[name]["total"]) for name in specs] == [30, 30, 30]
 
 
-def test_another_race_is_noticed():
+def test_a_different_race_is_detected():
     specs = {
         "one": Spec("bare", num_kart=2, num_agents=2),
         "other": Spec("bare", num_kart=3, num_agents=2),
@@ -208,7 +208,7 @@ def test_another_race_is_noticed():
     assert not is_same
 
 
-def test_a_contender_that_fails_says_why():
+def test_a_failed_contender_reports_its_traceback():
     with (
         Contender(Spec("bare")) as contender,
         pytest.raises(RuntimeError, match=r"failed at 'race'(.|\n)*Traceback"),
@@ -228,7 +228,7 @@ def test_no_process_outlives_a_contender(kind):
     assert wait_until_gone(living) == []
 
 
-def test_no_process_outlives_a_driver_that_is_killed():
+def test_no_process_outlives_a_killed_driver():
     code = (
         "import os, signal\n"
         "from benchmarks.bench_driver import Contender, Spec\n"
@@ -247,7 +247,7 @@ def test_no_process_outlives_a_driver_that_is_killed():
     assert wait_until_gone(living) == []
 
 
-def test_memory_is_told_of_program_fork_server_and_race():
+def test_memory_is_reported_for_program_fork_server_and_race():
     spec = Spec("stkzoo", num_kart=1, num_agents=1, subprocess=True)
     with Contender(spec) as contender:
         contender.ask("load")
@@ -272,7 +272,7 @@ def decoded(view, action):
 
 @pytest.mark.parametrize("view", [v for v in VIEWS if v not in ("ground", *PHYSICAL_VIEWS)])
 @pytest.mark.parametrize("control", CONTROLS)
-def test_a_view_decodes_the_control_that_it_can_express(view, control):
+def test_a_view_decodes_the_controls_that_it_can_express(view, control):
     style = driving_style(view)
     expressed = controls_of(style, to_action("full", np.array(control)))
     taken = decoded(view, to_action(view, np.array(expressed)))
@@ -281,14 +281,14 @@ def test_a_view_decodes_the_control_that_it_can_express(view, control):
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_every_view_takes_the_actions_that_the_benchmarks_give_it(view):
+def test_every_view_accepts_the_actions_of_the_benchmarks(view):
     space = race_v0.parallel_env(num_kart=1, view=view).action_space("kart_0")
     for row in RandomControls(8, view).next():
         assert space.contains(to_action(view, row))
 
 
 @pytest.mark.parametrize("control", CONTROLS)
-def test_a_control_on_the_grid_stays_where_it_is(control):
+def test_a_control_on_the_grid_does_not_change(control):
     assert controls_of("grid", to_action("full", np.array(control))) == control
 
 
@@ -299,7 +299,7 @@ def test_random_controls_repeat_with_their_seed():
     assert rows[0] != rows[2]
 
 
-def test_recorded_controls_start_again_at_their_end():
+def test_recorded_controls_repeat_after_their_end():
     controls = RecordedControls([[CONTROLS[0]], [CONTROLS[1]]])
     taken = [controls.next().tolist() for _ in range(3)]
     assert taken == [[CONTROLS[0]], [CONTROLS[1]], [CONTROLS[0]]]
@@ -312,35 +312,35 @@ def test_recorded_karts_drive(style):
     assert np.median(rows[..., 0]) > 0
 
 
-def test_quantiles_are_those_of_numpy():
+def test_quantiles_match_numpy():
     values = np.random.default_rng(0).random(50)
     found = quantiles(values)
     assert list(found.values()) == pytest.approx(np.quantile(values, [0.5, 0.1, 0.9]).tolist())
 
 
-def test_quantiles_of_nothing_are_refused():
+def test_quantiles_of_an_empty_list_are_refused():
     with pytest.raises(ValueError, match="no values"):
         quantiles([])
 
 
-def test_ratios_are_taken_step_by_step():
+def test_ratios_are_computed_step_by_step():
     times = {"total": [3e-6, 8e-6, 5e-6], "engine": [1e-6, 2e-6, 5e-6]}
     found = figures(times)
     assert found["ratio"]["median"] == pytest.approx(3.0)
     assert found["overhead"]["median"] == pytest.approx(2.0)
 
 
-def test_a_contender_without_the_engines_time_has_no_ratio():
+def test_a_contender_without_engine_times_has_no_ratio():
     times = {"total": [1e-6, 2e-6], "engine": [None, None]}
     assert set(figures(times)) == {"step"}
 
 
-def test_a_table_becomes_markdown():
+def test_a_table_is_written_as_markdown():
     table = Table("title", ("", "x"), [("row", "1")], "note")
     assert table.to_markdown() == "**title**\n\n|  | x |\n| :-- | --: |\n| row | 1 |\n\nnote\n"
 
 
-def test_the_reference_is_left_out_where_it_fails():
+def test_the_reference_is_left_out_of_views_in_which_it_fails():
     options = argparse.Namespace(karts=[1], single_karts=[1], group=GROUPS, view=VIEWS, cores=1)
     rivals = {
         (match.group, match.view)
@@ -357,7 +357,7 @@ def test_each_part_of_a_learned_drivers_decision_is_timed(name):
     assert all(time > 0 for time in parts.values())
 
 
-def test_the_forms_of_opponents_are_timed():
+def test_each_kind_of_opponent_is_timed():
     times = opponents.cost(races=1, steps=20, track="lighthouse")
     assert [*times] == ["bots", "ai:3", "one by one", "together"]
     assert all(time > 0 for time in times.values())

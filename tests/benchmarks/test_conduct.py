@@ -1,4 +1,4 @@
-"""The races of the rammer differ, and rates count contacts of the chosen drivers."""
+"""Races against the rammer differ, and rates count the contacts of the chosen drivers."""
 
 from benchmarks.conduct import rate
 from benchmarks.conduct_races import GROUPS, RAMMER, orders

@@ -1,4 +1,4 @@
-"""The examples of docs/how-to/works-with.md run, for each library that is installed."""
+"""The examples of docs/how-to/works-with.md run with each installed library."""
 
 import io
 import os
@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import ecosystem
 
-#: Needs nothing but the extras that the tests have. `python -m benchmarks.ecosystem` runs all.
+#: Examples that need only the tests' extras. ``python -m benchmarks.ecosystem`` runs all.
 HERE = ("gymnasium_vector", "supersuit_sb3", "sb3_ppo", "cleanrl_ppo")
 
 
@@ -37,7 +37,7 @@ def test_nothing_is_installed_without_consent(tmp_path, monkeypatch, capsys):
     assert not folder.exists()
 
 
-def test_every_example_has_its_line():
+def test_every_example_is_listed():
     scripts = {path.stem for path in ecosystem.EXAMPLES.glob("*.py")}
     assert scripts == {example.script for example in ecosystem.LIBRARIES}
 

@@ -1,4 +1,4 @@
-"""Events counted in steps of 0.1 s against trajectories at 120 Hz, in two short races."""
+"""Events counted in steps of 0.1 s, compared with trajectories at 120 Hz in two short races."""
 
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ def race():
 
 
 @pytest.mark.slow
-def test_scripted_karts_are_counted_as_their_trajectories_say(race):
+def test_event_counts_match_the_trajectories(race):
     found = compare(race)
     assert found["rammer"]["kart_contact"][0] > 2
     assert found["cutter"]["off_road"][0] > 4.0
@@ -28,7 +28,7 @@ def test_scripted_karts_are_counted_as_their_trajectories_say(race):
 
 
 @pytest.mark.slow
-def test_the_counter_and_its_twin_agree_over_a_race(race):
+def test_the_counter_matches_its_reference_implementation(race):
     ours = RaceEvents(race.track, 0.1, 6)
     memory, counts = ours._memory.copy(), np.zeros_like(ours.counts)
     twin = EventCounter(race.track.path_nodes, 0.1, memory, counts)
@@ -44,7 +44,7 @@ def test_the_counter_and_its_twin_agree_over_a_race(race):
 
 
 @pytest.mark.slow
-def test_a_solo_race_on_the_line_counts_what_happens_and_nothing_else():
+def test_a_clean_solo_race_counts_only_items_and_time_off_road():
     found = compare(record("lighthouse", 103, ("expert",), seconds=30.0))["expert"]
     nothing = (
         "kart_contact",

@@ -1,4 +1,4 @@
-"""Which interpreter runs a contender of bench_learners, and what is saved."""
+"""The interpreter of each contender of bench_learners, and the saved results."""
 
 import json
 import sys
@@ -11,7 +11,7 @@ from benchmarks.ecosystem import SETS
 
 @pytest.fixture
 def environments(monkeypatch):
-    """The environments that were asked for, by folder; none is made."""
+    """Replaces the creation of environments; returns the packages requested for each folder."""
     made = {}
 
     def environment(folder, packages):
@@ -22,24 +22,24 @@ def environments(monkeypatch):
     return made
 
 
-def test_contenders_without_another_library_run_here(environments, tmp_path):
+def test_contenders_without_another_library_use_this_interpreter(environments, tmp_path):
     assert bench_learners._python("ppo", tmp_path) == sys.executable
     assert environments == {}
 
 
-def test_a_missing_library_is_installed_in_an_environment(environments, tmp_path, monkeypatch):
+def test_a_missing_library_is_installed_in_a_new_environment(environments, tmp_path, monkeypatch):
     monkeypatch.setitem(bench_learners._LIBRARIES, "rllib", ("no_such_module", "rllib"))
     assert bench_learners._python("rllib", tmp_path) == str(tmp_path / "rllib" / "python")
     assert environments == {tmp_path / "rllib": SETS["rllib"]}
 
 
-def test_an_installed_library_is_used_as_it_is(environments, tmp_path, monkeypatch):
+def test_an_installed_library_is_not_installed_again(environments, tmp_path, monkeypatch):
     monkeypatch.setitem(bench_learners._LIBRARIES, "torchrl", ("json", "main"))
     assert bench_learners._python("torchrl", tmp_path) == sys.executable
     assert environments == {}
 
 
-def test_results_are_saved_without_folders_of_this_machine(monkeypatch, tmp_path):
+def test_saved_results_contain_no_paths_of_this_machine(monkeypatch, tmp_path):
     monkeypatch.setattr(bench_learners, "_measure", lambda *_: {"rate": 2.0})
     output = tmp_path / "learners.json"
     words = ["--only", "ppo", "--rounds", "1", "--folder", str(tmp_path), "--output", str(output)]

@@ -1,4 +1,4 @@
-"""The comparison of the planner with its base policy, without its races."""
+"""The comparison of the planner with its base policy, with simulated results."""
 
 import json
 import sys
@@ -10,7 +10,7 @@ from benchmarks import planning
 
 @pytest.fixture
 def raced(monkeypatch):
-    """Replaces races by results; returns the keys of those that were requested."""
+    """Replaces races by fixed results; returns the keys of the requested races."""
     keys = []
 
     def race(*key):
@@ -27,7 +27,7 @@ def compare(monkeypatch, file, *options):
     planning.main()
 
 
-def test_a_repeated_command_races_only_what_is_missing(monkeypatch, tmp_path, raced):
+def test_a_repeated_command_runs_only_the_missing_races(monkeypatch, tmp_path, raced):
     file = tmp_path / "planning.json"
     compare(monkeypatch, file, "--track", "lighthouse")
     compare(monkeypatch, file, "--track", "lighthouse", "hacienda")

@@ -1,4 +1,4 @@
-"""The reference runs of the suite are trained, evaluated, written once, and reported."""
+"""The reference runs of the suite are trained, evaluated, saved once, and reported."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ SMALL = {
 }
 
 
-def test_a_whole_seed_of_all_algorithms_comes_first():
+def test_runs_are_ordered_by_seed():
     keys = list(reference_keys(("versus", "team-2v2"), ("ippo", "mappo"), (0, 1)))
     assert [seed for _, _, seed in keys] == [0] * 4 + [1] * 4
     assert len(set(keys)) == 8

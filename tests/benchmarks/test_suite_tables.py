@@ -1,4 +1,4 @@
-"""The report page is built from any results, and says what is missing."""
+"""The report page is built from any set of results and lists the missing runs."""
 
 import json
 
@@ -21,7 +21,7 @@ def test_the_page_without_results_lists_all_runs(tmp_path):
     page = build(tmp_path, [])
     assert "No run has a result yet" in page
     assert "- versus, ippo: seed 0, 1, 2\n" in page
-    assert "versus, fsp" not in page  # it cannot learn this task
+    assert "versus, fsp" not in page  # fsp does not run on tasks with one learner
     assert not (tmp_path / "pictures").exists()
 
 
@@ -34,7 +34,7 @@ def test_the_page_with_some_results_has_their_tables_and_figures(tmp_path):
     assert (tmp_path / "pictures" / "scores.svg").exists()
 
 
-def test_a_page_is_replaced_between_its_marks_only():
+def test_only_the_section_between_the_marks_is_replaced():
     page = "one\n<!-- a: begin -->\nold\n<!-- a: end -->\ntwo\n"
     found = suite_tables.replaced(page, "a", "new")
     assert found == "one\n<!-- a: begin -->\n\nnew\n\n<!-- a: end -->\ntwo\n"
@@ -52,7 +52,7 @@ def test_the_page_in_the_docs_is_up_to_date(tmp_path):
 
 
 @pytest.mark.slow
-def test_intervals_over_runs_and_tracks_cover_more_than_those_of_single_scores(tmp_path):
+def test_intervals_over_runs_and_tracks_have_better_coverage_than_over_single_scores(tmp_path):
     output = tmp_path / "intervals.json"
     assert suite_intervals.main(["--trials", "20", "--output", str(output)]) == 0
     for row in json.loads(output.read_text())["rows"]:

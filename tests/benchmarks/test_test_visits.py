@@ -1,4 +1,4 @@
-"""The log of visits to the test tracks has every saved result and is shown in the docs."""
+"""The log of visits to the test tracks lists every saved result, and the docs show the log."""
 
 import csv
 import json
@@ -13,7 +13,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 
 
 def has_test_tracks(file):
-    """Whether a saved result is of test tracks."""
+    """Returns whether a saved result includes test tracks."""
     return not set(TEST_TRACKS).isdisjoint(json.loads(file.read_text())["plan"]["tracks"])
 
 
@@ -21,20 +21,20 @@ SAVED = sorted(filter(has_test_tracks, (RESULTS / "benchmark").rglob("*.json")))
 
 
 def saved_result(file):
-    """A result and its mean time ratio: to the AI's times or, in time trials, to the records."""
+    """Returns a result and its mean time ratio to the AI or, in time trials, to the records."""
     if file.stem.endswith("time-trial"):
         return (result := load_time_trial(file)), result.mean_ratio
     return (result := load_benchmark(file)), result.group().figures["time_ratio"].value
 
 
 def visits():
-    """The rows of the log, without its head."""
+    """Returns the rows of the log, without its header."""
     with (RESULTS / "test_visits.csv").open(newline="") as file:
         return list(csv.reader(file))[1:]
 
 
 @pytest.mark.parametrize("file", SAVED, ids=lambda file: file.stem)
-def test_every_saved_result_on_test_tracks_is_in_the_log(file):
+def test_the_log_has_every_saved_result_on_test_tracks(file):
     result, ratio = saved_result(file)
     plan, races = result.plan, len(result.races)
     row = [plan.agent.source, str(plan.settings.difficulty), str(races), f"{ratio:.3f}"]

@@ -1,4 +1,4 @@
-"""What learned drivers see, remember and do, for many karts at once."""
+"""Observations, memory and actions of learned drivers, for batches of karts."""
 
 import dataclasses
 from pathlib import Path
@@ -39,7 +39,7 @@ def best(prior):
 
 
 def driven_race(steps, karts=3, track="lighthouse", rules=None, choose=best):
-    """Moments of a race that a policy drives: what the karts know, and the drivers then."""
+    """Drives a race with a policy; yields the environment, surroundings, drivers and views."""
     controls_of = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
     with race_v0.parallel_env(num_kart=karts, track=track, max_paths=96) as env:
         env.reset(seed=3)
@@ -70,7 +70,7 @@ def rows_of(own, around, rows):
 
 
 def memories(drivers):
-    """What drivers remember by name, as arrays with a row for each kart."""
+    """Returns the drivers' memory by name, as arrays with one row per kart."""
     parts = {"": drivers.memory._of, "rivals ": drivers._tracker.before}
     return {
         prefix + name: array
@@ -88,13 +88,13 @@ def remind(drivers, state):
         array[:] = state[name]
 
 
-def test_the_prior_alone_drives():
+def test_the_prior_alone_drives_forward():
     for env, *_ in driven_race(150):
         moment = env.snapshot
     assert (moment.karts["overall_distance"] > 120).all()
 
 
-def test_karts_see_together_what_each_sees_alone():
+def test_a_batch_of_karts_has_the_views_of_single_karts():
     for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
         if count % 20:
             continue
@@ -109,7 +109,7 @@ def test_karts_see_together_what_each_sees_alone():
 
 
 @pytest.mark.parametrize("name", ["ace", "scout"])
-def test_a_kart_decides_alone_as_among_others(name):
+def test_decisions_do_not_depend_on_the_batch_size(name):
     folder = Path(pretrained.__file__).parent / name
     policy, rules = read_policy(folder), read_numbers(folder)
     together = PlanDriver(3, rules)
@@ -122,7 +122,7 @@ def test_a_kart_decides_alone_as_among_others(name):
             np.testing.assert_array_equal(decided[0], controls[kart])
 
 
-def test_a_crowd_sees_what_the_full_view_tells():
+def test_batched_views_match_the_full_view():
     batched_view = None
     for count, (env, own, around, *_) in enumerate(driven_race(90)):
         batched_view = batched_view or BatchedRacingView([RoadTable(env.track_map)])
@@ -144,7 +144,7 @@ def mirrored_race(own, around):
     )
 
 
-def test_the_mirrored_race_is_seen_mirrored():
+def test_a_mirrored_race_gives_mirrored_inputs():
     signs = dict.fromkeys(remembered(PlanDriver(1)), 1.0)
     signs |= dict.fromkeys(("turn", "drift_turn", "drift_side", "held_offset"), -1.0)
     signs |= dict.fromkeys(("rivals spots", "rivals velocity"), np.array([-1, 1], np.float32))
@@ -173,7 +173,7 @@ def test_mirroring_twice_changes_nothing():
     ]
 
 
-def test_mirrored_choices_steer_the_other_way():
+def test_mirrored_choices_steer_to_the_other_side():
     *_, (_, own, around, _, _) = driven_race(70)
     here, there = PlanDriver(3), PlanDriver(3)
     view = here.view(own, around)
@@ -186,12 +186,12 @@ def test_mirrored_choices_steer_the_other_way():
 
 
 def offsets_of(seed):
-    """A policy that draws its offsets, and the choices that it has made."""
+    """Returns a policy that samples its offsets, and a list of the choices that it has made."""
     random, made = np.random.default_rng(seed), []
 
     def choose(prior):
         noise = random.gumbel(size=prior.shape)
-        noise[:, HEADS[1]] *= 9  # all offsets are likely
+        noise[:, HEADS[1]] *= 9  # so that all offsets are likely
         made.append(best(prior + noise))
         return made[-1]
 

@@ -1,4 +1,4 @@
-"""The planner's facts about karts, measured in the game."""
+"""The planner's constants for karts, measured in the game."""
 
 import math
 import statistics
@@ -19,7 +19,7 @@ from stkzoo.agents.planning.parameters import DriverParameters
 
 
 def drive_alone(track, reverse=False):
-    """Calls of the driver on a lap: what it remembers before each, and the speed."""
+    """Drives one lap; yields the drift steps before each action, the speed and the action."""
     with race_v0.parallel_env(num_kart=1, track=track, reverse=reverse, max_cycles=None) as env:
         observation = env.reset(seed=2)[0]["kart_0"]
         driver = heuristic.create_state()
@@ -40,11 +40,11 @@ def test_drifts_earn_boosts_in_the_game():
     ]
     assert len(ends) >= 4
     gains = [calls[end + 2][1] - calls[end][1] for end in ends]
-    assert statistics.median(gains) > 0.5  # m/s; without a boost the speed is not above 0
+    assert statistics.median(gains) > 0.5  # [m/s]; without a boost the median is not above 0
 
 
 @pytest.mark.slow
-def test_drifts_do_not_begin_too_soon_after_one_another():
+def test_the_driver_keeps_the_minimum_interval_between_drifts():
     drifts = [action["drift"] for *_, action in drive_alone("stk_enterprise", reverse=True)]
     begins = np.flatnonzero(np.diff(drifts, prepend=0) == 1)
     assert len(begins) > 10
@@ -70,7 +70,7 @@ def heading(env):
 
 @pytest.fixture(scope="module")
 def fast_kart():
-    """A kart at speed with room around it, and how fast it turns at full lock, reckoned [rad/s]."""
+    """Yields a fast kart on open road, and its expected turn rate at full lock [rad/s]."""
     with race_v0.parallel_env(num_kart=1, track="gran_paradiso_island", max_cycles=None) as env:
         observation = env.reset(seed=3)[0]["kart_0"]
         while observation["velocity"][2] < 22.0:
@@ -81,7 +81,7 @@ def fast_kart():
 
 
 def turns_of(env, controls):
-    """How far the kart turns with each control, to the right [rad]."""
+    """Returns the angle that the kart turns to the right with each control [rad]."""
     with env.lookahead() as branch:
         headings = [heading(branch)]
         for action in controls:
@@ -91,7 +91,7 @@ def turns_of(env, controls):
 
 
 @pytest.mark.slow
-def test_full_lock_turns_as_fast_as_reckoned(fast_kart):
+def test_the_turn_rate_at_full_lock_is_as_computed(fast_kart):
     env, lock = fast_kart
     for side in (-1, 1):
         turns = turns_of(env, [control(side)] * 3)
@@ -99,7 +99,7 @@ def test_full_lock_turns_as_fast_as_reckoned(fast_kart):
         assert turns[0] / turns[1] == pytest.approx(1 - STEERING_LAG, abs=0.12)
 
 
-def test_a_drift_turns_by_its_shares(fast_kart):
+def test_a_drift_turns_by_the_expected_fractions_of_full_lock(fast_kart):
     env, lock = fast_kart
     for side in (-1, 1):
         for steer, share in zip((-1, 1), DRIFT_TURN, strict=True):
@@ -108,17 +108,17 @@ def test_a_drift_turns_by_its_shares(fast_kart):
             assert turn == pytest.approx(0.1 * lock * share, rel=0.15)
 
 
-def test_a_kart_goes_on_turning_after_a_drift_and_cannot_begin_another(fast_kart):
+def test_a_kart_keeps_turning_after_a_drift_and_cannot_start_another(fast_kart):
     env, _ = fast_kart
     drift = [control(0.3, 1), *[control(-1.0, 1)] * 7]
     after = turns_of(env, [*drift, *[control(0.0)] * 4])[len(drift) + 1 :]
     assert after == pytest.approx(0.1 * RELEASE_TURN * DRIFT_TURN[0], rel=0.3)
     again = turns_of(env, [*drift, control(0.0), *[control(-0.01, 1)] * 3])[len(drift) + 1 :]
-    assert again == pytest.approx(after[:3], abs=0.01)  # in a drift it would turn left
+    assert again == pytest.approx(after[:3], abs=0.01)  # it would turn left if it drifted
 
 
 @pytest.mark.parametrize("steps", [2, 4])
-def test_after_a_short_drift_a_kart_turns_on_for_as_long_as_it_drifted(fast_kart, steps):
+def test_after_a_short_drift_a_kart_keeps_turning_for_as_long_as_it_drifted(fast_kart, steps):
     env, _ = fast_kart
     drift = [control(0.3, 1), *[control(-1.0, 1)] * (steps - 1)]
     after = turns_of(env, [*drift, *[control(0.0)] * 8])[steps + 1 :]
@@ -127,9 +127,9 @@ def test_after_a_short_drift_a_kart_turns_on_for_as_long_as_it_drifted(fast_kart
 
 
 @pytest.mark.parametrize("apart", range(2, 8))
-def test_a_drift_that_begins_too_soon_begins_late_and_to_the_wrong_side(fast_kart, apart):
+def test_a_drift_that_starts_too_soon_goes_to_the_wrong_side(fast_kart, apart):
     env, _ = fast_kart
     short = [control(0.3, 1), *[control(0.0)] * (apart - 1)]
-    # a drift to the right is begun, and widened at once by steering against it
+    # start a drift to the right, then widen it at once by steering to the left
     again = turns_of(env, [*short, control(0.3, 1), *[control(-1.0, 1)] * 4])[-1]
     assert (again > 0) == (apart >= DRIFT_APART)

@@ -1,4 +1,4 @@
-"""What karts remember from step to step."""
+"""The drivers' memory from step to step."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from stkzoo.agents.planning.memory import DriverMemory
 from stkzoo.agents.planning.parameters import DriverParameters
 
 
-def test_a_drift_is_remembered_with_what_it_earns():
+def test_the_memory_keeps_a_drift_and_the_boost_that_it_earns():
     memory, one = DriverMemory(1, DriverParameters()), np.array([1.0], np.float32)
     side, none = np.array([1]), np.array([False])
     fast, skids = 20 * one, 2 * one
@@ -28,13 +28,13 @@ def test_a_drift_that_the_engine_ends_is_over():
     memory, one = DriverMemory(1, DriverParameters()), np.array([1.0], np.float32)
     none = np.array([False])
     for step in range(6):
-        memory.look(20 * one, one)  # it does not skid
+        memory.look(20 * one, one)  # the kart does not skid
         if step < 4:
             memory.act(np.array([1]), 0.5 * one, none, none)
     assert memory.situation().drift_side[0] == 0
 
 
-def test_a_drift_begins_with_a_hop_and_after_a_short_one_the_kart_turns_on_for_short():
+def test_a_drift_starts_with_a_hop_and_its_release_lasts_as_long_as_a_short_drift():
     memory, one = DriverMemory(1, DriverParameters()), np.array([1.0], np.float32)
     none, may_hop = np.array([False]), []
     for step in range(DRIFT_APART + 1):
@@ -47,7 +47,7 @@ def test_a_drift_begins_with_a_hop_and_after_a_short_one_the_kart_turns_on_for_s
 
 
 def when_a_held_kart_acts(speed=0.0, **rules):
-    """In which steps one that does not get away backs out, and calls the rescue."""
+    """Returns the steps in which a stuck kart backs out, and those in which it calls rescue."""
     memory, speeds = DriverMemory(1, DriverParameters(**rules)), np.full(1, speed, np.float32)
     backs, calls = [], []
     for step in range(60):
@@ -58,26 +58,28 @@ def when_a_held_kart_acts(speed=0.0, **rules):
     return backs, calls
 
 
-def test_who_is_stuck_calls_the_rescue_and_gives_it_time():
+def test_a_stuck_kart_calls_rescue_and_waits_for_it():
     backs, calls = when_a_held_kart_acts()
-    assert calls[0] < backs[0] < calls[1]  # it backs out, since the first rescue did not help
+    assert (
+        calls[0] < backs[0] < calls[1]
+    )  # the kart backs out because the first rescue did not help
     assert calls[0] == pytest.approx(DriverParameters().stuck_time / STEP, abs=1)
     assert min(np.diff(calls)) >= RESCUE_STEPS
 
 
-def test_who_is_stuck_may_back_out_first():
+def test_a_stuck_kart_can_back_out_first():
     backs, calls = when_a_held_kart_acts(rescue_reverses=1)
     assert calls[0] > backs[0] + 9
 
 
-def test_who_crawls_along_an_obstacle_calls_the_rescue():
+def test_a_crawling_kart_calls_rescue():
     rules = DriverParameters()
     assert when_a_held_kart_acts(rules.crawl_speed + 0.5) == ([], [])
     _, calls = when_a_held_kart_acts(rules.crawl_speed - 0.5)
     assert calls[0] == pytest.approx(rules.crawl_time / STEP, abs=1)
 
 
-def test_who_is_lost_calls_the_rescue():
+def test_a_kart_far_from_the_road_calls_rescue():
     rules = DriverParameters()
     memory, fast = DriverMemory(2, rules), np.full(2, 20.0, np.float32)
     beyond = rules.lost_room + np.array([-0.5, 0.5], np.float32)
@@ -89,7 +91,7 @@ def test_who_is_lost_calls_the_rescue():
     assert calls.tolist() == [0, 1]
 
 
-def test_some_karts_are_forgotten_and_others_not():
+def test_forget_resets_only_the_given_karts():
     memory, twos = DriverMemory(2, DriverParameters()), np.ones(2, np.float32)
     nobody = np.zeros(2, bool)
     memory.look(20 * twos, 2 * twos)

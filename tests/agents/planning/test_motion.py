@@ -1,4 +1,4 @@
-"""The network of the karts' motion, compared with karts in races."""
+"""The learned motion network, compared with karts in races."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from stkzoo.agents.training.learn_motion import drive, misses
 
 
 @pytest.mark.slow
-def test_forecasts_of_a_second_miss_less_than_arcs_on_a_track_not_learned_from():
+def test_one_second_forecasts_beat_arcs_on_an_unseen_track():
     (log,) = drive(["minigolf"], 1, DriverParameters(learned_motion=True), seed=3)
     by_network, by_arcs = (
         np.median(np.abs(missed), axis=0) for missed in misses(log, learned_motion()[1:])
@@ -21,11 +21,11 @@ def test_forecasts_of_a_second_miss_less_than_arcs_on_a_track_not_learned_from()
 
 
 @pytest.mark.slow
-def test_plans_with_the_network_do_not_need_rivals_to_know_how_the_kart_turns():
+def test_without_rivals_the_bump_cost_does_not_change_plans_with_the_network():
     rules = {cost: DriverParameters(learned_motion=True, bump_cost=cost) for cost in (0.0, 1.0)}
     plans = RacingPolicy.of_plans_alone()
     drivers = {str(cost): plan_match_driver(plans, own) for cost, own in rules.items()}
     matches = [Match((name,), "olivermath", bots=0, number=1) for name in drivers]
     (ignores,), (watches,) = play_matches(matches, drivers)
-    assert ignores.ratio == watches.ratio  # alone on the road
+    assert ignores.ratio == watches.ratio  # there are no rivals on the road
     assert ignores.ratio < 1.0

@@ -1,4 +1,4 @@
-"""Which plans a kart has in which state."""
+"""The plans that are available to a kart in each state."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ ALL = {FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT}
 
 
 def plans_of(drift_side=0, drift_steps=0, release_steps=0):
-    """The columns of the plans that exist in a state: by plan, or by moment and plan."""
+    """Returns the columns of the plans available in a state, by plan or by time and plan."""
     state = (np.array([number]) for number in (drift_side, drift_steps, release_steps))
     (row,) = table_rows(*state, (RELEASE_STEPS, LONGEST_DRIFT))
     exists = TABLE.manoeuvres[row] >= 0
@@ -31,23 +31,23 @@ def begins(**state):
     return set(plans_of(**state)["manoeuvres"].tolist())
 
 
-def test_plans_begin_with_what_the_state_allows():
+def test_the_state_limits_how_plans_start():
     assert begins() == ALL
     assert begins(drift_side=1, drift_steps=5) == {FREE, BRAKE, DRIFT_RIGHT}
     assert begins(drift_side=-1, drift_steps=5) == {FREE, BRAKE, DRIFT_LEFT}
-    assert begins(drift_side=-1, drift_steps=99) == {FREE, BRAKE}  # both boosts are earned
+    assert begins(drift_side=-1, drift_steps=99) == {FREE, BRAKE}  # the kart has earned both boosts
     assert (TABLE.least <= TABLE.most).all()
 
 
 @pytest.mark.parametrize("release", range(1, RELEASE_STEPS + 1))
-def test_no_drift_begins_while_the_last_one_still_turns_the_kart(release):
+def test_no_drift_starts_while_the_last_one_still_turns_the_kart(release):
     plans = plans_of(release_steps=release)
     assert set(plans["manoeuvres"].tolist()) == {FREE, BRAKE}
     assert not plans["drifts"][0].any()
-    assert (plans["boosts"] == 0).any()  # drifts come later
+    assert (plans["boosts"] == 0).any()  # drifts start later
 
 
-def test_boosts_are_earned_by_drifts_that_last():
+def test_only_long_drifts_earn_boosts():
     begin = plans_of()
     starts = np.isin(begin["manoeuvres"], (DRIFT_LEFT, DRIFT_RIGHT))
     assert begin["boost_steps"][starts] == pytest.approx(BOOST_STEPS[0])

@@ -1,4 +1,4 @@
-"""The karts nearby: told from where they were, against what the engine says."""
+"""Tracking of nearby karts between steps, compared with the engine's values."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ def karts(*places):
 
 
 def own_of(velocity=None, speed=0.0):
-    """The own state of karts without powerups."""
+    """Returns the own state of karts without power-ups."""
     velocity = np.array([[0.0, 0.0, speed]], np.float32) if velocity is None else velocity
     count = len(velocity)
     none = np.zeros(count, np.int64)
@@ -29,21 +29,21 @@ def own_of(velocity=None, speed=0.0):
 
 
 def around_of(road, spots):
-    """Surroundings without items."""
+    """Returns surroundings without items."""
     count = len(road)
     items, types = np.zeros((count, 0, 3), np.float32), np.zeros((count, 0), np.int64)
     return Surroundings(road, spots, items, types)
 
 
 def watched(tracker, spots, velocity=None, road=STRAIGHT):
-    """The nearby karts, by kart and number, then in the order of the columns."""
+    """Returns the nearby karts, indexed by kart, rival and column."""
     own, rules = own_of(velocity), DriverParameters()
     count = len(own.velocity)
     memory, lock = DriverMemory(count, rules).rows, np.full((count, 1), 0.1, np.float32)
     return weigh(plan_rules(rules), memory, own, lock, around_of(road, spots), tracker).rivals
 
 
-def test_one_that_gains_and_one_that_crosses_are_told_apart():
+def test_two_nearby_karts_are_tracked_separately():
     tracker = RivalTracker(1)
     watched(tracker, karts((1.0, 6.0), (-2.0, 12.0)))
     tracker.look()
@@ -55,7 +55,7 @@ def test_one_that_gains_and_one_that_crosses_are_told_apart():
     np.testing.assert_allclose(seen[0, :2, DRIFT], [3.0, 1.0], atol=1e-3)
 
 
-def test_what_comes_out_of_nowhere_has_no_speed_yet():
+def test_a_new_kart_has_no_relative_speed_yet():
     tracker = RivalTracker(1)
     watched(tracker, karts((0.0, 20.0)))
     tracker.look()
@@ -65,13 +65,13 @@ def test_what_comes_out_of_nowhere_has_no_speed_yet():
     assert seen[0, 0, DRIFT] == 0
 
 
-def test_the_own_turn_and_way_are_taken_off():
+def test_the_karts_own_motion_is_subtracted():
     tracker = RivalTracker(1)
     turn, way = 0.12, 2.0
     velocity = np.array([[0.0, 0.0, 20.0]], np.float32)
     watched(tracker, karts((1.0, 9.0)), velocity)
     tracker.look()
-    # the same road and a kart that stands, seen from an arc of 2 m to the right
+    # the same road and a standing kart, seen after an arc of 2 m to the right
     start = way * np.array([np.sin(turn / 2), np.cos(turn / 2)])
     x, z = np.array([1.0, 9.0]) - start
     line = STRAIGHT.copy()
@@ -83,7 +83,7 @@ def test_the_own_turn_and_way_are_taken_off():
     np.testing.assert_allclose(seen[0, 0, DRIFT], 0.0, atol=0.01)
 
 
-def test_to_look_again_changes_nothing_and_to_forget_forgets():
+def test_a_repeated_look_changes_nothing_and_forget_clears_the_memory():
     tracker = RivalTracker(1)
     watched(tracker, karts((0.0, 8.0)))
     tracker.look()
@@ -94,7 +94,7 @@ def test_to_look_again_changes_nothing_and_to_forget_forgets():
     assert watched(tracker, karts((0.0, 8.4)))[0, 0, GAIN] == 0
 
 
-def test_no_kart_and_many_karts_are_as_good():
+def test_any_number_of_rivals_is_accepted():
     tracker = RivalTracker(1)
     nobody = watched(tracker, karts())
     assert not nobody.any()
@@ -103,7 +103,7 @@ def test_no_kart_and_many_karts_are_as_good():
     np.testing.assert_allclose(many[0, :, ALONG], [2, 3, 4, 5], atol=1e-4)
 
 
-def test_in_a_race_they_are_as_fast_as_the_engine_says():
+def test_relative_speeds_match_the_engine_in_a_race():
     errors = []
     with race_v0.parallel_env(num_kart=5, agents=1, track="lighthouse", difficulty=3) as env:
         env.reset(seed=3)

@@ -1,4 +1,4 @@
-"""What the plans of learned drivers are worth, on a straight road."""
+"""The values of learned drivers' plans on a straight road."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from tests.agents.planning.test_rivals import STRAIGHT, around_of, karts, own_of
 
 
 def weighed(speed=25.0, ahead=0.0, closing=0.0, across=0.0, **rules):
-    """The plans without drifts of a kart; a rival is so far ahead, if at all."""
+    """Returns the plans without drifts. A rival is ``ahead`` meters in front; 0 for no rival."""
     tracker = RivalTracker(1)
     tracker.before.velocity[:] = 0.0, speed
     tracker.before.spots[0, 0] = across, ahead + closing * STEP
@@ -27,7 +27,7 @@ def weighed(speed=25.0, ahead=0.0, closing=0.0, across=0.0, **rules):
     return weigh(plan_rules(parameters), memory, own, lock, around, tracker)
 
 
-def test_plans_go_round_a_slower_kart_ahead():
+def test_plans_pass_a_slower_kart_ahead():
     alone, behind = weighed(), weighed(ahead=12.0, closing=8.0)
     assert abs(alone.turn[0, FREE]) < 0.01
     assert abs(behind.turn[0, FREE]) > 0.05
@@ -46,13 +46,13 @@ def test_plans_go_round_a_slower_kart_ahead():
         {"ahead": 12.0, "closing": 8.0, "bump_cost": 0.0},
     ],
 )
-def test_plans_leave_karts_alone_that_are_not_in_the_way(rival):
+def test_plans_ignore_karts_that_are_not_in_the_way(rival):
     seen, alone = weighed(**rival), weighed()
     assert seen.turn[0, FREE] == alone.turn[0, FREE]
     assert seen.worth[0, FREE] == alone.worth[0, FREE]
 
 
-def test_nobody_brakes_who_would_drive_backwards():
+def test_plans_do_not_brake_below_the_minimum_speed():
     slowest = DriverParameters().brake_speed
     assert weighed(slowest - 0.1).worth[0, BRAKE] == NEVER
     assert weighed(slowest + 0.1).worth[0, BRAKE] > NEVER
