@@ -96,7 +96,7 @@ def test_refuses_an_environment_of_several_agents():
             Planner().act(env, observations["kart_0"])
 
 
-# ---------------------------------------------------------------------- as a driver
+# ---------------------------------------------------------------------- use as a driver
 
 
 def test_races_against_bots_as_a_driver():
@@ -110,7 +110,7 @@ def test_a_race_with_another_driver_raises_an_error():
         run_race(["planner", "heuristic"], track="olivermath", error_handling="raise")
 
 
-def test_use_as_an_opponent_in_an_environment_raises_an_error(caplog):
+def test_use_as_an_opponent_in_an_environment_logs_an_error(caplog):
     env = race_v0.parallel_env(agents=1, num_kart=2, track="olivermath", opponents=["planner"])
     with env:
         env.reset(seed=1)

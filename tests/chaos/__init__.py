@@ -1,1 +1,1 @@
-"""Faults by the thousand: what is killed, stopped, cut off and filled up, and what remains."""
+"""Fault injection: processes that are killed or stopped, cut connections and full disks."""

@@ -1,9 +1,9 @@
-"""What a reader's input costs: the peak of its memory, and its CPU time.
+"""The cost of an input to a reader: peak memory and CPU time.
 
-``tracemalloc`` counts each byte that Python, numpy, zlib and lzma allocate, and sees what is
-freed again. It adds 20 us to a message and 0.1 ms to a result, 5 minutes to a million inputs. The
-process's resident memory (``VmHWM`` after ``clear_refs``) costs 0.04 ms, but hides what fits into
-memory that was freed before, as 1 MiB usually does.
+``tracemalloc`` counts all bytes that Python, NumPy, zlib and lzma allocate, even if they are freed
+again. It adds 20 us per message and 0.1 ms per result, which is 5 minutes for a million inputs. The
+process's resident memory (``VmHWM`` after ``clear_refs``) would cost 0.04 ms, but it misses
+allocations that fit into previously freed memory, and 1 MiB usually does.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What one input took.
+    """The cost of one input.
 
     Attributes:
-        memory: peak of the memory above that at the start [bytes].
-        seconds: CPU time of all threads, with the cost of measuring [s].
+        memory: peak memory above the start [bytes].
+        seconds: CPU time of all threads, including the cost of measuring [s].
     """
 
     memory: int
@@ -36,13 +36,13 @@ class Cost:
 
 
 def feed_measured(target: Target, data: bytes) -> Cost:
-    """Feeds a target some bytes.
+    """Feeds an input to a target and checks its cost.
 
-    An input above a bound is measured again: a collection of garbage, or a table of Python's own
-    that grows, may coincide with it.
+    An input that exceeds a limit is measured again, because garbage collection or the growth of one
+    of Python's internal tables may have coincided with it.
 
     Raises:
-        AssertionError: it took too much memory or time, each time.
+        AssertionError: each attempt took too much memory or time.
         Exception: what the target raises.
     """
     limit = target.max_memory(len(data))

@@ -1,4 +1,4 @@
-"""Disks that are full or may not be written, and servers that hang up."""
+"""Full and read-only disks, and servers that close the connection."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MOUNT = {
 
 @cache
 def can_mount() -> bool:
-    """Whether this user may mount disks, in a world of the mounting program's own."""
+    """Returns whether this user can mount disks in a separate mount namespace."""
     try:
         return (
             subprocess.run([*_OWN_MOUNTS, "true"], capture_output=True, check=False).returncode == 0
@@ -38,16 +38,16 @@ def can_mount() -> bool:
 def on_disk(
     kind: str, place: Path, code: str, *words: str, size: str = "64k", **variables: str
 ) -> subprocess.CompletedProcess[str]:
-    """Runs a program that has a disk of its own at a place.
+    """Runs a program with a disk mounted at a folder, visible only to the program.
 
     Args:
-        kind: ``"full"``: small and empty; the program has ``fill()`` to fill it, and ``free()``.
-            ``"read-only"``: what is there, but it cannot be written.
-        place: a folder.
-        code: the program.
-        words: its arguments.
-        size: of a disk of kind ``"full"``.
-        variables: more of its environment.
+        kind: ``"full"`` for a small empty disk, which the program can fill with ``fill()`` and
+            clear with ``free()``; ``"read-only"`` for the folder's own files, read-only.
+        place: the folder.
+        code: Python code of the program.
+        words: command-line arguments of the program.
+        size: size of a disk of kind ``"full"``.
+        variables: additional environment variables.
     """
     mount = _MOUNT[kind].format(place=place, size=size)
     script = f'{mount} && exec "$0" -c "$@"'
@@ -84,15 +84,15 @@ _HELPERS = """
 
 
 class CuttingServer:
-    """A web server on this machine that hangs up in the midst of files.
+    """A local web server that closes connections in the middle of a file.
 
     Args:
-        folder: what it serves.
-        cuts: how often; after that it sends whole files.
+        folder: folder to serve.
+        cuts: number of files to cut off; the server sends later files in full.
 
     Attributes:
-        address: where it is.
-        num_cuts: how often it has hung up.
+        address: URL of the server.
+        num_cuts: number of connections cut so far.
     """
 
     def __init__(self, folder: Path, cuts: int) -> None:
@@ -123,7 +123,7 @@ class CuttingServer:
 
     @contextmanager
     def serving(self) -> Iterator[CuttingServer]:
-        """Serves from a thread."""
+        """Runs the server in a thread."""
         thread = threading.Thread(target=self._server.serve_forever)
         thread.start()
         try:

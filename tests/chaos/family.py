@@ -1,4 +1,4 @@
-"""The processes that belong to a program, and what each of them is for."""
+"""The processes of a program and their roles."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 __all__ = ["Member", "alive", "family", "marked"]
 
-#: What stands in a command line, and what the process is for.
+#: Parts of command lines, and the role of a process with that command line.
 _KINDS = (
     ("stkzoo.engine.fork_server", "fork server"),
     ("stkzoo.engine.worker", "race"),
@@ -24,9 +24,9 @@ class Member:
     """One process.
 
     Attributes:
-        pid: its id.
-        parent: its parent's id.
-        kind: what it is for: ``"fork server"``, ``"race"``, ``"drawing"``, ``"agent"``,
+        pid: process id.
+        parent: process id of the parent.
+        kind: role of the process: ``"fork server"``, ``"race"``, ``"drawing"``, ``"agent"``,
             ``"worker"``, ``"encoder"`` or ``"other"``.
     """
 
@@ -36,7 +36,7 @@ class Member:
 
 
 def family(program: int) -> list[Member]:
-    """All that a program has started and that still lives, oldest generation first."""
+    """Returns all live descendants of a program, the oldest generation first."""
     members: list[Member] = []
     generation = {program: "other"}
     while generation:
@@ -50,7 +50,7 @@ def family(program: int) -> list[Member]:
 
 
 def marked(text: str) -> list[int]:
-    """Ids of living processes that have a text in their environment, wherever they hang."""
+    """Returns the ids of all live processes whose environment contains a text."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -60,7 +60,7 @@ def marked(text: str) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process is there and no zombie."""
+    """Returns whether a process exists and is not a zombie."""
     with contextlib.suppress(OSError):
         text = Path(f"/proc/{pid}/stat").read_text()
         return text[text.rindex(")") + 2] not in "ZX"
@@ -68,7 +68,7 @@ def alive(pid: int) -> bool:
 
 
 def _children(pid: int) -> list[int]:
-    """The children that a process's threads have started."""
+    """Returns the children of all threads of a process."""
     found = []
     for thread in Path(f"/proc/{pid}/task").glob("*"):
         with contextlib.suppress(OSError):

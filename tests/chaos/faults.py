@@ -1,4 +1,4 @@
-"""One fault: whom it hits, how and when; and a seeded source of them."""
+"""Faults: the process, the signal and the time, drawn from a seeded source."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tests.chaos.family import family
 
 __all__ = ["OUTSIDE", "SIGNALS", "Fault", "Strike", "draw_fault"]
 
-#: What a fault does to a process, and how often it is drawn. ``PAUSE`` stops a process and
-#: lets it go on a second later, which must change nothing.
+#: Signals and their weights. ``PAUSE`` stops a process and continues it one second later, which
+#: must not change anything.
 SIGNALS = {"SIGKILL": 5, "SIGSEGV": 4, "SIGSTOP": 2, "SIGABRT": 1, "SIGTERM": 1, "PAUSE": 1}
-#: The same for a program that is hit from outside.
+#: The same for signals to a whole program.
 TO_PROGRAM = {"SIGKILL": 3, "SIGINT": 3, "SIGTERM": 2, "PAUSE": 1}
-#: Moments of a program that is hit from outside: any.
+#: The moments of faults that hit a program from outside: at any time.
 OUTSIDE = ("run",)
 _PAUSE = 1.0  # [s]
 
@@ -30,12 +30,12 @@ class Fault:
     """One fault.
 
     Attributes:
-        form: which form of the environment, or which program, it happens in.
-        moment: what the form does meanwhile.
-        target: kind of process that it hits (:mod:`tests.chaos.family`).
-        signal: what it does to the process, one of :data:`SIGNALS`.
-        share: when, as a share of the time that the moment takes.
-        choice: which process of the kind, as a share of their number.
+        form: form of the environment, or program, in which the fault occurs.
+        moment: what the form does at that time.
+        target: role of the process to hit (:mod:`tests.chaos.family`).
+        signal: one of :data:`SIGNALS`.
+        share: time of the fault, as a fraction of the moment's duration.
+        choice: which process with that role, as a fraction of their number.
     """
 
     form: str
@@ -49,10 +49,10 @@ class Fault:
 def draw_fault(
     chance: random.Random, form: str, moments: Sequence[str], targets: Sequence[str]
 ) -> Fault:
-    """A fault of a form, drawn from a seeded source."""
+    """Draws a fault of a form from a seeded source."""
     moment, target = chance.choice(moments), chance.choice(targets)
     if moment == "construct" and target == "race":
-        target = "fork server"  # there is no race yet
+        target = "fork server"  # there is no race process yet
     return Fault(
         form=form,
         moment=moment,
@@ -65,23 +65,23 @@ def draw_fault(
 
 def _draw_signal(chance: random.Random, target: str, *, is_outside: bool) -> str:
     if target == "program" and not is_outside:
-        return "SIGINT"  # which it lives on after
+        return "SIGINT"  # other signals would end the test run
     kinds = TO_PROGRAM if target == "program" else SIGNALS
     drawn = chance.choices(list(kinds), list(kinds.values()))[0]
-    # Programs wait as long as they do by default, which is a minute.
+    # Programs use the default timeout of a minute, so SIGSTOP would take too long.
     return "PAUSE" if is_outside and drawn == "SIGSTOP" and target != "agent" else drawn
 
 
 class Strike:
-    """Does to a process of a program what a fault says.
+    """Applies a fault to a process of a program.
 
     Args:
         fault: the fault.
-        program: process id of the program whose family is hit.
-        spared: processes that are not hit.
+        program: process id of the program.
+        spared: processes that must not be hit.
 
     Attributes:
-        pid: who was hit; ``None`` if there was nobody.
+        pid: process that was hit; ``None`` if there was none.
     """
 
     def __init__(self, fault: Fault, program: int, spared: Collection[int] = ()) -> None:
@@ -89,7 +89,7 @@ class Strike:
         self.pid: int | None = None
 
     def now(self) -> None:
-        """Hits."""
+        """Applies the fault."""
         fault = self._fault
         targets = self._targets()
         if not targets:
@@ -104,7 +104,7 @@ class Strike:
 
     @contextlib.contextmanager
     def during(self, seconds: float) -> Iterator[None]:
-        """Hits from a thread beside, in the midst of something that takes so many seconds."""
+        """Applies the fault from a thread while the body runs, which takes about ``seconds``."""
         timer = threading.Timer(seconds * self._fault.share, self.now)
         timer.start()
         try:

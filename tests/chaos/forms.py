@@ -1,4 +1,4 @@
-"""The forms of the environment, each doing what it can do on request."""
+"""The forms of the environment and their operations, for fault injection."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.support.paths import AGENTS
 
 __all__ = ["FORMS", "Form", "digest"]
 
-#: Seconds that the game may take for a step: a stopped game is noticed soon.
+#: Engine timeout of a step [s]; short, so that a stopped game is detected soon.
 ENGINE_TIMEOUT = 4.0
 TRACK = "olivermath"
 _STEPS = 15
@@ -27,13 +27,13 @@ _TRACE_SEED = 7
 
 
 class Form:
-    """One form of the environment, and what is done with it while something is hit.
+    """One form of the environment, and the operations during which faults occur.
 
     Attributes:
-        name: what a fault calls it.
-        moments: what can be done, each a method; all but ``construct`` and ``begin`` need a
-            race.
-        targets: kinds of processes that it has.
+        name: name of the form in faults.
+        moments: names of the operations, which are methods; all but ``construct`` and ``begin``
+            need a race.
+        targets: roles of its processes.
     """
 
     name = ""
@@ -45,54 +45,54 @@ class Form:
         self._seed = 0
 
     def make(self) -> Any:
-        """A new environment."""
+        """Returns a new environment."""
         raise NotImplementedError
 
     def construct(self) -> None:
-        """Makes the environment."""
+        """Creates the environment."""
         self._env = self.make()
 
     def begin(self) -> None:
-        """The first environment of a program: with a fork server that is started for it."""
+        """Creates the first environment of a program, which starts a new fork server."""
         fork_client._close_all()
         self.construct()
         self.reset()
 
     def reset(self) -> None:
-        """Starts a race of the next seed."""
+        """Starts a race with the next seed."""
         self._seed += 1
         self._env.reset(seed=self._seed)
 
     def step(self) -> None:
-        """Drives on for a while."""
+        """Takes some steps."""
         for _ in range(_STEPS):
             self._step(self._env)
 
     def render(self) -> None:
-        """Draws pictures of a race that goes on."""
+        """Renders images during a race."""
         for _ in range(3):
             self._env.render()
             self._step(self._env)
 
     def close(self) -> None:
-        """Ends the races; may be called again."""
+        """Ends the races. Repeated calls do nothing."""
         if self._env is not None:
             self._env.close()
 
     def mend(self) -> None:
-        """Makes the environment anew if there is none, or none that may be reset."""
+        """Creates a new environment if there is none, or if the old one cannot be reset."""
         if self._env is None:
             self.construct()
 
     def trace(self) -> str:
-        """A digest of one short race of a fixed seed."""
+        """Returns a digest of one short race with a fixed seed."""
         parts = [self._env.reset(seed=_TRACE_SEED)]
         parts.extend(self._step(self._env) for _ in range(_TRACE_STEPS))
         return digest(parts)
 
     @property
     def num_crashes(self) -> int:
-        """How often a form that mends itself has done so."""
+        """Number of crashes from which the form has recovered by itself."""
         return 0
 
     def _step(self, env: Any) -> Any:
@@ -100,7 +100,7 @@ class Form:
 
 
 class ParallelForm(Form):
-    """The core, in a race with bots, with states kept and gone back to."""
+    """The parallel environment, in a race with bots, with saved and restored states."""
 
     name = "ParallelEnv"
     moments = (*Form.moments, "render", "save", "save", "clone", "clone")
@@ -118,7 +118,7 @@ class ParallelForm(Form):
         )
 
     def save(self) -> None:
-        """Saves states, goes on, and goes back to them."""
+        """Saves states, takes a step and restores them."""
         for _ in range(4):
             state = self._env.save_state()
             try:
@@ -128,7 +128,7 @@ class ParallelForm(Form):
                 state.close()
 
     def clone(self) -> None:
-        """Makes copies that go on by themselves."""
+        """Creates copies and takes a step in each."""
         for _ in range(4):
             copy = self._env.clone()
             try:
@@ -138,7 +138,7 @@ class ParallelForm(Form):
 
 
 class TurnsForm(Form):
-    """The turn-by-turn form."""
+    """The turn-based (AEC) environment."""
 
     name = "AEC"
 
@@ -155,7 +155,7 @@ class TurnsForm(Form):
         return seen
 
     def trace(self) -> str:
-        """As the others; a reset gives nothing here."""
+        """Returns a digest of the steps only, because ``reset`` returns nothing."""
         self._env.reset(seed=_TRACE_SEED)
         return digest([self._step(self._env) for _ in range(_TRACE_STEPS)])
 
@@ -179,7 +179,7 @@ class GymnasiumForm(Form):
 
 
 class VectorForm(Form):
-    """Two races as one batch, with the next ones started ahead."""
+    """Two races in one batch, with prefetch."""
 
     name = "RaceVectorEnv"
 
@@ -188,18 +188,18 @@ class VectorForm(Form):
             2,
             num_kart=2,
             track=TRACK,
-            max_cycles=12,  # so that races end and start again in the midst of the steps
+            max_cycles=12,  # so that races end and restart within the steps
             prefetch=True,
             engine_timeout=ENGINE_TIMEOUT,
         )
 
     @property
     def num_crashes(self) -> int:
-        """As the environment counts."""
+        """Number of crashes that the environment has counted."""
         return 0 if self._env is None else int(self._env.num_crashes)
 
     def close(self) -> None:
-        """Ends the races for good."""
+        """Ends the races and drops the environment."""
         super().close()
         self._env = None
 
@@ -208,7 +208,7 @@ class VectorForm(Form):
 
 
 class Sb3Form(VectorForm):
-    """The same for Stable-Baselines3."""
+    """The vector environment for Stable-Baselines3."""
 
     name = "RaceVecEnv"
 
@@ -220,13 +220,13 @@ class Sb3Form(VectorForm):
         )
 
     def reset(self) -> None:
-        """Starts races of the next seed."""
+        """Starts races with the next seed."""
         self._seed += 1
         self._env.seed(self._seed)
         self._env.reset()
 
     def trace(self) -> str:
-        """As the others, without infos, which have times in them."""
+        """Returns a digest without infos, which contain times."""
         self._env.seed(_TRACE_SEED)
         parts = [self._env.reset()]
         parts.extend(self._step(self._env)[:3] for _ in range(_TRACE_STEPS))
@@ -234,7 +234,7 @@ class Sb3Form(VectorForm):
 
 
 class DrawnForm(Form):
-    """The core, drawn by the game."""
+    """The parallel environment, rendered by the game."""
 
     name = "drawn by the game"
     moments = ("reset", "render", "render", "finish")
@@ -252,29 +252,29 @@ class DrawnForm(Form):
         )
 
     def finish(self) -> None:
-        """Draws, and ends."""
+        """Renders an image and closes the environment."""
         self._env.render()
         self._env.close()
 
 
 class RunnerForm(Form):
-    """A race of agents, of which one has a process of its own, kept as a replay."""
+    """A race of agents, one of them in its own process, that is saved as a replay."""
 
     name = "run_race"
     moments = ("race",)
     targets = ("race", "fork server", "agent", "agent", "program")
 
     def reset(self) -> None:
-        """Nothing: every race is a whole one."""
+        """Does nothing: ``race`` runs whole races."""
 
     def step(self) -> None:
-        """Nothing."""
+        """Does nothing."""
 
     def construct(self) -> None:
-        """Nothing."""
+        """Does nothing."""
 
     def race(self) -> None:
-        """One race, and what is kept of it."""
+        """Runs one race and checks the saved replay."""
         from stkzoo.race import run_race
         from stkzoo.race.replay import ReplayWriter, load_replay
 
@@ -292,7 +292,7 @@ class RunnerForm(Form):
                     listeners=[ReplayWriter(file)],
                 )
             finally:
-                if file.exists():  # after a fault: partial, but whole as a file
+                if file.exists():  # after a fault, the replay may be partial but must be valid
                     load_replay(file)
             assert [path.name for path in Path(folder).iterdir()] == ["race.stkz"]
         failed = [row.agent for row in result.agents if row.num_errors]
@@ -300,14 +300,14 @@ class RunnerForm(Form):
         self.last = result
 
     def trace(self) -> str:
-        """What a race comes to."""
+        """Returns the results of a race as text."""
         self.race()
         assert not self.last.has_errors, self.last
         return repr([(row.agent, row.distance, row.reward) for row in self.last.agents])
 
 
 def digest(values: Any) -> str:
-    """A digest of arrays and numbers in lists, tuples and dicts."""
+    """Returns a digest of nested lists, tuples and dicts of arrays and numbers."""
     sums = hashlib.sha256()
     _feed(values, sums.update)
     return sums.hexdigest()
@@ -330,7 +330,7 @@ def _feed(value: Any, update: Callable[[bytes], None]) -> None:
         update(repr(value).encode())
 
 
-#: All forms by name; those that draw or run agents take longer.
+#: All forms by name. Those that render or run agents take longer.
 FORMS: dict[str, type[Form]] = {
     kind.name: kind
     for kind in (

@@ -1,4 +1,4 @@
-"""Changed bytes, from a seeded source: for fuzzing where there is no atheris."""
+"""Mutations of bytes from a seeded source, for fuzzing without atheris."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 __all__ = ["mutated"]
 
-#: What JSON and zips are sensitive to.
+#: Byte sequences that often break parsers of JSON and zip files.
 _TOKENS = (
     b"null", b"true", b"-1", b"0", b"1e999", b"NaN", b"9" * 30, b"9" * 5000, b'""', b"[]", b"{}",
     b"[" * 2000, b'{"a":' * 2000, b"\xff", b"\0", b"../", b"/", b"\\", b"PK\x01\x02", b'"\\ud800"',
@@ -16,7 +16,7 @@ _TOKENS = (
 
 
 def mutated(chance: random.Random, seeds: Sequence[bytes]) -> Iterator[bytes]:
-    """Endless changed copies of some bytes."""
+    """Yields mutated copies of the seeds without end."""
     while True:
         data = bytearray(chance.choice(seeds))
         for _ in range(chance.randrange(1, 5)):

@@ -1,4 +1,4 @@
-"""Which fault has which number."""
+"""The fault for each number."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tests.chaos.programs import PROGRAMS
 
 __all__ = ["WEIGHTS", "fault_of"]
 
-#: How often each form and program is hit.
+#: Relative frequency of each form and program.
 WEIGHTS = {
     "ParallelEnv": 6,
     "AEC": 2,
@@ -29,7 +29,7 @@ WEIGHTS = {
 
 
 def fault_of(seed: int, number: int) -> Fault:
-    """The fault of a number: the same whenever it is asked for."""
+    """Returns the fault with a number. Equal arguments give equal faults."""
     chance = random.Random(f"{seed}/{number}")
     name = chance.choices(list(WEIGHTS), list(WEIGHTS.values()))[0]
     if name in FORMS:

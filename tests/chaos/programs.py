@@ -1,4 +1,4 @@
-"""Whole programs that are hit from outside while they run, and what must come of them."""
+"""Faults in whole programs, and the checks of exit codes, output files and leftovers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.support.processes import wait_until
 __all__ = ["PROGRAMS", "Program", "ProgramTrials"]
 
 _AGENT = AGENTS / "plain"
-#: Seconds in which a program that was hit has ended.
+#: Time limit for a program to end after a fault [s].
 _LIMIT = 90.0
 _SETTLE = 15.0  # [s]
 _RACES = 4
@@ -81,15 +81,15 @@ except KeyboardInterrupt:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A program to hit.
+    """A program in which faults occur.
 
     Attributes:
-        name: what a fault calls it.
-        words: its command line behind the interpreter's name, given a folder with an agent
-            in it (``plain.zip``) and an empty folder ``out``.
-        targets: kinds of its processes.
-        judge: looks at what it left in ``out``; raises ``AssertionError``.
-        variables: more of its environment.
+        name: name of the program in faults.
+        words: arguments of the Python interpreter. The working folder contains an agent
+            (``plain.zip``) and an empty folder ``out``.
+        targets: roles of its processes.
+        judge: checks the files in ``out``; raises ``AssertionError``.
+        variables: additional environment variables.
     """
 
     name: str
@@ -104,7 +104,7 @@ def _nothing(folder: Path) -> None:
 
 
 def _race_files(folder: Path) -> None:
-    """The files of a race are whole, as far as they are there."""
+    """Checks that the existing files of a race are complete."""
     from stkzoo.race import RaceResult
     from stkzoo.race.replay import load_replay
 
@@ -118,7 +118,7 @@ def _race_files(folder: Path) -> None:
 
 
 def _video_file(folder: Path) -> None:
-    """A video that is there can be played."""
+    """Checks that the video can be decoded if it exists."""
     import imageio_ffmpeg
 
     names = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
@@ -130,7 +130,7 @@ def _video_file(folder: Path) -> None:
 
 
 def _league(folder: Path) -> None:
-    """A tournament that was broken off goes on to its end."""
+    """Checks that an interrupted tournament can be resumed to its end."""
     if not (folder / "plan.json").exists():
         return
     command = [sys.executable, "-m", "stkzoo", "tournament", "--resume", str(folder), "--json"]
@@ -151,7 +151,7 @@ _SHORT = ("--track", "olivermath", "--max-steps", "60", "--no-plot", "--jobs", "
 _SPAWN = (("STKZOO_START_METHOD", "spawn"),)
 _ALL = ("race", "fork server", "program")
 
-#: Everything that is hit from outside, by name.
+#: All programs by name.
 PROGRAMS: dict[str, Program] = {
     program.name: program
     for program in (
@@ -173,7 +173,7 @@ _AGENT_FAILED, _INTERRUPTED = 3, 130
 
 
 class ProgramTrials:
-    """Faults from outside: one program each. A context manager."""
+    """Injects faults into programs from outside, one per program. A context manager."""
 
     def __enter__(self) -> ProgramTrials:
         self._folder = tempfile.TemporaryDirectory(prefix="chaos-")
@@ -184,11 +184,11 @@ class ProgramTrials:
         self._folder.cleanup()
 
     def start(self, name: str) -> _Run:
-        """A program under way, which nobody hits."""
+        """Starts a program without a fault."""
         return _Run(PROGRAMS[name], Path(self._folder.name))
 
     def run(self, fault: Fault) -> Outcome:
-        """Starts the program, hits it, and looks at what comes of it."""
+        """Starts the program, applies the fault, and checks the outcome."""
         if fault.form not in self._durations:
             begin = time.monotonic()
             run = self.start(fault.form)
@@ -205,7 +205,7 @@ class ProgramTrials:
             answer = f"exit code {code}"
             seconds = time.monotonic() - begin
             run.judge(code, fault, is_hit=strike.pid is not None)
-        except Exception as error:  # noqa: BLE001 - that is what is looked for
+        except Exception as error:  # noqa: BLE001 - any error is a finding
             problem = f"{type(error).__name__}: {error}\n{run.said}"
             seconds = time.monotonic() - begin
         finally:
@@ -245,31 +245,31 @@ class _Run:
 
     @property
     def is_running(self) -> bool:
-        """Whether it still runs."""
+        """Whether the program still runs."""
         return self._process.poll() is None
 
     @property
     def said(self) -> str:
-        """What it wrote."""
+        """The program's output."""
         return self._log.read_text(errors="replace")
 
     def end(self) -> int:
-        """Waits for its end."""
+        """Waits for the program to end and returns its exit code."""
         return self._process.wait(_LIMIT)
 
     def judge(self, code: int, fault: Fault, *, is_hit: bool) -> None:
-        """Whether it ended as it may, and left nothing behind."""
+        """Checks the exit code, and that the program left nothing behind."""
         assert code in _codes(fault) if is_hit else code == 0, f"exit code {code}"
         told = "Traceback (most recent call last)" in self.said
         assert not told or _is_interrupt_outside(self.said), "a traceback"
         self.look(is_killed=code in (-signal.SIGKILL, -signal.SIGTERM))
 
     def look(self, *, is_killed: bool = False) -> None:
-        """Whether nothing but whole files is left."""
+        """Checks that no processes, no temporary files and only complete output files remain."""
         rest = lambda: marked(self._mark)  # noqa: E731
         assert wait_until(lambda: not rest(), _SETTLE), f"processes: {_names(rest())}"
         files = lambda: list((self._folder / "tmp").iterdir())  # noqa: E731
-        if is_killed:  # the next program tidies up for it
+        if is_killed:  # the next program removes its files
             wait_until(lambda: not files(), 1.0)
             self._next_program()
         assert wait_until(lambda: not files(), _SETTLE), f"temporary files: {files()}"
@@ -281,7 +281,7 @@ class _Run:
         subprocess.run([sys.executable, "-c", code], env=variables, check=True, timeout=_LIMIT)
 
     def close(self) -> None:
-        """Ends what is left, and removes the folder."""
+        """Kills the remaining processes and removes the folder."""
         for member in [*family(self.pid)]:
             os.kill(member.pid, signal.SIGKILL)
         if self._process.poll() is None:
@@ -293,7 +293,7 @@ class _Run:
 
 
 def _codes(fault: Fault) -> tuple[int, ...]:
-    """The exit codes that a program may have after a fault."""
+    """Returns the permitted exit codes after a fault."""
     if fault.target != "program":
         return 0, 1, _AGENT_FAILED
     if fault.signal == "SIGINT":
@@ -304,7 +304,7 @@ def _codes(fault: Fault) -> tuple[int, ...]:
 
 
 def _is_interrupt_outside(said: str) -> bool:
-    """Whether a traceback is Python's own after Ctrl-C."""
+    """Returns whether a traceback is Python's own for Ctrl-C."""
     return said.rstrip().endswith("KeyboardInterrupt")
 
 

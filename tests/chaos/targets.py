@@ -1,8 +1,9 @@
-"""Readers of what comes from outside, each as a function of bytes.
+"""Readers of untrusted input, each as a function of bytes.
 
-Each takes any bytes and does with them what a user's program would. It may end well or with
-the reader's own error; whatever else it raises is a defect. Some bytes are taken as they are,
-others are put into a file that is right apart from them, for a checksum would keep most out.
+Each function accepts any bytes and processes them as a user's program would. It must succeed or
+raise the reader's documented error; any other exception is a defect. Some inputs are used as
+given. Others become part of an otherwise valid file, because its checksum would reject most of
+them.
 """
 
 from __future__ import annotations
@@ -56,14 +57,14 @@ _SCOUT = Path(pretrained.__file__).parent / "scout"
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A reader to feed.
+    """A reader to fuzz.
 
     Attributes:
-        name: what it reads.
-        feed: gives it some bytes; raises what should not be.
-        seeds: bytes to begin with.
-        max_memory: memory that an input of a length may take [bytes].
-        read: reads the bytes and nothing else, where only that has to keep to the bound.
+        name: what the reader reads.
+        feed: processes an input; raises an exception if it finds a defect.
+        seeds: returns the initial inputs.
+        max_memory: returns the memory limit for an input of a given length [bytes].
+        read: only reads the input. If given, the memory limit applies to it instead of ``feed``.
     """
 
     name: str
@@ -77,9 +78,9 @@ class Target:
 
 
 def _feed_codec(data: bytes) -> None:
-    """What can be decoded can be encoded, and comes out the same again.
+    """Checks that a decoded message can be encoded and decoded again without a change.
 
-    The twin of the kernel measures the same. Under atheris, it shows which inputs are new.
+    Also compares the kernel with its reference implementation, whose coverage guides atheris.
     """
     assert _measured(kernel.measure_message, data) == _measured(messages.measure_message, data)
     with suppress(ProtocolError):
@@ -123,7 +124,7 @@ def _codec_seeds() -> list[bytes]:
 
 
 def _feed_replay(data: bytes) -> None:
-    """A replay that can be read can be written, and is read as the same again."""
+    """Checks that a replay that can be read survives a round trip."""
     with _folder() as folder:
         file, again = folder / "race.stkz", folder / "again.stkz"
         file.write_bytes(_with_member(_a_replay(), data))
@@ -151,7 +152,7 @@ def _replay_seeds() -> list[bytes]:
 
 
 def _feed_scenario(data: bytes) -> None:
-    """A scenario that can be read can be written, and is read as the same again."""
+    """Checks that a scenario that can be read survives a round trip."""
     with _folder() as folder:
         file, again = folder / "a.scenario", folder / "b.scenario"
         file.write_bytes(_with_member(_a_scenario(), data))
@@ -180,7 +181,7 @@ def _scenario_seeds() -> list[bytes]:
 
 
 def _feed_agent_zip(data: bytes) -> None:
-    """A zip is refused, or becomes plain files in its own folder and nowhere else."""
+    """Checks that a zip is refused, or unpacked to regular files in its own folder."""
     with _folder() as folder:
         file, home = folder / "agent.zip", folder / "home" / "agent"
         file.write_bytes(_zip_of(data))
@@ -194,12 +195,12 @@ def _feed_agent_zip(data: bytes) -> None:
 
 
 def _zip_of(data: bytes) -> bytes:
-    """The bytes themselves, or a zip whose files they name and fill."""
+    """Returns the input itself, or a zip with the names and contents from the input."""
     if not data or data[0] % 4 == 0:
         return data[1:]
     form = io.BytesIO()
     with zipfile.ZipFile(form, "w") as archive, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a name that comes twice
+        warnings.simplefilter("ignore")  # zipfile warns of duplicate names
         for part in data[1:].split(b"\n"):
             name, _, content = part.partition(b"=")
             entry = zipfile.ZipInfo(name[1:].decode("utf-8", "surrogateescape") or "a")
@@ -221,7 +222,7 @@ def _agent_zip_seeds() -> list[bytes]:
 
 
 def _feed_result(data: bytes) -> None:
-    """A result that can be read can be written, and is read as the same again."""
+    """Checks that a result that can be read survives a round trip."""
     text = data.decode(errors="replace")
     with suppress(ConfigError):
         result = RaceResult.from_json(text)
@@ -238,7 +239,7 @@ def _result_seeds() -> list[bytes]:
 
 
 def _feed_plans(data: bytes) -> None:
-    """Plans and results of tournaments and benchmarks are read or refused."""
+    """Checks that plans and results of tournaments and benchmarks are read or refused."""
     text = data.decode(errors="replace")
     for kind in (TournamentPlan, TournamentResult, BenchmarkPlan, BenchmarkResult):
         with suppress(ConfigError):
@@ -256,7 +257,7 @@ def _plan_seeds() -> list[bytes]:
 
 
 def _feed_keys(data: bytes) -> None:
-    """A file of keys or servers is read or refused."""
+    """Checks that a file of keys or servers is read or refused."""
     with _folder() as folder:
         file = folder / "a.secret"
         file.write_bytes(data)
@@ -278,7 +279,7 @@ def _key_seeds() -> list[bytes]:
 
 
 def _feed_demonstrations(data: bytes) -> None:
-    """A data set is read or refused."""
+    """Checks that a dataset is read or refused."""
     with _folder() as folder:
         (folder / "a.npz").write_bytes(_with_member(_demonstrations(), data))
         with suppress(ConfigError):
@@ -298,7 +299,7 @@ def _demonstration_seeds() -> list[bytes]:
 
 
 def _feed_card(data: bytes) -> None:
-    """The card or the weights of a learned agent are read or refused."""
+    """Checks that the card or the weights of a learned agent are read or refused."""
     with _folder() as folder:
         name = WEIGHTS if data[:1] == b"\1" else CARD
         shutil.copytree(_SCOUT, folder / "scout")
@@ -316,7 +317,7 @@ def _card_seeds() -> list[bytes]:
 
 
 def _feed_archive(data: bytes) -> None:
-    """An archive is refused, or becomes plain files in its own folder and nowhere else."""
+    """Checks that an archive is refused, or unpacked to regular files in its own folder."""
     with _folder() as folder:
         file, target = folder / "pack.tar.xz", folder / "target"
         target.mkdir()
@@ -329,7 +330,7 @@ def _feed_archive(data: bytes) -> None:
 
 
 def _tar_of(data: bytes) -> bytes:
-    """The bytes themselves, or an archive whose files they name and fill."""
+    """Returns the input itself, or an archive with the names and contents from the input."""
     if not data or data[0] % 4 == 0:
         return data[1:]
     form = io.BytesIO()
@@ -358,12 +359,12 @@ def _archive_seeds() -> list[bytes]:
     return [b"\x01" + words, b"\x02" + words, b"\x00" + _tar_of(b"\x02" + words)]
 
 
-# ---------------------------------------------------------------------- what they share
+# ---------------------------------------------------------------------- helpers
 
 
 @contextmanager
 def _folder() -> Iterator[Path]:
-    """A folder in memory, where there is one."""
+    """Creates a temporary folder, in memory if possible."""
     parent = _MEMORY if os.access(_MEMORY, os.W_OK) else None
     folder = Path(tempfile.mkdtemp(prefix="stkzoo-fuzz-", dir=parent))
     try:
@@ -373,7 +374,7 @@ def _folder() -> Iterator[Path]:
 
 
 def _with_member(whole: bytes, data: bytes) -> bytes:
-    """The bytes themselves, or a good zip of which one member is these bytes."""
+    """Returns the input itself, or a valid zip in which the input replaces one member."""
     if not data or data[0] % 4 == 0:
         return data[1:]
     members = _members(whole)
@@ -387,7 +388,7 @@ def _with_member(whole: bytes, data: bytes) -> bytes:
 
 
 def _member_seeds(whole: bytes) -> list[bytes]:
-    """Each member, behind the byte that puts it in its place."""
+    """Returns each member with the prefix byte that selects its place."""
     members = list(_members(whole).values())
     return [bytes([choice]) + members[choice % len(members)] for choice in range(1, 4)]
 

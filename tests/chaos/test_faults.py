@@ -1,6 +1,6 @@
-"""Processes killed, stopped and interrupted at random moments of every form.
+"""Processes are killed, stopped or interrupted at random moments, in every form.
 
-By hand, and by the thousand: ``python -m benchmarks.chaos``.
+To inject thousands of faults, run ``python -m benchmarks.chaos``.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from tests.chaos.plan import WEIGHTS, fault_of
 from tests.chaos.programs import PROGRAMS, ProgramTrials
 from tests.chaos.trial import Trials
 
-#: How many faults each form gets here.
+#: Number of faults per form.
 INSIDE = {"ParallelEnv": 5, "AEC": 1, "Gymnasium id": 2, "RaceVectorEnv": 2, "run_race": 1}
 
 
@@ -36,11 +36,11 @@ def outside():
 
 
 @pytest.mark.parametrize("name", INSIDE)
-def test_whatever_is_hit_the_next_race_is_as_ever_and_nothing_is_left(inside, name):
+def test_after_a_fault_the_next_race_is_unchanged_and_nothing_is_left(inside, name):
     chance, form = random.Random(name), FORMS[name]
     for _ in range(INSIDE[name]):
         fault = draw_fault(chance, name, form.moments, form.targets)
-        if fault.signal == "SIGSTOP":  # whose time-outs take long; other tests have them
+        if fault.signal == "SIGSTOP":  # SIGSTOP waits for timeouts; other tests cover it
             fault = replace(fault, signal="SIGKILL")
         outcome = inside.run(fault)
         assert outcome.survived, (fault, outcome.problem)
@@ -50,7 +50,7 @@ def test_whatever_is_hit_the_next_race_is_as_ever_and_nothing_is_left(inside, na
     ("form", "moment", "signal"),
     [("RaceVecEnv", "step", "SIGKILL"), ("drawn by the game", "render", "SIGKILL")],
 )
-def test_so_it_is_with_the_forms_that_take_long_to_load(inside, form, moment, signal):
+def test_slow_forms_recover_from_a_fault(inside, form, moment, signal):
     target = "drawing" if form == "drawn by the game" else "race"
     fault = Fault(form=form, moment=moment, target=target, signal=signal, share=0.5, choice=0.0)
     outcome = inside.run(fault)
@@ -58,8 +58,8 @@ def test_so_it_is_with_the_forms_that_take_long_to_load(inside, form, moment, si
 
 
 @pytest.mark.parametrize("target", ["race", "fork server"])
-def test_a_game_that_is_killed_in_the_midst_of_steps_is_hit_at_all(inside, target):
-    """The harness itself: its blows land, and the form says so."""
+def test_a_game_killed_during_steps_raises_an_error(inside, target):
+    """Tests the harness itself: signals reach the process and the form raises an error."""
     answers = []
     for number in range(2):
         fault = Fault(
@@ -89,7 +89,7 @@ def test_a_game_that_is_killed_in_the_midst_of_steps_is_hit_at_all(inside, targe
         ("a video", "encoder", "SIGKILL"),
     ],
 )
-def test_a_program_that_is_hit_says_so_and_leaves_nothing(outside, program, target, signal):
+def test_a_program_reports_a_fault_and_leaves_nothing(outside, program, target, signal):
     fault = Fault(
         form=program, moment=OUTSIDE[0], target=target, signal=signal, share=0.7, choice=0.0
     )
@@ -97,15 +97,15 @@ def test_a_program_that_is_hit_says_so_and_leaves_nothing(outside, program, targ
     assert outcome.survived, outcome.problem
 
 
-def test_a_number_is_always_the_same_fault():
+def test_a_number_always_gives_the_same_fault():
     faults = [fault_of(1, number) for number in range(300)]
     assert faults == [fault_of(1, number) for number in range(300)]
     assert {fault.form for fault in faults} == set(WEIGHTS) == {*FORMS, *PROGRAMS}
     assert faults != [fault_of(2, number) for number in range(300)]
 
 
-def test_no_process_has_shared_memory_that_could_be_left(outside):
-    """What is looked for in ``/dev/shm`` after each fault cannot be there: nobody makes any."""
+def test_no_process_uses_shared_memory(outside):
+    """No process creates shared memory, so none can remain in ``/dev/shm`` after a fault."""
     seen = set()
     for name in ("stkzoo race", "a program of many races"):
         run = outside.start(name)

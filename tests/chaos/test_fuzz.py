@@ -1,6 +1,6 @@
-"""Readers of what comes from outside, fed with changed bytes.
+"""Fuzzes readers of untrusted input with mutated bytes.
 
-By hand, by the million: ``python -m benchmarks.fuzz``.
+To run millions of inputs, use ``python -m benchmarks.fuzz``.
 """
 
 import importlib.util
@@ -29,7 +29,7 @@ from tests.chaos.cost import feed_measured
 from tests.chaos.mutation import mutated
 from tests.chaos.targets import TARGETS, Target
 
-#: How many changed inputs each reader gets; the quick readers get more.
+#: Number of mutated inputs for each reader; fast readers get more.
 _INPUTS = dict.fromkeys(TARGETS, 1000) | dict.fromkeys(("messages", "results", "plans"), 10_000)
 
 
@@ -42,12 +42,12 @@ def test_changed_bytes_end_well_or_with_the_readers_own_error(name):
         feed_measured(target, data)
 
 
-def test_every_reader_has_its_share_of_a_long_run():
+def test_every_reader_has_a_share_of_a_long_run():
     assert set(fuzz.SHARES) == set(TARGETS)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not here")
-def test_the_fuzzer_runs_and_keeps_count(tmp_path):
+def test_the_fuzzer_counts_its_inputs(tmp_path):
     words = ["--inputs", "3000", "--readers", "results", "--output", str(tmp_path / "fuzz.json")]
     command = [sys.executable, "-m", "benchmarks.fuzz", *words, "--corpus", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
@@ -56,8 +56,8 @@ def test_the_fuzzer_runs_and_keeps_count(tmp_path):
     assert (row["inputs"], row["findings"], row["how"]) == (3000, [], "atheris")
 
 
-def test_a_finding_is_kept_with_its_bytes_and_found_again(tmp_path):
-    """A reader that raises what it should not is noticed: here one that always does."""
+def test_the_fuzzer_saves_the_input_of_a_finding(tmp_path):
+    """The fuzzer detects a reader that always raises an unexpected error, and saves the input."""
     code = (
         "import sys; from tests.chaos import targets; from benchmarks import fuzz\n"
         "def bad(data): raise ZeroDivisionError\n"
@@ -88,7 +88,7 @@ def test_an_input_that_takes_long_is_a_finding(monkeypatch):
         feed_measured(target, b"")
 
 
-# ---------------------------------------------------------------------- what it has found
+# ---------------------------------------------------------------------- earlier findings
 
 DEEP = "[" * 100_000
 LONG = '{"a": ' + "9" * 5000 + "}"
@@ -125,14 +125,14 @@ def test_an_archive_with_a_name_that_cannot_be_is_refused(tmp_path, name):
         read_archive(file, tmp_path / "target", Progress())
 
 
-def test_a_zip_with_a_file_that_has_no_name_is_refused(tmp_path):
+def test_a_zip_with_a_nameless_file_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "agent.zip", "w") as archive:
         archive.writestr(".", "print()")
     with pytest.raises(ConfigError, match="leads out of it"):
         unpack(tmp_path / "agent.zip", tmp_path / "home")
 
 
-def test_a_zip_with_a_name_that_is_no_text_is_refused(tmp_path):
+def test_a_zip_with_an_undecodable_name_is_refused(tmp_path):
     file = tmp_path / "agent.zip"
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("\u00e9.py", "print()")

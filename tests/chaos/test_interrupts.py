@@ -1,4 +1,4 @@
-"""Ctrl-C at the wrong moment."""
+"""Ctrl-C at unfavorable moments."""
 
 import json
 import os
@@ -39,7 +39,7 @@ def fork_server_pid():
 
 
 def interrupt_when(condition):
-    """Sends Ctrl-C to this program as soon as something holds, from a thread."""
+    """Sends Ctrl-C to this program from a thread once a condition holds."""
 
     def watch():
         wait_until(condition, 10)
@@ -51,14 +51,14 @@ def interrupt_when(condition):
     return thread
 
 
-def test_a_reset_interrupted_while_the_fork_server_is_asked_mixes_up_no_answers():
-    """The answer that nobody waited for used to come to the next question."""
+def test_an_interrupted_reset_does_not_mix_up_replies():
+    """A late reply to an interrupted request must not be taken for the next request's reply."""
     with make() as env, make() as other:
         expected = trace(env)
         other.reset(seed=1)
         fork_server = fork_server_pid()
         for _ in range(3):
-            os.kill(fork_server, signal.SIGSTOP)  # its answers will be late
+            os.kill(fork_server, signal.SIGSTOP)  # delays the replies
             thread = interrupt_when(lambda: True)
             with pytest.raises(KeyboardInterrupt):
                 env.reset(seed=5)
@@ -67,11 +67,11 @@ def test_a_reset_interrupted_while_the_fork_server_is_asked_mixes_up_no_answers(
         assert trace(env) == expected
         assert fork_server_pid() == fork_server
         other.step(dict.fromkeys(other.agents, 0))
-        # The races that were asked for in vain end by themselves.
+        # Races of interrupted requests end by themselves.
         assert wait_until(lambda: len(children_of(fork_server)) == 2)
 
 
-def test_an_interrupted_vector_step_is_over_with_the_next_reset():
+def test_a_reset_recovers_from_an_interrupted_vector_step():
     envs = stkzoo.RaceVectorEnv(2, **OPTIONS)
     actions = np.full(4, 700)
 
@@ -94,7 +94,7 @@ def test_an_interrupted_vector_step_is_over_with_the_next_reset():
     envs.close()
 
 
-def test_an_interrupted_command_tells_the_race_so_far_and_that_it_is_partial(tmp_path):
+def test_an_interrupted_command_saves_a_partial_race(tmp_path):
     result, replay = tmp_path / "race.json", tmp_path / "race.stkz"
     words = ["race", "heuristic", "ai", "--track", "lighthouse", "--max-steps", "1000000"]
     files = ["--output", str(result), "--replay", str(replay), "--laps", "500"]
@@ -112,7 +112,7 @@ def test_an_interrupted_command_tells_the_race_so_far_and_that_it_is_partial(tmp
     assert json.loads(result.read_text())["steps"] == told.steps > 0
     kept = load_replay(replay)
     assert kept.is_partial
-    assert told.steps - kept.steps in (0, 1)  # it may come before the last step is written down
+    assert told.steps - kept.steps in (0, 1)  # Ctrl-C may arrive before the last step is saved
     assert "heuristic" in shown
 
 

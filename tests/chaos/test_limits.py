@@ -1,4 +1,4 @@
-"""Too few open files, too little memory, a clock that jumps, and programs that multiply."""
+"""Limits on open files and memory, clock changes, and programs with many processes or threads."""
 
 import ast
 import contextlib
@@ -46,7 +46,7 @@ def fork_server_pid():
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_a_program_that_may_open_no_more_files_says_so_and_goes_on_with_fewer(method):
+def test_a_program_without_free_file_descriptors_says_so_and_recovers(method):
     code = """
         import resource
         from stkzoo import StkzooError, race_v0
@@ -76,7 +76,7 @@ def test_a_program_that_may_open_no_more_files_says_so_and_goes_on_with_fewer(me
     assert done.stdout.split() == ["3", "True"], done.stderr
 
 
-def test_a_fork_server_that_may_open_no_more_files_says_so_and_its_races_go_on():
+def test_a_fork_server_without_free_file_descriptors_says_so_and_its_races_continue():
     with make() as env, make() as other:
         expected = trace(env)
         other.reset(seed=1)
@@ -100,7 +100,7 @@ def memory_of(pid):
     return int(pages) * resource.getpagesize()
 
 
-def test_a_game_without_memory_is_an_error_of_its_own_race():
+def test_a_game_without_memory_fails_only_its_own_race():
     with make() as env, make() as other:
         expected = trace(env)
         other.reset(seed=1)
@@ -116,7 +116,7 @@ def test_a_game_without_memory_is_an_error_of_its_own_race():
         assert trace(env) == expected
 
 
-def test_a_fork_server_without_memory_is_told_and_works_when_there_is_some():
+def test_a_fork_server_without_memory_raises_an_error_and_recovers():
     with make() as env:
         expected = trace(env)
         fork_server = fork_server_pid()
@@ -133,12 +133,12 @@ def test_a_fork_server_without_memory_is_told_and_works_when_there_is_some():
 # ---------------------------------------------------------------------- clocks
 
 PACKAGE = Path(stkzoo.__file__).parent
-#: Where the time of day is looked at: how old a folder is that was left behind.
+#: Modules that read the time of day: it shows the age of an abandoned folder.
 KNOWN = {"engine/assets/staging.py"}
 WALL = {"time.time", "time.time_ns", "datetime.now", "datetime.utcnow", "datetime.datetime.now"}
 
 
-def test_no_time_limit_looks_at_the_time_of_day():
+def test_no_time_limit_depends_on_the_time_of_day():
     users = set()
     for file in PACKAGE.rglob("*.py"):
         calls = (node for node in ast.walk(ast.parse(file.read_text())) if is_call(node))
@@ -151,7 +151,7 @@ def is_call(node):
     return isinstance(node, ast.Call)
 
 
-#: Moves the time of day, and no other clock, by the seconds that a file says.
+#: Shifts the time of day, and no other clock, by the seconds in a file.
 JUMPER = """
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -195,7 +195,7 @@ time_t time(time_t *now) {
 
 @pytest.fixture
 def jumping_clock(tmp_path):
-    """Variables that give a program a clock of its own, and the file that moves it."""
+    """Returns environment variables that give a program a shifted clock, which a file controls."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("a clock that jumps needs a C compiler")
@@ -207,8 +207,8 @@ def jumping_clock(tmp_path):
     return {"LD_PRELOAD": str(tmp_path / "jumper.so"), "CHAOS_CLOCK": str(clock)}
 
 
-def test_a_clock_that_jumps_changes_nothing(jumping_clock):
-    """A race and an agent in its own process, while the clock goes to and fro by days."""
+def test_clock_changes_have_no_effect(jumping_clock):
+    """Runs a race and an isolated agent while the clock jumps back and forth by days."""
     code = f"""
         import os, time
         from pathlib import Path
@@ -244,7 +244,7 @@ def test_a_clock_that_jumps_changes_nothing(jumping_clock):
     assert done.stdout.strip() == f"[-700, -5, 0, 9] 40 False {expected}", done.stderr
 
 
-# ---------------------------------------------------------------------- programs that multiply
+# ---------------------------------------------------------------------- processes and threads
 
 WORKERS = """
 import multiprocessing, sys
@@ -281,7 +281,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("method", ["fork", "forkserver", "spawn"])
 @pytest.mark.filterwarnings("ignore")
-def test_daemonic_workers_of_every_kind_race_as_their_program_does(tmp_path, method):
+def test_daemonic_workers_of_every_start_method_run_the_same_race(tmp_path, method):
     file = tmp_path / "workers.py"
     file.write_text(WORKERS)
     variables = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -290,7 +290,7 @@ def test_daemonic_workers_of_every_kind_race_as_their_program_does(tmp_path, met
     assert done.stdout.strip() == "[True, True] True", done.stderr
 
 
-def test_an_environment_may_go_from_thread_to_thread():
+def test_an_environment_can_move_between_threads():
     results = []
 
     def in_thread(work):
@@ -299,7 +299,7 @@ def test_an_environment_may_go_from_thread_to_thread():
         thread.join()
         return results.pop()
 
-    fork_client._close_all()  # the fork server is a child of a thread that ends
+    fork_client._close_all()  # so that the fork server becomes a child of a thread that ends
     env = in_thread(make)
     first = in_thread(lambda: trace(env))
     assert in_thread(lambda: trace(env)) == first
@@ -309,7 +309,7 @@ def test_an_environment_may_go_from_thread_to_thread():
     assert wait_until(lambda: not process_exists(pid))
 
 
-def test_races_in_threads_recover_while_all_of_them_are_killed():
+def test_races_in_threads_recover_when_they_are_killed():
     with make() as env:
         expected = trace(env)
     fork_server, stop, lost = fork_server_pid(), threading.Event(), []
@@ -320,7 +320,7 @@ def test_races_in_threads_recover_while_all_of_them_are_killed():
                 try:
                     if trace(env) != expected:
                         lost.append("another race")
-                except EngineError:  # noqa: PERF203 - that is what this is about
+                except EngineError:  # noqa: PERF203 - the loop retries after each crash
                     continue
                 except Exception as error:
                     lost.append(repr(error))

@@ -1,4 +1,4 @@
-"""The page of robustness says what the results say."""
+"""The robustness page matches the saved results."""
 
 import re
 
@@ -6,7 +6,7 @@ from benchmarks import chaos_table
 from tests.support.paths import ROOT
 
 
-def test_the_table_is_that_of_the_results():
+def test_the_table_matches_the_results():
     page = chaos_table.PAGE.read_text(encoding="utf-8")
     assert page == chaos_table.updated(page), "python -m benchmarks.chaos_table --write"
 

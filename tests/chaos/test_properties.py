@@ -1,6 +1,6 @@
-"""Any input either works or is refused in our own words: never a hang, an exit, a bare error.
+"""Any input is accepted or refused with stkzoo's own error: no hangs, exits or other errors.
 
-By hand, with other examples each time, ``STKZOO_EXAMPLES=2000`` in the environment.
+To try more examples, set the environment variable ``STKZOO_EXAMPLES=2000``.
 """
 
 import contextlib
@@ -47,10 +47,10 @@ odd = st.one_of(
 
 
 class Tally:
-    """Counts which inputs were accepted, so that a test notices when all are refused.
+    """Counts accepted inputs, so that a test fails if all are refused.
 
     Args:
-        refusal: the error by which an input may be refused; any other one fails the test.
+        refusal: error with which an input may be refused; any other error fails the test.
     """
 
     def __init__(self, refusal=StkzooError):
@@ -58,7 +58,7 @@ class Tally:
         self.num_accepted = self.num_refused = 0
 
     def try_call(self, call):
-        """Calls; returns whether the input was accepted."""
+        """Calls a function; returns whether it accepted the input."""
         try:
             call()
         except self._refusal:
@@ -68,14 +68,14 @@ class Tally:
         return True
 
     def assert_share(self, least):
-        """Asserts that this share of the inputs was accepted, and that some were refused."""
+        """Asserts that at least this fraction was accepted, and that some inputs were refused."""
         total = self.num_accepted + self.num_refused
         assert self.num_accepted >= least * total, (self.num_accepted, total)
         assert self.num_refused > 0, total
 
 
 def or_odd(good):
-    """A valid value in nine cases of ten."""
+    """Returns a strategy for valid values in nine of ten cases, and for odd values otherwise."""
     return st.integers(0, 9).flatmap(lambda chance: odd if chance == 0 else good)
 
 
@@ -113,7 +113,7 @@ options = st.fixed_dictionaries(
 
 @pytest.fixture(scope="module", autouse=True)
 def one_fork_server():
-    """The process that all races come from lives through all of it."""
+    """Checks that the same fork server survives all tests of this module."""
     with race_v0.parallel_env(num_kart=1, track=TRACKS[0]) as env:
         env.reset(seed=1)
         (fork_server,) = fork_client._fork_servers.values()
@@ -158,7 +158,7 @@ changes = st.dictionaries(
 )
 
 
-def test_any_options_of_an_episode_start_it_or_are_refused_and_the_race_goes_on(race):
+def test_any_episode_options_are_accepted_or_leave_the_race_unchanged(race):
     started = Tally(ConfigError)
 
     @QUICK
@@ -197,7 +197,7 @@ changed_fields = st.one_of(
 
 
 def actions_of(space):
-    """Actions of a space, some with changed fields, and odd ones."""
+    """Returns a strategy for actions of a space, some of them with changed fields or odd values."""
     valid = st.integers(0, 2**31).map(lambda seed: _sample(space, seed))
     if isinstance(space, spaces.Dict):
         valid = st.builds(lambda action, changes: {**action, **changes}, valid, changed_fields)
@@ -226,7 +226,7 @@ def test_any_actions_move_the_race_or_are_refused_and_it_stands_still(race):
     steps.assert_share(0.1)
 
 
-def test_a_missing_action_is_refused_and_the_race_stands_still(race):
+def test_a_missing_action_leaves_the_race_unchanged(race):
     race.reset(seed=1)
     before = race.snapshot.karts.tobytes()
     action = race.action_space("kart_0").sample()
@@ -269,12 +269,12 @@ def views():
 
 
 @pytest.mark.parametrize("count", [None, True, -1, 0, 1.5, "", b"x", [], {}, np.zeros(2)], ids=repr)
-def test_an_odd_number_of_races_is_refused(count):
+def test_an_invalid_number_of_races_is_refused(count):
     with pytest.raises(ConfigError):
         stkzoo.RaceVectorEnv(count, num_kart=2, track=TRACKS[0])
 
 
-def test_any_batch_is_stepped_or_refused():
+def test_any_batch_of_actions_is_accepted_or_refused():
     resets, steps = Tally(ConfigError), Tally(ActionError)
     with contextlib.closing(
         stkzoo.RaceVectorEnv(2, num_kart=2, track=TRACKS[0], prefetch=False)
@@ -296,7 +296,7 @@ def test_any_batch_is_stepped_or_refused():
     steps.assert_share(0.03)
 
 
-def test_any_settings_of_a_race_run_it_or_are_refused():
+def test_any_race_settings_are_accepted_or_refused():
     races = Tally()
 
     @QUICK
@@ -314,7 +314,7 @@ def test_any_settings_of_a_race_run_it_or_are_refused():
     races.assert_share(0.1)
 
 
-# ---------------------------------------------------------------------- each argument, each oddity
+# ---------------------------------------------------------------------- odd values of arguments
 
 ODD = (
     None, True, -1, 0, 10**30, 1.5, float("nan"), "", "x" * 5000, "\ud800", b"x", [], [None], {},
@@ -323,16 +323,16 @@ ODD = (
 ARGUMENTS = [
     name
     for name in inspect.signature(stkzoo.RaceParallelEnv.__init__).parameters
-    if name not in ("self", "render_mode", "track")  # a window, and any of all tracks
+    if name not in ("self", "render_mode", "track")  # a window opens, a random track is used
 ]
 
 
-#: Arguments that accept none of the oddities.
+#: Arguments that accept none of the odd values.
 REFUSE_ALL = {"mode", "render_backend", "render_size"}
 
 
 @pytest.mark.parametrize("name", ARGUMENTS)
-def test_each_argument_takes_or_refuses_each_oddity(name):
+def test_each_argument_accepts_or_refuses_odd_values(name):
     tally = Tally()
     for value in ODD:
         options = {"num_kart": 2, "track": TRACKS[0], name: value}
@@ -343,7 +343,7 @@ def test_each_argument_takes_or_refuses_each_oddity(name):
 
 
 @pytest.mark.parametrize("name", AgentSpec.__dataclass_fields__)
-def test_each_field_of_an_agent_takes_or_refuses_each_oddity(name):
+def test_each_field_of_an_agent_accepts_or_refuses_odd_values(name):
     tally = Tally()
     for value in ODD:
         tally.try_call(
@@ -355,14 +355,14 @@ def test_each_field_of_an_agent_takes_or_refuses_each_oddity(name):
     assert tally.num_refused > 0
 
 
-def test_karts_with_any_name_race():
+def test_karts_can_have_any_name():
     agents = [AgentSpec(name="\ud800\n\0" + "x" * 5000)]
     with race_v0.parallel_env(agents=agents, num_kart=1, track=TRACKS[0]) as env:
         env.reset(seed=1)
 
 
 @pytest.mark.parametrize("kind", [RaceSettings, stkzoo.Start])
-def test_each_field_of_settings_takes_or_refuses_each_oddity(kind):
+def test_each_field_of_settings_accepts_or_refuses_odd_values(kind):
     tally = Tally()
     for name in kind.__dataclass_fields__:
         for value in ODD:
@@ -372,7 +372,7 @@ def test_each_field_of_settings_takes_or_refuses_each_oddity(kind):
 
 
 @pytest.mark.parametrize("name", ["observe_batch", "restore_state", "step"])
-def test_each_method_refuses_each_oddity(race, name):
+def test_each_method_refuses_odd_values(race, name):
     race.reset(seed=1)
     tally = Tally()
     for value in ODD:
@@ -381,7 +381,7 @@ def test_each_method_refuses_each_oddity(race, name):
     race.step({agent: race.action_space(agent).sample() for agent in race.agents})
 
 
-def test_the_length_of_an_episode_takes_or_refuses_each_oddity(race):
+def test_the_episode_length_accepts_or_refuses_odd_values(race):
     tally = Tally()
     for value in ODD:
         tally.try_call(lambda value=value: setattr(race, "max_cycles", value))
@@ -393,7 +393,7 @@ def test_the_length_of_an_episode_takes_or_refuses_each_oddity(race):
     ("name", "num_accepted"),
     [("drivers", 0), ("settings", 1), ("start_positions", 1), ("wait_for", 1), ("listeners", 1)],
 )
-def test_a_race_of_agents_takes_or_refuses_each_oddity(name, num_accepted):
+def test_run_race_accepts_or_refuses_odd_values(name, num_accepted):
     tally = Tally()
     for value in ODD:
         given = {"drivers": ["ai"], "track": TRACKS[0], "max_steps": 1, name: value}

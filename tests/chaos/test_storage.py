@@ -1,4 +1,4 @@
-"""Disks that are full or may not be written, downloads that break off, installs that are killed."""
+"""Full and read-only disks, interrupted downloads, and installs that are killed."""
 
 import os
 import random
@@ -34,7 +34,7 @@ RACE = """
 
 
 @mounts
-def test_a_replay_that_does_not_fit_leaves_the_older_one_and_nothing_else(tmp_path):
+def test_a_replay_that_does_not_fit_leaves_only_the_previous_one(tmp_path):
     code = """
         from stkzoo.race.replay import ReplayWriter, load_replay
         race(ReplayWriter(PLACE / "race.stkz"), steps=5)
@@ -50,7 +50,7 @@ def test_a_replay_that_does_not_fit_leaves_the_older_one_and_nothing_else(tmp_pa
 
 
 @mounts
-def test_a_video_that_does_not_fit_is_told_and_leaves_nothing(tmp_path):
+def test_a_video_that_does_not_fit_raises_an_error_and_leaves_nothing(tmp_path):
     code = """
         from stkzoo.race import RaceVideo
         fill()
@@ -65,7 +65,7 @@ def test_a_video_that_does_not_fit_is_told_and_leaves_nothing(tmp_path):
 
 
 @mounts
-def test_a_result_that_does_not_fit_is_told_and_shown_all_the_same(tmp_path):
+def test_a_result_that_does_not_fit_is_still_shown(tmp_path):
     code = """
         import sys
         from stkzoo.cli import main
@@ -82,7 +82,7 @@ def test_a_result_that_does_not_fit_is_told_and_shown_all_the_same(tmp_path):
 
 
 @mounts
-def test_a_tournament_goes_on_when_there_is_room_again(tmp_path):
+def test_a_tournament_can_be_resumed_after_a_full_disk(tmp_path):
     code = """
         from stkzoo.errors import ConfigError
         from stkzoo.evaluation import run_tournament
@@ -103,7 +103,7 @@ def test_a_tournament_goes_on_when_there_is_room_again(tmp_path):
 
 @mounts
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_a_full_disk_for_temporary_files_stops_no_race_or_says_so(tmp_path, method):
+def test_a_full_temporary_disk_stops_no_race_or_raises_a_clear_error(tmp_path, method):
     code = """
         from stkzoo import race_v0
         fill()
@@ -129,12 +129,12 @@ def test_a_full_disk_for_temporary_files_stops_no_race_or_says_so(tmp_path, meth
 
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
-    """A machine with the game installed, and with a cache of its own."""
+    """Sets up a machine with the game installed and an empty cache."""
     monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
     monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
     data = assets.make_data(tmp_path / "usr" / "data")
-    for name in ("alps", "beach"):  # larger than what it packs to
+    for name in ("alps", "beach"):  # larger than their packed size
         (data / "tracks" / name / "more.xml").write_bytes(b"<x/>" * 20_000 + name.encode())
     monkeypatch.setattr(find, "SYSTEM_FOLDERS", (data,))
     return tmp_path
@@ -186,7 +186,7 @@ def test_a_pack_that_does_not_fit_leaves_no_archive(archive, tmp_path):
 
 
 @mounts
-def test_a_cache_that_may_not_be_written_is_told_and_races_all_the_same(archive, tmp_path):
+def test_a_read_only_cache_can_be_used_but_not_installed_into(archive, tmp_path):
     code = """
         import sys
         from stkzoo.engine.assets import find_assets, install
@@ -203,7 +203,7 @@ def test_a_cache_that_may_not_be_written_is_told_and_races_all_the_same(archive,
     assert done.stdout.splitlines() == ["headless pack", "True", "headless pack"], done.stderr
 
 
-def test_a_real_race_needs_no_cache_that_can_be_written():
+def test_a_race_needs_no_writable_cache():
     if not can_mount():
         pytest.skip("this user may not mount a disk of its own")
     code = join(RACE, "print(race(steps=5).steps)")
@@ -215,14 +215,14 @@ def test_a_real_race_needs_no_cache_that_can_be_written():
 
 
 def serve(package, folder, server, monkeypatch):
-    """Makes apt know this package by way of a web server, and nothing else."""
+    """Makes this package, from a web server, the only one that apt knows."""
     assets.TestDebianPackage.serve(package, folder, monkeypatch)
     (folder / "sources.list").write_text(f"deb [trusted=yes] {server.address} ./\n")
     with (folder / "apt.conf").open("a") as settings:
         settings.write('Acquire::http::Proxy "DIRECT";\nAcquire::Retries "0";\n')
 
 
-def test_a_download_that_breaks_off_leaves_nothing_and_works_the_next_time(machine, monkeypatch):
+def test_an_interrupted_download_leaves_nothing_and_can_be_repeated(machine, monkeypatch):
     monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
     package = assets.make_package(machine / "package")
     with CuttingServer(package.parent, cuts=3).serving() as server:
@@ -235,7 +235,7 @@ def test_a_download_that_breaks_off_leaves_nothing_and_works_the_next_time(machi
         assert install(source="debian").tracks == ("alps", "beach")
 
 
-def test_a_download_of_pystk2_that_breaks_off_is_told(machine, monkeypatch):
+def test_an_interrupted_download_of_pystk2_raises_an_error(machine, monkeypatch):
     monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
     with CuttingServer(machine, cuts=0).serving() as server:
         for name in ("https_proxy", "HTTPS_PROXY", "http_proxy", "HTTP_PROXY"):
@@ -250,7 +250,7 @@ def test_a_download_of_pystk2_that_breaks_off_is_told(machine, monkeypatch):
 # ---------------------------------------------------------------------- installs
 
 
-def test_an_install_killed_at_any_moment_is_mended_by_the_next(archive):
+def test_the_next_install_repairs_a_killed_one(archive):
     cache = archive.parent / "cache"
     subprocess.run(["rm", "-rf", str(cache)], check=True)
     chance = random.Random(1)
@@ -274,7 +274,7 @@ def leftovers(cache):
 # ---------------------------------------------------------------------- limits on files
 
 
-def test_a_file_that_grows_too_large_is_told_and_leaves_the_older_one(tmp_path):
+def test_a_file_that_grows_too_large_leaves_the_previous_one(tmp_path):
     file = tmp_path / "race.stkz"
     run_race(["heuristic", "ai"], track="olivermath", max_steps=5, listeners=[ReplayWriter(file)])
     code = f"""

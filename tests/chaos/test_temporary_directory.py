@@ -1,4 +1,4 @@
-"""Temporary folders of programs that have been killed are removed by the next, and no others."""
+"""Each program removes the temporary folders of killed programs, and no others."""
 
 import os
 import subprocess
@@ -36,7 +36,7 @@ def start_program():
     return program
 
 
-def test_a_folder_is_there_until_it_is_closed(tmp_path):
+def test_a_folder_exists_until_it_is_closed(tmp_path):
     with LockedTemporaryDirectory("test") as folder:
         assert folder.path.is_dir()
         assert names(tmp_path) == [folder.path.name]
@@ -44,7 +44,7 @@ def test_a_folder_is_there_until_it_is_closed(tmp_path):
     folder.close()
 
 
-def test_a_killed_programs_folder_is_removed_by_the_next(tmp_path):
+def test_the_next_program_removes_a_killed_programs_folder(tmp_path):
     program = start_program()
     program.kill()
     program.wait()
@@ -53,7 +53,7 @@ def test_a_killed_programs_folder_is_removed_by_the_next(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_a_living_programs_folder_is_left_alone():
+def test_the_folder_of_a_running_program_is_kept():
     program = start_program()
     try:
         remove_stale_directories()
@@ -63,7 +63,7 @@ def test_a_living_programs_folder_is_left_alone():
         program.wait()
 
 
-def test_a_folder_that_is_let_go_is_the_next_ones_to_remove(tmp_path):
+def test_the_next_program_removes_a_released_folder(tmp_path):
     folder = LockedTemporaryDirectory("test")
     folder.release()
     remove_stale_directories()
@@ -79,7 +79,7 @@ def test_nothing_else_is_removed(tmp_path):
     assert names(tmp_path) == ["elsewhere", "stkzoo-other", "stkzoo-run-file", "stkzoo-run-link"]
 
 
-def test_many_at_once_do_not_take_each_others_away(tmp_path):
+def test_concurrent_folders_are_not_removed(tmp_path):
     lost = []
 
     def make():

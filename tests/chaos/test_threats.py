@@ -1,6 +1,6 @@
-"""What strangers' files and machines can and cannot do, as far as no other test shows it.
+"""What untrusted files and machines can and cannot do, where no other test covers it.
 
-The whole list: ``docs/explanation/threat-model.md``.
+The complete list is in ``docs/explanation/threat-model.md``.
 """
 
 import ast
@@ -44,7 +44,7 @@ def race(*drivers, **settings):
 
 
 def test_an_agent_reads_and_writes_what_the_user_can(tmp_path):
-    """Without a sandbox: the page says so, and so it is."""
+    """Without a sandbox, an agent has the user's permissions, as the page says."""
     (tmp_path / "diary.txt").write_text("dear diary")
     act = "open('diary.txt.copy', 'w').write(open('diary.txt').read())"
     stranger = agent(tmp_path / "a", f"import os; os.chdir({str(tmp_path)!r}); {act}")
@@ -53,7 +53,7 @@ def test_an_agent_reads_and_writes_what_the_user_can(tmp_path):
 
 
 def test_an_agent_cannot_drive_or_hold_another_kart(tmp_path):
-    """Whatever it does in its own process, the others' race is the same to the last bit."""
+    """Whatever an agent does in its own process, the other karts' race is bit for bit the same."""
     quiet = agent(tmp_path / "quiet")
     mean = (
         "import gc, os, random, signal, numpy; random.seed(); numpy.random.seed(); "
@@ -103,7 +103,7 @@ def test_what_stands_in_a_file_cannot_steer_the_terminal(tmp_path):
 
 
 def test_a_replay_can_only_be_played_as_what_it_is(tmp_path):
-    """A result that somebody has written into it is found out."""
+    """A forged result in the replay is detected."""
     file = tmp_path / "race.stkz"
     race("heuristic", "ai", listeners=[ReplayWriter(file)])
     assert play_replay(load_replay(file)).is_exact
@@ -119,7 +119,7 @@ def test_a_replay_can_only_be_played_as_what_it_is(tmp_path):
     assert not play_replay(load_replay(file)).is_exact
 
 
-#: Where Python objects are made from bytes; both ends are in the same program or its checks.
+#: Modules that unpickle bytes. Both ends belong to the same program or to its checks.
 UNPICKLING = {
     "stkzoo/checks/processes.py",
     "stkzoo/checks/determinism.py",
@@ -148,7 +148,7 @@ def test_every_test_that_the_page_names_exists():
         assert re.search(rf"def {name}\(", code), f"{file} has no {name}"
 
 
-def test_every_line_of_the_page_has_its_test():
+def test_every_row_of_the_page_names_a_test():
     rows = [line for line in PAGE.read_text().splitlines() if line.startswith("| ")]
     rows = [row for row in rows if not row.startswith(("| it ", "| ---"))]
     assert len(rows) > 40

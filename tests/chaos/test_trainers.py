@@ -1,4 +1,4 @@
-"""Programs that train leave nobody behind when they are killed."""
+"""Training programs leave no processes behind when they are killed."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ TRAINERS = {
 
 
 @pytest.mark.parametrize("name", TRAINERS)
-def test_a_killed_trainer_leaves_nobody_behind(tmp_path, name):
+def test_a_killed_trainer_leaves_no_processes(tmp_path, name):
     mark = uuid.uuid4().hex
     with (tmp_path / "said").open("w") as said:
         program = subprocess.Popen(

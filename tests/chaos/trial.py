@@ -1,4 +1,4 @@
-"""Injects one fault after another into this program and looks after each what it has done."""
+"""Injects one fault after another into this program and checks the state after each."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from tests.support.processes import wait_until
 
 __all__ = ["Outcome", "Trials"]
 
-#: Seconds in which a race must be on its grid here, instead of a minute.
+#: Time limit for the start of a race [s]; the default is a minute.
 START_TIMEOUT = 20.0
-#: The same for a drawn race, and seconds for its pictures; the first take ten times as long.
+#: The same for rendered races, and for their images; the first images may take 10 times as long.
 DRAWING_START_TIMEOUT, DRAWING_TIMEOUT = 30.0, 4.0
-#: Seconds after which whatever was hit must have answered or have been given up.
+#: Time limit for a form to answer or to be abandoned after a fault [s].
 _LIMIT = 3 * (START_TIMEOUT + ENGINE_TIMEOUT)
 _DRAWING_LIMIT = _LIMIT + DRAWING_START_TIMEOUT + 10 * DRAWING_TIMEOUT
-#: How often a form may fail before it is mended: the fault may show late.
+#: Maximum number of resets until a form races again; a fault may show late.
 _ATTEMPTS = 3
-#: Moments that come before there is an environment.
+#: Moments that begin without an environment.
 _FIRST = ("construct", "begin")
 _SETTLE = 10.0  # [s]
 _WITNESS_STEPS = 60
@@ -42,16 +42,16 @@ _WITNESS_STEPS = 60
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a fault did.
+    """The outcome of a fault.
 
     Attributes:
         fault: the fault.
-        injected: whether there was somebody to hit.
-        survived: whether all was as it should be afterwards.
-        answer: what the form said while it was hit: the name of an error, or ``"went on"``.
-        seconds: how long that took.
-        resets: how many resets it took until the form raced again.
-        problem: what was not as it should be.
+        injected: whether a process was hit.
+        survived: whether all checks passed afterwards.
+        answer: name of the error that the form raised, or ``"went on"`` or ``"mended"``.
+        seconds: time until that answer [s].
+        resets: number of resets until the form raced again.
+        problem: description of the failed check.
     """
 
     fault: Fault
@@ -63,23 +63,23 @@ class Outcome:
     problem: str = ""
 
     def to_form(self) -> dict[str, Any]:
-        """As plain data."""
+        """Returns the outcome as plain data."""
         return asdict(self)
 
 
 class Trials:
-    """Faults in this program, one after another, beside a race that must not notice.
+    """Injects faults into this program while another race runs, which must not be affected.
 
-    A context manager: temporary files go to a folder of their own meanwhile. Timeouts of the
-    engine are short from a fault on, and not while a form is learnt.
+    A context manager. Temporary files go to a separate folder. The engine's timeouts are short
+    while a fault is injected, but not while a form's normal behavior is recorded.
     """
 
     def __enter__(self) -> Trials:
         self._folder = tempfile.TemporaryDirectory(prefix="chaos-")
         self._patches = contextlib.ExitStack()
         self._patches.enter_context(_replaced(tempfile, "tempdir", self._folder.name))
-        fork_client._close_all()  # the fork server's home is to be in that folder
-        self._not_ours = {member.pid for member in family(os.getpid())}  # of earlier tests
+        fork_client._close_all()  # so that the new fork server's folder is in that folder
+        self._not_ours = {member.pid for member in family(os.getpid())}  # from earlier tests
         self._witness = _Witness()
         self._traces: dict[str, str] = {}
         self._durations: dict[tuple[str, str], float] = {}
@@ -93,10 +93,10 @@ class Trials:
         self._folder.cleanup()
 
     def run(self, fault: Fault) -> Outcome:
-        """Injects one fault."""
+        """Injects one fault and returns its outcome."""
         with warnings.catch_warnings():
-            # What Ctrl-C keeps from being closed Python closes with a warning; that it does is
-            # seen by the number of open files.
+            # Python warns when it closes files that an interrupted call left open. The check of
+            # open files shows that it does close them.
             if fault.signal == "SIGINT":
                 warnings.simplefilter("ignore", ResourceWarning)
             self._learn(fault.form, fault.moment)
@@ -119,7 +119,7 @@ class Trials:
             )
             form.close()
             self._check_nothing_is_left(form)
-        except Exception:  # noqa: BLE001 - that is what is looked for
+        except Exception:  # noqa: BLE001 - any error is a finding
             problem = traceback.format_exc()
             form.close()
         else:
@@ -143,7 +143,7 @@ class Trials:
         return "mended" if form.num_crashes > before else "went on"
 
     def _race_again(self, form: Form) -> int:
-        """Resets until the form races as it always does; how many resets that took."""
+        """Resets until the form's race equals the recorded one; returns the number of resets."""
         for attempt in range(_ATTEMPTS):
             try:
                 form.mend()
@@ -158,11 +158,11 @@ class Trials:
         raise AssertionError(f"no race after {_ATTEMPTS} resets")
 
     def _learn(self, name: str, moment: str) -> None:
-        """Times a moment, and what the form's race is like, while nothing is hit."""
+        """Records a moment's duration and the form's race without faults."""
         if (name, moment) in self._durations:
             return
         form = FORMS[name]()
-        for _ in range(2):  # the first time takes longer
+        for _ in range(2):  # the first run takes longer
             form.close()
             if moment not in _FIRST:
                 form.construct()
@@ -180,7 +180,7 @@ class Trials:
         gc.collect()
         self._numbers[name] = _open_files(), threading.active_count()
 
-    # ------------------------------------------------------------------ what remains
+    # ------------------------------------------------------------------ leftovers
 
     def _check_nothing_is_left(self, form: Form) -> None:
         gc.collect()
@@ -230,7 +230,7 @@ def _short_timeouts() -> Iterator[None]:
 
 
 class _Witness:
-    """A race of this program that is never hit, and must go on bit for bit."""
+    """A race of this program that is never hit, and must continue bit for bit."""
 
     def __init__(self) -> None:
         self._env = race_v0.parallel_env(
@@ -246,10 +246,10 @@ class _Witness:
         return () if pid is None else (pid,)
 
     def go_on(self, *, may_be_lost: bool) -> None:
-        """Steps on.
+        """Takes some steps and compares them with the recorded race.
 
         Args:
-            may_be_lost: the fork server of all races was hit.
+            may_be_lost: whether the fork server of all races was hit.
         """
         for _ in range(3):
             self._number += 1

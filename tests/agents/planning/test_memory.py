@@ -60,9 +60,7 @@ def when_a_held_kart_acts(speed=0.0, **rules):
 
 def test_a_stuck_kart_calls_rescue_and_waits_for_it():
     backs, calls = when_a_held_kart_acts()
-    assert (
-        calls[0] < backs[0] < calls[1]
-    )  # the kart backs out because the first rescue did not help
+    assert calls[0] < backs[0] < calls[1]  # the first rescue did not help
     assert calls[0] == pytest.approx(DriverParameters().stuck_time / STEP, abs=1)
     assert min(np.diff(calls)) >= RESCUE_STEPS
 
