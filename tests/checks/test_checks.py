@@ -1,4 +1,4 @@
-"""The checks pass on what is right, and each of them finds what it is there to find."""
+"""The checks pass on correct environments, and each of them detects its defect."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from stkzoo.checks import CHECKS, load_factory, play, run_check, trace
 from stkzoo.errors import ConfigError
 from stkzoo.views import VIEWS
 
-# Classes of a test module cannot be imported by a fresh process.
+# A fresh process cannot import the classes of a test module.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
 
 BUILT_IN_VIEWS = tuple(VIEWS)
 
 
 class ToyRace(ParallelEnv):
-    """A race of points on a line that keeps all the rules."""
+    """A correct race of points on a line."""
 
     metadata = {"name": "toy_v0", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
     render_mode = None
@@ -114,7 +114,7 @@ class ToyRace(ParallelEnv):
 
 
 class ToyRaceWithWorker(ToyRace):
-    """Has a process, like a game, and starts another one when it is dead."""
+    """Has a child process, like a game, and starts another one if that has ended."""
 
     worker = None
 
@@ -132,7 +132,7 @@ class ToyRaceWithWorker(ToyRace):
         super().close()
 
 
-# ---------------------------------------------------------------- what each check must find
+# ---------------------------------------------------------------- a defect for each check
 
 
 class NewSpaceEachTime(ToyRace):
@@ -483,18 +483,18 @@ BROKEN = [
 @pytest.mark.parametrize(
     ("broken", "name", "why"), BROKEN, ids=[f"{b.__name__}-{n}" for b, n, _ in BROKEN]
 )
-def test_a_check_finds_what_is_broken_and_says_where(broken, name, why):
+def test_a_check_detects_a_defect_and_says_where(broken, name, why):
     outcome = run_check(CHECKS[name], broken)
     assert outcome.status == "failed"
     assert re.search(why, outcome.why, re.DOTALL), outcome.why
 
 
-def test_every_check_is_shown_to_find_something():
+def test_every_check_has_a_defect_that_it_detects():
     assert {name for _, name, _ in BROKEN} == set(CHECKS)
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_an_environment_that_keeps_the_rules_passes(name):
+def test_a_correct_environment_passes(name):
     outcome = run_check(CHECKS[name], ToyRaceWithWorker)
     assert outcome.status == "passed", outcome.why
 
@@ -509,7 +509,7 @@ def test_killing_a_worker_is_not_applicable_without_one():
 
 # ---------------------------------------------------------------- the race itself
 
-#: Checks that see an agent's view; the others are the same work for every view.
+#: Checks of an agent's view; the others do the same work for every view.
 VIEW_CHECKS = (
     "spaces_are_constant",
     "observations_are_in_their_spaces",
@@ -561,7 +561,7 @@ def test_the_command_prints_a_line_for_each_view_and_check():
 
 
 @pytest.mark.slow
-def test_the_command_takes_all_registered_views_by_default():
+def test_the_command_checks_all_registered_views_by_default():
     run = _command(
         "stkzoo.race_v0:parallel_env", "--json", "--check", "render_without_a_mode_warns"
     )
@@ -593,7 +593,7 @@ def test_the_command_fails_on_another_environment_and_says_why():
         (["stkzoo.race_v0:parallel_env", "--track", "lighthous"], "Did you mean 'lighthouse'"),
     ],
 )
-def test_a_command_that_makes_no_sense_exits_with_2(arguments, why):
+def test_invalid_arguments_exit_with_2(arguments, why):
     run = _command(*arguments)
     assert run.returncode == 2
     assert why in run.stderr
@@ -603,12 +603,12 @@ def test_a_factory_is_loaded_by_name():
     assert load_factory("stkzoo.race_v0:parallel_env") is race_v0.parallel_env
 
 
-def test_a_factory_that_does_not_exist_is_a_config_error():
+def test_a_missing_factory_is_a_config_error():
     with pytest.raises(ConfigError, match="cannot be loaded"):
         load_factory("stkzoo.race_v0:nothing")
 
 
-def test_a_trace_tells_types_apart():
+def test_a_trace_distinguishes_types():
     class FloatSteps(ToyRace):
         def infos(self, agents):
             return {agent: {**i, "steps": float(i["steps"])} for agent, i in _infos(self, agents)}

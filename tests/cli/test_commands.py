@@ -1,4 +1,4 @@
-"""The command line is made of its modules: a new module is a new command."""
+"""Each module of the command line is a command."""
 
 import argparse
 import subprocess
@@ -49,7 +49,7 @@ def test_a_long_help_shows_examples_first_and_groups_of_options():
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_only_the_arguments_of_the_command_at_hand_are_declared(command):
+def test_only_the_arguments_of_the_given_command_are_declared(command):
     (subparsers,) = (action for action in build_parser(command)._actions if action.choices)
     declared = [name for name, child in subparsers.choices.items() if child.get_default("fail")]
     assert declared == [command]
@@ -66,7 +66,7 @@ def test_only_the_arguments_of_the_command_at_hand_are_declared(command):
         (["race", "ai", "--error-handling", "ctch"], "catch"),
     ],
 )
-def test_what_is_unknown_is_one_line_with_what_was_meant(words, meant, capsys):
+def test_an_unknown_word_is_reported_with_the_nearest_valid_one(words, meant, capsys):
     assert main(words) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
@@ -77,7 +77,7 @@ def test_what_is_unknown_is_one_line_with_what_was_meant(words, meant, capsys):
 @pytest.mark.parametrize(
     "words", [["tracks", "olivermath"], ["karts", "--json"], ["race", "--help"]]
 )
-def test_a_reader_that_is_gone_is_no_traceback(words):
+def test_a_closed_pipe_causes_no_traceback(words):
     program = subprocess.Popen(
         [sys.executable, "-c", "import sys, stkzoo.cli; sys.exit(stkzoo.cli.main())", *words],
         stdout=subprocess.PIPE,
@@ -86,4 +86,4 @@ def test_a_reader_that_is_gone_is_no_traceback(words):
     program.stdout.close()
     with program.stderr:
         assert program.stderr.read() == b""
-    assert program.wait() in (0, 1)  # argparse swallows it
+    assert program.wait() in (0, 1)  # argparse ignores the broken pipe

@@ -8,7 +8,7 @@ from stkzoo.engine.assets import find
 
 @pytest.fixture
 def no_data(tmp_path, monkeypatch):
-    """A machine without the game's data."""
+    """Sets up a machine without the game's data."""
     monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
     monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
@@ -35,7 +35,7 @@ def test_fails_without_data_and_names_the_remedy(capsys):
 
 
 @pytest.mark.usefixtures("no_data")
-def test_engine_that_cannot_start_is_told(tmp_path, monkeypatch, capsys):
+def test_an_engine_that_cannot_start_is_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("SUPERTUXKART_DATADIR", str(broken_data(tmp_path / "broken")))
     code, _, checks = report(capsys)
     assert code == 1
@@ -43,7 +43,7 @@ def test_engine_that_cannot_start_is_told(tmp_path, monkeypatch, capsys):
     assert not checks["engine starts"]["ok"]
 
 
-def test_what_races_can_do_without_does_not_fail(monkeypatch, capsys):
+def test_a_missing_optional_part_does_not_fail(monkeypatch, capsys):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     code, _, checks = report(capsys)
@@ -52,7 +52,7 @@ def test_what_races_can_do_without_does_not_fail(monkeypatch, capsys):
 
 
 @pytest.mark.usefixtures("no_data")
-def test_every_missing_thing_has_a_remedy(capsys):
+def test_every_failed_check_has_a_remedy(capsys):
     _, _, checks = report(capsys)
     assert all(check["remedy"] for check in checks.values() if not check["ok"])
 
@@ -72,7 +72,7 @@ def test_table_ends_with_the_verdict(capsys):
 
 
 def broken_data(root):
-    """Data in whose shape nothing is wrong, but of no use to the engine."""
+    """Writes data that looks complete but does not work in the engine."""
     data = root / "data"
     for name in ("skins/classic", "ttf", "tracks/alps", "karts/gnu"):
         (data / name).mkdir(parents=True)

@@ -91,6 +91,6 @@ def test_check_says_why_an_agent_fails(name, reason, capsys):
     ("agent", "expected"),
     [("heuristic", "name your own agent"), ("no/such/agent", "expected a folder")],
 )
-def test_check_refuses_what_is_not_an_agent_from_files(agent, expected, capsys):
+def test_check_refuses_drivers_without_files(agent, expected, capsys):
     assert main(["check", agent]) == 2
     assert expected in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The command ``stkzoo pystk2``, beside the command that it is like."""
+"""The command ``stkzoo pystk2``, compared with the reference's ``pystk2``."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from stkzoo.cli.pystk2 import _DEFAULTS
 from tests.support.paths import AGENTS, ROOT
 from tests.support.remote_race import server_process, write_agent
 
-#: Prints the options of each command of the reference, with their defaults.
+#: Prints the options of each of the reference's commands, with their defaults.
 REFERENCE = """
 import argparse, json
 from pystk2_gymnasium import cli
@@ -32,7 +32,7 @@ argparse.ArgumentParser.parse_args = describe
 cli.main()
 """
 
-#: Options whose defaults stkzoo keeps, or which it works out later; docs/reference/differences.md.
+#: Options with stkzoo's own defaults or defaults computed later; see docs/reference/differences.md.
 OWN_DEFAULTS = {"-h", "--address", "--threads", "--screen-width", "--screen-height"}
 
 
@@ -45,7 +45,7 @@ def choices_of(parser):
     return commands.choices
 
 
-def test_options_and_defaults_are_those_of_the_reference():
+def test_options_and_defaults_match_the_reference():
     command = [sys.executable, "-c", REFERENCE]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     ours = choices_of(choices_of(build_parser("pystk2"))["pystk2"])
@@ -57,13 +57,13 @@ def test_options_and_defaults_are_those_of_the_reference():
                 assert (ours[name].get_default(known[option].dest) or None) == (default or None)
 
 
-def test_defaults_are_those_of_options():
+def test_every_default_belongs_to_an_option():
     known = options_of(choices_of(choices_of(build_parser("pystk2"))["pystk2"])["race"])
     assert _DEFAULTS.keys() <= {action.dest for action in known.values()}
 
 
 @pytest.mark.slow
-def test_a_race_gives_the_result_in_the_references_form(tmp_path, capsys):
+def test_a_result_has_the_references_format(tmp_path, capsys):
     words = f"race {AGENTS / 'plain'}@:Ada --track lighthouse --max-steps 5 --hide"
     assert main(["pystk2", *words.split(), "--output", str(tmp_path / "result.json")]) == 0
     result = json.loads((tmp_path / "result.json").read_text())
@@ -71,14 +71,14 @@ def test_a_race_gives_the_result_in_the_references_form(tmp_path, capsys):
     assert result.pop("elapsed_seconds") > 0
     assert result == {"type": "results", "track": "lighthouse", "steps": 5}
     assert row.pop("avg_action_time") > 0
-    assert row.pop("position") in (1, 2, 3)  # of the three karts of the reference's default
+    assert row.pop("position") in (1, 2, 3)  # the reference's default is three karts
     assert isinstance(row.pop("reward"), float)
     assert row == {"key": 0, "name": "Ada"}
     assert capsys.readouterr().err == ""
 
 
 @pytest.mark.slow
-def test_a_failure_ends_the_race_and_is_the_result(tmp_path, capsys):
+def test_a_failure_ends_the_race_and_is_its_result(tmp_path, capsys):
     file = tmp_path / "result.json"
     words = f"race ai {AGENTS / 'hostile' / 'once.py'} --track lighthouse --hide --output {file}"
     assert main(["pystk2", *words.split()]) == 3
@@ -90,7 +90,7 @@ def test_a_failure_ends_the_race_and_is_the_result(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_what_differs_is_one_line(monkeypatch, capsys):
+def test_differences_are_reported_in_one_line(monkeypatch, capsys):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
     words = "race ai --track lighthouse --max-steps 2 --cameras 2 --width 600 --web-port 9"
@@ -107,7 +107,7 @@ def test_what_differs_is_one_line(monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_agents_of_a_server_race(tmp_path):
+def test_agents_on_a_server_can_race(tmp_path):
     file = tmp_path / "result.json"
     with server_process(write_agent(tmp_path, "ada")) as (_, address):
         words = f"race-client --server {address} --track lighthouse --max-steps 3 --hide"
@@ -125,7 +125,7 @@ def test_agents_of_a_server_race(tmp_path):
         (["race-server", "ai"], "name it on the client"),
     ],
 )
-def test_bad_usage_is_one_line(words, text, capsys):
+def test_bad_usage_is_reported_in_one_line(words, text, capsys):
     assert main(["pystk2", *words, *(["--hide"] if words[0] == "race" else [])]) == 2
     said = capsys.readouterr().err
     assert text in said
@@ -134,7 +134,7 @@ def test_bad_usage_is_one_line(words, text, capsys):
 
 @pytest.fixture
 def environment(tmp_path):
-    """Makes the folder ``bin`` of an environment with stkzoo, and the reference if wanted."""
+    """Returns a function that creates an environment with stkzoo and returns its ``bin`` folder."""
 
     def make(*, with_reference):
         folder = tmp_path / "an env"
@@ -147,7 +147,7 @@ def environment(tmp_path):
                 if is_needed and not (site / entry.name).exists():
                     (site / entry.name).symlink_to(entry)
         (site / "stkzoo.pth").write_text(f"{ROOT}\n")
-        command = folder / "bin" / "stkzoo"  # as pip writes it
+        command = folder / "bin" / "stkzoo"  # like the script that pip writes
         command.write_text(
             f'#!/bin/sh\nexec "{folder}/bin/python" -c '
             '"import sys; from stkzoo.cli import main; sys.exit(main())" "$@"\n'
@@ -164,7 +164,7 @@ def run(*words, **options):
 
 
 @pytest.mark.slow
-def test_the_command_is_written_where_there_is_none(environment, tmp_path):
+def test_the_command_is_written_if_it_is_missing(environment, tmp_path):
     folder = environment(with_reference=False)
     code, said = run(folder / "stkzoo", "pystk2", "install")
     assert code == 0, said

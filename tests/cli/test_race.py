@@ -37,7 +37,7 @@ def test_raise_shows_the_agents_traceback_and_exits_with_3(capsys):
 
 
 @pytest.mark.slow
-def test_several_races_are_summed_up(capsys, tmp_path):
+def test_several_races_are_summarized(capsys, tmp_path):
     file = tmp_path / "results.json"
     words = ["race", "heuristic", "ai", "--track", "olivermath", "--seed", "5", "--races", "2"]
     assert main([*words, "--max-steps", "20", "--output", str(file)]) == 0
@@ -48,7 +48,7 @@ def test_several_races_are_summed_up(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupt_ends_the_race_with_what_there_is(tmp_path):
+def test_an_interrupted_race_saves_its_result_so_far(tmp_path):
     file, log = tmp_path / "result.json", tmp_path / "log"
     agent = tmp_path / "pystk_actor.py"
     agent.write_text(
@@ -60,7 +60,7 @@ def test_an_interrupt_ends_the_race_with_what_there_is(tmp_path):
         "    return act\n"
     )
     words = ["race", str(tmp_path), "--max-steps", "1000000", "--output", str(file)]
-    words += ["--sandbox", "off"]  # it writes into its folder
+    words += ["--sandbox", "off"]  # so that the agent can write into its folder
     with log.open("w") as output:
         program = subprocess.Popen(
             [sys.executable, "-m", "stkzoo", *words], stdout=output, stderr=output
@@ -73,7 +73,7 @@ def test_an_interrupt_ends_the_race_with_what_there_is(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_references_own_words_are_understood(tmp_path, capsys):
+def test_the_references_options_are_accepted(tmp_path, capsys):
     adapter = tmp_path / "adapter.py"
     adapter.write_text("def create_actor(get_actor, *rest): return get_actor(*rest)")
     words = (
@@ -113,7 +113,7 @@ def test_command_writes_only_json_to_stdout_on_request(capsys):
 
 
 @pytest.mark.slow
-def test_what_an_agent_prints_stays_out_of_the_json(capfd, tmp_path):
+def test_an_agents_output_is_not_in_the_json(capfd, tmp_path):
     agent = tmp_path / "loud"
     shutil.copytree(AGENTS / "plain", agent)
     with (agent / "pystk_actor.py").open("a") as module:
@@ -126,7 +126,7 @@ def test_what_an_agent_prints_stays_out_of_the_json(capfd, tmp_path):
     assert "by a library" in printed.err
 
 
-def test_command_fills_the_race_up(capsys):
+def test_command_adds_bots_to_fill_the_race(capsys):
     words = ["race", "heuristic", "--num-karts", "3", "--track", "olivermath", "--json"]
     assert main(words) == 0
     drivers = [row["driver"] for row in json.loads(capsys.readouterr().out)["agents"]]
@@ -164,7 +164,7 @@ def test_bad_usage_exits_with_2(words, capsys):
     assert said.count("\n") <= 2  # the second line may list the valid names
 
 
-def test_a_number_of_cameras_that_is_none_is_named(capsys):
+def test_an_invalid_number_of_cameras_is_named(capsys):
     assert main(["race", "ai", "--cameras", "x", "--video", "race.mp4"]) == 2
     assert "--cameras: 'x' is neither a number nor auto" in capsys.readouterr().err
 
@@ -179,13 +179,11 @@ def test_command_without_the_games_data_exits_with_1(monkeypatch, tmp_path, caps
     ("option", "name"), [("--output", "a.json"), ("--replay", "a.stkz"), ("--video", "a.mp4")]
 )
 @pytest.mark.parametrize("folder", ["missing", "."])
-def test_a_path_that_cannot_be_written_is_refused_before_the_race(
-    option, name, folder, tmp_path, capsys
-):
+def test_an_unwritable_path_is_refused_before_the_race(option, name, folder, tmp_path, capsys):
     file = tmp_path / folder / name
     if folder == ".":
         file.mkdir()
-    assert main(["race", "ai", option, str(file)]) == 2  # and 1 after a race
+    assert main(["race", "ai", option, str(file)]) == 2  # after the race, it would be 1
     said = capsys.readouterr()
     assert "cannot be written" in said.err
     assert said.out == ""

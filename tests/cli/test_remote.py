@@ -1,4 +1,4 @@
-"""``stkzoo race-server`` and ``stkzoo race-client``, as people call them."""
+"""``stkzoo race-server`` and ``stkzoo race-client``."""
 
 import json
 import signal
@@ -15,7 +15,7 @@ RACE = ["--track", "lighthouse", "--seed", "3", "--max-steps", "12"]
 
 
 @pytest.mark.slow
-def test_a_race_with_keys_of_remote_and_local_drivers(tmp_path, capsys):
+def test_a_race_with_keys_can_mix_remote_and_local_drivers(tmp_path, capsys):
     agent = write_agent(tmp_path, "ada")
     (server, server_public), (course, course_public) = (
         new_key_files(name, tmp_path) for name in ("server", "course")
@@ -34,7 +34,7 @@ def test_a_race_with_keys_of_remote_and_local_drivers(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_an_agent_that_fails_on_its_server_shows_in_the_exit_code(tmp_path, capsys):
+def test_an_agents_failure_on_its_server_sets_the_exit_code(tmp_path, capsys):
     agent = write_agent(tmp_path, "bad", act="raise KeyError('oops')")
     with server_process(agent) as (_, address):
         assert main(["race-client", "--server", address, "ai", *RACE]) == 3
@@ -42,7 +42,7 @@ def test_an_agent_that_fails_on_its_server_shows_in_the_exit_code(tmp_path, caps
 
 
 @pytest.mark.slow
-def test_no_server_is_a_failure_in_words(capsys):
+def test_a_missing_server_is_reported(capsys):
     client = ["race-client", "--server", "127.0.0.1:9", "--connect-timeout", "0.5"]
     assert main(client) == 1
     assert "did not connect in time" in capsys.readouterr().err
@@ -64,14 +64,14 @@ def test_no_server_is_a_failure_in_words(capsys):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_bad_usage_is_told(words, text, capsys):
+def test_bad_usage_is_reported(words, text, capsys):
     assert main(words) == 2
     assert text in capsys.readouterr().err
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_a_server_ends_when_it_is_asked_to(tmp_path, how):
+def test_a_server_ends_on_a_signal(tmp_path, how):
     agent = write_agent(tmp_path, "ada")
     with server_process(agent) as (process, address):
         time.sleep(0.2)

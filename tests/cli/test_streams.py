@@ -1,4 +1,4 @@
-"""Commands whose stdout is full or closed, and races whose outputs cannot be written."""
+"""Commands with a full or closed stdout, and races with unwritable outputs."""
 
 import json
 import os
@@ -15,7 +15,7 @@ RACE = "race random ai --track lighthouse --max-steps 3 --seed 1"
 
 
 def stkzoo(words, redirection="", **variables):
-    """Runs a command as a shell does."""
+    """Runs a command in a shell."""
     command = f'exec "$0" -m stkzoo {words} {redirection}'
     return subprocess.run(
         ["sh", "-c", command, sys.executable],
@@ -32,7 +32,7 @@ def stkzoo(words, redirection="", **variables):
     [("", ">/dev/full", "No space left on device"), ("--json", ">&-", "Bad file descriptor")],
     ids=["full", "closed"],
 )
-def test_a_stdout_that_cannot_be_written_is_one_error_and_keeps_the_file(
+def test_an_unwritable_stdout_is_one_error_and_the_file_is_kept(
     tmp_path, words, redirection, cause
 ):
     file = tmp_path / "race.json"
@@ -49,19 +49,19 @@ def test_every_command_reports_a_full_stdout_in_one_line(command):
     assert len(done.stderr.splitlines()) <= 1
 
 
-def test_a_closed_stderr_costs_nothing():
+def test_a_closed_stderr_has_no_effect():
     done = stkzoo(f"{RACE} --json", "2>&-")
     assert json.loads(done.stdout)["steps"] == 3
     assert done.returncode == 0
 
 
-def test_all_closed_streams_cost_no_file(tmp_path):
+def test_the_file_is_written_if_all_streams_are_closed(tmp_path):
     file = tmp_path / "race.json"
     stkzoo(f"{RACE} --output {file}", "<&- >&- 2>&-")
     assert RaceResult.from_json(file.read_text()).steps == 3
 
 
-def test_a_name_that_the_terminal_cannot_show_is_shown_in_another_way():
+def test_a_name_that_the_terminal_cannot_show_is_escaped():
     name = "random@:\N{CHEQUERED FLAG}:fire:"
     done = stkzoo(f"race '{name}' --track lighthouse --max-steps 2", PYTHONIOENCODING="ascii")
     assert "\\U0001f3c1:fire:" in done.stdout
@@ -69,7 +69,7 @@ def test_a_name_that_the_terminal_cannot_show_is_shown_in_another_way():
 
 
 def run_with_failing_listener(tmp_path, event, code):
-    """Runs a race whose replay writer fails at an event."""
+    """Runs a race whose replay writer fails on an event."""
     program = f"""
         import sys
         from stkzoo.cli import main
@@ -91,7 +91,7 @@ def run_with_failing_listener(tmp_path, event, code):
 
 
 @pytest.mark.parametrize("event", ["stepped", "ended"])
-def test_an_output_that_fails_does_not_cost_the_result(tmp_path, event):
+def test_a_failed_output_does_not_lose_the_result(tmp_path, event):
     done = run_with_failing_listener(tmp_path, event, "raise OSError(28, 'No space left')")
     assert done.returncode == 1
     assert done.stderr.splitlines() == ["stkzoo: OSError: [Errno 28] No space left"]
@@ -135,7 +135,7 @@ IMPORTS = """
     ids=["files", "web and video", "an agent that fails", "a series"],
 )
 def test_nothing_is_imported_after_the_start_of_a_race(tmp_path, words):
-    """A module that is first needed then may not be readable any more."""
+    """A module that is needed later may no longer be readable."""
     failing = tmp_path / "failing"
     failing.mkdir()
     (failing / "pystk_actor.py").write_text(

@@ -1,4 +1,4 @@
-"""`stkzoo tracks`, `stkzoo karts` and `stkzoo completion`."""
+"""``stkzoo tracks``, ``stkzoo karts`` and ``stkzoo completion``."""
 
 import json
 import shlex
@@ -15,7 +15,7 @@ from stkzoo.cli import COMMANDS, build_parser, main
 from stkzoo.tracks import SPLITS
 
 
-def test_tracks_shows_what_the_race_has(capsys):
+def test_tracks_shows_the_data_of_tracks(capsys):
     assert main(["tracks", "lighthouse", "olivermath", "--sort", "length", "--json"]) == 0
     shortest, other = json.loads(capsys.readouterr().out)
     assert (shortest["track"], other["track"]) == ("olivermath", "lighthouse")
@@ -38,7 +38,7 @@ def test_tracks_of_a_split_are_shown(capsys):
     assert "lighthouse" not in shown
 
 
-def test_a_track_that_is_not_there_is_named_with_the_nearest(capsys):
+def test_an_unknown_track_is_reported_with_the_nearest_name(capsys):
     assert main(["tracks", "lighthous"]) == 1
     assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
 
@@ -61,12 +61,12 @@ def test_a_map_is_drawn(tmp_path, capsys):
         (["lighthouse", "--map", "/nowhere/map.png"], "cannot be written"),
     ],
 )
-def test_maps_that_cannot_be_are_refused(words, text, capsys):
+def test_impossible_maps_are_refused(words, text, capsys):
     assert main(["tracks", *words]) == 1
     assert text in capsys.readouterr().err
 
 
-def test_karts_are_those_of_the_game(capsys):
+def test_karts_match_the_game(capsys):
     assert main(["karts", "--json"]) == 0
     karts = {kart["kart"]: kart for kart in json.loads(capsys.readouterr().out)}
     assert len(karts) == 16
@@ -79,14 +79,14 @@ def test_karts_are_those_of_the_game(capsys):
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish", "tcsh"])
-def test_completion_scripts_know_all_commands(shell, capsys):
+def test_completion_scripts_contain_all_commands(shell, capsys):
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
     assert all(command in script for command in COMMANDS)
 
 
 def completed(script, *words):
-    """What bash offers for the last word."""
+    """Returns bash's completions of the last word."""
     line = " ".join(words)
     program = f"""
 source {script}
@@ -111,7 +111,7 @@ def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
     assert completed(script, "stkzoo", "race", "--error-handling", "re") == ["retire", "restart"]
 
 
-def test_without_shtab_the_remedy_is_told(monkeypatch, capsys):
+def test_without_shtab_the_remedy_is_shown(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["completion", "bash"]) == 1
     assert install_command("completion") in capsys.readouterr().err
@@ -130,7 +130,7 @@ def _is_sub(action):
     return type(action).__name__ == "_SubParsersAction"
 
 
-def test_every_command_teaches_by_examples():
+def test_every_command_has_examples():
     for words, parser in every_parser(build_parser()):
         if len(words) == 1:
             text = parser.format_help()
@@ -139,7 +139,7 @@ def test_every_command_teaches_by_examples():
 
 
 @pytest.mark.slow
-def test_every_example_of_the_helps_is_understood():
+def test_every_example_in_the_help_texts_can_be_parsed():
     for _, parser in every_parser(build_parser()):
         for line in (parser.epilog or "").splitlines():
             if line.startswith("  stkzoo "):
@@ -149,7 +149,7 @@ def test_every_example_of_the_helps_is_understood():
                     build_parser().parse_args(words)
 
 
-def test_long_names_wrap_and_numbers_stay_whole(capsys, monkeypatch):
+def test_long_names_wrap_and_numbers_do_not(capsys, monkeypatch):
     from stkzoo.cli._console import show_table
 
     monkeypatch.setenv("COLUMNS", "80")

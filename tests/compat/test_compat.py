@@ -1,4 +1,4 @@
-"""Code written for pystk2-gymnasium runs on stkzoo; each case in an interpreter of its own."""
+"""Code for pystk2-gymnasium runs on stkzoo. Each case runs in its own interpreter."""
 
 import importlib.util
 import json
@@ -25,7 +25,7 @@ def action(throttle=1.0):
 
 
 def run_python(code):
-    """What a fresh interpreter prints; warnings are errors there too."""
+    """Runs code in a fresh interpreter with warnings as errors; returns its output."""
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],
         capture_output=True,
@@ -36,7 +36,7 @@ def run_python(code):
     return done.stdout.strip()
 
 
-#: Imports once what all cases need, and runs each case in a process that is forked from there.
+#: Imports once what all cases need, and forks a process for each case.
 SERVER = f"""{TAKE_OVER}{PRELUDE}
 import json, os, sys
 
@@ -64,7 +64,7 @@ def server():
 
 @pytest.fixture
 def on_stkzoo(server, tmp_path):
-    """Runs a case after the common imports; what it prints."""
+    """Returns a function that runs a case after the common imports and returns its output."""
 
     def run(code):
         output = [tmp_path / "stdout", tmp_path / "stderr"]
@@ -105,7 +105,7 @@ LINES = [
 
 @pytest.fixture(scope="module")
 def packages_of_names():
-    """For each line, the top-level packages in which its names are defined."""
+    """Returns, for each line, the top-level packages that define its names."""
     code = f"""
 import json
 packages = {{}}
@@ -137,7 +137,7 @@ COMPLETE = "stkzoo stkzoo stkzoo.env.gymnasium_api stkzoo.config"
 
 
 @pytest.mark.parametrize("again", ["", "stkzoo.compat.install(replace=True)"])
-def test_where_the_reference_is_installed_names_and_ids_are_taken_over(again):
+def test_an_installed_reference_is_replaced(again):
     assert importlib.util.find_spec("pystk2_gymnasium") is not None
     assert run_python(f"import stkzoo.compat\n{again}\n{OWNERS}") == COMPLETE
 
@@ -146,11 +146,11 @@ def test_where_the_reference_is_installed_names_and_ids_are_taken_over(again):
     "before",
     [
         "import pystk2_gymnasium\nimport stkzoo.compat",
-        # the ids go to and fro, of which Gymnasium warns at the reference's import
+        # both packages register the ids, so Gymnasium warns when the reference is imported
         "import stkzoo, pystk2_gymnasium.pystk_process\nimport stkzoo.compat",
     ],
 )
-def test_a_reference_that_was_imported_before_is_replaced_with_one_warning(before):
+def test_a_reference_imported_before_is_replaced_with_one_warning(before):
     code = f"""
 import warnings
 with warnings.catch_warnings(record=True) as caught:
@@ -165,7 +165,7 @@ print(*(text for text in texts if "Overriding environment" not in text))
     assert "`import stkzoo.compat` above the first import of pystk2_gymnasium" in said
 
 
-def test_a_race_of_an_agent_leaves_the_reference_alone():
+def test_loading_an_agent_does_not_replace_the_reference():
     place = str(paths.AGENTS / "reference")
     code = f"""
 import sys, warnings
@@ -179,7 +179,7 @@ print(pystk2_gymnasium.envs.STKRaceEnv.__module__, sys.modules["pystk2_gymnasium
     assert run_python(code) == "pystk2_gymnasium.envs pystk2_gymnasium"
 
 
-def test_where_the_reference_is_missing_importing_compat_is_enough():
+def test_a_missing_reference_is_replaced_by_importing_compat():
     code = """
     import sys
 
@@ -227,7 +227,7 @@ def test_a_race_of_several_agents_runs(on_stkzoo):
     ]
 
 
-def test_fields_of_a_spec_may_be_set_after_construction(on_stkzoo):
+def test_fields_of_a_spec_can_be_set_after_construction(on_stkzoo):
     code = """
     from pystk2_gymnasium.definitions import AgentSpec, CameraMode
 
@@ -245,7 +245,7 @@ def test_fields_of_a_spec_may_be_set_after_construction(on_stkzoo):
     assert on_stkzoo(code) == "[0, 1] sara_the_racer"
 
 
-def test_a_hash_that_users_give_to_specs_does_no_harm(on_stkzoo):
+def test_a_custom_hash_of_specs_has_no_effect(on_stkzoo):
     code = """
     from pystk2_gymnasium.envs import AgentSpec, STKRaceMultiEnv
 
@@ -259,7 +259,7 @@ def test_a_hash_that_users_give_to_specs_does_no_harm(on_stkzoo):
     assert on_stkzoo(code) == "[1, 0]"
 
 
-def test_camera_modes_of_pystk2_are_understood(on_stkzoo):
+def test_camera_modes_of_pystk2_are_accepted(on_stkzoo):
     code = """
     import pystk2
     from pystk2_gymnasium import AgentSpec
@@ -299,7 +299,7 @@ def test_the_race_can_be_read_from_the_unwrapped_environment(on_stkzoo):
     ]
 
 
-def test_a_world_of_an_earlier_step_is_not_changed_by_later_ones(on_stkzoo):
+def test_later_steps_do_not_change_an_earlier_world(on_stkzoo):
     code = """
     env = gym.make("supertuxkart/full-v0", num_kart=2, track="lighthouse")
     env.reset(seed=1)
@@ -313,7 +313,7 @@ def test_a_world_of_an_earlier_step_is_not_changed_by_later_ones(on_stkzoo):
     assert on_stkzoo(code) == "True True"
 
 
-def test_tracks_are_known_before_a_race(on_stkzoo):
+def test_tracks_are_available_before_a_race(on_stkzoo):
     code = """
     from pystk2_gymnasium.envs import BaseSTKRaceEnv, STKRaceEnv
 
@@ -343,7 +343,7 @@ def test_tracks_are_known_before_a_race(on_stkzoo):
         ),
     ],
 )
-def test_agents_have_chains_of_wrappers_of_their_own(on_stkzoo, wrap, observation, chosen):
+def test_each_agent_can_have_its_own_wrappers(on_stkzoo, wrap, observation, chosen):
     code = f"""
     from pystk2_gymnasium import AgentSpec, MonoAgentWrapperAdapter
     from pystk2_gymnasium.stk_wrappers import (
@@ -372,7 +372,7 @@ def test_agents_have_chains_of_wrappers_of_their_own(on_stkzoo, wrap, observatio
     ]
 
 
-def test_a_users_own_wrapper_of_actions_and_observations_runs(on_stkzoo):
+def test_a_custom_wrapper_of_actions_and_observations_works(on_stkzoo):
     code = """
     import copy
     from pystk2_gymnasium.definitions import ActionObservationWrapper
@@ -400,7 +400,7 @@ def test_a_users_own_wrapper_of_actions_and_observations_runs(on_stkzoo):
     assert on_stkzoo(code) == "True 0"
 
 
-def test_a_failing_wrapper_is_an_agent_exception_with_its_key(on_stkzoo):
+def test_a_failing_wrapper_raises_an_agent_exception_with_its_key(on_stkzoo):
     code = """
     from pystk2_gymnasium import AgentException, AgentSpec, MonoAgentWrapperAdapter
 
@@ -440,7 +440,7 @@ def test_spaces_can_be_flattened_by_hand(on_stkzoo):
     ]
 
 
-def test_phases_are_those_of_observations(on_stkzoo):
+def test_phases_match_the_observations(on_stkzoo):
     code = """
     from pystk2_gymnasium.envs import Phase
 
@@ -456,7 +456,7 @@ def test_phases_are_those_of_observations(on_stkzoo):
     assert on_stkzoo(code) == "READY_PHASE SET_PHASE GO_PHASE RACE_PHASE"
 
 
-def test_an_ai_agent_shows_its_action(on_stkzoo):
+def test_observations_of_an_ai_agent_include_its_action(on_stkzoo):
     code = """
     env = gym.make("supertuxkart/full-v0", track="lighthouse",
                    agent=pystk2_gymnasium.AgentSpec(use_ai=True))
@@ -470,7 +470,7 @@ def test_an_ai_agent_shows_its_action(on_stkzoo):
 
 
 @pytest.mark.parametrize("env_id", ["supertuxkart/simple-v0", "supertuxkart/full-v0"])
-def test_vector_environments_are_made(on_stkzoo, env_id):
+def test_vector_environments_can_be_made(on_stkzoo, env_id):
     code = f"""
     from pystk2_gymnasium import make_stkrace_vec
 
@@ -497,12 +497,12 @@ for kind in (np.float32, np.float64):
 """
 
 
-def test_rotations_are_those_of_the_reference(on_stkzoo):
+def test_rotations_match_the_reference(on_stkzoo):
     code = "from pystk2_gymnasium.utils import rotate, rotate_batch\n" + ROTATIONS
     assert on_stkzoo(code) == on_reference(code)
 
 
-def test_enumerations_have_the_size_that_the_reference_tells(on_stkzoo):
+def test_max_enum_value_matches_the_reference(on_stkzoo):
     code = """
     from enum import Enum
     import pystk2
@@ -518,7 +518,7 @@ def test_enumerations_have_the_size_that_the_reference_tells(on_stkzoo):
     assert on_stkzoo(code) == on_reference(code)
 
 
-def test_steps_stand_for_the_numbers_of_the_reference(on_stkzoo):
+def test_discretizer_steps_match_the_reference(on_stkzoo):
     code = """
     from gymnasium import spaces
     from pystk2_gymnasium.utils import Discretizer

@@ -1,4 +1,4 @@
-"""What pystk2-gymnasium 0.10.0 gets wrong and stkzoo gets right, on the real game."""
+"""Defects of pystk2-gymnasium 0.10.0 that stkzoo does not have, tested on the real game."""
 
 import re
 import subprocess
@@ -26,7 +26,7 @@ from tests.support.paths import ROOT
 SINGLE_IDS = [f"supertuxkart/{view}-v0" for view in stkzoo.views.VIEWS]
 MULTI_ID = "supertuxkart/multi-full-v0"
 SHORT_TRACK = "lighthouse"
-#: Steps until karts move, and some.
+#: Number of steps after which karts have moved.
 UNTIL_MOVING = 45
 
 
@@ -43,17 +43,17 @@ def action(throttle=0.0, steer=0.0):
 
 
 def idle(env):
-    """Actions with which nobody does anything."""
+    """Returns actions that do nothing."""
     return {agent: action() for agent in env.agents}
 
 
 def specs(kinds):
-    """One agent a letter: ``a`` is driven by the game's AI, ``p`` by its actions."""
+    """Returns one agent per letter: ``a`` is driven by the game's AI, ``p`` by its actions."""
     return [AgentSpec(use_ai=kind == "a") for kind in kinds]
 
 
 def leaves(value):
-    """The arrays and numbers in nested dicts and tuples."""
+    """Returns the arrays and numbers in nested dicts."""
     if isinstance(value, dict):
         return [leaf for part in value.values() for leaf in leaves(part)]
     return [np.asarray(value)]
@@ -65,7 +65,7 @@ def same(a, b):
 
 @pytest.fixture(scope="module")
 def finished_race():
-    """Every step of a race of three AI agents in the dict-of-agents form, to the end."""
+    """Runs three AI agents to the finish as a dict of agents; returns all steps and final ranks."""
     env = gym.make(MULTI_ID, agents=specs("aaa"), num_kart=3, track=SHORT_TRACK)
     env.reset(seed=0)
     steps = [env.step({})]
@@ -217,7 +217,7 @@ def test_d06_each_agents_reward_end_and_info_can_be_read(finished_race):
 
 @st.composite
 def race_histories(draw):
-    """Distances of K karts over T steps; who finishes where; -1 is never."""
+    """Draws distances ``(T, K)`` and each kart's finishing step, or ``None``."""
     num_kart = draw(st.integers(1, 6))
     num_steps = draw(st.integers(1, 12))
     finishing = st.one_of(st.none(), st.integers(0, num_steps - 1))
@@ -229,7 +229,7 @@ def race_histories(draw):
 
 
 def snapshots_of(distances, finish_steps, lap_length):
-    """The moments of such a race, ranked as the game ranks: finishers by time, then by distance."""
+    """Yields the race's snapshots, ranked as by the game: finishers by time, others by distance."""
     num_kart = len(finish_steps)
     order = []
     for step in range(-1, len(distances)):
@@ -498,7 +498,7 @@ class CountedSteps(gym.ObservationWrapper):
 
 
 class TenfoldReward(gym.RewardWrapper):
-    """Ten times the reward."""
+    """Multiplies the reward by ten."""
 
     def reward(self, reward):
         return 10 * reward
@@ -578,7 +578,7 @@ def test_d15_a_kart_may_race_alone(env_id, use_ai):
 
 
 def driving_distances(track):
-    """``(N, N)`` metres from each segment's start to each other's, by Floyd and Warshall."""
+    """Returns distances ``(N, N)`` between the starts of segments by Floyd and Warshall [m]."""
     count = len(track.successors)
     metres = np.full((count, count), np.inf)
     np.fill_diagonal(metres, 0)
@@ -616,7 +616,7 @@ def test_d16_the_five_segments_of_the_simple_view_are_the_nearest(name):
         nearest = np.sort(metres[core.snapshot.karts["node"][0]])[:5]
         begin = observation["paths_distance"][:, 0]
         length = core.track_map.length
-        gaps = (begin - begin[0] + 1) % length - 1  # segments of two branches may begin together
+        gaps = (begin - begin[0] + 1) % length - 1  # two branches may begin at the same place
         assert gaps == pytest.approx(nearest, abs=1e-2)
         observation, *_ = env.step(env.action_space.sample())
     env.close()
@@ -643,7 +643,7 @@ def test_d16_the_track_itself_is_read_only(name):
 
 
 def seen_line(start, end):
-    """What a kart at the world's origin, heading along z, sees of a straight line."""
+    """Returns how a kart at the origin, heading along z, observes a straight center line."""
     ends = np.array([[start, end]], np.float32)
     track = TrackMap(
         length=100.0,
@@ -669,7 +669,7 @@ def seen_line(start, end):
     ],
     ids=["right", "left", "straight ahead"],
 )
-def test_the_centre_line_is_seen_where_it_is(start, end, vector, distance):
+def test_the_center_line_is_observed_at_its_place(start, end, vector, distance):
     assert seen_line(start, end) == (vector, distance)
 
 
@@ -762,7 +762,7 @@ def test_d18_an_action_that_cannot_be_is_refused_and_the_race_stands_still(steer
     env.close()
 
 
-# ------------------------------------------------------------------- arguments that cannot be
+# ------------------------------------------------------------------------- invalid arguments
 
 BAD_ARGUMENTS = [
     ({"track": "lighthous"}, "Did you mean 'lighthouse'"),
@@ -844,12 +844,12 @@ def test_an_argument_that_cannot_be_is_refused(arguments, message):
         race_v0.parallel_env(**arguments)
 
 
-def test_an_agent_of_the_single_view_that_cannot_be_is_refused():
+def test_an_invalid_agent_of_the_single_form_is_refused():
     with pytest.raises(ConfigError, match="agent is 'me', expected an AgentSpec"):
         stkzoo.STKRaceEnv(agent="me")
 
 
-def test_the_engine_is_not_started_for_arguments_that_cannot_be():
+def test_the_engine_is_not_started_for_invalid_arguments():
     code = (
         "import pathlib\n"
         "from stkzoo import ConfigError, race_v0\n"
@@ -899,7 +899,7 @@ def test_options_that_cannot_be_are_refused_and_the_race_goes_on(running_race, o
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "1", True])
-def test_a_seed_that_cannot_be_is_refused(running_race, seed):
+def test_an_invalid_seed_is_refused(running_race, seed):
     with pytest.raises(ConfigError, match=f"seed is {seed!r}"):
         running_race.reset(seed=seed)
 
@@ -916,7 +916,7 @@ def test_specs_changed_after_construction_are_checked_at_reset():
     env.close()
 
 
-def test_whole_numbers_of_numpy_are_numbers():
+def test_integers_of_numpy_are_accepted():
     with race_v0.parallel_env(
         num_kart=np.int64(2), laps=np.int32(1), agents=np.int64(1), track=SHORT_TRACK
     ) as env:
@@ -933,7 +933,7 @@ def test_d28_x_points_to_the_right():
         ahead = max(range(5), key=lambda number: before["paths_end"][number][2])
         gone = before["paths_distance"][ahead], [row[0] for row in after["paths_distance"]]
         same_node = gone[1].index(gone[0][0])
-        # Who has turned to the right sees on the left what was ahead.
+        # After a right turn, what was ahead is on the left.
         assert after["paths_end"][same_node][0] < before["paths_end"][ahead][0] - 1.0
 
 
