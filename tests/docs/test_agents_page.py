@@ -1,4 +1,4 @@
-"""What docs/reference/agents.md shows works as it stands there."""
+"""The examples of docs/reference/agents.md work."""
 
 import re
 
@@ -10,7 +10,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 def write(name, folder):
-    """Writes an agent of the page into a folder."""
+    """Writes an agent from the page into a folder and returns its path."""
     mark = f"# {name}/pystk_actor.py\n"
     (code,) = [block for block in BLOCKS if block.startswith(mark)]
     (folder / name).mkdir()
@@ -40,7 +40,7 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     assert "10.0 s" in shown
 
 
-def test_the_page_names_the_defaults():
+def test_the_page_lists_the_defaults():
     settings = RaceSettings()
     for name, unit in (("action_timeout", " s"), ("start_timeout", " s"), ("agent_memory", " MB")):
         flag = name.replace("_", "-")

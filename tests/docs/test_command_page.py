@@ -1,10 +1,10 @@
-"""The reference page of the commands says what their parsers say."""
+"""The reference page of the commands matches their parsers."""
 
 from stkzoo.cli import COMMANDS
 from tests.docs.test_extensions import extension
 
 
-def test_the_page_is_that_of_the_parsers():
+def test_the_page_matches_the_parsers():
     module = extension("command_page")
     text = module.FILE.read_text("utf-8")
     assert text == module.page(), "run: python docs/_extensions/command_page.py"

@@ -13,7 +13,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 def file_of_page(name):
-    """The code of the block that begins with a file's name."""
+    """Returns the code block that begins with a file's name."""
     (code,) = [block for block in BLOCKS if block.startswith(f"# {name}\n")]
     return code
 
@@ -45,7 +45,7 @@ def test_the_command_is_found_and_runs(tmp_path, monkeypatch, capsys):
     assert "zengarden" in capsys.readouterr().out.split()
 
 
-def test_the_game_mode_changes_lines_that_exist():
+def test_the_diff_for_a_game_mode_matches_the_code():
     (diff,) = re.findall(r"```diff\n(.*?)```", PAGE, re.DOTALL)
     files = re.findall(r"^--- (\S+)\n((?:(?!---)[ +-].*\n)+)", diff, re.MULTILINE)
     assert len(files) == 2

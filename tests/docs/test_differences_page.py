@@ -1,4 +1,4 @@
-"""The table of the commands' defaults is that of the commands."""
+"""The table of the commands' defaults matches the commands."""
 
 import re
 
@@ -34,7 +34,7 @@ def default(command, option):
         (race_client, "timeout", "race-client --timeout", None),
     ],
 )
-def test_a_default_is_that_of_the_table(command, option, row, value):
+def test_a_default_matches_the_table(command, option, row, value):
     assert (default(command, option) or None) == (value or None)
     (cells,) = re.findall(rf"^\| [^|]*{re.escape(row)}[^|]* \|.*$", TABLE, re.MULTILINE)
     if value:

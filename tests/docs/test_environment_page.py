@@ -1,4 +1,4 @@
-"""The environment's page says what the code says."""
+"""The environment's reference page matches the code."""
 
 import inspect
 import re
@@ -23,7 +23,7 @@ def section(heading, level="##"):
 
 
 def rows(text):
-    """The cells of a table's rows."""
+    """Returns the cells of each row of the tables in a text."""
     lines = [line for line in text.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
@@ -32,7 +32,7 @@ def keys(text):
     return {cell[0].strip("`") for cell in rows(text) if cell[0].startswith("`")}
 
 
-def test_all_observations_are_told_with_their_shapes():
+def test_all_observations_are_documented_with_their_shapes():
     text = section("Observation space")
     space = kart_observation_space(use_ai=True, extras=["ground"])
     table = {row[0].strip("`"): row for row in rows(text.split("(flattened-order)")[0])}
@@ -47,11 +47,11 @@ def test_all_observations_are_told_with_their_shapes():
             assert table[key][2] in (f"0 to {entry.n - 1}", "0, 1"), key
 
 
-def test_all_actions_are_told():
+def test_all_actions_are_documented():
     assert keys(section("Action space")) >= set(kart_action_space().spaces)
 
 
-def test_all_names_of_numbers_are_told():
+def test_all_enumeration_members_are_documented():
     for kind in (
         stkzoo.Phase,
         stkzoo.PowerupType,
@@ -63,7 +63,7 @@ def test_all_names_of_numbers_are_told():
             assert f"{member.value} `{member.name}`" in re.sub(r"\s+", " ", PAGE), member
 
 
-def test_all_arguments_are_told_with_their_defaults():
+def test_all_arguments_are_documented_with_their_defaults():
     told = {row[0].strip("`"): row[1].strip("`") for row in rows(section("Arguments"))}
     arguments = inspect.signature(race_v0.parallel_env.__init__).parameters
     for name, argument in arguments.items():
@@ -71,7 +71,7 @@ def test_all_arguments_are_told_with_their_defaults():
             assert told[name] == repr(argument.default).replace("'", '"'), name
 
 
-def test_all_views_are_told_with_their_sizes():
+def test_all_views_are_documented_with_their_sizes():
     assert keys(section("Views")) == set(VIEWS) | set(CAMERA_VIEWS)
     with race_v0.parallel_env(num_kart=1, track="lighthouse", view="box_discrete") as env:
         assert "(164,)" in PAGE
@@ -79,7 +79,7 @@ def test_all_views_are_told_with_their_sizes():
         assert env.action_space("kart_0").n == 1120
 
 
-def test_the_order_of_the_flattened_vector_is_told():
+def test_the_order_of_the_flattened_vector_is_documented():
     simple = race_v0.parallel_env(num_kart=2, track="lighthouse", view="simple")
     space = simple.observation_space("kart_0")
     simple.close()
@@ -106,7 +106,7 @@ def test_the_order_of_the_flattened_vector_is_told():
             begin += size
 
 
-def test_the_number_of_an_action_is_as_told():
+def test_the_formula_for_discrete_actions_is_correct():
     base = MonoAgentEnv(kart_observation_space(), kart_action_space())
     flat = VIEWS["flattened_discrete"](base)
     # acceleration, brake, drift, fire, nitro, rescue, steer
@@ -114,7 +114,7 @@ def test_the_number_of_an_action_is_as_told():
     assert "`a + 5 brake + 10 drift + 20 fire + 40 nitro +\n80 rescue + 160 s`" in PAGE
 
 
-def test_infos_are_told():
+def test_all_infos_are_documented():
     told = keys(section("Infos"))
     with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
         _, infos = env.reset(seed=1)
@@ -123,6 +123,6 @@ def test_infos_are_told():
         assert general in told or f"`{general}`" in section("Infos"), key
 
 
-def test_all_commands_are_told():
+def test_all_commands_are_documented():
     page = (ROOT / "docs" / "reference" / "cli.md").read_text("utf-8")
     assert all(command in page for command in COMMANDS)

@@ -1,4 +1,4 @@
-"""Every example of the documentation: Python is run, commands are understood or run."""
+"""Every example in the documentation is valid: Python runs, and commands run or are parsed."""
 
 import importlib
 import importlib.util
@@ -27,8 +27,8 @@ from tests.support.docs_blocks import (
 )
 
 PAGES = pages()
-#: Runs each block with names of its own, as a reader does who copies only this block. A later block
-#: may read files that an earlier one wrote.
+#: Runs each block in a new namespace, like a reader who copies only this block. A block can read
+#: files that an earlier one wrote.
 RUNNER = """\
 import doctest, json, sys
 for page, line, code in json.load(open(sys.argv[1])):
@@ -40,7 +40,7 @@ for page, line, code in json.load(open(sys.argv[1])):
         exec(compile("\\n" * line + code, page, "exec"), names)
 """
 
-#: Commands that are run as they stand, in a few steps, with options that make them short.
+#: Commands that run as written, with options that shorten them.
 SHORT = {
     "race": ["--max-steps", "10"],
     "replay": [],
@@ -48,7 +48,7 @@ SHORT = {
     "karts": [],
     "keys": [],
 }
-#: Those that are only parsed here, and where they are run.
+#: Commands that are only parsed here, and the tests that run them.
 PARSED = {
     "assets": "it is here already: tests/engine/test_assets.py",
     "benchmark": "hundreds of races: tests/evaluation/test_benchmark_races.py",
@@ -71,7 +71,7 @@ PARSED = {
 
 
 def enter_folder(path, monkeypatch):
-    """Makes a folder with the agents that the pages name, and changes to it."""
+    """Creates a folder with the agents that the pages mention, and changes to it."""
     agent, team, *_ = (b for b in blocks("docs/reference/agents.md", "python") if b.file)
     for name in ("my_agent", "my_team", "agents/one", "agents/swift"):
         (path / name).mkdir(parents=True)
@@ -84,7 +84,7 @@ def enter_folder(path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
-def test_each_python_block_of_a_page_runs_alone(page, tmp_path, monkeypatch):
+def test_each_python_block_of_a_page_runs_on_its_own(page, tmp_path, monkeypatch):
     enter_folder(tmp_path, monkeypatch)
     to_run = []
     for block in blocks(page, "python"):
@@ -103,7 +103,7 @@ def test_each_python_block_of_a_page_runs_alone(page, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "sh")])
-def test_each_shell_block_of_a_page_is_right(page, tmp_path, monkeypatch):
+def test_each_shell_block_of_a_page_is_valid(page, tmp_path, monkeypatch):
     for number, block in enumerate(blocks(page, "sh")):
         enter_folder(tmp_path / str(number), monkeypatch)
         for words in commands(block):
@@ -154,7 +154,7 @@ def parse_training(name, words):
 
 def try_stkzoo(words):
     if "|" in words or "$(awk" in words:
-        return  # a list of commands, or one with a program's output in it
+        return  # a list of commands, or a command that contains another one's output
     words = words[: words.index(">")] if ">" in words else words
     assert is_understood(words), f"stkzoo {' '.join(words)}"
     if words[0] in SHORT and not PARSED.keys() & set(words):
@@ -176,24 +176,24 @@ def run(words):
 
 
 @pytest.mark.parametrize(("page", "part", "reason"), NOT_RUN)
-def test_what_is_not_run_is_there_and_tried_elsewhere(page, part, reason):
+def test_blocks_that_do_not_run_exist_and_are_tested_elsewhere(page, part, reason):
     assert any(part in block.code for block in blocks(page, "python"))
     (place,) = re.findall(r"[\w/]+\.py", reason)
     assert (ROOT / place).exists()
 
 
 @pytest.mark.parametrize(("page", "old"), [(page, old) for page, old, _ in SHORTER])
-def test_what_is_shortened_is_there(page, old):
+def test_shortened_code_exists(page, old):
     assert any(old in block.code for block in blocks(page, "python"))
 
 
-def test_places_that_try_commands_are_there():
+def test_tests_that_run_the_other_commands_exist():
     for reason in PARSED.values():
         for place in re.findall(r"tests/[\w/]+\.py", reason):
             assert (ROOT / place).exists(), place
 
 
-def test_every_picture_of_the_pages_is_there():
+def test_every_image_of_the_pages_exists():
     for page in PAGES:
         text = (ROOT / page).read_text("utf-8")
         for target in re.findall(r"!\[[^\]]*\]\(([^)\s]+)\)", text):

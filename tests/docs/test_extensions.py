@@ -1,4 +1,4 @@
-"""What the site's own extensions do to pages."""
+"""The site's Sphinx extensions."""
 
 import importlib.util
 
@@ -26,7 +26,7 @@ def site(tmp_path):
     return tmp_path
 
 
-def test_a_whole_site_has_no_broken_link(site):
+def test_a_correct_site_has_no_broken_links(site):
     assert extension("internal_links").broken_links(site) == []
 
 
@@ -39,13 +39,13 @@ def test_a_whole_site_has_no_broken_link(site):
         ('<a href="#bottom">', "#bottom: no such place on the page"),
     ],
 )
-def test_links_that_lead_nowhere_are_found(site, link, complaint):
+def test_broken_links_are_found(site, link, complaint):
     with (site / "index.html").open("a") as page:
         page.write(link)
     assert extension("internal_links").broken_links(site) == [f"index.html: {complaint}"]
 
 
-def test_links_out_of_the_site_become_links_within():
+def test_links_to_published_files_become_links_within_the_site():
     inside = extension("outside_links").inside
     folder = ROOT / "docs" / "how-to"
     method = "../explanation/benchmarks.md"
@@ -55,7 +55,7 @@ def test_links_out_of_the_site_become_links_within():
     assert inside("[agents](../reference/agents.md)", folder) == "[agents](../reference/agents.md)"
 
 
-def test_pages_that_stand_for_files_are_there():
+def test_files_and_the_pages_that_replace_them_exist():
     for file, page in extension("outside_links").PAGES.items():
         assert file.exists()
         assert page.exists()

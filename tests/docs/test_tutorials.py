@@ -1,4 +1,4 @@
-"""The tutorials run, in a short form; the pages show what their sources gave in full."""
+"""The tutorials run in a short form, and the published pages match their sources."""
 
 import json
 import os
@@ -22,7 +22,7 @@ def test_a_tutorial_runs(name, tmp_path):
 
 @pytest.mark.slow
 def test_the_first_training_gives_a_driver_that_beats_the_easiest_ai(tmp_path, monkeypatch):
-    """The whole tutorial, with a third of its training steps."""
+    """Runs the whole tutorial with a third of its training steps."""
     monkeypatch.setenv("STKZOO_STEPS", "200000")
     notebook = executed("train_a_driver", tmp_path)
     assert pictures(notebook) >= 1
@@ -34,7 +34,7 @@ def test_the_first_training_gives_a_driver_that_beats_the_easiest_ai(tmp_path, m
 
 
 def executed(name, folder, *options):
-    """The notebook of a tutorial that was run."""
+    """Runs a tutorial and returns its notebook."""
     command = [sys.executable, "-m", "benchmarks.tutorials", *options, "--only", name]
     done = subprocess.run(
         [*command, "--output", folder],
@@ -60,7 +60,7 @@ def pictures(notebook):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_page_is_of_this_source(name):
+def test_the_page_matches_its_source(name):
     page = json.loads((PAGES / f"{name}.ipynb").read_text("utf-8"))
     assert [cell["source"] for cell in unexecuted(name).cells] == [
         "".join(cell["source"]) for cell in page["cells"]
@@ -72,7 +72,7 @@ def test_the_page_is_of_this_source(name):
     assert f"({name}.ipynb)" in (PAGES / "index.md").read_text()
 
 
-def test_a_notebook_says_what_to_do_where_stkzoo_cannot_be_installed(tmp_path):
+def test_a_notebook_explains_what_to_do_if_stkzoo_cannot_be_installed(tmp_path):
     venv.create(tmp_path / "env", with_pip=False, symlinks=True)
     setup = unexecuted("first_race").cells[2].source
     done = subprocess.run(

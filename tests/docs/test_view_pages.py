@@ -1,4 +1,4 @@
-"""The reference pages of the views say what the code does."""
+"""The reference pages of the views match the code."""
 
 import re
 
@@ -13,28 +13,28 @@ from tests.support.paths import ROOT
 FOLDER = ROOT / "docs" / "reference" / "views"
 
 
-def test_the_pages_are_those_of_the_code():
+def test_the_pages_match_the_code():
     written = {path.name: path.read_text("utf-8") for path in FOLDER.glob("*.md")}
     assert len(written) == 15
     assert written == extension("view_pages").pages(), "run: python docs/_extensions/view_pages.py"
 
 
 def rows(page, part=""):
-    """The index ranges of a page's entries, by entry."""
+    """Returns the index range of each entry on a page."""
     text = (FOLDER / f"{page}.md").read_text("utf-8").split("## Action")[0]
     text = text.partition(f"### `{part}`")[2] if part else text
     found = re.findall(r"^\| (\d+)(?: to (\d+))? \| `(\w+)` \|", text, re.M)
     return {name: slice(int(a), int(b or a) + 1) for a, b, name in found}
 
 
-def test_racing_is_described_to_the_last_number():
+def test_every_number_of_racing_is_documented():
     places = rows("racing")
     assert set(places) == set(PARTS) == set(MEANINGS)
     assert places["bads_beside"].stop == SIZE
 
 
 @pytest.mark.slow
-def test_numbers_of_a_vector_are_the_entries_that_the_page_names():
+def test_the_documented_entries_of_a_vector_match_its_numbers():
     seen = {}
     for view in ("simple", "box_discrete"):
         with race_v0.parallel_env(num_kart=3, track="lighthouse", view=view) as env:

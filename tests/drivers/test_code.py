@@ -1,4 +1,4 @@
-"""Loading an agent's code leaves the program's own modules as they are."""
+"""Loading an agent's code does not change the program's own modules."""
 
 import sys
 from contextlib import ExitStack
@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from stkzoo.drivers.driver import find_driver
 
 
-def test_modules_of_the_program_beside_an_agents_stay_loaded(tmp_path, monkeypatch):
+def test_the_programs_modules_in_an_agents_folder_stay_loaded(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text("value = 1\n")
     (tmp_path / "swift_helper.py").write_text("value = 2\n")
     (tmp_path / "swift.py").write_text(

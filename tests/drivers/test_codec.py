@@ -1,4 +1,4 @@
-"""Messages of plain data as bytes."""
+"""Encoding of plain data as messages."""
 
 import contextlib
 import enum
@@ -68,7 +68,7 @@ def assert_same(one, other):
 @pytest.mark.slow
 @settings(deadline=None)
 @given(messages)
-def test_a_message_comes_out_as_it_went_in(message):
+def test_a_message_survives_a_round_trip(message):
     assert_same(decode(encode(message)), message)
 
 
@@ -96,7 +96,7 @@ def test_damaged_bytes_are_a_message_or_a_protocol_error(message, data):
 
 
 @pytest.mark.parametrize("view", ["full", "simple", "flattened", "flattened_discrete"])
-def test_observations_of_views_pass(view):
+def test_observations_of_views_survive_a_round_trip(view):
     with race_v0.parallel_env(num_kart=3, track="lighthouse", view=view) as env:
         observation = env.reset(seed=1)[0]["kart_0"]
     again = decode(encode(observation))
@@ -104,17 +104,17 @@ def test_observations_of_views_pass(view):
     assert_same(again, observation)
 
 
-def test_an_encoded_message_becomes_part_of_another():
+def test_an_encoded_message_can_be_part_of_another():
     inner = {"a": (np.zeros(2), [1])}
     assert_same(decode(encode([1, (2, Encoded(encode(inner)))])), [1, (2, inner)])
 
 
-def test_an_encoded_message_that_is_none_is_a_protocol_error():
+def test_an_invalid_encoded_message_is_a_protocol_error():
     with pytest.raises(ProtocolError):
         decode(encode([Encoded(b"\xc1")]))
 
 
-def test_decoded_arrays_may_be_written_to():
+def test_decoded_arrays_are_writable():
     one, (first, second) = decode(encode([np.zeros(3), (np.zeros(2), np.zeros(2))]))
     one[0] = first[0] = second[1] = 7
     assert [one[0], first[0], second[1]] == [7, 7, 7]
@@ -129,7 +129,7 @@ class Colour(enum.IntEnum):
     [(Colour.RED, 3), (np.str_("a"), "a"), (OrderedDict(a=1), {"a": 1})],
     ids=str,
 )
-def test_what_is_more_than_plain_becomes_plain(value, plain):
+def test_subclasses_of_plain_types_become_plain(value, plain):
     assert_same(decode(encode([value])), [plain])
 
 
@@ -158,7 +158,7 @@ def looped():
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_what_cannot_be_sent_is_a_protocol_error_that_says_why(value, text):
+def test_unsupported_values_raise_a_protocol_error(value, text):
     with pytest.raises(ProtocolError, match=text):
         encode(value)
 
@@ -207,7 +207,7 @@ def test_too_many_bytes_are_refused_before_they_are_read():
 
 
 def test_a_small_message_takes_little_memory():
-    lists = b"\xdc\x20\x00" * 500  # each says that it has 8192 elements
+    lists = b"\xdc\x20\x00" * 500  # each announces 8192 elements
     tracemalloc.start()
     for data in (*BAD.values(), lists + b"\xc0" * 10_000):
         with pytest.raises(ProtocolError):
@@ -218,9 +218,10 @@ def test_a_small_message_takes_little_memory():
 
 
 def peak_memory(data):
-    """Memory that decoding takes [bytes]; the message, or ``None`` if it is refused.
+    """Returns the peak memory of decoding [bytes], and the message or ``None`` if it is refused.
 
-    The least of three: at any key of a dict, Python may grow its table of all interned texts.
+    The peak is the lowest of up to three runs, because Python's table of interned strings may grow
+    with any key of a dict.
     """
     peaks = []
     for _ in range(3):
@@ -266,16 +267,16 @@ def test_a_message_of_8_mib_takes_little_processor_time(name):
 
 @settings(deadline=None, max_examples=60)
 @given(messages)
-def test_a_message_is_measured_before_it_is_made(message):
+def test_the_measured_memory_is_an_upper_bound(message):
     data = encode([message] * 50)
     bounds = LIMITS.max_depth, LIMITS.max_length, LIMITS.max_elements, memory_bound(data)
     try:
         assert peak_memory(data)[0] <= codec.measure_message(data, bounds)
     except ValueError as error:
-        assert "memory" in str(error)  # noqa: PT017 - both ends are right
+        assert "memory" in str(error)  # noqa: PT017 - the message may be accepted or refused
 
 
-def test_the_observation_of_the_longest_track_passes():
+def test_the_observation_of_the_longest_track_survives_a_round_trip():
     with race_v0.parallel_env(num_kart=20, track="black_forest") as env:
         observation = env.reset(seed=1)[0]["kart_0"]
     data = encode([1, Encoded(encode(observation))])
@@ -284,12 +285,12 @@ def test_the_observation_of_the_longest_track_passes():
     assert_same(message, [1, observation])
 
 
-def test_elements_are_limited_in_all():
+def test_the_total_number_of_elements_is_limited():
     with pytest.raises(ProtocolError, match="too many elements"):
         decode(encode([[0] * 6, [0] * 6]), Limits(max_elements=13))
     assert decode(encode([[0] * 6, [0] * 6]), Limits(max_elements=14))
 
 
-def test_truth_values_are_0_or_1():
+def test_booleans_are_0_or_1():
     odd = msgpack.packb(msgpack.ExtType(2, array_bytes(0, 2, content=b"\x02\x00")))
     assert decode(odd).view(np.uint8).tolist() == [1, 0]

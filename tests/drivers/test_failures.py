@@ -1,4 +1,4 @@
-"""What is shown of agents that print and fail, on races of the real game."""
+"""Reports of agents that print and fail, in races of the real game."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from stkzoo.race import run_race
 
 ACT = "def get_actor(folder, seen, space):\n    def act(state, observation):\n{}\n    return act\n"
 
-#: Agents that fail, by file name: their source, and parts of the message and the trace.
+#: Failing agents by file name: their source, and parts of the message and the trace.
 AGENTS = {
     "flood": (
         ACT.format("        print('\\x1b[31mred\\x1b[0m\\x07', flush=True)\n        1 / 0"),
@@ -72,7 +72,7 @@ AGENTS = {
 
 @pytest.fixture(scope="module")
 def failures(tmp_path_factory):
-    """The first failure of each agent, by name; all are in one race."""
+    """Returns the first failure of each agent by name, all from one race."""
     folder = tmp_path_factory.mktemp("agents")
     (folder / "neighbour.py").write_text("1 / 0\n")
     for name, (code, *_) in AGENTS.items():
@@ -101,7 +101,7 @@ def test_a_trace_has_only_the_agents_own_frames(name, failures):
 
 
 @pytest.mark.parametrize("name", ["imports", "missing", "signature", "actor_signature"])
-def test_an_error_that_is_complete_in_its_text_has_no_trace(name, failures):
+def test_an_error_with_a_sufficient_message_has_no_trace(name, failures):
     assert failures[name].trace == ""
 
 
@@ -122,7 +122,7 @@ def test_output_is_shown_with_the_agents_name(tmp_path, capfd):
     assert max(map(len, lines)) < 400
 
 
-def test_a_flood_is_cut_off(tmp_path, capfd):
+def test_long_output_is_cut_off(tmp_path, capfd):
     agent = tmp_path / "flood.py"
     agent.write_text(ACT.format("        print('y\\n' * 200_000)\n        return space.sample()"))
     run_race([str(agent)], track="lighthouse", max_steps=2, show_output=True)
@@ -131,7 +131,7 @@ def test_a_flood_is_cut_off(tmp_path, capfd):
     assert lines[-1] == "flood (kart_0) | (more output is not shown)"
 
 
-def test_all_load_errors_end_the_command_before_the_race(tmp_path, capsys):
+def test_all_load_errors_are_reported_before_the_race(tmp_path, capsys):
     names = ("syntax", "missing")
     for name in names:
         (tmp_path / f"{name}.py").write_text(AGENTS[name][0])
@@ -143,7 +143,7 @@ def test_all_load_errors_end_the_command_before_the_race(tmp_path, capsys):
     assert "missing (kart_1) could not be loaded" in shown.err
 
 
-def test_a_long_text_keeps_its_two_ends():
+def test_a_long_text_keeps_its_beginning_and_end():
     assert (
         bounded("a" * 30 + "b" * 30, 20)
         == f"{'a' * 10} ... (40 characters left out) ... {'b' * 10}"

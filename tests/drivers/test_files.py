@@ -1,4 +1,4 @@
-"""Agents from folders, zips, files and modules (D20, D29), and zips that mean harm."""
+"""Agents from folders, zips, files and modules (D20, D29), and malicious zips."""
 
 import shutil
 import stat
@@ -55,7 +55,7 @@ def test_agents_of_all_forms_race_to_the_finish(tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("inline", [True, False])
 def test_agents_whose_modules_bear_the_same_names_do_not_collide(inline, tmp_path):
-    """D20: both are a package stk_actor with a module driving."""
+    """D20: both agents are a package ``stk_actor`` with a module ``driving``."""
     drivers = [
         str(AGENTS / "alpha"),
         str(AGENTS / "beta"),
@@ -79,7 +79,7 @@ def test_inline_agents_leave_no_modules_behind():
     assert (left, sys.path) == (set(), before[1])
 
 
-def test_a_module_of_the_program_is_not_taken_for_an_agents_own(tmp_path, monkeypatch):
+def test_a_module_of_the_program_is_not_used_as_an_agents_module(tmp_path, monkeypatch):
     (tmp_path / "helper.py").write_text("chase = None")
     monkeypatch.syspath_prepend(tmp_path)
     import helper
@@ -91,7 +91,7 @@ def test_a_module_of_the_program_is_not_taken_for_an_agents_own(tmp_path, monkey
 
 
 @pytest.mark.parametrize("inside", ["", "repository/", "stk_actor/", "repository/stk_actor/"])
-def test_a_zip_may_hold_the_agent_at_several_places(inside, tmp_path):
+def test_the_agent_can_be_in_several_places_in_a_zip(inside, tmp_path):
     path = zip_of(AGENTS / "alpha" / "stk_actor", tmp_path / "agent.zip", inside)
     assert load(path).name == "Alpha"
 
@@ -101,24 +101,24 @@ def test_an_agent_of_a_folder_imports_its_neighbours():
     assert load(AGENTS / "plain").name == "Plain"
 
 
-def test_a_package_is_an_agent_without_a_module_of_the_usual_name():
+def test_a_package_without_pystk_actor_can_be_an_agent():
     assert load(ROOT / "agents" / "heuristic").name == "heuristic"
 
 
 @pytest.mark.slow
-def test_a_name_can_be_given_to_every_driver():
+def test_every_driver_can_be_given_a_name():
     drivers = ["ai@:Bot", f"{AGENTS / 'plain'}@:Mine"]
     assert names_of(run_race(drivers, track="lighthouse", max_steps=2)) == {"Bot", "Mine"}
 
 
 @pytest.mark.slow
-def test_an_agent_without_a_name_is_called_by_its_file():
+def test_an_agent_without_a_name_is_named_after_its_file():
     driver = str(AGENTS / "module_home" / "bare_module_agent.py")
     assert names_of(run_race([driver], track="lighthouse", max_steps=2)) == {"bare_module_agent"}
 
 
 @pytest.mark.slow
-def test_an_adapter_makes_the_actors(tmp_path):
+def test_an_adapter_creates_the_actors(tmp_path):
     adapter = tmp_path / "adapter.py"
     adapter.write_text(
         "def prepare_module_dir(folder):\n"
@@ -184,14 +184,14 @@ def test_what_is_no_agent_is_refused_before_the_race(source, message, tmp_path):
         ("def get_actor(*_): return None", "expected a function"),
     ],
 )
-def test_what_an_agent_lacks_is_said(code, message, tmp_path):
+def test_errors_in_an_agents_module_are_reported(code, message, tmp_path):
     (tmp_path / "pystk_actor.py").write_text(code)
     result = run_race([str(tmp_path)], track="lighthouse", max_steps=2, inline=True)
     assert message in result.agents[0].errors[0].message
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_an_agent_names_its_environment_with_options(inline, tmp_path):
+def test_an_agent_can_set_options_of_its_environment(inline, tmp_path):
     (tmp_path / "pystk_actor.py").write_text(
         "env_name = ['supertuxkart/flattened_discrete-v0', {'state_items': 1, 'steer_steps': 3}]\n"
         "def get_actor(module_dir, observation_space, action_space):\n"
@@ -204,7 +204,7 @@ def test_an_agent_names_its_environment_with_options(inline, tmp_path):
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_a_missing_library_is_one_line_without_the_machinery_of_imports(inline, tmp_path):
+def test_a_missing_library_is_reported_in_one_line(inline, tmp_path):
     (tmp_path / "pystk_actor.py").write_text("import needy\ndef get_actor(*_): ...")
     (tmp_path / "needy.py").write_text("import math\nimport no_such_package.part")
     result = run_race([str(tmp_path)], track="lighthouse", max_steps=2, inline=inline)
@@ -232,7 +232,7 @@ def get_actor(module_dir, observation_space, action_space):
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_an_agent_may_print_and_import_when_it_is_loaded(inline, tmp_path):
+def test_an_agent_can_print_and_import_while_it_is_loaded(inline, tmp_path):
     (tmp_path / "pystk_actor.py").write_text(TALKATIVE)
     result = run_race([str(tmp_path)], track="lighthouse", max_steps=5, inline=inline)
     assert not result.has_errors
@@ -243,7 +243,7 @@ def test_an_agent_may_print_and_import_when_it_is_loaded(inline, tmp_path):
 
 
 def written(path, *members):
-    """A zip with a good agent and some members: names, or names with what is special."""
+    """Writes a zip with a valid agent and additional members ``(name, mode, content)``."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("pystk_actor.py", "def get_actor(*_): ...")
         for name, mode, content in members:
@@ -283,21 +283,21 @@ def test_a_zip_of_too_many_files_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_a_zip_with_compression_without_a_bound_is_refused(tmp_path, method):
-    """64 kB of bzip2 unpack to a gigabyte before their size is compared with the list's."""
+    """64 kB of bzip2 can unpack to a gigabyte before the size is compared with the directory."""
     with zipfile.ZipFile(tmp_path / "a.zip", "w", method) as archive:
         archive.writestr("pystk_actor.py", "def get_actor(*_): ...")
     with pytest.raises(ConfigError, match="has an unusual compression, expected deflate"):
         find_driver(str(tmp_path / "a.zip"))
 
 
-def test_a_zip_of_very_deep_folders_is_refused(tmp_path):
+def test_a_zip_with_deeply_nested_folders_is_refused(tmp_path):
     deep = ("a/" * 40 + "b", stat.S_IFREG, "x")
     with pytest.raises(ConfigError, match="lies more than 32 folders deep"):
         find_driver(written(tmp_path / "a.zip", deep))
 
 
 def test_a_zip_whose_list_is_long_is_refused_in_little_memory(tmp_path):
-    """A list of 200,000 files, which Python would keep as as many objects."""
+    """The zip's directory has 200,000 entries, for each of which Python would create an object."""
     count, entry = 200_000, b"PK\1\2" + bytes(42)
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)
     (tmp_path / "a.zip").write_bytes(count * entry + end)
@@ -310,13 +310,13 @@ def test_a_zip_whose_list_is_long_is_refused_in_little_memory(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["~nobody_of_this_name/a", "a" * 5000, "a\0b"])
-def test_a_text_that_is_no_path_is_an_unknown_driver(source):
+def test_an_invalid_path_is_refused(source):
     with pytest.raises(ConfigError):
         find_driver(source)
 
 
 def test_a_zip_that_lies_about_its_size_is_refused(tmp_path, monkeypatch):
-    """The list in the zip is believed for nothing but an early refusal."""
+    """The sizes in the zip's directory are used for early refusal only."""
     path = Path(written(tmp_path / "a.zip", ("big", stat.S_IFREG, b"ab" * 4000)))
     data = path.read_bytes().replace((8000).to_bytes(4, "little"), (80).to_bytes(4, "little"))
     path.write_bytes(data)
@@ -326,14 +326,14 @@ def test_a_zip_that_lies_about_its_size_is_refused(tmp_path, monkeypatch):
     assert sum(file.stat().st_size for file in (tmp_path / "out").rglob("*")) < 2000
 
 
-def test_two_files_of_one_name_do_not_overwrite_each_other(tmp_path):
+def test_two_files_with_the_same_name_are_refused(tmp_path):
     with pytest.warns(UserWarning, match="Duplicate name"):
         path = written(tmp_path / "a.zip", *[("twice", stat.S_IFREG, "x")] * 2)
     with pytest.raises(ConfigError, match="cannot be unpacked"):
         files.unpack(Path(path), tmp_path / "out")
 
 
-def test_unpacked_files_are_plain(tmp_path):
+def test_unpacked_files_have_no_special_mode(tmp_path):
     path = written(tmp_path / "a.zip", ("run", stat.S_IFREG | 0o6777, "x"))
     files.unpack(Path(path), tmp_path / "out")
     assert stat.S_IMODE((tmp_path / "out" / "run").stat().st_mode) == 0o600

@@ -1,4 +1,4 @@
-"""Agents in processes of their own: what one does costs its own kart only (D23, D25)."""
+"""Isolated agents: a failing agent affects only its own kart (D23, D25)."""
 
 import contextlib
 import os
@@ -34,7 +34,7 @@ def by_driver(result):
 
 @pytest.fixture(scope="module")
 def hostile_race():
-    """Four hostile agents and two good ones, to the finish."""
+    """Returns a race of four hostile and two good agents, up to the finish."""
     names = ("loop", "exits", "hungry", "shape")
     good = [str(AGENTS / "plain"), str(AGENTS / "alpha")]
     return race(*good, *map(hostile, names), agent_memory=2048)
@@ -65,7 +65,7 @@ def test_what_a_hostile_agent_did_is_reported(hostile_race, name, kind, message)
     assert message in row.errors[0].message
 
 
-def test_the_last_words_of_a_dead_agent_are_kept(hostile_race):
+def test_the_last_output_of_a_dead_agent_is_kept(hostile_race):
     assert "goodbye, cruel race" in by_driver(hostile_race)["exits"].errors[0].trace
 
 
@@ -86,7 +86,7 @@ def test_a_race_of_lost_agents_ends(handling):
 
 
 @pytest.mark.slow
-def test_what_keeps_an_agent_from_loading_is_told():
+def test_a_load_error_is_reported():
     result = race("ai", *map(hostile, ("unloadable", "no_actor")), max_steps=5)
     told = {row.driver: row.errors[0] for row in result.agents if row.errors}
     assert told["unloadable"].message == "RuntimeError: not today"
@@ -118,7 +118,7 @@ def test_an_agent_that_breaks_its_connection_is_out(name):
 
 @pytest.mark.slow
 def test_a_bomb_in_an_answer_is_not_decoded():
-    """It would take 1 GB and minutes."""
+    """Decoding it would take 1 GB and minutes."""
     with measured() as cost:
         result = race(hostile("bomber"), str(AGENTS / "plain"), max_steps=5)
     rows = by_driver(result)
@@ -153,26 +153,26 @@ def test_raise_ends_the_race_when_an_agent_is_too_late():
 
 
 @pytest.mark.slow
-def test_retire_takes_an_agent_out_at_its_first_error():
+def test_retire_removes_an_agent_at_its_first_error():
     row = by_driver(race("ai", hostile("once"), max_steps=20))["once"]
     assert (row.status, row.num_errors, row.errors[0].step) == ("retired", 1, 2)
 
 
 @pytest.mark.slow
-def test_catch_lets_an_agent_go_on_after_an_error():
+def test_catch_lets_an_agent_continue_after_an_error():
     result = race(hostile("once"), error_handling="catch", max_steps=20)
     assert (result.agents[0].status, result.agents[0].num_errors) == ("racing", 1)
 
 
 @pytest.mark.slow
-def test_restart_starts_an_agent_anew_as_often_as_it_may():
+def test_restart_restarts_an_agent_up_to_the_limit():
     result = race(hostile("once"), error_handling="restart", max_restarts=2, max_steps=50)
     assert [failure.step for failure in result.agents[0].errors] == [2, 5, 8]
     assert result.agents[0].status == "retired"
 
 
 @pytest.mark.slow
-def test_an_endless_loop_is_started_anew_when_errors_are_caught():
+def test_an_endless_loop_is_restarted_when_errors_are_caught():
     result = race(
         hostile("loop"), error_handling="catch", max_restarts=1, action_timeout=0.3, max_steps=9
     )
@@ -189,7 +189,7 @@ def test_a_random_agent_repeats_with_the_seed():
 
 
 @pytest.mark.slow
-def test_isolated_and_inline_agents_drive_the_same_race():
+def test_isolated_and_inline_agents_give_the_same_race():
     drivers = [str(AGENTS / name) for name in ("plain", "alpha", "beta", "wrapped", "weights")]
     settings = {"max_steps": 120, "action_timeout": 60.0}
     isolated = race(*drivers, **settings)
@@ -205,7 +205,7 @@ def test_an_inline_agent_that_is_too_late_is_ended():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_an_inline_agent_is_ended_even_if_it_drops_the_first_alarm(tmp_path):
+def test_an_inline_agent_is_ended_even_if_it_suppresses_the_first_alarm(tmp_path):
     (tmp_path / "pystk_actor.py").write_text(
         "class Loops:\n"
         "    def __del__(self):\n"
@@ -258,7 +258,7 @@ def left_by_this_program():
 
 @pytest.mark.slow
 def test_a_daemon_of_an_agent_does_not_outlive_its_race(monkeypatch, tmp_path):
-    """It leaves its session and its parents, and holds the agent's output open."""
+    """The daemon leaves its session and its parents, and keeps the agent's output open."""
     pids = tmp_path / "pids"
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
     race("ai", hostile("daemon"), sandbox="off", max_steps=3)
@@ -288,7 +288,7 @@ def test_a_keeper_that_is_killed_leaves_no_thread_and_no_descriptor(monkeypatch,
 
 @pytest.mark.slow
 def test_memory_of_all_processes_of_an_agent_counts_together(monkeypatch, tmp_path):
-    """Shared memory and children are not the agent's own data, which the system limits."""
+    """The system's limit on a process's data covers neither shared memory nor child processes."""
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(tmp_path / "pids"))
     for name in ("shares", "spreads"):
         result = race("ai", hostile(name), agent_memory=400, action_timeout=20.0, max_steps=40)

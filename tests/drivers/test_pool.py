@@ -1,4 +1,4 @@
-"""Opponents in a pool, and what counts as one."""
+"""Opponent pools, and valid opponents."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from stkzoo.errors import ConfigError
 
 
 def straight(observation):
-    """Full throttle."""
+    """Drives at full throttle."""
     del observation
     return [1.0, 0.0]
 
 
 class Still:
-    """A policy in the form of Stable-Baselines3 that still learns."""
+    """A policy with Stable-Baselines3's interface whose weights still change."""
 
     def __init__(self):
         self.weights = np.zeros(2)
@@ -48,14 +48,14 @@ def test_the_same_stream_draws_the_same_opponents():
     assert draws(pool, 50) != draws(pool, 50, seed=2)
 
 
-def test_a_pool_draws_what_is_added_to_it():
+def test_a_pool_draws_added_opponents():
     pool = OpponentPool(["heuristic"])
     pool.add(straight, weight=1000)
     assert Counter(draws(pool, 100)).most_common(1)[0][0] == "straight"
     assert len(pool) == 2
 
 
-def test_names_that_are_taken_are_numbered():
+def test_duplicate_names_are_numbered():
     pool = OpponentPool([straight, straight, "random"])
     pool.add(straight, name="random")
     assert list(pool.weights) == ["straight", "straight 2", "random", "random 2"]
@@ -73,7 +73,7 @@ def test_an_empty_pool_says_what_to_do():
         draws(OpponentPool(), 1)
 
 
-def test_a_pool_keeps_a_copy_that_does_not_learn():
+def test_a_pool_keeps_a_copy_of_a_policy():
     policy, pool = Still(), OpponentPool()
     pool.add(policy)
     policy.weights += 1
@@ -88,7 +88,7 @@ def test_a_pool_can_be_pickled_and_copied():
 
 
 @pytest.mark.parametrize("wrong", [3, None, ["heuristic"], Still])
-def test_what_is_no_opponent_is_refused(wrong):
+def test_invalid_opponents_are_refused(wrong):
     with pytest.raises(ConfigError, match="expected a"):
         OpponentPool().add(wrong)
 
@@ -107,7 +107,7 @@ def test_a_mapping_gives_weights_by_name():
         OpponentPool("ai")
 
 
-def test_weights_may_be_changed_and_are_checked():
+def test_weights_can_be_changed_and_are_checked():
     pool = OpponentPool(["ai", "random"])
     pool.weights["ai"] = 0
     assert {*draws(pool, 50)} == {"random"}
@@ -116,19 +116,19 @@ def test_weights_may_be_changed_and_are_checked():
         draws(pool, 1)
 
 
-def test_what_is_added_is_given_back_as_a_driver():
+def test_add_returns_the_driver():
     pool = OpponentPool()
     driver = pool.add(straight, view="racing", name="fast")
     assert driver is pool.draw(np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(("view", "why"), [("racin", "mean 'racing'"), ("camera", "has pictures")])
-def test_views_that_drivers_do_not_have_are_refused(view, why):
+def test_unsupported_views_are_refused(view, why):
     with pytest.raises(ConfigError, match=why):
         OpponentPool().add(straight, view=view)
 
 
-def test_drivers_names_and_policies_are_opponents():
+def test_drivers_names_and_policies_can_be_opponents():
     driver = Driver.of_policy(straight, view="racing", name="fast")
     assert as_driver(driver) is driver
     assert as_driver("ai:3").difficulty == 3

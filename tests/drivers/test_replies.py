@@ -1,4 +1,4 @@
-"""The time of agents' decisions, which the race measures with its own clock."""
+"""Decision times of agents, measured with the race's own clock."""
 
 import json
 import math
@@ -40,7 +40,7 @@ def test_the_time_that_an_agent_reports_is_ignored():
 
 @pytest.mark.slow
 def test_a_slow_agent_does_not_spend_the_time_of_another():
-    """The race waits for a slow one first."""
+    """The race waits for the slow agent first."""
     found = times(race(hostile("slow"), PLAIN, hostile("trickles"), max_steps=6))
     assert found["Plain"].mean < 0.15
     assert min(found["slow"].mean, found["trickles"].mean) > 0.25
@@ -48,7 +48,7 @@ def test_a_slow_agent_does_not_spend_the_time_of_another():
 
 @pytest.fixture
 def channel():
-    """A channel, and the other end of its socket."""
+    """Yields a channel and the other end of its socket."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
         channel = ReplyChannel(ours)
@@ -56,7 +56,7 @@ def channel():
         channel.close()
 
 
-def test_a_reply_that_was_sent_before_the_question_takes_no_time(channel):
+def test_a_reply_sent_before_the_request_takes_no_time(channel):
     ours, theirs = channel
     theirs.sendall(b"\1\0\0\0\x07")
     time.sleep(0.05)
@@ -87,7 +87,7 @@ def test_a_reply_in_single_bytes_does_not_extend_its_deadline(channel):
     sender.join()
 
 
-def test_a_process_that_reads_nothing_does_not_delay_its_race_past_the_deadline(channel):
+def test_a_process_that_does_not_read_cannot_delay_its_race_past_the_deadline(channel):
     ours, _ = channel
     ours.deadline = time.monotonic() + 0.2
     with pytest.raises(TimeoutError):

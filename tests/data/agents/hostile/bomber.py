@@ -1,4 +1,4 @@
-"""Answers with a small message of 1,000 tuples of 8192 arrays each, on every socket it finds."""
+"""Sends a small message of 1,000 tuples of 8192 arrays each to every open socket."""
 
 import os
 import socket

@@ -1,4 +1,4 @@
-"""Starts a daemon: a process without its session and its parents."""
+"""Starts a daemon, which leaves its session and its parents."""
 
 import os
 import time

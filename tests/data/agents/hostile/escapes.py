@@ -1,4 +1,4 @@
-"""Starts a daemon and kills what keeps them both."""
+"""Starts a daemon and kills the keeper."""
 
 import os
 import signal

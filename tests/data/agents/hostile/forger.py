@@ -1,4 +1,4 @@
-"""Answers with what is no message, on every socket it finds."""
+"""Sends invalid bytes to every open socket."""
 
 import os
 import socket

@@ -1,4 +1,4 @@
-"""Puts a time that is no time into each of its replies."""
+"""Reports an invalid time in each reply."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Fails at its third decision, the first time around and after each new start."""
+"""Fails at its third decision, and again after each restart."""
 
 
 class Count:

@@ -1,4 +1,4 @@
-"""Starts a child that would outlive it, and writes its number into a file."""
+"""Starts a child process that does not end by itself, and writes both process ids to a file."""
 
 import os
 import subprocess

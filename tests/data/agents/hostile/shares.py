@@ -1,4 +1,4 @@
-"""Takes memory that is shared, which is not its own data."""
+"""Allocates shared memory, which does not count as the process's own data."""
 
 import mmap
 import time

@@ -1,4 +1,4 @@
-"""Says a word that its task does not have, past the checks of its own process."""
+"""Sends a word outside its task's vocabulary, bypassing the checks in its own process."""
 
 import os
 import socket

@@ -1,4 +1,4 @@
-"""Takes memory in many processes, each below the limit."""
+"""Allocates memory in many processes, each below the limit."""
 
 import os
 import time

@@ -1,4 +1,4 @@
-"""Reports errors of millions of characters in its own words, and a name as long."""
+"""Sends its own error reports with millions of characters, and has a name of the same length."""
 
 import os
 import socket

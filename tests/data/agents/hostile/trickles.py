@@ -1,4 +1,4 @@
-"""Sends the first byte of its reply at once, and the rest 0.3 s later."""
+"""Sends the first byte of each reply at once and the rest 0.3 s later."""
 
 import socket
 import time

@@ -1,4 +1,4 @@
-"""An agent that Python finds by its name; it leaves all options out."""
+"""An importable module with an agent that uses the default options."""
 
 
 def get_actor(module_dir, observation_space, action_space):

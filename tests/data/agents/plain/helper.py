@@ -2,7 +2,7 @@ import numpy as np
 
 
 def chase(points, ahead=3):
-    """Full throttle towards a point of the road ahead, given in the kart's frame."""
+    """Drives towards a point of the road ahead, given in the kart's frame."""
     x, _, z = points[min(ahead, len(points) - 1)]
     angle = np.arctan2(x, z)
     return {

@@ -1,4 +1,4 @@
-"""The smallest agent: a folder, no state, a helper beside it."""
+"""A minimal agent: a folder with a helper module, and no state."""
 
 from helper import chase
 

@@ -1,4 +1,4 @@
-"""Written for pystk2-gymnasium: not a word of stkzoo in it."""
+"""An agent for pystk2-gymnasium that does not mention the other package."""
 
 import numpy as np
 from pystk2_gymnasium import ActionObservationWrapper

@@ -1,4 +1,4 @@
-"""Steers and talks by a checksum of all that it has observed: one other bit changes the race."""
+"""Steers and talks by a checksum of all observations, so that any changed bit changes the race."""
 
 import zlib
 

@@ -2,7 +2,7 @@ import numpy as np
 
 
 class Policy:
-    """One layer: the last column is the bias."""
+    """A linear policy. The last column of the weights is the bias."""
 
     def __init__(self, weights, observation_space, action_space):
         self.weights = weights

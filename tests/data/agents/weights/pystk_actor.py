@@ -1,4 +1,4 @@
-"""A policy with weights in a file beside it."""
+"""A policy with weights in a separate file."""
 
 import numpy as np
 

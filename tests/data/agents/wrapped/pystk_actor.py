@@ -1,4 +1,4 @@
-"""Own wrappers, one of them with a step of its own, around a view of stkzoo's."""
+"""An agent with its own wrappers around stkzoo's view ``simple``; one of them keeps a state."""
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +10,7 @@ player_name = "Wrapped"
 
 
 class Angle(ActionObservationWrapper):
-    """One angle in, one steering out."""
+    """Reduces the observation to one angle and the action to the steering."""
 
     def __init__(self, env):
         super().__init__(env)

@@ -10,7 +10,7 @@ class Memory:
 
 
 def drive(state, observation):
-    """Polar coordinates: distance, angle to the right, angle up."""
+    """Steers towards a point ahead. Positions are polar: distance, angle to the right, angle up."""
     state.steps += 1
     is_slow = state.steps > 60 and np.linalg.norm(observation["velocity"]) < 1.0
     state.slow = state.slow + 1 if is_slow else 0

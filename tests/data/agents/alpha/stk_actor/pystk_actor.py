@@ -1,4 +1,4 @@
-"""A course repository: a package with relative imports, its state, the simple view."""
+"""A course repository: a package with relative imports, a state, and the view ``simple``."""
 
 from .driving import Memory, drive
 

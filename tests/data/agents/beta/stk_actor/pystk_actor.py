@@ -1,6 +1,6 @@
-"""Another course repository with modules of the same names."""
+"""Another course repository, with the same module names."""
 
-from stk_actor.driving import drive  # by the package's own name, as many repositories do
+from stk_actor.driving import drive  # imports by the package's own name, as many repositories do
 
 env_name = "supertuxkart/flattened_multidiscrete-v0"
 player_name = "Beta"
