@@ -63,7 +63,7 @@ with lock(cache_folder(), Progress()), fresh_folder(cache_folder()) as folder:
 
 
 def run_python(program, *arguments, **variables):
-    """The last line that a fresh interpreter prints, what the game prints at its end apart."""
+    """Runs a program in a fresh interpreter; returns its last line of output."""
     process = subprocess.run(
         [sys.executable, "-c", program, *arguments],
         env={**os.environ, "PYTHONUNBUFFERED": "1", **variables},
@@ -81,7 +81,7 @@ def write(path, content=b"<x/>"):
 
 
 def make_data(data, version="1.4"):
-    """A data folder as Debian ships it, with two race tracks, an arena and two karts."""
+    """Writes a data folder like Debian's, with two race tracks, an arena and two karts."""
     write(data / "stk_config.xml")
     write(data / f"supertuxkart.{version}", b"")
     write(data / "skins" / "peach" / "stkskin.xml")
@@ -103,7 +103,7 @@ def make_data(data, version="1.4"):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """An empty machine: no data anywhere, and a cache of its own."""
+    """Sets up a machine without any data and with an empty cache; returns the cache folder."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("STKZOO_CACHE", str(folder))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
@@ -114,7 +114,7 @@ def cache(tmp_path, monkeypatch):
 
 @pytest.fixture
 def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixture
-    """The empty machine, but with the game installed."""
+    """Adds an installed game to the machine without data; returns its data folder."""
     data = make_data(tmp_path / "usr" / "data")
     monkeypatch.setattr(find, "SYSTEM_FOLDERS", (data,))
     return data
@@ -122,7 +122,7 @@ def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixtu
 
 @pytest.fixture
 def headless(system):  # noqa: ARG001 - a fixture on a fixture
-    """The root of a headless pack of the installed game."""
+    """Installs a headless pack of the installed game; returns its root."""
     install()
     return find.own_folder("headless")
 
@@ -138,12 +138,12 @@ def content(root):
 
 
 class TestOnThisMachine:
-    def test_names_are_those_of_the_engine(self):
+    def test_names_match_the_engine(self):
         assets = find_assets()
         names = run_python(ENGINE_NAMES, SUPERTUXKART_DATADIR=str(assets.root))
         assert [list(assets.tracks), list(assets.karts)] == json.loads(names)
 
-    def test_all_tracks_and_karts_are_there(self):
+    def test_all_tracks_and_karts_are_found(self):
         assets = find_assets()
         assert (len(assets.tracks), len(assets.karts)) == (21, 16)
 
@@ -154,10 +154,10 @@ class TestOnThisMachine:
         )
         assert run_python(program) == "False"
 
-    def test_races_in_a_headless_pack_are_bitwise_those_of_the_full_data(self, tmp_path):
+    def test_races_in_a_headless_pack_match_the_full_data_bit_for_bit(self, tmp_path):
         full = find_assets(graphics=True)
         build_headless(full.root, tmp_path, Progress())
-        for track in ("lighthouse", "xr591"):  # xr591 has a sound that changes its ground
+        for track in ("lighthouse", "xr591"):  # a sound changes the ground of xr591
             results = {
                 run_python(RACE, track, SUPERTUXKART_DATADIR=str(root))
                 for root in (full.root, tmp_path)
@@ -167,11 +167,11 @@ class TestOnThisMachine:
 
 class TestFinding:
     @pytest.mark.usefixtures("cache")
-    def test_nothing_anywhere_names_the_command_that_mends_it(self):
+    def test_missing_data_names_the_command_that_installs_it(self):
         with pytest.raises(AssetError, match="`stkzoo assets install`"):
             find_assets()
 
-    def test_nothing_is_made_where_nothing_is_found(self, cache):
+    def test_no_folder_is_created_if_nothing_is_found(self, cache):
         with pytest.raises(AssetError):
             find_assets()
         assert not cache.exists()
@@ -182,17 +182,17 @@ class TestFinding:
         assert find_assets().source == "environment"
 
     @pytest.mark.usefixtures("headless")
-    def test_environment_naming_a_bad_folder_is_an_error_that_names_it(self, monkeypatch, tmp_path):
+    def test_environment_with_a_bad_folder_raises_an_error(self, monkeypatch, tmp_path):
         monkeypatch.setenv("SUPERTUXKART_DATADIR", str(tmp_path))
         with pytest.raises(AssetError, match=r"SUPERTUXKART_DATADIR is .* holds no folder 'data'"):
             find_assets()
 
-    def test_environment_naming_the_data_folder_itself_is_explained(self, headless, monkeypatch):
+    def test_environment_with_the_data_folder_itself_is_explained(self, headless, monkeypatch):
         monkeypatch.setenv("SUPERTUXKART_DATADIR", str(headless / "data"))
         with pytest.raises(AssetError, match="use its parent folder"):
             find_assets()
 
-    def test_environment_naming_a_headless_pack_cannot_draw(self, headless, monkeypatch):
+    def test_environment_with_a_headless_pack_cannot_render(self, headless, monkeypatch):
         monkeypatch.setenv("SUPERTUXKART_DATADIR", str(headless))
         with pytest.raises(AssetError, match=r"SUPERTUXKART_DATADIR .* headless pack"):
             find_assets(graphics=True)
@@ -201,32 +201,32 @@ class TestFinding:
         assert find_assets().root == headless
 
     @pytest.mark.usefixtures("headless")
-    def test_full_data_is_taken_for_drawing(self):
+    def test_full_data_is_used_for_rendering(self):
         assert not find_assets(graphics=True).headless
 
     @pytest.mark.usefixtures("headless")
-    def test_headless_pack_alone_cannot_draw(self, monkeypatch):
+    def test_headless_pack_alone_cannot_render(self, monkeypatch):
         monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
         with pytest.raises(AssetError, match="full data, which drawing needs"):
             find_assets(graphics=True)
 
     @pytest.mark.usefixtures("system")
-    def test_arenas_are_no_race_tracks(self):
+    def test_arenas_are_not_race_tracks(self):
         assert find_assets().tracks == ("alps", "beach")
 
-    def test_system_install_is_left_as_it_is(self, system):
+    def test_system_install_is_not_changed(self, system):
         before = content(system)
         find_assets()
         assert content(system) == before
 
     @pytest.mark.usefixtures("system")
-    def test_system_install_is_mended_by_links(self):
+    def test_system_install_is_completed_with_links(self):
         data = find_assets().root / "data"
         assert (data / "supertuxkart.1.5").is_file()
         assert (data / "skins" / "classic" / "stkskin.xml").is_file()
         assert (data / "ttf" / "Cantarell-Regular.otf").read_bytes() == b"a font"
 
-    def test_changed_system_install_is_linked_anew(self, system):
+    def test_changed_system_install_is_linked_again(self, system):
         root = find_assets().root
         write(system / "new.xml")
         os.utime(system, (1, 1))
@@ -241,7 +241,7 @@ class TestFinding:
             find_assets()
 
     @pytest.mark.usefixtures("cache")
-    def test_unfinished_download_of_pystk2_is_passed_over(self):
+    def test_unfinished_download_of_pystk2_is_skipped(self):
         make_data(find.pystk2_cache_folder() / "1.5" / "data", version="1.5")
         with pytest.raises(AssetError, match="never finished"):
             find_assets()
@@ -255,33 +255,33 @@ class TestFinding:
         write(root / "__downloaded__.txt")
         assert find_assets().source == "pystk2 cache"
 
-    def test_pack_that_lost_a_track_is_passed_over(self, headless):
+    def test_pack_without_a_track_is_skipped(self, headless):
         (headless / "data" / "tracks" / "alps" / "track.xml").unlink()
         assert find_assets().source == "system"
 
-    def test_pack_with_a_damaged_marker_is_passed_over(self, headless):
+    def test_pack_with_a_damaged_marker_is_skipped(self, headless):
         (headless / MARKER).write_text("{")
         assert find_assets().source == "system"
 
-    def test_survey_says_what_is_wrong_with_each_place(self, headless):
+    def test_survey_reports_the_problem_of_each_place(self, headless):
         (headless / MARKER).write_text("{")
         assert "damaged" in next(survey()).problem
 
 
 class TestInstalling:
     @pytest.mark.usefixtures("system")
-    def test_takes_what_is_there_and_builds_the_pack(self):
+    def test_builds_the_pack_from_existing_data(self):
         assert install().source == "headless pack"
 
     @pytest.mark.usefixtures("cache")
     @pytest.mark.parametrize("place", ["headless", "system"])
     @pytest.mark.usefixtures("headless")
-    def test_takes_what_the_environment_names(self, cache, monkeypatch, place):
+    def test_uses_the_folder_in_the_environment(self, cache, monkeypatch, place):
         (cache / place).rename(cache.parent / "named")
         monkeypatch.setenv("SUPERTUXKART_DATADIR", str(cache.parent / "named"))
         assert install().root == cache.parent / "named"
 
-    def test_environment_naming_a_bad_folder_is_told(self, cache, monkeypatch):
+    def test_environment_with_a_bad_folder_is_reported(self, cache, monkeypatch):
         monkeypatch.setenv("SUPERTUXKART_DATADIR", str(cache))
         with pytest.raises(AssetError, match="SUPERTUXKART_DATADIR"):
             install()
@@ -297,20 +297,20 @@ class TestInstalling:
         assert visible(cache) == []
 
     @pytest.mark.usefixtures("cache")
-    def test_killed_install_does_not_look_installed(self):
+    def test_killed_install_is_not_found(self):
         self.kill_an_install()
         with pytest.raises(AssetError, match="`stkzoo assets install`"):
             find_assets()
 
     @pytest.mark.usefixtures("system", "cache")
-    def test_next_install_removes_what_a_killed_one_left(self):
+    def test_next_install_removes_the_files_of_a_killed_one(self):
         folder = self.kill_an_install()
         assert (folder / "half").exists()
         install()
         assert not folder.exists()
 
     @pytest.mark.usefixtures("system")
-    def test_install_waits_for_another_to_end(self):
+    def test_install_waits_for_another_one(self):
         other = self.start_an_install("1")
         notes = []
         progress = Progress()
@@ -320,7 +320,7 @@ class TestInstalling:
         assert "waiting" in notes[0]
 
     @pytest.mark.usefixtures("system")
-    def test_two_installs_at_once_make_one_good_pack(self):
+    def test_two_concurrent_installs_make_one_valid_pack(self):
         root = find.own_folder("full")
         root.mkdir(parents=True)
         find_assets().root.joinpath("data").rename(root / "data")
@@ -331,17 +331,17 @@ class TestInstalling:
         assert find_assets().source == "headless pack"
 
     @pytest.mark.usefixtures("system")
-    def test_folder_of_somebody_else_is_not_replaced(self, cache):
+    def test_folder_of_another_program_is_not_replaced(self, cache):
         write(cache / "headless" / "thesis.txt")
         with pytest.raises(AssetError, match="did not make"):
             install()
         assert (cache / "headless" / "thesis.txt").exists()
 
-    def test_full_disk_is_told_before_work_begins(self, tmp_path):
+    def test_full_disk_is_reported_before_the_work_begins(self, tmp_path):
         with pytest.raises(AssetError, match="the game's data needs 1000000000000 MB"):
             check_space(tmp_path, 10**18, "the game's data")
 
-    def test_cache_that_cannot_be_written_names_the_variable_that_moves_it(self, tmp_path):
+    def test_unwritable_cache_names_the_variable_that_moves_it(self, tmp_path):
         write(tmp_path / "file")
         with (
             pytest.raises(AssetError, match="STKZOO_CACHE"),
@@ -350,12 +350,12 @@ class TestInstalling:
             pass
 
     @pytest.mark.usefixtures("headless")
-    def test_cleaning_removes_what_is_ours(self, cache):
+    def test_cleaning_removes_stkzoos_folders(self, cache):
         clean()
         assert visible(cache) == []
 
     @pytest.mark.usefixtures("headless")
-    def test_cleaning_leaves_what_is_not_ours(self, cache):
+    def test_cleaning_keeps_other_files(self, cache):
         write(cache / "thesis.txt")
         write(cache / "full" / "thesis.txt")
         clean()
@@ -379,7 +379,7 @@ class TestInstalling:
 
 @pytest.fixture
 def package(tmp_path):
-    """A small ``supertuxkart-data`` package."""
+    """Builds a small ``supertuxkart-data`` package."""
     return make_package(tmp_path / "package")
 
 
@@ -405,26 +405,24 @@ def make_package(folder, spoil=False):
 
 
 class TestDebianPackage:
-    def test_apt_brings_a_tree_that_can_be_used(self, cache, package, tmp_path, monkeypatch):
+    def test_apt_download_can_be_used(self, cache, package, tmp_path, monkeypatch):
         self.serve(package, tmp_path / "apt", monkeypatch)
         assert install(source="debian").tracks == ("alps", "beach")
         assert visible(cache) == ["full", "headless"]
 
-    def test_package_that_apt_finds_damaged_leaves_nothing(
-        self, cache, package, tmp_path, monkeypatch
-    ):
+    def test_damaged_package_leaves_nothing(self, cache, package, tmp_path, monkeypatch):
         self.serve(package, tmp_path / "apt", monkeypatch)
         package.write_bytes(package.read_bytes()[:-10] + b"0123456789")
         with pytest.raises(AssetError, match="could not be downloaded"):
             install(source="debian")
         assert visible(cache) == []
 
-    def test_file_that_differs_from_the_packages_list_is_told(self, tmp_path):
+    def test_file_that_differs_from_the_packages_list_is_reported(self, tmp_path):
         package = make_package(tmp_path / "package", spoil=True)
         with pytest.raises(AssetError, match=r"wrong or missing files.*FAILED"):
             unpack_package(package, self.empty(tmp_path), Progress())
 
-    def test_truncated_package_is_told(self, package, tmp_path):
+    def test_truncated_package_is_reported(self, package, tmp_path):
         package.write_bytes(package.read_bytes()[:-100])
         with pytest.raises(AssetError, match=r"broken|cannot be unpacked"):
             unpack_package(package, self.empty(tmp_path), Progress())
@@ -437,7 +435,7 @@ class TestDebianPackage:
 
     @staticmethod
     def serve(package, folder, monkeypatch):
-        """Makes apt know this package and nothing else."""
+        """Makes this package the only one that apt knows."""
         data = package.read_bytes()
         fields = subprocess.run(
             ["dpkg-deb", "--field", str(package)], check=True, capture_output=True, text=True
@@ -461,16 +459,16 @@ class TestDebianPackage:
 
 
 class TestHeadlessPack:
-    def test_has_every_file_of_the_full_data_by_name(self, headless, system):
+    def test_has_every_file_name_of_the_full_data(self, headless, system):
         names = {str(p.relative_to(headless / "data")) for p in (headless / "data").rglob("*")}
         full = {str(p.relative_to(system)) for p in system.rglob("*")}
         assert full <= names
 
-    def test_keeps_what_is_no_picture_and_no_sound(self, headless):
+    def test_keeps_files_other_than_images_and_sounds(self, headless):
         model = headless / "data" / "tracks" / "alps" / "road.spm"
         assert model.read_bytes() == b"a model of alps"
 
-    def test_pictures_become_placeholders_of_their_format(self, headless):
+    def test_images_become_placeholders_of_their_format(self, headless):
         track = headless / "data" / "tracks" / "alps"
         assert (track / "road.PNG").read_bytes() == PLACEHOLDER_PNG
         assert (track / "sky.jpg").read_bytes() == PLACEHOLDER_JPEG
@@ -491,12 +489,12 @@ class TestHeadlessPack:
         assert find_assets().scenes != SCENES_VERSION
         assert install().scenes == SCENES_VERSION
 
-    def test_pack_with_scenes_of_this_version_stays(self, headless):
+    def test_pack_with_scenes_of_this_version_is_kept(self, headless):
         before = headless.stat().st_ino
         install()
         assert headless.stat().st_ino == before
 
-    def test_pack_with_other_scenes_serves_without_full_data(self, headless, monkeypatch):
+    def test_pack_with_other_scenes_is_used_without_full_data(self, headless, monkeypatch):
         monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
         discard(find.own_folder("system"))
         write_marker(headless, "headless pack", headless=True)
@@ -515,7 +513,7 @@ def archive(headless, tmp_path):  # noqa: ARG001 - a fixture on a fixture
 
 
 def rebuild(archive, change):
-    """Writes the archive again with its list of (member, content) changed."""
+    """Rewrites the archive with ``change`` applied to its list of (member, content)."""
     with tarfile.open(archive) as old:
         members = [(member, old.extractfile(member).read()) for member in old]
     with tarfile.open(archive, "w:xz") as new:
@@ -531,14 +529,14 @@ def named(name, kind=tarfile.REGTYPE, target=""):
 
 
 def header(name, size=0, kind=tarfile.REGTYPE):
-    """A header of an archive, with a size that nothing has to follow."""
+    """Returns an archive header with any size; the content need not follow."""
     member = named(name, kind)
     member.size = size
     return member.tobuf(tarfile.GNU_FORMAT)
 
 
 def sparse_member():
-    """A member of 1.9 GB in 512 bytes, as GNU tar writes it."""
+    """Returns a sparse member of 1.9 GB in 512 bytes, as GNU tar writes it."""
     member = named("data/big")
     member.size = 512
     member.pax_headers = {
@@ -550,7 +548,7 @@ def sparse_member():
     return member.tobuf(tarfile.PAX_FORMAT) + b"0\n".ljust(512, b"\0")
 
 
-#: Content of archives that took memory or disk without a bound, and why they are refused.
+#: Contents of archives that take unbounded memory or disk space, and the errors that refuse them.
 BOMBS = {
     "pax header": (lambda: header("x", 1 << 30, tarfile.XHDTYPE), "a header of 1,073,741,824"),
     "pax header for all": (lambda: header("g", 1 << 30, tarfile.XGLTYPE), "outside the pack"),
@@ -573,7 +571,7 @@ BOMBS = {
 
 
 class TestArchive:
-    def test_is_the_same_bytes_each_time(self, archive, tmp_path):
+    def test_has_the_same_bytes_each_time(self, archive, tmp_path):
         again = pack(output=tmp_path / "again.tar.xz")
         assert again.read_bytes() == archive.read_bytes()
 
@@ -588,15 +586,15 @@ class TestArchive:
             pack(output=tmp_path / "missing" / "pack.tar.xz")
 
     @pytest.mark.usefixtures("cache")
-    def test_missing_file_is_told(self, tmp_path):
+    def test_missing_file_is_reported(self, tmp_path):
         with pytest.raises(AssetError, match="there is no file"):
             install(archive=tmp_path / "missing.tar.xz")
 
-    def test_other_file_is_told(self, cache, tmp_path):
+    def test_other_file_is_reported(self, cache, tmp_path):
         write(tmp_path / "other", b"no archive at all")
         self.refused(tmp_path / "other", "broken or no archive", cache)
 
-    def test_truncated_archive_is_told(self, archive, cache):
+    def test_truncated_archive_is_reported(self, archive, cache):
         archive.write_bytes(archive.read_bytes()[:-200])
         self.refused(archive, "is broken", cache)
 
@@ -606,11 +604,11 @@ class TestArchive:
         archive.write_bytes(data)
         self.refused(archive, "is broken", cache)
 
-    def test_archive_without_its_marker_is_told(self, archive, cache):
+    def test_archive_without_its_marker_is_reported(self, archive, cache):
         rebuild(archive, lambda members: [m for m in members if m[0].name != MARKER])
         self.refused(archive, "holds no headless pack", cache)
 
-    def test_missing_track_is_told(self, archive, cache):
+    def test_missing_track_is_reported(self, archive, cache):
         name = "data/tracks/alps/track.xml"
         rebuild(archive, lambda members: [m for m in members if m[0].name != name])
         self.refused(archive, "'tracks/alps/track.xml' is missing from", cache)
@@ -663,7 +661,7 @@ class TestArchive:
         monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "elsewhere"))
         assert (install(archive=file).root / name).read_bytes() == b"here"
 
-    def test_huge_marker_is_refused_unread(self, headless):
+    def test_huge_marker_is_refused_without_reading_it(self, headless):
         with (headless / MARKER).open("wb") as file:
             file.truncate(1 << 30)
         with pytest.raises(AssetError, match="it has 1,073,741,824 bytes"):
@@ -694,12 +692,12 @@ class TestArchive:
 
 class TestCommandLine:
     @pytest.mark.usefixtures("system")
-    def test_status_succeeds_where_data_is(self, capsys):
+    def test_status_succeeds_with_data(self, capsys):
         assert main(["assets", "status", "--names"]) == 0
         assert "alps, beach" in capsys.readouterr().out
 
     @pytest.mark.usefixtures("cache")
-    def test_status_fails_where_none_is(self, capsys):
+    def test_status_fails_without_data(self, capsys):
         assert main(["assets", "status"]) == 1
         assert "stkzoo assets install" in capsys.readouterr().err
 
@@ -713,23 +711,23 @@ class TestCommandLine:
         assert main(["assets", "pack", "--output", str(tmp_path / "pack.tar.xz")]) == 0
         assert tarfile.is_tarfile(tmp_path / "pack.tar.xz")
 
-    def test_clean_removes_nothing_without_a_yes(self, headless, monkeypatch):
+    def test_clean_removes_nothing_without_confirmation(self, headless, monkeypatch):
         monkeypatch.setattr(sys, "stdin", io.StringIO("n\n"))
         assert main(["assets", "clean"]) == 1
         assert headless.exists()
 
-    def test_clean_removes_with_a_yes(self, headless):
+    def test_clean_removes_with_confirmation(self, headless):
         assert main(["assets", "clean", "--yes"]) == 0
         assert not headless.exists()
 
     @pytest.mark.parametrize("words", [["assets"], ["asets"], ["assets", "install", "-x"]])
-    def test_bad_usage_is_2(self, words, capsys):
+    def test_bad_usage_exits_with_2(self, words, capsys):
         assert main(words) == 2
         said = capsys.readouterr().err
         assert said.startswith("stkzoo")
         assert "--help`" in said
 
-    def test_help_is_0(self, capsys):
+    def test_help_exits_with_0(self, capsys):
         assert main(["assets", "install", "--help"]) == 0
         assert "examples:" in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""Programs that close all descriptors, as daemons do, or the standard streams."""
+"""Programs that close all file descriptors, as daemons do, or the standard streams."""
 
 import subprocess
 import sys
@@ -57,7 +57,7 @@ def test_a_step_after_all_descriptors_were_closed_names_the_cause():
 
 
 @pytest.mark.slow
-def test_a_reset_after_all_descriptors_were_closed_works_each_time():
+def test_a_reset_works_after_all_descriptors_were_closed():
     assert_prints(
         """
         for _ in range(3):
@@ -71,7 +71,7 @@ def test_a_reset_after_all_descriptors_were_closed_works_each_time():
 
 
 @pytest.mark.slow
-def test_files_and_sockets_that_took_the_numbers_stay_as_they_are():
+def test_descriptors_of_other_files_are_not_touched():
     assert_prints(
         """
         env.reset()
@@ -94,7 +94,7 @@ def test_files_and_sockets_that_took_the_numbers_stay_as_they_are():
 
 
 @pytest.mark.slow
-def test_a_step_over_a_socket_of_somebody_else_is_no_hang():
+def test_a_step_on_a_foreign_socket_does_not_hang():
     assert_prints(
         """
         env = race_v0.parallel_env(**options, engine_timeout=0.5)

@@ -1,4 +1,4 @@
-"""What karts drive on and run into: read from meshes, and as the game has it."""
+"""The ground and walls, as read from meshes and as in the game."""
 
 import struct
 
@@ -22,7 +22,7 @@ VOID, GROUND, SLOWED, ZIPPER, WALL = GroundKind
 
 
 def mesh_file(path, parts, flags=3, kind=2):
-    """Writes a mesh: parts are (texture, vertices, triangles); each second vertex has a colour."""
+    """Writes a mesh of parts (texture, vertices, triangles). Every second vertex has a color."""
     data = b"SP" + bytes([1 << 3 | kind, flags]) + bytes(24)
     data += struct.pack("<H", len(parts))
     for texture, _, _ in parts:
@@ -46,7 +46,7 @@ SQUARE = [(0, 1, 2), (0, 2, 3)]
 
 
 @pytest.mark.parametrize("flags", [0, 1, 2, 3])
-def test_a_mesh_is_read_as_it_was_written(tmp_path, flags):
+def test_a_mesh_survives_a_round_trip(tmp_path, flags):
     many = [(float(n), 0, 1) for n in range(300)]
     mesh_file(
         tmp_path / "a.spm",
@@ -62,7 +62,7 @@ def test_a_mesh_is_read_as_it_was_written(tmp_path, flags):
 
 
 @pytest.mark.parametrize("damage", ["missing", "short", "magic", "version", "corner"])
-def test_a_broken_mesh_is_named(tmp_path, damage):
+def test_a_damaged_mesh_is_named(tmp_path, damage):
     file = tmp_path / "a.spm"
     triangles = [(0, 1, 9)] if damage == "corner" else SQUARE
     mesh_file(file, [("road.png", CORNERS, triangles)])
@@ -83,7 +83,7 @@ def test_a_broken_mesh_is_named(tmp_path, damage):
 
 
 def write_track(tmp_path, scene, materials=""):
-    """A game's data with one track whose scene is as told."""
+    """Writes game data with one track that has the given scene."""
     folder = tmp_path / "tracks" / "toy"
     folder.mkdir(parents=True)
     mesh_file(folder / "road.spm", [("road.png", CORNERS, SQUARE)])
@@ -96,7 +96,7 @@ def write_track(tmp_path, scene, materials=""):
 
 
 def corners(faces, first=2):
-    """Those of all faces but the road's."""
+    """Returns the corners of all faces except the road's."""
     return faces.corners[first:]
 
 
@@ -109,7 +109,7 @@ def corners(faces, first=2):
         ('xyz="0 0 0" hpr="90 90 0"', [(0, 0, 0), (0, 0, -4), (0, -4, -4)]),
     ],
 )
-def test_things_stand_where_the_scene_puts_them(tmp_path, place, expected):
+def test_objects_are_placed_as_in_the_scene(tmp_path, place, expected):
     data = write_track(tmp_path, (f'<static-object model="post.spm" {place}/>', ""))
     faces = read_scenery(data, "toy")
     np.testing.assert_allclose(corners(faces)[0], expected, atol=1e-6)
@@ -131,17 +131,17 @@ def test_things_stand_where_the_scene_puts_them(tmp_path, place, expected):
         ('<static-object model="post.spm" if="isNotNetworking"/>', "", 1),
     ],
 )
-def test_only_what_is_solid_counts(tmp_path, inner, outer, count):
+def test_only_solid_objects_are_read(tmp_path, inner, outer, count):
     data = write_track(tmp_path, (inner, outer))
     assert len(corners(read_scenery(data, "toy"))) == count
 
 
-def test_some_things_stand_there_in_one_direction_only(tmp_path):
+def test_some_objects_exist_in_one_direction_only(tmp_path):
     data = write_track(tmp_path, ('<static-object model="post.spm" if="isReverse"/>', ""))
     assert len(corners(read_scenery(data, "toy", reverse=True))) == 1
 
 
-def test_what_is_seen_in_several_ways_is_solid_in_its_best(tmp_path):
+def test_an_object_with_levels_of_detail_uses_the_first(tmp_path):
     groups = (
         '<lod><group name="g"><static-object model="post.spm" interaction="static"/>'
         '<static-object model="road.spm" interaction="static"/></group></lod>'
@@ -172,7 +172,7 @@ def test_some_materials_are_not_solid(tmp_path, words):
     assert len(corners(read_scenery(data, "toy"))) == 0
 
 
-def test_materials_say_what_faces_do(tmp_path):
+def test_materials_determine_the_kind_of_faces(tmp_path):
     materials = (
         '<material name="road.png" reset="Y"/><material name="post.png"><zipper/></material>'
     )
@@ -183,7 +183,7 @@ def test_materials_say_what_faces_do(tmp_path):
     np.testing.assert_array_equal(faces.is_zipper, [False, False, True])
 
 
-def test_a_track_that_is_not_there_is_named(tmp_path):
+def test_a_missing_track_is_named(tmp_path):
     with pytest.raises(AssetError, match=r"nowhere.*scene\.xml"):
         read_scenery(tmp_path, "nowhere")
 
@@ -192,7 +192,7 @@ def test_a_track_that_is_not_there_is_named(tmp_path):
 
 
 def plate(x, z, height, *, to=None, **words):
-    """Two faces over an area ``x`` by ``z``; at its far end (in z) as high as ``to``."""
+    """Returns two faces over an area ``x`` by ``z`` that rise from ``height`` to ``to`` along z."""
     far = height if to is None else to
     a, b, c, d = (
         (x[0], height, z[0]),
@@ -204,7 +204,7 @@ def plate(x, z, height, *, to=None, **words):
 
 
 def wall(x, z, height):
-    """Two faces that stand along z at one x."""
+    """Returns two faces of a wall along z."""
     a, b = (x, height[0], z[0]), (x, height[0], z[1])
     c, d = (x, height[1], z[1]), (x, height[1], z[0])
     return [(a, b, c), (a, c, d)], {}
@@ -232,20 +232,20 @@ def kinds(ground, *places):
     return ground.at(np.array(places, float)).kind.tolist()
 
 
-def test_there_is_ground_and_beyond_it_nothing():
+def test_there_is_nothing_beyond_the_ground():
     ground = ground_with(FLOOR)
     assert kinds(ground, (0, 0.5, 20), (9, 0.5, 20), (11, 0.5, 20)) == [GROUND, GROUND, VOID]
     assert kinds(ground, (500, 0, 20), (0, 9, 20)) == [VOID, VOID]
 
 
-def test_its_height_is_that_of_the_slope():
+def test_the_height_follows_a_slope():
     ground = ground_with(plate((-10, 10), (0, 40), 0.0, to=8.0))
     spots = ground.at(np.array([(3.25, 2.1, 10.25), (3.25, 3.0, 20.25)]))
     np.testing.assert_allclose(spots.height, [2.05, 4.05], atol=0.01)
     assert spots.kind.tolist() == [GROUND, GROUND]
 
 
-def test_karts_run_into_walls_but_not_into_kerbs_and_signs():
+def test_walls_block_karts_but_curbs_and_signs_do_not():
     ground = ground_with(
         FLOOR,
         wall(2.1, (5, 10), (0, 2)),
@@ -257,7 +257,7 @@ def test_karts_run_into_walls_but_not_into_kerbs_and_signs():
     assert kinds(ground, (0, 0, 7), (4, 0, 7)) == [GROUND, GROUND]
 
 
-def test_what_grows_out_of_the_ground_steeply_is_a_wall():
+def test_a_steep_slope_is_a_wall():
     steep, gentle = (plate((-10, 10), (10, 14), 0.0, to=to) for to in (8.0, 1.5))
     assert WALL in kinds(ground_with(FLOOR, steep), *[(0, 0.5, 9 + n / 4) for n in range(8)])
     assert WALL not in kinds(ground_with(FLOOR, gentle), *[(0, 0.5, 9 + n / 4) for n in range(8)])
@@ -284,13 +284,13 @@ def test_kinds_of_ground():
     np.testing.assert_allclose(spots.speed, [1, 0.3, 1, 1])
 
 
-def test_places_may_have_any_shape():
+def test_places_can_have_any_shape():
     spots = ground_with(FLOOR).at(np.zeros((2, 5, 3)))
     assert spots.kind.shape == spots.height.shape == spots.speed.shape == (2, 5)
 
 
 @pytest.mark.parametrize("places", [np.zeros(2), 0.0, [[0, np.nan, 0]], [0, np.inf, 0]])
-def test_places_that_cannot_be_are_refused(places):
+def test_invalid_places_are_refused(places):
     with pytest.raises(ConfigError, match=r"expected finite numbers \(\.\.\., 3\)"):
         ground_with(FLOOR).at(places)
 
@@ -303,7 +303,7 @@ def test_places_far_away_have_no_ground():
 
 
 def race_of_bots(track, reverse, steps):
-    """Where the game's AI drives, ``(steps, 5, 3)``; and whether it is in the air."""
+    """Returns the ground, four bots' positions ``(steps, 4, 3)``, and whether each is airborne."""
     env = race_v0.parallel_env(
         agents=1, num_kart=5, track=track, reverse=reverse, difficulty=3, max_paths=1
     )
@@ -326,7 +326,7 @@ def race_of_bots(track, reverse, steps):
 @pytest.mark.parametrize(
     ("track", "reverse"), [("stk_enterprise", False), ("volcano_island", True), ("minigolf", False)]
 )
-def test_the_games_karts_drive_on_ground_and_not_in_walls(track, reverse):
+def test_bots_drive_on_ground_and_not_in_walls(track, reverse):
     ground, places, airborne = race_of_bots(track, reverse, 300)
     driven = places[30:][~airborne[30:]]
     spots = ground.at(driven)
@@ -336,7 +336,7 @@ def test_the_games_karts_drive_on_ground_and_not_in_walls(track, reverse):
     assert np.median(np.abs(spots.height - driven[:, 1])[is_there]) < 0.3
 
 
-def test_a_kart_stops_where_a_wall_stands():
+def test_a_kart_stops_at_a_wall():
     env = race_v0.parallel_env(agents=1, num_kart=1, track="stk_enterprise", max_paths=1)
     try:
         env.reset(seed=1, options={"start": Start(distance=330.0, heading=np.pi / 2)})

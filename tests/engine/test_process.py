@@ -1,4 +1,4 @@
-"""Engine processes: they come quickly, end with the program, and never hang it."""
+"""Engine processes start fast, end with the program, and never make it hang."""
 
 import contextlib
 import ctypes
@@ -56,7 +56,7 @@ def session(root):
     session.close()
 
 
-def test_every_race_of_a_session_is_a_first_race(session):
+def test_a_session_repeats_its_first_race(session):
     assert trajectory(session) == trajectory(session)
 
 
@@ -73,7 +73,7 @@ def can_fix_addresses():
 
 @pytest.mark.skipif(not can_fix_addresses(), reason="the system keeps addresses random")
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_games_have_fixed_addresses_and_the_program_keeps_its_own(root, monkeypatch, method):
+def test_games_have_fixed_addresses_and_the_program_is_unchanged(root, monkeypatch, method):
     monkeypatch.setenv("STKZOO_START_METHOD", method)
     own = personality_of(os.getpid())
     with contextlib.closing(WorkerSession(root)) as session:
@@ -83,7 +83,7 @@ def test_games_have_fixed_addresses_and_the_program_keeps_its_own(root, monkeypa
 
 
 @pytest.mark.slow
-def test_forked_spawned_and_local_first_races_are_the_same(root, session, monkeypatch):
+def test_forked_spawned_and_local_races_are_the_same(root, session, monkeypatch):
     forked = trajectory(session)
     monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
     spawned = WorkerSession(root)
@@ -109,7 +109,7 @@ def test_a_killed_game_is_an_error_and_the_next_start_works(session, sign):
     assert len(trajectory(session)) > 0
 
 
-def test_a_crash_report_carries_the_games_last_lines(session):
+def test_a_crash_report_has_the_games_last_lines(session):
     session.start(SETUP)
     os.kill(session.pid, signal.SIGSEGV)
     with pytest.raises(EngineCrashed) as caught:
@@ -140,7 +140,7 @@ def test_a_step_after_the_crash_says_reset(session):
 
 
 @pytest.mark.slow
-def test_others_do_not_notice_a_crash(root, session):
+def test_a_crash_does_not_affect_other_sessions(root, session):
     other = WorkerSession(root)
     expected = trajectory(other)
     session.start(SETUP)
@@ -166,13 +166,13 @@ def test_a_killed_fork_server_is_replaced(root, session):
     assert fork_client.start_fork_server(root) is not fork_server
 
 
-def test_an_engine_error_carries_the_games_own_traceback(session):
+def test_an_engine_error_has_the_games_error_message(session):
     with pytest.raises(EngineError, match="not_a_track"):
         session.start(RaceSetup("not_a_track", (PLAYER,)))
 
 
 @pytest.mark.slow
-def test_sessions_in_threads_do_not_disturb_each_other(root, session):
+def test_sessions_in_threads_do_not_affect_each_other(root, session):
     expected = trajectory(session)
     results = []
 
@@ -189,7 +189,7 @@ def test_sessions_in_threads_do_not_disturb_each_other(root, session):
     assert results == [expected] * 4
 
 
-def test_an_interrupted_step_does_not_mix_up_answers(session):
+def test_an_interrupted_step_does_not_mix_up_replies(session):
     session.start(SETUP)
     main_thread = threading.main_thread().ident
     raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
@@ -202,7 +202,7 @@ def test_an_interrupted_step_does_not_mix_up_answers(session):
     assert len(trajectory(session)) > 0
 
 
-def test_a_missing_folder_for_temporary_files_is_named_and_the_next_start_works(
+def test_a_missing_temporary_folder_is_named_and_the_next_start_works(
     session, monkeypatch, tmp_path
 ):
     with monkeypatch.context() as patch:
@@ -212,7 +212,7 @@ def test_a_missing_folder_for_temporary_files_is_named_and_the_next_start_works(
     session.start(SETUP)
 
 
-def test_closing_wakes_a_thread_that_waits_for_the_game(session):
+def test_closing_wakes_a_waiting_thread(session):
     session.start(SETUP)
     os.kill(session.pid, signal.SIGSTOP)
     session.step_async(full_throttle())
@@ -260,7 +260,7 @@ PROGRAM = """
     ],
     ids=["normal", "exit", "killed", "killed-with-stopped-game", "killed-with-forked-child"],
 )
-def test_nothing_outlives_the_program(root, ending):
+def test_no_process_outlives_the_program(root, ending):
     program = textwrap.dedent(PROGRAM).format(root=str(root), ending=textwrap.dedent(ending))
     child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     race, fork_server, home = child.stdout.readline().split()
@@ -270,7 +270,7 @@ def test_nothing_outlives_the_program(root, ending):
     assert wait_until(lambda: not Path(home).exists())
 
 
-def test_a_killed_fork_server_takes_its_races_along(root, session):
+def test_the_races_of_a_killed_fork_server_end(root, session):
     session.start(SETUP)
     pid, fork_server = session.pid, fork_client.start_fork_server(root)
     os.kill(pid, signal.SIGSTOP)
@@ -279,7 +279,7 @@ def test_a_killed_fork_server_takes_its_races_along(root, session):
 
 
 @pytest.mark.slow
-def test_a_forked_copy_of_the_program_starts_its_own_race(root):
+def test_a_forked_program_starts_its_own_race(root):
     code = f"""
         import os
         from pathlib import Path
@@ -307,7 +307,7 @@ def test_a_forked_copy_of_the_program_starts_its_own_race(root):
 
 
 @pytest.mark.slow
-def test_the_games_chatter_stays_off_the_terminal(root):
+def test_the_games_output_stays_off_the_terminal(root):
     code = f"""
         from pathlib import Path
         import numpy as np
@@ -324,7 +324,7 @@ def test_the_games_chatter_stays_off_the_terminal(root):
 
 
 @pytest.mark.slow
-def test_a_second_race_in_this_process_is_refused_while_the_first_lives(root):
+def test_a_second_race_in_this_process_is_refused_while_the_first_runs(root):
     code = f"""
         from pathlib import Path
         from stkzoo.engine.session import LocalSession
@@ -343,7 +343,7 @@ def test_a_second_race_in_this_process_is_refused_while_the_first_lives(root):
 
 
 @pytest.mark.slow
-def test_quick_restarts_leave_no_process_behind(root, session):
+def test_fast_restarts_leave_no_processes_behind(root, session):
     for _ in range(30):
         session.start(RaceSetup("olivermath", (PLAYER,)))
     fork_server = fork_client.start_fork_server(root)

@@ -1,4 +1,4 @@
-"""The program's side of the render process, without a game."""
+"""The render session without a game."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ class _SilentProcess(RaceProcess):
         self.connection.close()
 
 
-def test_an_interrupted_request_ends_the_process_so_that_no_late_reply_is_read(monkeypatch):
+def test_an_interrupted_request_ends_the_process(monkeypatch):
     ours, theirs = wire.pair()
     session = RenderSession(Path("/nowhere"), (64, 48))
     session._process = _SilentProcess(ours, 1, _NoLog())

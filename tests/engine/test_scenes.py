@@ -13,7 +13,7 @@ from stkzoo.engine.assets.scenes import thin_scenes
 from stkzoo.engine.ground import read_scenery
 from stkzoo.errors import AssetError
 
-#: A race of two players and four bots, to a digest of all karts and items.
+#: Runs a race of two players and four bots; prints a digest of all karts and items.
 RACE = """
 import hashlib, json, os, sys, pystk2
 pystk2.init(pystk2.GraphicsConfig.none())
@@ -41,7 +41,7 @@ os._exit(0)
 
 
 def mesh(texture):
-    """The beginning of a file .spm, which is all that is read."""
+    """Returns the beginning of an .spm file; the rest is not read."""
     name = texture.encode()
     return b"SP\x08\x00" + bytes(24) + b"\x01\x00" + bytes([len(name)]) + name + b"\x00"
 
@@ -67,7 +67,7 @@ TRUNK = (
 
 @pytest.fixture
 def data(tmp_path):
-    """A data folder with models and no scene."""
+    """Writes a data folder with models and without scenes."""
     for name in ("banana-low", "wall", "bush", "tree", "trunk", "lamp"):
         write(tmp_path / "models" / f"{name}.spm", mesh("plain.png"))
     write(tmp_path / "models" / "leaf.spm", mesh("Leaf.png"))
@@ -77,7 +77,7 @@ def data(tmp_path):
 
 
 def thin(data, scene, **libraries):
-    """The thinned scene of a track, with these library objects."""
+    """Thins a track's scene with the given library objects, and returns it."""
     write(data / "tracks" / "alps" / "scene.xml", f"<scene>{scene}</scene>")
     for name, node in libraries.items():
         write(data / "library" / name / "node.xml", f"<scene>{node}</scene>")
@@ -105,7 +105,7 @@ class TestWhatGoes:
             '<object type="animation" interaction="none" model="bush.spm"/>',
         ],
     )
-    def test_what_is_only_seen_or_heard_goes(self, data, entry):
+    def test_visual_and_audio_objects_are_removed(self, data, entry):
         assert not len(thin(data, entry))
 
     @pytest.mark.parametrize(
@@ -120,42 +120,42 @@ class TestWhatGoes:
             "<checks/>",
         ],
     )
-    def test_what_a_race_may_notice_stays(self, data, entry):
+    def test_objects_that_affect_a_race_are_kept(self, data, entry):
         assert len(thin(data, entry)) == 1
 
-    def test_what_a_script_names_stays(self, data):
+    def test_objects_in_a_script_are_kept(self, data):
         write(data / "tracks" / "alps" / "scripting.as", 'getTrackObject("", "bush")')
         assert models(thin(data, GHOST.format("bush") + GHOST.format("lamp"))) == ["bush.spm"]
 
-    def test_first_instance_of_a_plant_stays(self, data):
+    def test_first_instance_of_a_plant_is_kept(self, data):
         scene = thin(data, instances(3), plant=GHOST.format("bush"))
         assert [entry.get("xyz") for entry in scene] == ["0 2 3"]
 
-    def test_library_object_with_a_script_stays(self, data):
+    def test_library_object_with_a_script_is_kept(self, data):
         write(data / "library" / "plant" / "scripting.as", "")
         scene = thin(data, instances(3), plant=GHOST.format("bush"))
         assert len(scene) == 3
 
-    def test_ghosts_of_a_solid_library_object_go(self, data):
+    def test_ghosts_of_a_solid_library_object_are_removed(self, data):
         thin(data, instances(1), plant=GHOST.format("bush") + TRUNK)
         node = ET.parse(data / "library" / "plant" / "node.xml")
         assert models(node.getroot()) == ["trunk.spm"]
 
-    def test_scene_without_any_is_the_same_file(self, data):
+    def test_scene_without_removable_objects_is_not_rewritten(self, data):
         path = data / "tracks" / "alps" / "scene.xml"
         write(path, "<scene><checks/></scene>")
         before = path.stat().st_ino
         thin_scenes(data)
         assert path.stat().st_ino == before
 
-    def test_file_that_links_to_the_scene_keeps_its_content(self, data):
+    def test_hard_link_to_the_scene_keeps_its_content(self, data):
         path = data / "tracks" / "alps" / "scene.xml"
         write(path, "<scene><light/></scene>")
         os.link(path, data / "whole.xml")
         thin_scenes(data)
         assert (data / "whole.xml").read_text() == "<scene><light/></scene>"
 
-    def test_bad_number_is_told(self, data):
+    def test_bad_number_is_reported(self, data):
         bad = LEVELS.replace("200", "far")
         with pytest.raises(AssetError, match=r"scenes in .* could not convert string"):
             thin(data, bad + TREE)
@@ -163,7 +163,7 @@ class TestWhatGoes:
 
 class TestRandomNumbers:
     def drawn(self, scene):
-        """Calls of ``rand`` by the object that is there for them."""
+        """Returns how many random numbers the added placeholder object draws."""
         return max(len(scene.findall("lod/group[@name='_stkzoo_draws']/static-object")) - 1, 0)
 
     def test_one_is_drawn_for_each_farther_level(self, data):
@@ -172,7 +172,7 @@ class TestRandomNumbers:
     def test_object_with_one_level_draws_none(self, data):
         assert self.drawn(thin(data, GHOST.format("bush"))) == 0
 
-    def test_all_instances_count_but_the_first(self, data):
+    def test_all_instances_but_the_first_count(self, data):
         assert self.drawn(thin(data, instances(4), plant=LEVELS + TREE)) == 3 * 2
 
     def test_all_instances_of_a_solid_one_count(self, data):
@@ -183,7 +183,7 @@ class TestRandomNumbers:
         scene = thin(data, instances(2, "group"), plant=LEVELS + TREE + TRUNK, group=group)
         assert self.drawn(scene) == 2 * 3 * 2
 
-    def test_instances_in_one_with_a_script_count(self, data):
+    def test_instances_in_a_library_object_with_a_script_count(self, data):
         write(data / "library" / "group" / "scripting.as", "")
         scene = thin(
             data,
@@ -193,8 +193,8 @@ class TestRandomNumbers:
         )
         assert self.drawn(scene) == 4 * 2
 
-    def test_levels_of_two_library_objects_with_one_name_add_up(self, data):
-        more = LEVELS.replace("40", "300")  # after 200: 4 in all
+    def test_levels_with_the_same_name_in_two_library_objects_add_up(self, data):
+        more = LEVELS.replace("40", "300")  # farther than 200, so there are four levels
         scene = thin(
             data,
             instances(1) + instances(2, "other"),
@@ -203,24 +203,24 @@ class TestRandomNumbers:
         )
         assert self.drawn(scene) == 2 * 4
 
-    def test_object_with_a_random_hue_draws_it_and_fails(self, data):
+    def test_object_with_a_random_hue_still_draws_it(self, data):
         (entry,) = thin(data, GHOST.format("leaf"))
         assert entry.get("model") == "leaf.spm"
         assert entry.get("lod_instance") == "true"
         assert entry.get("lod_group") == "_stkzoo_nothing"
 
-    def test_instances_leave_their_random_hues(self, data):
+    def test_removed_instances_still_draw_their_random_hues(self, data):
         scene = thin(data, instances(3), plant=GHOST.format("leaf"))
         assert models(scene) == ["leaf.spm"] * 2
 
 
 class TestOpenedInstances:
-    def test_upright_instances_but_the_first_become_their_objects(self, data):
+    def test_upright_instances_after_the_first_are_replaced_by_their_objects(self, data):
         scene = thin(data, instances(3, more='hpr="0 -0.0 0"'), plant=TRUNK)
         assert [entry.tag for entry in scene] == ["library", "object", "object"]
 
     @pytest.mark.parametrize("more", ['hpr="0 90 0"', 'if="isReverse"', 'scale="1 -1 1"'])
-    def test_others_stay(self, data, more):
+    def test_other_instances_are_kept(self, data, more):
         assert len(thin(data, instances(3, more=more), plant=TRUNK).findall("library")) == 3
 
     @pytest.mark.parametrize(
@@ -233,25 +233,25 @@ class TestOpenedInstances:
             ("<object", '<object if="isReverse"'),
         ],
     )
-    def test_objects_that_are_more_than_a_shape_stay_in_it(self, data, change):
+    def test_instances_of_complex_objects_are_kept(self, data, change):
         scene = thin(data, instances(3), plant=TRUNK.replace(*change))
         assert len(scene.findall("library")) == 3
 
-    def test_place_is_that_of_the_game_in_single_precision(self, data):
+    def test_place_matches_the_game_in_single_precision(self, data):
         more = 'scale="1.36 1.36 1.36"'
         placed = thin(data, instances(2, more=more), plant=TRUNK).find("object")
         height = np.float32(1.36) * np.float32(0.89) + np.float32(2)
         assert [np.float32(word) for word in placed.get("xyz").split()] == [1, height, 3]
         assert [np.float32(word) for word in placed.get("scale").split()] == [np.float32(1.36)] * 3
 
-    def test_they_have_no_child_which_the_game_would_take_for_a_curve(self, data):
+    def test_replaced_objects_have_no_children(self, data):
         scene = thin(data, instances(3), plant=TRUNK + TRUNK)
         assert not [child for entry in scene for child in entry]
 
 
 @pytest.fixture(scope="module")
 def packs(tmp_path_factory):
-    """Headless packs with whole and with thinned scenes."""
+    """Builds headless packs with complete and with thinned scenes."""
     roots = [tmp_path_factory.mktemp(name) for name in ("whole", "thinned")]
     full = find_assets(graphics=True).root
     build_headless(full, roots[0], Progress(), has_whole_scenes=True)
@@ -260,7 +260,7 @@ def packs(tmp_path_factory):
 
 
 class TestGameData:
-    # Bots choose among paths on cocoa_temple; black_forest opens most instances.
+    # On cocoa_temple, bots choose among paths; on black_forest, most instances are replaced.
     @pytest.mark.slow
     @pytest.mark.parametrize("reverse", [False, True])
     @pytest.mark.parametrize("track", ["black_forest", "cocoa_temple", "lighthouse"])

@@ -24,7 +24,7 @@ def after(seconds, deed, *arguments):
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.01, 0.1])
-def test_a_message_comes_whole_whenever_it_is_sent(ends, delay):
+def test_a_message_is_received_whole(ends, delay):
     ours, theirs = ends
     frames = [b"", b"a", bytes(100_000)]
     sending = after(delay, wire.send, theirs, wire.OK, *frames)
@@ -32,7 +32,7 @@ def test_a_message_comes_whole_whenever_it_is_sent(ends, delay):
     sending.join()
 
 
-def test_the_end_of_the_other_is_noticed(ends):
+def test_a_closed_connection_is_detected(ends):
     ours, theirs = ends
     closing = after(0.02, theirs.close)
     with pytest.raises(EOFError):
@@ -40,14 +40,14 @@ def test_the_end_of_the_other_is_noticed(ends):
     closing.join()
 
 
-def test_waiting_ends_with_the_time_out(ends):
+def test_waiting_ends_at_the_timeout(ends):
     ours, _ = ends
     ours.settimeout(0.1)
     with pytest.raises(TimeoutError):
         wire.receive(ours)
 
 
-def test_an_interrupt_ends_the_waiting(ends):
+def test_an_interrupt_ends_waiting(ends):
     ours, _ = ends
     pressing = after(0.1, os.kill, os.getpid(), signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
@@ -60,7 +60,7 @@ def test_an_interrupt_ends_the_waiting(ends):
     [b"O", b"O\x01", b"O\x01\xff\xff\xff\xff", b"O\x01\x01\x00\x00\x00ab"],
     ids=["no number", "no length", "too long", "too much"],
 )
-def test_a_broken_message_is_an_end(ends, data):
+def test_a_broken_message_ends_the_connection(ends, data):
     ours, theirs = ends
     theirs.send(data)
     theirs.close()

@@ -1,1 +1,1 @@
-"""Bad messages by the thousand, and fuzzers to run by hand."""
+"""Generators of invalid messages, and fuzzers to run by hand."""

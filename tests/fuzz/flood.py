@@ -1,4 +1,4 @@
-"""Floods a server with bad messages: ``python -m tests.fuzz.flood 100000``."""
+"""Floods a server with invalid messages: ``python -m tests.fuzz.flood 100000``."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from stkzoo.race.remote import RemoteDriverGroup
 from tests.fuzz.messages import bad_messages, flood, resident_memory
 from tests.support.remote_race import raw_client, server_process
 
-#: Messages from one connection.
+#: Number of messages per connection.
 _AT_ONCE = 1000
 
 
 def main(count: int) -> None:
-    """Sends so many messages, with a race after each tenth of them."""
+    """Sends ``count`` messages in ten parts, with a race after each part."""
     messages = bad_messages(random.Random(0))
     with server_process("heuristic", "--quiet") as (process, address):
         _race(address)

@@ -1,7 +1,7 @@
 """Coverage-guided fuzzing of messages: ``pip install atheris && python -m tests.fuzz.fuzz_codec``.
 
-Anything but a message or a ``ProtocolError`` ends it. Takes libFuzzer's arguments, such as
-``-runs=1000000`` or ``-max_total_time=60``.
+Decoding must return a message or raise ``ProtocolError``; anything else ends the run. Accepts
+libFuzzer's arguments, such as ``-runs=1000000`` or ``-max_total_time=60``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _LIMITS = Limits(max_bytes=1 << 16)
 
 
 def one_input(data: bytes) -> None:
-    """What can be decoded can be encoded, and comes out the same again."""
+    """Checks that a decoded message survives another round trip."""
     try:
         message = decode(data, _LIMITS)
     except ProtocolError:

@@ -1,4 +1,4 @@
-"""Messages that are malformed, truncated, oversized or mistyped."""
+"""Generators of malformed, truncated, oversized or mistyped messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ODD = (None, True, -1, 2**63, 1.5, float("nan"), "", "x" * 300, b"\xff", [], {}
 
 
 def open_fields() -> dict[str, object]:
-    """A right request for a seat."""
+    """Returns the fields of a valid request for a seat."""
     return {
         "protocol": VERSION,
         "seat": 0,
@@ -31,7 +31,7 @@ def open_fields() -> dict[str, object]:
 
 
 def bad_messages(chance: random.Random) -> Iterator[list[bytes]]:
-    """Endless messages to a server, most of them bad, some of them only odd."""
+    """Yields messages to a server without end; most of them are invalid, some only unusual."""
     opening = open_fields()
     bodies = (
         pack(**opening),
@@ -68,7 +68,7 @@ def bad_messages(chance: random.Random) -> Iterator[list[bytes]]:
 
 
 def flood(socket: zmq.Socket[bytes], messages: Iterator[list[bytes]], count: int) -> None:
-    """Sends so many messages, and waits until the server has read them all."""
+    """Sends ``count`` messages and waits until the server has read them all."""
     for _ in range(count):
         socket.send_multipart(next(messages))
         while socket.poll(0):
@@ -79,6 +79,6 @@ def flood(socket: zmq.Socket[bytes], messages: Iterator[list[bytes]], count: int
 
 
 def resident_memory(process: int) -> int:
-    """Memory of a process in bytes, without its children's."""
+    """Returns the resident memory of a process without its children [bytes]."""
     pages = Path(f"/proc/{process}/statm").read_text().split()[1]
     return int(pages) * 4096
