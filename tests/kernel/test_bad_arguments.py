@@ -1,6 +1,6 @@
-"""The kernel takes or refuses bad arguments; it never reads or writes outside of its arrays.
+"""The kernel accepts or refuses bad arguments without an access outside its arrays.
 
-``make sanitize`` runs this with a kernel that stops the program at the first such access.
+``make sanitize`` runs these tests with a kernel that stops the program at the first such access.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ REFUSALS = (AttributeError, IndexError, MemoryError, OverflowError, TypeError, V
 VIEWS = ("full", "masked_discrete", "flattened_control", "racing", "simple")
 WHOLE = (0, 1, -1, 2, 7, 1000, -(2**31), 2**40)
 REAL = (0.0, -1.0, 1e-30, 1e30, -1e30, float("nan"), float("inf"), float("-inf"))
-#: Of the engine's block: the number of items, and one item.
+#: Size of the item count and one item in the engine's block [bytes].
 ITEM_SIZE = 4 + 33
 OBJECTS = (None, (), {}, b"", "", 0.5, object(), np.zeros(0), np.zeros(3), np.float32(1))
 
 
-# ------------------------------------------------------------------ good calls, as races make them
+# ------------------------------------------------------------------ valid calls, recorded in races
 
 
 class Recorder:
-    """Stands for a class or function of the kernel and keeps the arguments that it gets."""
+    """Replaces a class or function of the kernel and records the arguments of its calls."""
 
     def __init__(self, name, cases):
         self._made, self._name, self._cases = getattr(kernel, name), name, cases
@@ -58,7 +58,7 @@ class Recorder:
 
 
 class Recorded:
-    """An object of the kernel whose calls are kept."""
+    """An object of the kernel whose method calls are recorded."""
 
     def __init__(self, made, keep):
         self.made, self._keep = made, keep
@@ -74,7 +74,7 @@ class Recorded:
 
 @pytest.fixture(scope="module")
 def cases():
-    """Calls by the kernel's name: arguments to make an object, its method, and its arguments."""
+    """Records calls by name: the constructor's arguments, and a method with its arguments."""
     kept = {name: [] for name in kernel._TWINS if name != "layouts"}
     with pytest.MonkeyPatch.context() as patch:
         for user, names in USERS.items():
@@ -126,7 +126,7 @@ def drive_races():
 
 
 def stepper_arguments():
-    """An engine as the kernel sees it: two players, two karts and an item in one block."""
+    """Returns a stub engine for the kernel: two players, and a block with two karts and an item."""
     kart = struct.pack("<?ii", True, 0, 1) + struct.pack("<i3si3s", 3, b"abc", 3, b"gnu")
     kart += b"".join(struct.pack("<ii", 1, n) + bytes(4 * n) for n in (3, 4, 3, 3, 3, 3))
     kart += bytes(66)
@@ -147,11 +147,11 @@ def stepper_arguments():
     return race, world, actions, CONTROLS, {"go": 2}, 3, (1,)
 
 
-# ------------------------------------------------------------------ bad calls, made of good ones
+# ------------------------------------------------------------------ bad calls, made from valid ones
 
 
 def bad_array(draw, array):
-    """The array with another length, type, order or content."""
+    """Returns the array with another length, type, memory layout or content."""
     kind = draw(
         st.sampled_from(["shorter", "longer", "empty", "content", "type", "strided", "fixed"])
     )
@@ -188,7 +188,7 @@ def fits(value, dtype):
 
 
 def bad_bytes(draw, data):
-    """A snapshot that is cut, or whose records hold other numbers."""
+    """Returns a truncated snapshot, or one with other numbers in its records."""
     if draw(st.booleans()) or len(data) < HEADER_DTYPE.itemsize:
         size = draw(st.integers(0, len(data) + 8))
         return (data + bytes(8))[:size]
@@ -203,7 +203,7 @@ def bad_bytes(draw, data):
 
 
 def bad(draw, value):
-    """Another value in place of an argument, or inside of it."""
+    """Returns another value to replace an argument or a part of it."""
     if draw(st.integers(0, 9)) == 0:
         return draw(st.sampled_from(OBJECTS))
     if isinstance(value, np.ndarray):
@@ -221,7 +221,7 @@ def bad(draw, value):
 
 
 def with_bad_part(draw, values):
-    """The sequence with another value at one place, or without one."""
+    """Returns the sequence with one element replaced or removed."""
     place = draw(st.integers(0, len(values) - 1))
     parts = list(values)
     if draw(st.integers(0, 4)) == 0:
@@ -232,7 +232,7 @@ def with_bad_part(draw, values):
 
 
 def own(value):
-    """The same with arrays of its own, in which the kernel may write."""
+    """Returns the value with copies of its arrays, because the kernel may write into them."""
     if isinstance(value, np.ndarray):
         return value.copy()
     if type(value) in (tuple, list):
@@ -240,7 +240,7 @@ def own(value):
     return {key: own(part) for key, part in value.items()} if isinstance(value, dict) else value
 
 
-#: Methods that write into arrays of the caller.
+#: Methods that write into the caller's arrays.
 ROWS = {
     "ActionReader": "read_batch",
     "KartObserver": "observe_into",
@@ -250,13 +250,13 @@ ROWS = {
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_races_call_what_writes_into_arrays(cases, name):
+def test_races_call_the_methods_that_write_into_arrays(cases, name):
     assert {*ROWS[name].split()} <= {method for _, _, method, _ in cases[name]}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in kernel._TWINS if name != "layouts"])
-def test_bad_arguments_are_taken_or_refused(cases, name):
+def test_bad_arguments_are_accepted_or_refused(cases, name):
     assert cases[name], "no race has called it"
 
     @settings(
@@ -284,10 +284,10 @@ def test_bad_arguments_are_taken_or_refused(cases, name):
     call()
 
 
-# ------------------------------------------------------------------ what was read or written astray
+# ------------------------------------------------------------------ earlier defects
 
 
-def test_controls_may_be_at_any_address():
+def test_controls_can_be_unaligned():
     race, world, actions, *rest = stepper_arguments()
     stepper = kernel.GameStepper(race, world, actions, *rest)
     controls = np.arange(14, dtype=np.float32)
@@ -303,7 +303,7 @@ def test_an_engine_without_a_method_is_refused(place):
         kernel.GameStepper(*arguments)
 
 
-def test_a_block_that_promises_more_items_than_it_has_is_refused():
+def test_a_block_with_too_few_items_is_refused():
     race, world, *rest = stepper_arguments()
     stepper = kernel.GameStepper(race, world, *rest)
     world.block = world.block[:-ITEM_SIZE] + struct.pack("<i", 2**31 - 1)
@@ -312,7 +312,7 @@ def test_a_block_that_promises_more_items_than_it_has_is_refused():
 
 
 @pytest.mark.parametrize("place", [float("nan"), float("inf"), 1e30])
-def test_a_kart_that_is_nowhere_sees_the_line_of_its_segment(cases, place):
+def test_a_kart_with_an_invalid_location_can_be_observed(cases, place):
     observed = (case for case in cases["RacingObserver"] if case[2] == "observe")
     args, _, _, (data, road, who, out) = next(observed)
     karts = np.frombuffer(data, KART_DTYPE, len(who), HEADER_DTYPE.itemsize).copy()
@@ -323,7 +323,7 @@ def test_a_kart_that_is_nowhere_sees_the_line_of_its_segment(cases, place):
     )
 
 
-def test_a_plan_for_an_item_beyond_the_nearest_ones_keeps_to_the_road():
+def test_a_plan_for_an_item_out_of_range_ignores_it():
     table, *arguments = random_arguments(0, count=1)
     lost, none = (table._replace(items=np.full_like(table.items, number)) for number in (10**6, -1))
     out = np.empty((2, 3, 1, 4), np.float32)
@@ -337,7 +337,7 @@ def test_a_table_without_rows_is_refused():
         kernel.ActionReader((), (((0.0, -1.0, True, 0, np.zeros(7, np.float32)),),), 7)
 
 
-def test_a_number_may_drop_the_action_that_it_is_part_of():
+def test_a_conversion_can_clear_the_actions():
     class Dropping(int):
         def __float__(self):
             actions.clear()
@@ -351,17 +351,17 @@ def test_a_number_may_drop_the_action_that_it_is_part_of():
     assert controls.tolist() == [1.0, 1.0]
 
 
-def test_choices_with_less_than_no_values_are_refused():
+def test_negative_numbers_of_choices_are_refused():
     joined = np.array([10, -5])
     with pytest.raises(ValueError, match="too few or many values"):
         kernel.KartObserver(("phase", "jumping"), 0, 0, 0, flat=True, joined=joined)
 
 
-def test_names_that_are_no_text_are_refused():
+def test_names_must_be_strings():
     with pytest.raises(ValueError, match="text"):
         kernel.KartObserver((1,))
 
 
-def test_an_entry_that_is_no_tuple_is_refused():
+def test_entries_must_be_tuples():
     with pytest.raises(ValueError, match="an entry is a tuple"):
         kernel.ActionReader((), ((None,),), 7)

@@ -1,4 +1,4 @@
-"""The quick way of reading the engine's world against the attributes, on whole races."""
+"""Fast reading of the engine's world, compared with its attributes in whole races."""
 
 import subprocess
 import sys
@@ -48,19 +48,19 @@ def run(*arguments, program=PROGRAM):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("track", "num_kart"), [("olivermath", 6), ("zengarden", 3)])
-def test_the_block_says_what_the_attributes_say_in_a_whole_race(track, num_kart):
+def test_the_block_matches_the_attributes_in_a_whole_race(track, num_kart):
     program = run(track, str(num_kart))
     assert program.stdout.split()[:2] == ["True", "True"], program.stderr
     assert program.stdout.split()[3] == "True"
 
 
 @pytest.mark.slow
-def test_items_that_come_and_go_are_read():
+def test_a_changing_number_of_items_is_read():
     assert run("olivermath", "6").stdout.split()[2] == "True"
 
 
 @pytest.mark.slow
-def test_an_engine_whose_block_is_laid_out_otherwise_is_read_by_attribute():
+def test_an_engine_with_another_block_layout_is_read_by_attribute():
     program = """
         import sys
         from pathlib import Path

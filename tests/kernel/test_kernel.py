@@ -1,4 +1,4 @@
-"""Each name of the kernel does what its numpy twin does."""
+"""Each name of the kernel matches its NumPy reference implementation."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ from tests.support.bombs import BOMBS, bomb
 pytestmark = pytest.mark.skipif(not IS_COMPILED, reason="nothing was compiled here to compare")
 
 TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
-#: The ground in numpy is slow, and slowest where the track has many triangles.
+#: The ground is slow in NumPy, and most of all on tracks with many triangles. This one has few.
 TRACK_OF_GROUND = "olivermath"
 
 
@@ -89,7 +89,7 @@ MOVING = [
 ]
 
 CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only, *MOVING]
-#: Chains whose observations vary in size.
+#: Chains with observations of variable size.
 LISTS = ["full", "ground", polar_lists, flat_actions_only, MOVING[0]]
 
 
@@ -111,7 +111,7 @@ def assert_close(ours, theirs, path=""):
 
 
 def assert_owned(observations):
-    """What an agent gets is its own, to write into as it likes."""
+    """Asserts that an agent can write into its observation."""
     for observation in observations.values():
         parts = observation if isinstance(observation, dict) else {"": observation}
         for key, value in parts.items():
@@ -123,7 +123,7 @@ def assert_owned(observations):
 
 @pytest.fixture
 def numpy_only(monkeypatch):
-    """A switch that makes everything made from then on with the twins."""
+    """Returns a function that makes all later objects use the reference implementations."""
 
     def turn_off():
         for user, names in USERS.items():
@@ -160,14 +160,14 @@ USERS = {
 }
 
 
-def test_every_name_has_a_twin_that_is_tested():
+def test_every_name_has_a_tested_reference_implementation():
     stub = Path(kernel.__file__).with_name("_kernel.pyi").read_text()
     assert sorted(kernel._TWINS) == sorted(re.findall(r"^(?:class|def) (\w+)", stub, re.M))
     assert {*(name for names in USERS.values() for name in names), "layouts"} == set(kernel._TWINS)
 
 
 @pytest.mark.parametrize("name", [name for name in kernel._TWINS if name != "layouts"])
-def test_a_twin_takes_what_the_stub_says(name):
+def test_a_reference_implementation_has_the_stubs_signature(name):
     twin = importlib.import_module(f"stkzoo.kernel.reference.{kernel._TWINS[name]}")
     stub = ast.parse((Path(kernel.__file__).parent / "_kernel.pyi").read_text())
     (node,) = (node for node in stub.body if getattr(node, "name", None) == name)
@@ -176,7 +176,7 @@ def test_a_twin_takes_what_the_stub_says(name):
         is_new = function.name == "__new__"
         made = getattr(twin, name)
         if node is not function:
-            if function.name == "serve":  # C alone: it takes steps without Python
+            if function.name == "serve":  # in C only: it takes steps without Python
                 continue
             made = made.__init__ if is_new else getattr(made, function.name)
         theirs = [argument.arg for argument in function.args.args]
@@ -255,7 +255,9 @@ def test_rows_are_the_same_with_and_without_the_kernel(view, track, numpy_only):
 @pytest.mark.parametrize("normalize_act", [False, True])
 @pytest.mark.parametrize("steering", ["steering_angle", "steering_speed"])
 @pytest.mark.parametrize("longitudinal", ["speed", "accl"])
-def test_a_car_is_driven_as_in_numpy(longitudinal, steering, normalize_act, lag):
+def test_the_car_controller_matches_its_reference_implementation(
+    longitudinal, steering, normalize_act, lag
+):
     car = CarAction((longitudinal, steering), {"T_steer": lag}, normalize=normalize_act)
     controller = car.new_controller(CONTROLS)
     twin = car_controller.CarController(car.act, (), (), None, (0, 1, 2), 7)
@@ -278,7 +280,7 @@ def test_a_car_is_driven_as_in_numpy(longitudinal, steering, normalize_act, lag)
         assert ours.tolist() == theirs.tolist()
 
 
-def test_a_controller_checks_what_it_is_given():
+def test_a_controller_checks_its_arguments():
     controller = CarAction().new_controller(CONTROLS)
     snapshot = Snapshot.of(
         np.zeros((), HEADER_DTYPE), np.zeros(1, KART_DTYPE), np.zeros(0, ITEM_DTYPE)
@@ -302,8 +304,8 @@ SIZES = {"state_items": 3, "state_karts": 1, "state_paths": 7, "add_mask": True}
 @pytest.mark.parametrize(
     "view", [*VIEWS, ("flattened", SIZES), ("box_discrete", SIZES | {"steer_steps": 3}), *MOVING]
 )
-def test_a_compiled_view_shows_what_its_wrappers_make(view):
-    """The same race, seen by the kernel and by the wrappers one by one."""
+def test_a_compiled_view_matches_its_wrappers(view):
+    """Compares the view in one race, made by the kernel and by the individual wrappers."""
     settings = {"num_kart": 3, "track": "lighthouse", "max_cycles": 40}
     seen = base_space(find_view(view))
     base = full_with(extras_of(seen))
@@ -319,7 +321,7 @@ def test_a_compiled_view_shows_what_its_wrappers_make(view):
 
 
 def full_of(env):
-    """The identity of the plan of an agent in the full view."""
+    """Returns the identity of an agent's plan for the full view."""
     return env._chains._identities["kart_1"]
 
 
@@ -343,8 +345,8 @@ def test_the_racing_view_is_the_same_with_and_without_the_kernel(track):
 
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
-def test_the_racing_view_is_the_same_wherever_things_are(seed):
-    """Karts and items anywhere, in any state, many of them at the same place."""
+def test_the_racing_view_is_the_same_for_random_snapshots(seed):
+    """Karts and items are anywhere and in any state, and many of them share a place."""
     random = np.random.default_rng(seed)
     karts, items = np.zeros(9, KART_DTYPE), np.zeros(12, ITEM_DTYPE)
     for things in (karts, items):
@@ -368,7 +370,7 @@ def test_the_racing_view_is_the_same_wherever_things_are(seed):
 
 
 def seen_by_twin(snapshot, table, who):
-    """The view of some karts and their surroundings, by the twin."""
+    """Returns the view and the surroundings of some karts from the reference implementation."""
     roads = ((table.lines, table.starts, table.along),)
     twin = RacingObserverTwin(roads, *KERNEL_TABLES)
     view = np.empty((len(who), SIZE), np.float32)
@@ -381,7 +383,7 @@ def seen_by_twin(snapshot, table, who):
 
 
 def road_of(random):
-    """A table of one segment, of no length in one case of four, before a winding line."""
+    """Returns a road table with a winding line and one segment, which may have length 0."""
     road = RoadTable.__new__(RoadTable)
     road.length = 100.0
     steps = random.normal([0.0, 0.0, 2.0, 0.0], 0.6, (1, NUM_POINTS, 4))
@@ -394,7 +396,7 @@ def road_of(random):
 @pytest.mark.slow
 @pytest.mark.parametrize("reward", ["race", "reference", "placement", {"place": 0.5, "time": 3}])
 def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
-    """One lap of the game's AI, in which karts finish and leave."""
+    """Runs one lap of the game's AI, in which karts finish and leave."""
 
     def race():
         from stkzoo.config import AgentSpec
@@ -425,7 +427,7 @@ def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
     ids=["tuple", "row", "part of a row", "block", "memoryview"],
 )
 @pytest.mark.parametrize("key", ["paths_start", "paths_width", "items_position"])
-def test_what_is_kept_of_an_observation_never_changes(keep, key):
+def test_kept_observations_never_change(keep, key):
     with contextlib.closing(race_v0.parallel_env(num_kart=2, track="lighthouse")) as env:
         observations, _ = env.reset(seed=3)
         kept, copies = [], []
@@ -439,7 +441,7 @@ def test_what_is_kept_of_an_observation_never_changes(keep, key):
         assert not np.shares_memory(observations["kart_0"][key][0], observations["kart_1"][key][0])
 
 
-def test_rows_that_were_bent_are_not_used_again():
+def test_modified_rows_are_not_reused():
     with contextlib.closing(race_v0.parallel_env(num_kart=1, track="lighthouse")) as env:
         observations, _ = env.reset(seed=3)
         shapes = {}
@@ -454,7 +456,7 @@ def test_rows_that_were_bent_are_not_used_again():
         assert shapes == {(3,)}
 
 
-def test_custom_wrappers_and_terms_do_without():
+def test_custom_wrappers_and_terms_work_without_the_kernel():
     class Mine(PolarObservations):
         pass
 
@@ -468,7 +470,7 @@ def test_custom_wrappers_and_terms_do_without():
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_bad_actions_are_refused_as_without_the_kernel(view):
+def test_bad_actions_are_refused(view):
     env = race_v0.parallel_env(num_kart=2, track="lighthouse", view=view)
     env.reset(seed=0)
     good = {a: env.action_space(a).sample() for a in env.agents}
@@ -480,7 +482,7 @@ def test_bad_actions_are_refused_as_without_the_kernel(view):
 
 
 def fuzzed(random, value):
-    """A value that is near to a good one."""
+    """Returns a value that is close to a valid one."""
     if isinstance(value, dict):
         key = random.choice(list(value))
         return {**value, key: fuzzed(random, value[key])}
@@ -499,8 +501,8 @@ def fuzzed(random, value):
 
 
 @pytest.mark.parametrize("view", [view for view in VIEWS if "control" not in view])
-def test_an_action_is_read_as_its_wrappers_turn_it(view):
-    """Whatever the kernel takes, its twin and the wrappers take too, with the same controls."""
+def test_actions_are_read_as_by_the_wrappers(view):
+    """The reference implementation and the wrappers give the same controls for accepted actions."""
     env = race_v0.parallel_env(num_kart=1, track="lighthouse", view=view)
     chains, space = env._chains, env.action_space("kart_0")
     chain = AgentChain("kart_0", *bare_spaces(view), ALL_VIEWS[view])
@@ -528,7 +530,7 @@ def bare_spaces(view):
     return kart_observation_space(extras=[view] if view == "ground" else []), kart_action_space()
 
 
-def test_a_batch_of_actions_is_read_as_in_numpy():
+def test_batches_of_actions_match_the_reference_implementation():
     random = np.random.default_rng(0)
     table = random.normal(size=(4, 2)).astype(np.float32)
     leaves = (
@@ -559,7 +561,7 @@ def track_of(successors, length=20.0, count=None):
     return TrackGraph(*arrays, begins, ends, length)
 
 
-#: Of a StepScorer of one agent alone: karts, rows, last, sums, keys.
+#: Arguments of a ``StepScorer`` with one agent.
 ALONE = (
     ("kart_0",),
     np.zeros(1, np.intp),
@@ -571,11 +573,11 @@ ALONE = (
 )
 
 
-def scorer_of(*, alone=ALONE, rewards=(), events=np.zeros((1, 0))):  # noqa: B008 - never written
+def scorer_of(*, alone=ALONE, rewards=(), events=np.zeros((1, 0))):  # noqa: B008 - read only
     return StepScorer(*alone, rewards, events)
 
 
-def test_the_kernel_checks_what_it_is_given():
+def test_the_kernel_checks_its_arguments():
     numbers = np.zeros(3, np.intp)
     one = np.zeros(1, np.intp)
     snapshot = Snapshot.of(
@@ -667,7 +669,7 @@ def test_an_observer_checks_a_batch():
 
 @pytest.mark.parametrize("name", ["items_type", "paths_start", "action"])
 @pytest.mark.parametrize("made", [KartObserver, KartObserverTwin])
-def test_what_varies_in_size_has_no_rows(made, name):
+def test_entries_of_variable_size_have_no_rows(made, name):
     with pytest.raises(ValueError, match=f"{name} has no row"):
         made((name,)).observe_into(track_of([[0]]), 1, ("tux",), KARTS, FIRST, FIRST, {name: []})
 
@@ -726,7 +728,7 @@ def test_a_reader_checks_a_batch():
             reader.read_batch(actions, 3, slots, where, controls)
 
 
-def test_a_counter_checks_what_it_is_given():
+def test_a_counter_checks_its_arguments():
     nodes = np.zeros((1, 2, 3), np.float32)
     memory, counts = np.zeros((1, 9)), np.zeros((1, 10))
     counter = EventCounter(nodes, 0.1, memory, counts)
@@ -768,7 +770,7 @@ def test_a_counter_checks_what_it_is_given():
         {"events": np.zeros((0, 0))},
     ],
 )
-def test_a_scorer_checks_what_it_is_given(wrong):
+def test_a_scorer_checks_its_arguments(wrong):
     scorer_of()
     with pytest.raises(ValueError, match="do not fit"):
         scorer_of(**wrong)
@@ -812,7 +814,7 @@ def test_a_scorer_checks_arrays():
 
 
 def twin_of(track):
-    """The same graph in numpy."""
+    """Returns the reference implementation of the same graph."""
     begins = np.cumsum([0, *map(len, track.successors)]).astype(np.intp)
     ends = np.array([node for nodes in track.successors for node in nodes], np.intp)
     arrays = track.path_nodes, track.path_width, track.path_distance, begins, ends
@@ -848,7 +850,7 @@ def test_the_order_ahead_is_the_same_on_any_graph(successors):
         assert track.graph.ahead(node).tolist() == twin_of(track).ahead(node).tolist()
 
 
-def test_the_engine_is_read_as_its_attributes_say():
+def test_the_snapshot_matches_the_engines_attributes():
     agents = [AgentSpec(use_ai=True), AgentSpec(), AgentSpec()]
     env = race_v0.parallel_env(agents=agents, num_kart=4, track="lighthouse", use_subprocess=False)
     env.reset(seed=0)
@@ -857,7 +859,7 @@ def test_the_engine_is_read_as_its_attributes_say():
         race._race, race._world, [], CONTROLS, race._phases, 3, race._reporting
     )
     assert not isinstance(race._stepper, game_stepper.GameStepper)
-    for _ in range(45):  # over all phases
+    for _ in range(45):  # in all phases
         env.step({a: env.action_space(a).sample() for a in env.agents})
         assert twin.read(True) == env.snapshot.data
     with pytest.raises(ValueError, match="bytes of controls"):
@@ -867,7 +869,7 @@ def test_the_engine_is_read_as_its_attributes_say():
     env.close()
 
 
-def test_an_engine_without_the_kernel_steps_the_same(numpy_only):
+def test_a_race_without_the_kernel_has_the_same_snapshots(numpy_only):
     def race():
         env = race_v0.parallel_env(num_kart=3, track="lighthouse", use_subprocess=False)
         env.reset(seed=0)
@@ -895,7 +897,7 @@ def test_an_engine_without_the_kernel_steps_the_same(numpy_only):
         (np.zeros(0), np.zeros(0)),
     ],
 )
-def test_rows_are_joined_as_in_numpy(parts):
+def test_joined_rows_match_the_reference_implementation(parts):
     assert join_rows(parts) == rows.join_rows(parts)
 
 
@@ -907,7 +909,7 @@ def measured(measure, data, limits=(16, 8192, 1 << 17, 1 << 21)):
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_bombs_are_measured_as_in_python(name):
+def test_measured_bombs_match_the_reference_implementation(name):
     for length in (8, 100, 5000, 70_000):
         data = bomb(name, length)
         assert measured(measure_message, data) == measured(messages.measure_message, data)
@@ -915,14 +917,14 @@ def test_bombs_are_measured_as_in_python(name):
 
 @settings(deadline=None, max_examples=1000)
 @given(st.sampled_from(list(BOMBS)), st.integers(1, 300), st.data())
-def test_damaged_messages_are_measured_as_in_python(name, length, data):
+def test_measured_damaged_messages_match_the_reference_implementation(name, length, data):
     good = bomb(name, length)[:400]
     place = data.draw(st.integers(0, len(good)))
     bad = good[:place] + data.draw(st.binary(max_size=6)) + good[place + 1 :]
     assert measured(measure_message, bad) == measured(messages.measure_message, bad)
 
 
-def test_both_refuse_what_the_twin_refuses():
+def test_both_implementations_refuse_invalid_arguments():
     for make in (KartObserver, KartObserverTwin):
         with pytest.raises(ValueError, match="no entry"):
             make(("colour",))

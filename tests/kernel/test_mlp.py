@@ -1,4 +1,4 @@
-"""Networks, by the kernel, by its numpy twin and by PyTorch."""
+"""Networks in the kernel, compared with the reference implementation and PyTorch."""
 
 import copy
 import itertools
@@ -38,7 +38,7 @@ def evaluated(network, inputs, outputs=SIZES[-1]):
 
 @pytest.mark.parametrize("is_tanh", [True, False])
 @pytest.mark.parametrize("count", [0, 1, 3, 4, 9, 40])
-def test_the_kernel_evaluates_a_network_as_its_twin(is_tanh, count):
+def test_the_kernel_matches_the_reference_implementation(is_tanh, count):
     layers, inputs = layers_of(count), inputs_of(count, count)
     ours = evaluated(kernel.Mlp(layers, is_tanh), inputs)
     theirs = evaluated(mlp.Mlp(layers, is_tanh), inputs)
@@ -46,7 +46,7 @@ def test_the_kernel_evaluates_a_network_as_its_twin(is_tanh, count):
 
 
 @pytest.mark.parametrize("network", [kernel.Mlp, mlp.Mlp])
-def test_a_network_has_the_outputs_of_torch(network):
+def test_outputs_match_pytorch(network):
     torch = pytest.importorskip("torch")
     layers, inputs = layers_of(1), inputs_of(2, 30)
     x = torch.from_numpy(inputs[:, : SIZES[0]])
@@ -57,14 +57,14 @@ def test_a_network_has_the_outputs_of_torch(network):
 
 @pytest.mark.parametrize("network", [kernel.Mlp, mlp.Mlp])
 @pytest.mark.parametrize("is_tanh", [True, False])
-def test_a_row_of_a_batch_has_the_bits_that_it_has_alone(network, is_tanh):
+def test_a_row_does_not_depend_on_its_batch(network, is_tanh):
     network, inputs = network(layers_of(3), is_tanh), inputs_of(4, 11)
     alone = [evaluated(network, inputs[[row]]) for row in range(len(inputs))]
     np.testing.assert_array_equal(evaluated(network, inputs), np.concatenate(alone))
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda n: pickle.loads(pickle.dumps(n))])
-def test_copies_and_pickles_of_a_network_have_its_outputs(duplicate):
+def test_copies_and_pickles_have_the_same_outputs(duplicate):
     network, inputs = kernel.Mlp(layers_of(5), True), inputs_of(6, 3)
     np.testing.assert_array_equal(evaluated(duplicate(network), inputs), evaluated(network, inputs))
 

@@ -1,4 +1,4 @@
-"""What drivers remember, by the kernel and by its numpy twin."""
+"""The memory of drivers in the kernel, compared with the NumPy reference implementation."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def write_arguments(seed, count=200):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_kernel_ages_a_memory_as_its_twin(seed):
+def test_age_memory_matches_the_reference_implementation(seed):
     rules, memory, *rest = age_arguments(seed)
     ours, theirs = memory.copy(), memory.copy()
     kernel.age_memory(rules, ours, *rest)
@@ -46,7 +46,7 @@ def test_the_kernel_ages_a_memory_as_its_twin(seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_kernel_writes_a_memory_as_its_twin(seed):
+def test_write_memory_matches_the_reference_implementation(seed):
     rules, memory, out, first = write_arguments(seed)
     ours, theirs = out.copy(), out.copy()
     kernel.write_memory(rules, memory, ours, first)
@@ -56,14 +56,14 @@ def test_the_kernel_writes_a_memory_as_its_twin(seed):
 
 
 @pytest.mark.parametrize("first", [-1, 4, 2**40])
-def test_a_memory_is_not_written_beyond_a_row(first):
+def test_write_memory_does_not_write_beyond_a_row(first):
     rules, memory, out, _ = write_arguments(0)
     with pytest.raises(ValueError, match="too short"):
         kernel.write_memory(rules, memory, out, first)
 
 
 @pytest.mark.parametrize(("place", "size"), [(0, 3), (1, 7), (2, 5), (3, 1)])
-def test_a_memory_refuses_arrays_that_do_not_fit(place, size):
+def test_age_memory_refuses_arrays_that_do_not_fit(place, size):
     arguments = list(age_arguments(0, count=2))
     arguments[place] = np.zeros(size, arguments[place].dtype)
     with pytest.raises(ValueError, match=r"fit|must be"):

@@ -1,4 +1,4 @@
-"""What plans depend on and what a policy sees of them, by the kernel and by its numpy twin."""
+"""Inputs of plans and policies in the kernel, compared with the NumPy reference implementation."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is no
 
 
 def winding_road(chance, count):
-    """Roads that bend more and more; some turn by more than half a circle."""
+    """Returns winding roads; some turn by more than half a circle."""
     bends = chance.uniform(-0.03, 0.03, (count, 1)) * chance.choice([1, 2, 6], (count, 1))
     angles = chance.uniform(-0.5, 0.5, (count, 1)) + bends * MARK_SPACING * np.arange(
         MARK_COUNT + 1
@@ -51,7 +51,7 @@ def memory_of(chance, count):
 
 
 def scene_arguments(seed, count=60, num_karts=6, num_items=14, rivals=RIVALS):
-    """Karts among others and among items, which they partly saw in the step before."""
+    """Returns arguments for karts among rivals, some of which they saw in the previous step."""
     chance = np.random.default_rng(seed)
     line, own = winding_road(chance, count), own_of(chance, count)
     karts, items = (
@@ -80,7 +80,7 @@ def scene_arguments(seed, count=60, num_karts=6, num_items=14, rivals=RIVALS):
 
 
 def surveyed(survey, arguments):
-    """What it writes, by name."""
+    """Returns the arrays that a survey writes, by name."""
     *given, around, before, now, out = arguments
     line, headings, *rest = around
     headings, now, out = headings.copy(), [a.copy() for a in now], [a.copy() for a in out]
@@ -95,7 +95,7 @@ def surveyed(survey, arguments):
     ids=str,
 )
 @pytest.mark.parametrize("seed", range(8))
-def test_the_kernel_surveys_as_its_twin(seed, sizes):
+def test_survey_road_matches_the_reference_implementation(seed, sizes):
     arguments = scene_arguments(seed, **sizes)
     ours = surveyed(kernel.survey_road, arguments)
     theirs = surveyed(plan_viewer.survey_road, arguments)
@@ -104,7 +104,7 @@ def test_the_kernel_surveys_as_its_twin(seed, sizes):
     assert (np.abs(np.diff(theirs["headings"], axis=1)) < np.pi).all()
 
 
-def test_other_karts_may_be_left_out():
+def test_rivals_can_be_left_out():
     arguments = scene_arguments(0, rivals=0)
     ours = surveyed(kernel.survey_road, arguments)
     theirs = surveyed(plan_viewer.survey_road, arguments)
@@ -113,7 +113,7 @@ def test_other_karts_may_be_left_out():
 
 
 def present_arguments(seed, count=60, width=INPUT_SIZE):
-    """The plans' worth as karts have it."""
+    """Returns arguments with random values of plans."""
     chance = np.random.default_rng(seed)
     best = chance.normal([[[30]], [[0]], [[1]]], [[[20]], [[0.5]], [[1]]], (3, count, 4))
     best[0, chance.random((count, 4)) < 0.3] = -1e4
@@ -136,7 +136,7 @@ def present_arguments(seed, count=60, width=INPUT_SIZE):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_kernel_presents_plans_as_its_twin(seed):
+def test_present_plans_matches_the_reference_implementation(seed):
     *given, prior, inputs, first = present_arguments(seed)
     ours, theirs = (prior.copy(), inputs.copy()), (prior, inputs)
     kernel.present_plans(*given, *ours, first)
@@ -167,7 +167,7 @@ def test_the_prior_needs_no_inputs():
         (7, (), TypeError),
     ],
 )
-def test_a_survey_refuses_arrays_that_do_not_fit(place, value, error):
+def test_survey_road_refuses_arrays_that_do_not_fit(place, value, error):
     arguments = list(scene_arguments(0, count=2))
     arguments[place] = value
     with pytest.raises(error):
@@ -175,7 +175,7 @@ def test_a_survey_refuses_arrays_that_do_not_fit(place, value, error):
 
 
 @pytest.mark.parametrize("first", [-1, INPUT_SIZE, 2**40])
-def test_plans_are_not_presented_beyond_a_row(first):
+def test_present_plans_does_not_write_beyond_a_row(first):
     *arguments, _ = present_arguments(0)
     with pytest.raises(ValueError, match="too short"):
         kernel.present_plans(*arguments, first)

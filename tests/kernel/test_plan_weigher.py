@@ -1,4 +1,4 @@
-"""Plans driven over a road, and weighed by the kernel and by its numpy twin."""
+"""Evaluation of plans in the kernel, compared with the NumPy reference implementation."""
 
 import numpy as np
 import pytest
@@ -41,13 +41,13 @@ def right_bend():
 
 
 class Ways:
-    """Where the plans of one kart lead, by the numpy twin; plans that do not exist are left out.
+    """The available plans of one kart and their paths, from the reference implementation.
 
     Args:
         road: the road.
-        changes: lanes between which plans change.
+        changes: number of lanes between which plans change.
         state: drift side, drift steps and release steps.
-        items: how far across the road the next good items are [m].
+        items: distances of the next good items across the road [m].
         motion: the network of the karts' motion, or nothing.
     """
 
@@ -85,22 +85,22 @@ class Ways:
 
     @property
     def free(self):
-        """Plans without drift, brake or item."""
+        """Mask of the plans without a drift, brake or item."""
         return (self.boosts < 0) & (self.manoeuvres != BRAKE) & (self.items < 0)
 
     @property
     def kept(self):
-        """Of these, those that keep to a lane."""
+        """Mask of the free plans that keep to one lane."""
         return self.free & (self.lanes[0] == self.lanes[-1])
 
 
-def test_a_plan_gets_to_its_lane_and_stays_on_the_road():
+def test_a_plan_reaches_its_lane_and_stays_on_the_road():
     ways = Ways(straight_road(offset=-2.0))
     assert ways.across[-1, ways.kept] == pytest.approx(5.0 * ways.lanes[0, ways.kept], abs=0.6)
     assert np.abs(ways.across[:, ways.free]).max() < 5.5
 
 
-def test_a_plan_may_change_its_lane_on_the_way():
+def test_a_plan_can_change_its_lane():
     ways = Ways(straight_road())
     changes = ways.free & (ways.lanes[0] < -0.5) & (ways.lanes[-1] > 0.5)
     assert changes.any()
@@ -108,7 +108,7 @@ def test_a_plan_may_change_its_lane_on_the_way():
     assert (ways.across[-1, changes] > 3.0).all()
 
 
-def test_a_plan_gets_to_its_item():
+def test_a_plan_reaches_its_item():
     ways = Ways(straight_road(), items=(3.3, -1.7))
     for item, across in enumerate((3.3, -1.7)):
         chosen = (ways.items == item) & (ways.boosts < 0) & (ways.manoeuvres != BRAKE)
@@ -117,20 +117,20 @@ def test_a_plan_gets_to_its_item():
     assert ways.along[-1].max() == pytest.approx(SPEED * spans.sum(), rel=0.02)
 
 
-def test_the_inner_side_of_a_bend_is_the_shorter_way():
+def test_the_inner_side_of_a_bend_is_shorter():
     ways = Ways(right_bend())
     along = ways.along[-1, ways.kept][np.argsort(ways.lanes[0, ways.kept])]
     assert along[-1] > along[len(along) // 2] > along[0]
 
 
-def test_brakes_cost_way():
+def test_brakes_cost_distance():
     ways = Ways(straight_road())
     brakes = ways.manoeuvres == BRAKE
     assert ways.along[-1, brakes].max() < ways.along[-1, ~brakes].min()
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_drift_turns_at_least_so_much(side):
+def test_a_drift_keeps_to_its_range_of_turns(side):
     ways = Ways(straight_road(), state=(side, 3, 0))
     turns = ways.turns[ways.drifts[0]] * side
     assert len(turns)
@@ -138,7 +138,7 @@ def test_a_drift_turns_at_least_so_much(side):
     assert (turns <= DRIFT_TURN[1] + 1e-6).all()
 
 
-def test_the_network_knows_that_boosts_are_faster_and_brakes_slower():
+def test_in_the_network_boosts_are_faster_and_brakes_are_slower():
     ways = Ways(straight_road(), state=(1, 11, 0), motion=learned_motion())
     boosted = ways.free & (ways.lanes[0] == 0)  # ends a drift that has earned a boost
     assert ways.along[-1, ways.boosts == 0].max() > SPEED * 2.0
@@ -155,7 +155,7 @@ def test_the_network_drifts_to_the_side_of_the_drift(side):
 
 
 def random_arguments(seed, count=9, motion=()):
-    """Karts in all states, between items and rivals, on roads that bend."""
+    """Returns arguments for karts in all states, between items and rivals, on winding roads."""
     chance = np.random.default_rng(seed)
     rules = plan_rules(RULES).costs
 
@@ -189,7 +189,7 @@ def random_arguments(seed, count=9, motion=()):
 
 @pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize("seed", range(20))
-def test_the_kernel_weighs_as_its_twin(seed):
+def test_weigh_plans_matches_the_reference_implementation(seed):
     arguments = random_arguments(seed)
     ours, theirs = weighed_by_both(arguments)
     np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-4)
@@ -197,15 +197,15 @@ def test_the_kernel_weighs_as_its_twin(seed):
 
 @pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize("seed", range(20))
-def test_the_kernel_drives_by_the_network_as_its_twin(seed):
+def test_weigh_plans_with_the_network_matches_the_reference_implementation(seed):
     ours, theirs = weighed_by_both(random_arguments(seed, motion=learned_motion()))
     np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-4, atol=1e-2)
-    # where two plans are worth the same to the last digits, either may be the best
+    # if two plans have nearly the same value, either may be the best
     assert np.isclose(ours[1:], theirs[1:], rtol=1e-3, atol=1e-2).mean() > 0.95
 
 
 def weighed_by_both(arguments):
-    """The results of the kernel and of its twin."""
+    """Returns the results of the kernel and of the reference implementation."""
     ours, theirs = (np.empty((3, len(arguments[3]), 4), np.float32) for _ in range(2))
     kernel.weigh_plans(*arguments, ours)
     plan_weigher.weigh_plans(*arguments, theirs)
@@ -214,7 +214,7 @@ def weighed_by_both(arguments):
 
 @pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
 @pytest.mark.parametrize("weigh", [kernel.weigh_plans, plan_weigher.weigh_plans])
-def test_a_kart_is_weighed_alone_as_among_others(weigh, motion):
+def test_results_do_not_depend_on_the_batch(weigh, motion):
     table, rules, _, *of_karts = random_arguments(0)
     together = np.empty((3, len(of_karts[0]), 4), np.float32)
     weigh(table, rules, motion, *of_karts, together)
@@ -242,7 +242,7 @@ def test_a_kart_is_weighed_alone_as_among_others(weigh, motion):
         (8, np.zeros((3, 1, 4)), TypeError),
     ],
 )
-def test_the_kernel_refuses_arrays_that_do_not_fit(place, value, error):
+def test_weigh_plans_refuses_arrays_that_do_not_fit(place, value, error):
     arguments = [*random_arguments(0, count=1), np.empty((3, 1, 4), np.float32)]
     arguments[place] = value
     with pytest.raises(error):

@@ -1,4 +1,4 @@
-"""The road ahead in its own coordinates."""
+"""The road ahead in its own coordinates: along, across and above."""
 
 import math
 
@@ -22,26 +22,26 @@ def right_bend():
     return road_of(RADIUS * (1 - np.cos(way)), RADIUS * np.sin(way))
 
 
-def test_a_bend_to_the_right_is_curved_to_the_right():
+def test_a_bend_to_the_right_has_positive_curvature():
     assert right_bend().curvature[0, 2:20] == pytest.approx(1 / RADIUS, rel=0.05)
 
 
-def test_spots_are_found_along_and_across_the_road():
+def test_places_are_converted_to_road_coordinates():
     turn = 0.5
     spot = [RADIUS - (RADIUS - 3) * math.cos(turn), 1.0, (RADIUS - 3) * math.sin(turn)]
     places = right_bend().place(np.array([[spot]], np.float32))
     assert places.along[0, 0] == pytest.approx(turn * RADIUS, abs=0.5)
-    assert places.across[0, 0] == pytest.approx(3.0, abs=0.1)  # the inner side
+    assert places.across[0, 0] == pytest.approx(3.0, abs=0.1)  # on the inner side
     assert places.above[0, 0] == pytest.approx(1.0)
 
 
-def test_the_road_knows_where_the_kart_is():
+def test_the_offset_is_the_karts_place_across_the_road():
     straight = road_of(-2.5, LINE_MARKS)
     assert straight.offset[0] == pytest.approx(2.5)
     assert straight.bends(np.array([30.0]))[0] == pytest.approx(np.zeros(MARK_COUNT))
 
 
-def test_straightness_is_the_most_that_the_road_turns():
+def test_straightness_is_the_largest_turn_of_the_road():
     assert road_of(0.0, LINE_MARKS).straightness(np.array([30.0]))[0] == 0
     turned = right_bend().straightness(np.array([30.0]))[0]
     assert turned == pytest.approx(30.0 / RADIUS, abs=0.1)

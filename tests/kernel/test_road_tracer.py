@@ -1,4 +1,4 @@
-"""Lines ahead of karts, by the kernel and by its numpy twin."""
+"""Road lines ahead of karts in the kernel, compared with the NumPy reference implementation."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is no
 
 
 def segments(chance, count):
-    """Segments ahead of a kart, some with gaps, with a fork, or of no length."""
+    """Returns segments ahead of a kart, some with gaps, with a fork, or of length 0."""
     steps = chance.normal([0, 0, 8], [3, 1, 5], (count, 3))
     steps[chance.random(count) < 0.1] = 0
     ends = np.cumsum(steps, axis=0)
@@ -40,7 +40,7 @@ def traced(trace, roads):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_kernel_traces_roads_as_its_twin(seed):
+def test_trace_roads_matches_the_reference_implementation(seed):
     roads = roads_of(seed)
     ours, theirs = traced(kernel.trace_roads, roads), traced(road_tracer.trace_roads, roads)
     for own, other in zip(ours, theirs, strict=True):
@@ -52,7 +52,7 @@ def test_the_kernel_traces_roads_as_its_twin(seed):
 
 
 @pytest.mark.parametrize("form", [tuple, list, np.float64])
-def test_segments_come_as_arrays_and_as_sequences(form):
+def test_segments_can_be_arrays_or_sequences(form):
     roads = roads_of(0)
     others = tuple(tuple(form(array) for array in part) for part in roads)
     for own, other in zip(
@@ -73,7 +73,7 @@ def test_vectors_are_stacked_and_padded():
 @pytest.mark.parametrize(
     "starts", [(np.zeros((4, 2), "f4"),), ((np.zeros(2),),), ((None,),), (3,), (np.zeros((3, 3)),)]
 )
-def test_segments_of_another_form_are_refused(starts):
+def test_segments_of_another_shape_are_refused(starts):
     ends, widths = (np.zeros((4, 3), "f4"),), (np.zeros((4, 1), "f4"),)
     with pytest.raises((TypeError, ValueError)):
         traced(kernel.trace_roads, (starts, ends, widths))
