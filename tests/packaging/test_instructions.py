@@ -1,6 +1,6 @@
 """Every install instruction works from a checkout or a wheel, in an empty environment.
 
-pip resolves and does not install: the libraries take gigabytes.
+pip resolves the requirements without installing them, because the libraries take gigabytes.
 """
 
 import ast
@@ -29,7 +29,7 @@ PROGRAM = "import runpy; print(runpy.run_path('stkzoo/_installation.py')['instal
 
 
 def instructions():
-    """Each install command of the documentation and of docstrings, with the file that has it."""
+    """Returns the install commands in the documentation and in docstrings, with their files."""
     found = {}
     for path in [*TEXTS, *CODE]:
         text = path.read_text("utf-8").replace('\\"', '"')
@@ -41,11 +41,11 @@ def instructions():
 
 
 def run(command, folder, python, **variables):
-    """Runs a command line of bash with an environment's programs and an empty home."""
+    """Runs a bash command line with an environment's programs and an empty home folder."""
     settings = {k: v for k, v in os.environ.items() if k.startswith(("PIP_", "SSL_", "REQUESTS_"))}
     programs = os.pathsep.join([str(python.parent), "/usr/bin", "/bin"])
     home = str(folder.parent / "home")
-    # Metadata alone is wanted: a compiler that fails makes a build without the kernel, at once.
+    # Only metadata is needed. A failing compiler makes a fast build without the kernel.
     quick = {"PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "CC": "false"}
     done = subprocess.run(
         ["bash", "-c", command],
@@ -60,7 +60,7 @@ def run(command, folder, python, **variables):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A checkout with a built wheel, and the Python of an environment with pip alone."""
+    """Builds a wheel in a copy of the checkout; returns the copy and an environment's Python."""
     checkout = copy_checkout(tmp_path_factory.mktemp("instructions") / "stkzoo")
     (checkout.parent / "home").mkdir()
     venv.create(checkout.parent / "env", with_pip=True, symlinks=True)
@@ -76,7 +76,7 @@ def place(tmp_path_factory):
     return checkout, python
 
 
-def test_instructions_are_found_and_none_asks_an_index_for_stkzoo():
+def test_instructions_do_not_install_stkzoo_from_an_index():
     found = instructions()
     assert len(found) > 12
     assert {"pip install .", 'pip install ".[sb3]"'} <= set(found)
@@ -96,7 +96,7 @@ def test_messages_name_extras_that_exist():
     assert named <= set(EXTRAS)
 
 
-def test_the_repository_has_one_address():
+def test_the_repository_url_is_the_same_everywhere():
     address_of_any = re.compile(r"https?://git(?:hub|lab)\.com/[\w.-]+/stkzoo\b")
     for path in [*TEXTS, ROOT / "CITATION.cff", ROOT / "docs" / "conf.py"]:
         for address in address_of_any.findall(path.read_text("utf-8")):
@@ -110,7 +110,7 @@ def test_the_repository_has_one_address():
 def test_every_instruction_works(place):
     checkout, python = place
     for command, page in instructions().items():
-        # A container's recipe copies the wheel to /tmp.
+        # The container's recipe copies the wheel to /tmp.
         here = command.replace("/tmp/", "")
         code, said = run(here, checkout, python, PIP_DRY_RUN="1", PIP_NO_DEPS="1")
         assert code == 0, (page, command, said)
@@ -120,9 +120,9 @@ def test_every_instruction_works(place):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("extra", ["all", "rllib"])
-def test_the_libraries_of_extras_are_found_together(place, extra):
+def test_the_libraries_of_extras_can_be_installed_together(place, extra):
     checkout, python = place
-    # torch counts as installed, as after the first step of the install guide.
+    # Pretend that torch is installed, as after the first step of the install guide.
     (site,) = python.parent.parent.glob("lib/python*/site-packages")
     info = site / "torch-2.13.0.dist-info"
     info.mkdir(exist_ok=True)
@@ -136,7 +136,7 @@ def test_the_libraries_of_extras_are_found_together(place, extra):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("source", [".", "stkzoo-*.whl", "-e ."])
-def test_the_command_of_a_message_works(place, source):
+def test_the_install_command_in_messages_works(place, source):
     checkout, python = place
     code, said = run(f"pip install --quiet --no-deps {source}", checkout, python)
     assert code == 0, said

@@ -1,4 +1,4 @@
-"""The wheel and the source distribution, and the package as others see it."""
+"""The wheel, the source distribution, and the installed package."""
 
 import re
 import subprocess
@@ -53,7 +53,7 @@ def run(words, **options):
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The folder with a wheel that was made from the source distribution, and that itself."""
+    """Builds the source distribution, and a wheel from it; returns their folder."""
     folder = tmp_path_factory.mktemp("dist")
     copy = copy_checkout(tmp_path_factory.mktemp("source") / "stkzoo")
     code, said = run(
@@ -65,7 +65,7 @@ def built(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(built, tmp_path_factory):
-    """The Python of a fresh environment with the wheel; other packages come from the tests'."""
+    """Installs the wheel in a new environment that uses the tests' packages; returns its Python."""
     folder = tmp_path_factory.mktemp("outside") / "env"
     venv.create(folder, with_pip=False, symlinks=True)
     (site,) = folder.glob("lib/python*/site-packages")
@@ -77,7 +77,7 @@ def installed(built, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_files_are_as_the_index_wants_them(built):
+def test_the_files_pass_the_checks_of_the_index(built):
     files = [str(path) for path in built.iterdir()]
     assert len(files) == 2
     code, said = run([sys.executable, "-m", "twine", "check", "--strict", *files])
@@ -89,7 +89,7 @@ def test_the_files_are_as_the_index_wants_them(built):
 
 
 @pytest.mark.slow
-def test_the_source_distribution_has_what_tests_and_docs_need(built):
+def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
     (source,) = built.glob("*.tar.gz")
     with tarfile.open(source) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
@@ -108,7 +108,7 @@ def test_the_source_distribution_has_what_tests_and_docs_need(built):
 
 
 @pytest.mark.slow
-def test_the_wheel_races_outside_of_the_checkout(installed, tmp_path):
+def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
     program = """
         import stkzoo, stkzoo.kernel
         from pathlib import Path
@@ -128,7 +128,7 @@ def test_the_wheel_races_outside_of_the_checkout(installed, tmp_path):
 
 
 @pytest.mark.slow
-def test_types_are_seen_from_outside(installed, tmp_path):
+def test_type_checkers_see_the_types_of_the_installed_package(installed, tmp_path):
     (tmp_path / "consumer.py").write_text(CONSUMER)
     (tmp_path / "wrong.py").write_text(WRONG)
     command = [sys.executable, "-m", "mypy", "--strict", "--python-executable", str(installed)]

@@ -1,4 +1,4 @@
-"""What a public forge and an index read says the same as the project."""
+"""Files for the forge and the package index agree with the project."""
 
 import re
 import sys
@@ -12,7 +12,7 @@ from tests.support.paths import ROOT
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib  # pytest brings it
+    import tomli as tomllib  # a dependency of pytest
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 FORGE = sorted((ROOT / ".github").rglob("*.yml"))
@@ -28,7 +28,7 @@ def test_files_for_the_forge_are_yaml(path):
     assert isinstance(yaml.safe_load(path.read_text("utf-8")), dict)
 
 
-def test_workflows_call_targets_that_there_are():
+def test_workflows_call_existing_targets():
     makefile = (ROOT / "Makefile").read_text("utf-8")
     called = set()
     for path in FORGE:
@@ -51,9 +51,9 @@ def test_versions_agree():
     assert citation["license"] == PROJECT["project"]["license"]
 
 
-def test_every_extra_is_in_all_but_those_of_developers():
+def test_all_includes_every_extra_for_users():
     extras = PROJECT["project"]["optional-dependencies"]
     (everything,) = extras["all"]
     named = set(re.search(r"\[(.*)\]", everything)[1].split(","))
-    # Libraries that cannot be beside others, and what only makers of stkzoo need.
+    # Libraries that conflict with others, and extras that only stkzoo's developers need.
     assert set(extras) - named == {"all", "benchmarl", "dev", "docs", "rllib"}

@@ -1,4 +1,4 @@
-"""The same races here and in pystk2-gymnasium 0.10.0: equal but for what is meant to differ."""
+"""Races in stkzoo and in pystk2-gymnasium 0.10.0 are equal except for documented differences."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def reference():
 
 @pytest.mark.parametrize("track", ["lighthouse", "olivermath"])
 @pytest.mark.parametrize("env_id", ENV_IDS)
-def test_races_are_those_of_the_reference(reference, env_id, track):
+def test_races_match_the_reference(reference, env_id, track):
     for job in jobs_for([env_id], [track], STEPS):
         _, result = compare_race(job, reference)
         assert result.undocumented == []
@@ -36,9 +36,7 @@ def test_a_race_to_the_finish_is_that_of_the_reference_up_to_repeated_pay(refere
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)
-def test_races_are_those_of_the_references_own_process_but_for_what_its_pipe_drops(
-    reference, env_id
-):
+def test_races_match_the_references_own_process_except_for_dropped_entries(reference, env_id):
     dropped = 0
     for job in jobs_for([env_id], ["lighthouse"], STEPS, ["process"]):
         _, result = compare_race(job, reference)
@@ -57,7 +55,7 @@ def test_d31_phase_and_ticks_move_with_the_race(reference, mode):
         for key in ("phase", "aux_ticks")
     )
     assert sorted(set(phases[0])) == [0, 1, 2, 3]
-    assert all(np.diff(ticks[0]) >= 0)  # they count to the start
+    assert all(np.diff(ticks[0]) >= 0)  # the ticks count up until the start
     assert ticks[0][-1] > ticks[0][0] > 0
     if mode == "process":
         assert set(phases[1]) == {3}
@@ -71,7 +69,7 @@ def recordings(reference):
 
 
 def changed(recording, step, **parts):
-    """The recording with other parts of one moment."""
+    """Returns the recording with one changed moment."""
     moments = list(recording.moments)
     moments[step] = moments[step]._replace(**parts)
     return replace(recording, moments=moments)

@@ -1,6 +1,6 @@
-"""Driving with the keyboard: Gymnasium's play(), `stkzoo play`, and what is recorded of it.
+"""Driving with the keyboard: Gymnasium's ``play()``, ``stkzoo play`` and recordings.
 
-Keys are synthetic events, under SDL's dummy driver unless there is a display.
+Keys are synthetic events. Without a display, SDL's dummy driver receives them.
 """
 
 import json
@@ -25,7 +25,7 @@ from stkzoo.views import VIEWS
 pygame = pytest.importorskip("pygame")
 
 with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # without a display it says that it cannot plot
+    warnings.simplefilter("ignore")  # without a display, Gymnasium warns that it cannot plot
     from gymnasium.utils import play as gym_play
 
 CODES = {key.name: key.code for key in KEYS}
@@ -41,7 +41,7 @@ def dummy_screen(monkeypatch):
 
 
 class Fingers:
-    """Presses and lets go of keys."""
+    """Presses and releases keys."""
 
     def __init__(self):
         self.down = set()
@@ -54,7 +54,7 @@ class Fingers:
         self.down = set(keys)
 
     def follow(self, ahead):
-        """Throttle, and steering towards ``(x, y, z)`` in the kart's frame."""
+        """Drives at full throttle and steers towards ``(x, y, z)`` in the kart's frame."""
         angle = np.arctan2(ahead[0], ahead[2])
         self.hold(UP, *([RIGHT] if angle > 0.06 else [LEFT] if angle < -0.06 else []))
 
@@ -75,7 +75,7 @@ def make(view, **options):
 # ------------------------------------------------------------------ Gymnasium's play()
 
 
-def test_the_keys_have_the_numbers_that_pygame_gives_them():
+def test_key_codes_match_pygame():
     pygame.init()
     assert {key.name: key.code for key in KEYS} == {
         name: pygame.key.key_code(name) for name in CODES
@@ -103,12 +103,12 @@ def test_every_combination_of_keys_is_an_action_of_the_view(view):
         ([CODES["space"], CODES["n"], CODES["backspace"]], {"fire": 1, "nitro": 1, "rescue": 1}),
     ],
 )
-def test_keys_mean_what_is_written_on_them(keys, expected):
+def test_keys_give_the_documented_actions(keys, expected):
     action = {name: float(np.ravel(value)[0]) for name, value in base_action(keys).items()}
     assert action == {**dict.fromkeys(action, 0.0), **expected}
 
 
-def test_keys_of_the_discrete_view_drive_as_those_of_the_full_view():
+def test_keys_drive_the_same_in_the_discrete_and_the_full_view():
     distances = []
     for view in ("full", "flattened_discrete"):
         env = make(view, num_kart=1)
@@ -138,7 +138,7 @@ def test_the_keys_drive_and_steer_in_physical_units(view):
     assert np.cross(left, right)[1] > 0.05
 
 
-def test_a_view_that_hides_what_a_key_means_says_so():
+def test_a_view_without_a_meaning_for_keys_is_refused():
     stkzoo.register_view(
         "keyless",
         lambda env: gym.wrappers.TransformAction(
@@ -154,7 +154,7 @@ def test_a_view_that_hides_what_a_key_means_says_so():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("view", ["flattened_discrete", "full"])
-def test_play_with_keys_pressed_from_what_is_seen_finishes_a_lap(view):
+def test_play_with_keys_from_observations_finishes_a_lap(view):
     fingers, ends = Fingers(), []
     env = make(view, num_kart=2)
 
@@ -175,10 +175,10 @@ def test_play_with_keys_pressed_from_what_is_seen_finishes_a_lap(view):
 
 
 def ahead_in(seen):
-    """The end of the third segment ahead, from the flat observation, as a point."""
+    """Returns the end of the third segment ahead as a point, from the flattened observation."""
     simple = gym.make("supertuxkart/simple-v0").observation_space
     first = 0
-    for name, part in simple.spaces.items():  # in the order of their names
+    for name, part in simple.spaces.items():  # sorted by name
         if name == "paths_end":
             break
         first += part.shape != () and part.dtype.kind == "f" and int(np.prod(part.shape))
@@ -186,13 +186,13 @@ def ahead_in(seen):
     return [np.sin(side) * distance, np.sin(up) * distance, np.cos(side) * distance]
 
 
-def test_play_plot_draws_what_it_is_told(monkeypatch, tmp_path):
+def test_play_plot_draws_the_given_values(monkeypatch, tmp_path):
     from matplotlib import pyplot
 
     with pyplot.rc_context():
         pyplot.switch_backend("Agg")
         monkeypatch.setattr(gym_play, "plt", pyplot)
-        monkeypatch.setattr(pyplot, "pause", lambda _: None)  # a window would be drawn here
+        monkeypatch.setattr(pyplot, "pause", lambda _: None)  # so that no window opens
         plot = gym_play.PlayPlot(lambda *step: [step[3], step[6]["distance"]], 40, ["reward", "m"])
         env, fingers = make("flattened_discrete", num_kart=1), Fingers()
 
@@ -216,7 +216,7 @@ def test_play_plot_draws_what_it_is_told(monkeypatch, tmp_path):
 
 
 class Driving(RaceListener):
-    """Drives by keys, and does things at some steps."""
+    """Drives with keys, and calls functions at given steps."""
 
     def __init__(self, **at):
         self.fingers, self.at, self.steps = Fingers(), at, 0
@@ -233,7 +233,7 @@ WINDOW = {"backend": "map", "size": (160, 120), "track": "lighthouse", "seed": 3
 
 
 @pytest.mark.slow
-def test_the_person_drives_the_first_kart_against_others():
+def test_the_user_drives_the_first_kart():
     result = play_race(["ai", "random"], rate=60, max_steps=300, listeners=[Driving()], **WINDOW)
     assert [agent.driver for agent in sorted(result.agents, key=lambda a: a.agent)] == [
         "you",
@@ -241,7 +241,7 @@ def test_the_person_drives_the_first_kart_against_others():
         "random",
     ]
     assert next(a for a in result.agents if a.driver == "you").distance > 3
-    assert result.wall_time >= 4.9  # 300 steps of 1/60 s pass in real time
+    assert result.wall_time >= 4.9  # in real time, 300 steps of 1/60 s take 5 s
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_a_pause_lasts_until_the_key_is_pressed_again():
     assert result.wall_time > 0.5
 
 
-def test_keys_are_let_go_when_the_window_loses_the_focus():
+def test_keys_are_released_when_the_window_loses_the_focus():
     from stkzoo.play import PlayScreen
 
     screen = PlayScreen((160, 120))
@@ -283,7 +283,7 @@ def test_keys_are_let_go_when_the_window_loses_the_focus():
 
 
 @pytest.mark.slow
-def test_what_was_driven_is_a_dataset_that_drives_the_same_race_again(tmp_path):
+def test_a_recorded_dataset_repeats_the_same_race(tmp_path):
     path = tmp_path / "me.npz"
     play_race(
         [],
@@ -316,14 +316,14 @@ def test_what_was_driven_is_a_dataset_that_drives_the_same_race_again(tmp_path):
         rewards.append(reward)
     env.close()
     assert len(set(data["actions"].tolist())) > 1
-    # The compiled kernel differs in the last places.
+    # The compiled kernel rounds differently.
     np.testing.assert_allclose(data["observations/continuous"], seen, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(data["rewards"], rewards)
     assert data["truncations"].tolist() == [False] * 44 + [True]
     assert not data["terminations"].any()
 
 
-def test_dict_actions_become_one_array_an_entry(tmp_path):
+def test_dict_actions_are_recorded_as_one_array_per_entry(tmp_path):
     path = tmp_path / "me.npz"
     play_race([], rate=60, view="simple", dataset=str(path), max_steps=5, **WINDOW)
     with np.load(path) as data:
@@ -399,6 +399,6 @@ def test_the_command_plays_and_records(tmp_path, capsys):
         (["--map", "--3d"], "not allowed with"),
     ],
 )
-def test_bad_flags_are_bad_usage(flags, match, capsys):
+def test_bad_flags_are_reported(flags, match, capsys):
     assert main(["play", *flags]) == 2
     assert match in capsys.readouterr().err
