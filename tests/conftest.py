@@ -1,4 +1,4 @@
-"""Settings of the test run as a whole."""
+"""Settings for the whole test run."""
 
 import os
 import signal
@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parent
-#: Folders and files whose tests are all slow; elsewhere each slow test is marked.
+#: Folders and files in which all tests are slow; elsewhere, slow tests are marked individually.
 SLOW = (
     "benchmarks",
     "chaos",
@@ -22,26 +22,26 @@ SLOW = (
     "race/remote/test_hostile.py",
 )
 
-# The tests share the cores among them; small networks are quicker on one.
+# The test processes share the cores, and small networks are faster on one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as after `make test &`; it is inherited
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-#: Fixtures that run whole races or training; tests that need them are slow too.
+#: Fixtures that run whole races or training, which makes their tests slow.
 SLOW_FIXTURES = {"imitated", "small", "whole"}
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers():
-    """One worker for each core that this program may use."""
+    """Returns one worker for each core that this program may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count()
 
 
 def pytest_collection_modifyitems(items):
-    """Marks the tests of slow folders and fixtures, which ``make test-fast`` leaves out."""
+    """Marks the tests of slow folders and fixtures, which ``make test-fast`` skips."""
     for item in items:
         name = item.path.as_posix().removeprefix(f"{TESTS.as_posix()}/")
         if name.startswith(SLOW) or SLOW_FIXTURES & {*getattr(item, "fixturenames", ())}:

@@ -9,9 +9,9 @@ class Adversary:
     """An agent that attacks at its first step.
 
     Attributes:
-        act: its statements, in the actor.
-        says: regular expression of the message of its failure.
-        step: at which it fails.
+        act: statements that the actor executes.
+        says: regular expression for the message of its failure.
+        step: step at which the agent fails.
     """
 
     act: str
@@ -254,24 +254,24 @@ def get_actor(module_dir, observation_space, action_space):
 
 
 def write_adversary(folder, name, mark):
-    """Writes an adversary; returns it as a driver.
+    """Writes an adversary and returns it as a driver.
 
     Args:
-        folder: of all agents.
-        name: its name in :data:`ADVERSARIES`.
-        mark: is in the names of its files and programs.
+        folder: folder for all agents.
+        name: name in :data:`ADVERSARIES`.
+        mark: text that the names of its files and programs contain.
     """
     code = _PRELUDE.format(mark=mark) + _ACTOR.format(act=ADVERSARIES[name].act)
     return _write(folder, name, code)
 
 
 def write_quitter(folder, name):
-    """Writes an agent that fails at the same step as an adversary, and does nothing else."""
+    """Writes an agent that does nothing but fail at the same step as an adversary."""
     return _write(folder, f"{name} quietly", _QUITTER.format(step=ADVERSARIES[name].step))
 
 
 def groups(size):
-    """The names of all adversaries in groups, the last one filled up with the first ones."""
+    """Returns the names of all adversaries in groups; first names fill up the last group."""
     names = [*ADVERSARIES]
     names += names[: -len(names) % size]
     return [names[start : start + size] for start in range(0, len(names), size)]
@@ -284,7 +284,7 @@ def _write(folder, name, code):
     return f"{place}@:{name}"
 
 
-#: What an agent does when it is behind.
+#: Attacks of an agent that is behind.
 VOIDS = {
     "kills": "os.kill(-1, signal.SIGKILL); os.kill(os.getppid(), signal.SIGKILL)",
     "stops": "os.kill(os.getppid(), signal.SIGSTOP); os.kill(os.getpid(), signal.SIGSTOP)",
@@ -308,6 +308,6 @@ def get_actor(module_dir, observation_space, action_space):
 
 
 def write_sore_loser(folder, mark):
-    """Writes an agent that attacks its race in one of several ways when it is behind."""
+    """Writes an agent that attacks its race in a random way when it is behind."""
     code = _PRELUDE.format(mark=mark) + _SORE_LOSER.format(attacks=[*VOIDS.values()])
     return _write(folder, "sore loser", code)

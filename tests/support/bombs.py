@@ -1,4 +1,4 @@
-"""Messages that are small for the memory or the time that they ask for."""
+"""Small messages that take much memory or time to decode."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ __all__ = ["BOMBS", "array_bytes", "bomb", "extension", "list_of"]
 
 TUPLE, ARRAY, SCALAR, ROWS, ENCODED = 1, 2, 3, 4, 5
 
-#: The most elements of one list.
+#: Maximum number of elements in a list.
 _LONGEST = 8192
 
 
 def array_bytes(code: int, *shape: int, content: bytes = b"") -> bytes:
-    """The content of an array's extension."""
+    """Returns the content of an array's extension."""
     return struct.pack(f"<BB{len(shape)}I", code, len(shape), *shape) + content
 
 
 def extension(kind: int, content: bytes) -> bytes:
-    """A value of an extension type."""
+    """Returns a value of an extension type."""
     data: bytes = msgpack.packb(msgpack.ExtType(kind, content))
     return data
 
 
 def list_of(items: list[bytes]) -> bytes:
-    """A list of encoded values."""
+    """Returns a list of encoded values."""
     return b"\xdd" + struct.pack(">I", len(items)) + b"".join(items)
 
 
 def _repeated(value: bytes) -> Callable[[int], bytes]:
-    """As many equal values as a length allows, in lists in a list."""
+    """Returns a function that fills a length with equal values, in lists within a list."""
 
     def make(length: int) -> bytes:
         count = max(1, length // len(value))
@@ -43,21 +43,21 @@ def _repeated(value: bytes) -> Callable[[int], bytes]:
 
 
 def _dicts(length: int) -> bytes:
-    """Dicts of as many short keys as can be."""
+    """Returns dicts with as many short keys as possible."""
     items = b"".join(b"\xa3%03x\xc0" % (number & 0xFFF) for number in range(4096))
     one = b"\xde" + struct.pack(">H", 4096) + items
     return list_of([one] * max(1, length // len(one)))
 
 
 def _keys(length: int) -> bytes:
-    """Long keys of a dict."""
+    """Returns a dict with long keys."""
     count = max(1, min(_LONGEST, length // 1004))
     keys = (b"\xda" + struct.pack(">H", 1000) + b"%01000d" % n + b"\xc0" for n in range(count))
     return b"\xde" + struct.pack(">H", count) + b"".join(keys)
 
 
 def _nested(kind: int) -> Callable[[int], bytes]:
-    """Extensions in each other, which are copied at each level."""
+    """Returns a function that nests extensions, which are copied at each level."""
 
     def make(length: int) -> bytes:
         data = b"\xc6" + struct.pack(">I", length) + bytes(length)
@@ -80,7 +80,7 @@ def _deep(opening: bytes) -> Callable[[int], bytes]:
     return lambda length: opening * (length // len(opening)) + b"\xc0"
 
 
-#: Each makes a message of about some length [bytes].
+#: Functions that make a message of about a given length [bytes].
 BOMBS: dict[str, Callable[[int], bytes]] = {
     "rows of nothing": _repeated(extension(ROWS, array_bytes(1, 8192, 0))),
     "rows of little": _repeated(extension(ROWS, array_bytes(1, 8192, 1, content=bytes(8192)))),
@@ -119,7 +119,7 @@ BOMBS: dict[str, Callable[[int], bytes]] = {
 
 
 def bomb(name: str, length: int) -> bytes:
-    """A bomb of about some length [bytes], at most that long where its parts are short."""
+    """Returns a bomb of about ``length`` bytes; not longer if its parts are short."""
     data = BOMBS[name](length)
     if len(data) > length:
         data = BOMBS[name](max(1, 2 * length - len(data) - 64))

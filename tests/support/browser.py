@@ -1,4 +1,4 @@
-"""A real browser without a window, for tests of pages."""
+"""A headless browser for tests of pages."""
 
 import shutil
 import time
@@ -15,7 +15,7 @@ PATIENCE = 20.0
 
 
 def open_browser(profile):
-    """A browser with an empty profile in a folder; skips the test where there is none."""
+    """Starts a browser with an empty profile; skips the test if no browser is installed."""
     program = shutil.which("chromium") or shutil.which("google-chrome")
     driver = shutil.which("chromedriver")
     if program is None or driver is None:
@@ -31,13 +31,13 @@ def open_browser(profile):
 
 
 class Reader:
-    """Reads and presses what is on a page as somebody in front of it would."""
+    """Reads and operates a page as a user would."""
 
     def __init__(self, browser):
         self.browser = browser
 
     def show(self, url, width=1280, height=900, *, is_dark=False):
-        """Opens a page in a window of a size, by day or by night."""
+        """Opens a page with a window size, in the light or the dark color scheme."""
         scheme = {"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}
         screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         self.browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [scheme]})
@@ -47,15 +47,15 @@ class Reader:
         self.browser.get(url)
 
     def all(self, selector):
-        """The elements."""
+        """Returns the elements that match a selector."""
         return self.browser.find_elements("css selector", selector)
 
     def text(self, selector):
-        """What the first element says."""
+        """Returns the text of the first matching element."""
         return self.all(selector)[0].text
 
     def click(self, selector):
-        """Clicks the first element."""
+        """Clicks the first matching element."""
         self.all(selector)[0].click()
 
     def press(self, keys):
@@ -63,11 +63,11 @@ class Reader:
         self.all("body")[0].send_keys(keys)
 
     def run(self, code):
-        """What a piece of JavaScript returns."""
+        """Runs JavaScript code and returns its result."""
         return self.browser.execute_script(code)
 
     def until(self, condition):
-        """Waits until something holds and returns it."""
+        """Waits until a condition holds and returns its value."""
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
             found = condition()
@@ -77,5 +77,5 @@ class Reader:
         raise AssertionError(f"not within {PATIENCE:.0f} s; mode {self.text('#mode')!r}")
 
     def errors(self):
-        """What the browser has complained about since the page was opened."""
+        """Returns the messages in the browser's log since the page was opened."""
         return [entry["message"] for entry in self.browser.get_log("browser")]

@@ -1,4 +1,4 @@
-"""The examples of the documentation, and which of them are not run as they stand."""
+"""The examples in the documentation, and which of them do not run as written."""
 
 import re
 import shlex
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from tests.support.paths import ROOT
 
-#: Pages that are written from docstrings, or shown elsewhere.
+#: Pages that are generated from docstrings or shown elsewhere.
 WITHOUT_EXAMPLES = {
     "docs/changelog.md",
     "docs/contributing.md",
@@ -26,7 +26,7 @@ class Block:
 
     @property
     def file(self):
-        """The file that the block is to be written into, by its first line; or None."""
+        """Name of the file for this block, from its first line; ``None`` if it is not a file."""
         name = _FILE.match(self.code)
         return name and name[1]
 
@@ -48,8 +48,8 @@ def blocks(page, language):
     ]
 
 
-#: Blocks that are run with something in another's place, so that they take seconds: a page, what
-#: is in the block, and what stands there when it is run.
+#: Replacements in blocks so that they run in seconds: the page, a part of the block, and its
+#: replacement.
 SHORTER = [
     ("README.md", "learn(1_000_000)", "learn(256)"),
     ("README.md", '("MultiInputPolicy", envs', '("MultiInputPolicy", envs, n_steps=32'),
@@ -79,7 +79,7 @@ SHORTER = [
     ("docs/how-to/tournaments.md", "max_steps=450", "max_steps=30"),
 ]  # fmt: skip
 
-#: Blocks that are not run: a page, what is in the block, and why.
+#: Blocks that do not run: the page, a part of the block, and the reason.
 NOT_RUN = [
     (
         "docs/how-to/quickstart.md",
@@ -119,7 +119,7 @@ NOT_RUN = [
 
 
 def shortened(block):
-    """The block's code as it is run."""
+    """Returns the block's code with the replacements."""
     code = block.code
     for page, old, new in SHORTER:
         if page == block.page:
@@ -134,7 +134,7 @@ def reason_not_to_run(block):
 
 
 def commands(block):
-    """The commands of a shell block, as lists of words; remarks are left out."""
+    """Returns the commands of a shell block as lists of words, without comments."""
     joined = block.code.replace("\\\n", " ")
     lines = [line for text in joined.splitlines() for line in text.split(" && ")]
     return [words for line in lines if (words := shlex.split(line, comments=True))]

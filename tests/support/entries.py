@@ -14,7 +14,7 @@ from stkzoo._os import write_zip
 from stkzoo.suite import TASKS, Task
 from stkzoo.suite.entry import ENTRY_FILE, replay_digest
 
-#: Six races of about 400 steps: alone, and with a driver of the population.
+#: Six races of about 400 steps: alone, and against a driver of the population.
 SMALL = Task(
     name="small",
     goal="Be verified quickly.",
@@ -70,7 +70,7 @@ def change_header(folder: Path, number: int, change: Callable[[dict[str, Any]], 
 def change_controls(
     folder: Path, number: int, change: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]
 ) -> None:
-    """Changes the controls ``(steps, karts, 7)`` of a replay; fewer steps cut it off."""
+    """Changes the controls ``(steps, karts, 7)`` of a replay, which may shorten it."""
 
     def edit(members: dict[str, bytes]) -> None:
         header = json.loads(members["race.json"])
@@ -85,7 +85,7 @@ def change_controls(
 
 
 def name_replays(folder: Path) -> None:
-    """Writes the SHA-256 of the replays, as they are now, to ``entry.json``."""
+    """Writes the current SHA-256 digests of the replays to ``entry.json``."""
     entry = read_entry(folder)
     entry["replays"] = [replay_digest(folder, number) for number in range(len(entry["races"]))]
     write_entry(folder, entry)

@@ -1,4 +1,4 @@
-"""Attacks on what listens: the live page and the race-server."""
+"""Attacks on the live page and the race server."""
 
 import collections
 import contextlib
@@ -19,14 +19,14 @@ from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.race.remote.protocol import ERROR, HELLO, VERSION, pack, unpack
 from tests.support.remote_race import running_server, server_command
 
-#: A request that never ends.
+#: An incomplete HTTP request.
 HALF_REQUEST = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: "
-#: What a ZeroMQ client says first (ZMTP 3.1, without security), up to the middle of it.
+#: The first half of a ZeroMQ client's greeting (ZMTP 3.1, without security).
 HALF_GREETING = b"\xff" + b"\0" * 8 + b"\x7f\x03\x01NULL"
 
 
 def allow_descriptors(count):
-    """Raises this program's own limit of descriptors; raises an error if it may not."""
+    """Raises this program's limit on open descriptors; ends it if the hard limit is too low."""
     _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard not in (-1, resource.RLIM_INFINITY) and hard < count:
         raise SystemExit(f"the hard limit is {hard} descriptors, expected {count}: ulimit -Hn")
@@ -35,13 +35,13 @@ def allow_descriptors(count):
 
 
 def limited(command, descriptors):
-    """A command that runs with so many descriptors at most."""
+    """Returns a command that runs with a limit on open descriptors."""
     return ["sh", "-c", f'ulimit -n {descriptors} && exec "$@"', "sh", *command]
 
 
 @contextlib.contextmanager
 def race_with_page(*words, descriptors=1024, port=0):
-    """``stkzoo race --web`` as a process; gives the process and the page's address."""
+    """Runs ``stkzoo race --web``; yields the process and the page's address."""
     command = [sys.executable, "-m", "stkzoo", "race", "--web", "--web-port", str(port), *words]
     process = subprocess.Popen(
         limited(command, descriptors),
@@ -62,13 +62,13 @@ def race_with_page(*words, descriptors=1024, port=0):
 
 
 def connect_all(address, count, data=b"", hold=None):
-    """Opens so many connections that send ``data`` and then nothing.
+    """Opens connections that send ``data`` and then nothing.
 
     Args:
         address: host and port.
-        count: how many.
-        data: what each one sends.
-        hold: a list that gets the sockets; a connection that is refused is not in it.
+        count: number of connections.
+        data: what each connection sends.
+        hold: list to which the sockets are appended.
     """
     for _ in range(count):
         one = socket.socket()
@@ -88,7 +88,7 @@ def connect_all(address, count, data=b"", hold=None):
 
 
 def num_open(sockets):
-    """How many of these connections the other end has not closed."""
+    """Returns how many of these connections the other end has not closed."""
     return sum(map(_is_open, sockets))
 
 
@@ -105,7 +105,7 @@ def _is_open(one):
 
 
 def reset_at_once(address, count):
-    """Connects so many times, and resets each connection at once."""
+    """Opens ``count`` connections and resets each of them at once."""
     for _ in range(count):
         with contextlib.suppress(OSError), socket.socket() as one:
             one.settimeout(2)
@@ -114,7 +114,7 @@ def reset_at_once(address, count):
 
 
 def page_answers(url, timeout=5.0):
-    """Seconds until the page answers; ``None`` if it does not."""
+    """Returns the time until the page answers [s]; ``None`` if it does not answer."""
     begin = time.monotonic()
     try:
         with urllib.request.urlopen(url, timeout=timeout) as answer:
@@ -125,12 +125,12 @@ def page_answers(url, timeout=5.0):
 
 
 def num_descriptors(pid):
-    """Open descriptors of a process."""
+    """Returns the number of open descriptors of a process."""
     return len(os.listdir(f"/proc/{pid}/fd"))
 
 
 def upgrade_request():
-    """A request that opens the page's WebSocket."""
+    """Returns a request that opens the page's WebSocket."""
     return (
         b"GET /live?version=1 HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n"
         b"Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
@@ -139,16 +139,16 @@ def upgrade_request():
 
 
 def limited_server(*arguments, descriptors=1024, stderr=None):
-    """``stkzoo race-server`` with few descriptors; gives the process and its address."""
+    """Runs ``stkzoo race-server`` with few descriptors; yields the process and its address."""
     return running_server(limited(server_command(*arguments), descriptors), stderr)
 
 
 class IdleClients:
-    """Clients of a server that say hello and then nothing.
+    """Clients that greet a server and then send nothing.
 
     Args:
-        address: the server's.
-        count: how many.
+        address: address of the server.
+        count: number of clients.
     """
 
     def __init__(self, address, count):
@@ -168,11 +168,11 @@ class IdleClients:
         self.close()
 
     def close(self):
-        """Ends all of them."""
+        """Closes all clients."""
         self._context.destroy(0)
 
     def hear(self, seconds):
-        """The kinds of messages that came, with the texts of errors, as a ``Counter``."""
+        """Returns a ``Counter`` of the kinds of received messages; errors count by their text."""
         heard = collections.Counter()
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
@@ -185,14 +185,14 @@ class IdleClients:
 
 
 def remote_race(address, steps=20):
-    """A race on a server; the errors of its agents."""
+    """Runs a race on a server; returns the errors of its agents."""
     with RemoteDriverGroup([address]) as group:
         result = run_race([*group.drivers, "ai"], track="lighthouse", seed=1, max_steps=steps)
     return [error for row in result.agents for error in row.errors]
 
 
 def zmtp_socket(address, identity=b""):
-    """A plain socket that has shaken hands with a ZeroMQ server, and may send any bytes."""
+    """Returns a plain socket after a handshake with a ZeroMQ server; it can send any bytes."""
     host, port = address.removeprefix("tcp://").rsplit(":", 1)
     one = socket.create_connection((host, int(port)), timeout=10)
     mechanism = b"NULL".ljust(20, b"\0")
@@ -206,16 +206,16 @@ def zmtp_socket(address, identity=b""):
 
 
 def zmtp_frame(data, *, more=False, command=False):
-    """A frame of ZMTP."""
+    """Returns a ZMTP frame."""
     return bytes([2 | more | 4 * command]) + struct.pack(">Q", len(data)) + data
 
 
-#: A heartbeat, which the other end answers.
+#: A heartbeat; the other end answers it.
 PING = zmtp_frame(b"\x04PING\0\0", command=True)
 
 
 def send_until_closed(one, data, seconds=10.0):
-    """Sends the same bytes again and again; whether the other end closed the connection."""
+    """Sends the same bytes repeatedly; returns whether the other end closed the connection."""
     one.settimeout(seconds)
     deadline = time.monotonic() + seconds
     try:

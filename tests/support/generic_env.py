@@ -25,7 +25,7 @@ from stkzoo.wrappers import (
     PolarObservations,
 )
 
-#: The wrappers of each registered view, innermost first.
+#: Wrappers of each registered view, innermost first.
 VIEWS = {
     "full": (),
     "simple": (ConstantSizedObservations, PolarObservations),
@@ -53,7 +53,7 @@ VIEWS = {
 
 
 def import_reference(module):
-    """A module of the reference, which takes our ids on import; they are given back."""
+    """Imports a module of the reference, then restores stkzoo's ids, which the import replaces."""
     ids = dict(gym.registry)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -69,7 +69,7 @@ def wrap(env, view):
 
 
 def wrap_as_reference(env, view):
-    """Like :func:`wrap`, with the reference's wrappers."""
+    """Wraps like :func:`wrap`, but with the reference's wrappers."""
     modules = [import_reference("stk_wrappers"), import_reference("wrappers")]
     for wrapper in VIEWS[view]:
         name = wrapper.__name__
@@ -79,7 +79,7 @@ def wrap_as_reference(env, view):
 
 
 class ScriptedEnv(gym.Env):
-    """Returns what the given functions return."""
+    """An environment that returns the results of the given functions."""
 
     def __init__(self, observation_space, action_space, reset=None, step=None):
         self.observation_space = observation_space
@@ -96,12 +96,12 @@ class ScriptedEnv(gym.Env):
 
 
 def kart_env(use_ai=False):
-    """One kart without a game: has spaces only."""
+    """Returns an environment for one kart, with spaces only."""
     return ScriptedEnv(kart_observation_space(use_ai), kart_action_space())
 
 
 def number_env(steps=3):
-    """Counts its steps in its observation; ends after ``steps``."""
+    """Returns an environment that observes its number of steps and ends after ``steps``."""
     count = 0
 
     def reset():
@@ -119,7 +119,7 @@ def number_env(steps=3):
 
 
 def split(space, batch):
-    """The rows of a batch, each in Gymnasium's form."""
+    """Returns the rows of a batch in Gymnasium's format."""
     if isinstance(space, spaces.Dict):
         columns = [split(part, batch[key]) for key, part in space.spaces.items()]
         return [dict(zip(space.spaces, row, strict=True)) for row in zip(*columns, strict=True)]
@@ -131,7 +131,7 @@ def split(space, batch):
 
 
 def random_batch(rng, count, *, items=7, karts=4, paths=9, use_ai=False):
-    """Full observations of ``count`` agents in batch form."""
+    """Returns random full observations of ``count`` agents as a batch."""
     lengths = {"items": items, "karts": karts, "paths": paths}
 
     def column(key, space):
@@ -155,7 +155,7 @@ def random_batch(rng, count, *, items=7, karts=4, paths=9, use_ai=False):
 
 
 class RandomMoment:
-    """A source of observations: karts and items anywhere on a small round track."""
+    """A random snapshot of karts and items on a small circular track, which can be observed."""
 
     def __init__(self, rng, num_kart=5, num_items=7, num_nodes=9):
         karts, items = np.zeros(num_kart, KART_DTYPE), np.zeros(num_items, ITEM_DTYPE)
@@ -194,13 +194,13 @@ class RandomMoment:
         return np.arange(len(agents))
 
     def full(self, agents, use_ai=False):
-        """What agents see in the ``full`` view."""
+        """Returns the agents' observations in the ``full`` view."""
         observer = KartObserver(tuple(kart_observation_space(use_ai)))
         return observer.observe(*self.course, self.snapshot.data, self.karts(agents))
 
 
 def assert_same(left, right):
-    """Equal keys, types, dtypes, shapes and values."""
+    """Asserts equal keys, types, dtypes and shapes, and nearly equal values."""
     if isinstance(right, dict):
         assert left.keys() == right.keys()
         for key in right:
@@ -221,7 +221,7 @@ def assert_same(left, right):
 
 
 class SmallRace(ParallelEnv):
-    """A ParallelEnv whose karts do nothing: agent ``n`` finishes after ``ends[n]`` steps."""
+    """A parallel environment without a game. Agent ``n`` finishes after ``ends[n]`` steps."""
 
     metadata = {"name": "small_race", "render_modes": []}  # noqa: RUF012
     render_mode = None
@@ -274,7 +274,7 @@ class SmallRace(ParallelEnv):
 
 
 class MultiEnv(gym.Env):
-    """A :class:`SmallRace` as a Gymnasium environment of dicts; its finished agents vanish."""
+    """A :class:`SmallRace` as a Gymnasium environment of dicts, which leave out finished agents."""
 
     def __init__(self, ends=(3, 5)):
         self.race = SmallRace(ends)
@@ -312,7 +312,7 @@ class MultiEnv(gym.Env):
 
 
 class Counter(gym.ObservationWrapper):
-    """Observes how often it has observed since the last reset."""
+    """Observes the number of observations since the last reset."""
 
     def __init__(self, env):
         super().__init__(env)

@@ -1,4 +1,4 @@
-"""Small networks on the view ``racing``, as self-play makes them, for tests."""
+"""Small networks for the view ``racing``, in the format of self-play, for tests."""
 
 import numpy as np
 
@@ -9,10 +9,13 @@ __all__ = ["small_network"]
 
 
 def small_network(likes=(), seed=0, *, steers=0, inputs=action_filter.INPUT_SIZE):
-    """A network that likes some choices by 50, and what it sees decides a little.
+    """Returns the weights of a network that prefers some choices, with random noise.
 
-    With ``steers`` -1 or 1 it likes each choice of steering more, the farther to that side it is.
-    ``inputs`` is the size of its input.
+    Args:
+        likes: choices whose logits are raised by 50.
+        seed: seed of the random weights.
+        steers: -1 or 1 to prefer steering to that side; 0 for no preference.
+        inputs: size of the input.
     """
     chance = np.random.default_rng(seed)
     sizes = (inputs, 8, 8)

@@ -1,19 +1,19 @@
-"""Where the files are that tests read."""
+"""Locations of files that tests read."""
 
 import os
 import subprocess
 from pathlib import Path
 
-#: The project's root folder.
+#: Root folder of the project.
 ROOT = Path(__file__).parents[2]
-#: Agents as users write them, good and hostile.
+#: Agents for tests, valid and hostile.
 AGENTS = ROOT / "tests" / "data" / "agents"
-#: The published JSON schemas.
+#: Published JSON schemas.
 SCHEMAS = ROOT / "docs" / "schemas"
 
 
 def copy_checkout(folder):
-    """Copies what a clone has, with changes that are not committed, and returns the folder."""
+    """Copies the files of a clone, including uncommitted changes; returns the folder."""
     tracked = ["git", "ls-files", "-co", "--exclude-standard", "-z"]
     names = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for name in filter(None, names.split("\0")):

@@ -1,4 +1,4 @@
-"""What tests of processes share: programs of their own, and who still lives."""
+"""Helpers for tests of processes."""
 
 import contextlib
 import os
@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 def run_program(code, **options):
-    """Runs a program of its own and returns it finished, output included."""
+    """Runs Python code in a new process; returns the finished process with its output."""
     return subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)],
         capture_output=True,
@@ -22,7 +22,7 @@ def run_program(code, **options):
 
 
 def process_exists(pid):
-    """Whether a process is there and no zombie."""
+    """Returns whether a process exists and is not a zombie."""
     try:
         return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
     except (FileNotFoundError, ProcessLookupError):
@@ -30,7 +30,7 @@ def process_exists(pid):
 
 
 def children_of(pid):
-    """Ids of the processes that have this one as their parent, sorted."""
+    """Returns the sorted ids of a process's children."""
     children = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
@@ -40,7 +40,7 @@ def children_of(pid):
 
 
 def wait_until(condition, seconds=5.0):
-    """Waits until something holds; whether it does in the end."""
+    """Waits until a condition holds; returns whether it holds at the end."""
     deadline = time.monotonic() + seconds
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.01)
@@ -49,9 +49,9 @@ def wait_until(condition, seconds=5.0):
 
 @contextlib.contextmanager
 def measured(pid="self"):
-    """Measures a process in its body: peak of its memory above the start [bytes], CPU seconds."""
+    """Measures its body: yields a dict for the peak memory [bytes] and the CPU time [s]."""
     cost = {}
-    Path(f"/proc/{pid}/clear_refs").write_text("5")  # makes the peak what it is now
+    Path(f"/proc/{pid}/clear_refs").write_text("5")  # resets the peak
     memory, seconds = _peak_memory(pid), _cpu_seconds(pid)
     yield cost
     cost["memory"], cost["seconds"] = _peak_memory(pid) - memory, _cpu_seconds(pid) - seconds

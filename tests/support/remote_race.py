@@ -1,4 +1,4 @@
-"""Servers for the tests of networked races: real processes, real sockets."""
+"""Servers for tests of networked races, with real processes and sockets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import zmq
 from stkzoo.race.remote import RaceServer
 from stkzoo.race.remote.protocol import VERSION, pack, unpack
 
-#: Steers straight on at full speed, by its own small view.
+#: An agent that drives straight ahead at full throttle.
 GOOD = """\
 env_name = "supertuxkart/simple-v0"
 player_name = "{name}"
@@ -26,7 +26,7 @@ def get_actor(module_dir, observation_space, action_space):
 
 
 def write_agent(folder, name, act="pass"):
-    """An agent in a folder; ``act`` is a line that it runs at every step."""
+    """Writes an agent into a folder; ``act`` is a line that it executes in every step."""
     home = folder / name
     home.mkdir()
     (home / "pystk_actor.py").write_text(GOOD.format(name=name, act=act))
@@ -34,18 +34,18 @@ def write_agent(folder, name, act="pass"):
 
 
 def server_process(*arguments, address="127.0.0.1:*"):
-    """``stkzoo race-server`` as a process; gives the process and its address."""
+    """Runs ``stkzoo race-server``; yields the process and its address."""
     return running_server(server_command(*arguments, address=address))
 
 
 def server_command(*arguments, address="127.0.0.1:*"):
-    """The command line of a server."""
+    """Returns the command line of a server."""
     return [sys.executable, "-m", "stkzoo", "race-server", "--address", address, *arguments]
 
 
 @contextmanager
 def running_server(command, stderr=None):
-    """A server that a command starts; gives its process and its address."""
+    """Runs a server by its command; yields its process and its address."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True)
     try:
         line = process.stdout.readline()
@@ -60,7 +60,7 @@ def running_server(command, stderr=None):
 
 @contextmanager
 def server_thread(drivers, **options):
-    """A server in a thread of this program."""
+    """Runs a server in a thread of this program."""
     with RaceServer(drivers, "127.0.0.1:*", **options) as server:
         thread = threading.Thread(target=server.serve)
         thread.start()
@@ -73,7 +73,7 @@ def server_thread(drivers, **options):
 
 @contextmanager
 def raw_client(address):
-    """A socket that may say anything to a server."""
+    """Yields a socket that can send any message to a server."""
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.RCVTIMEO, 10_000)
@@ -83,10 +83,10 @@ def raw_client(address):
 
 
 class LyingServer:
-    """A server that welcomes everybody, and then says what ``lie`` makes of each message.
+    """A server that accepts all clients and sends false replies.
 
     Args:
-        lie: makes the frames of an answer from a message's kind and fields.
+        lie: returns the frames of a reply from a message's kind and fields.
     """
 
     def __init__(self, lie):

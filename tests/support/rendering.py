@@ -1,4 +1,4 @@
-"""What the tests of pictures share."""
+"""Helpers for tests of rendering."""
 
 import functools
 
@@ -12,7 +12,7 @@ from stkzoo.errors import AssetError, ConfigError
 
 @functools.cache
 def who_draws():
-    """Who draws with render_backend="auto" on this machine."""
+    """Returns the backend of ``render_backend="auto"`` on this machine."""
     try:
         check_graphics_libraries()
         find_assets(graphics=True)
@@ -22,7 +22,7 @@ def who_draws():
 
 
 def drive(env, steps, seed=1):
-    """Full throttle with a little steering; yields after the reset and after every step."""
+    """Drives at full throttle with a little steering; yields after the reset and each step."""
     env.reset(seed=seed)
     yield env
     random = np.random.default_rng(seed)
@@ -42,12 +42,12 @@ def drive(env, steps, seed=1):
 
 
 def small_race(**options):
-    """Three karts on a short track."""
+    """Returns an environment with three karts on a short track."""
     return race_v0.parallel_env(num_kart=3, track="lighthouse", **options)
 
 
 def history(steps=40, **options):
-    """All moments of a small race as bytes."""
+    """Returns all snapshots of a small race as bytes."""
     with small_race(**options) as env:
         moments = []
         for now in drive(env, steps):

@@ -1,4 +1,4 @@
-"""Results of training runs that did not take place: valid files with random scores."""
+"""Results of simulated training runs: valid files with random scores."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from stkzoo.suite.report.results import (
     population_of,
 )
 
-#: Value of a race, from its track, direction and form.
+#: Function that returns the value of a race from its track, direction and form.
 Value = Callable[[str, str, str], float]
 
 
 def split_scores(task: str, tracks: Sequence[str], seeds: int, value: Value) -> SplitScores:
-    """Returns the scores of all races on tracks."""
+    """Returns the scores of all races on some tracks."""
     forms = [BenchmarkForm.of(form) for form in find_task(task).forms]
     races = tuple(
         RaceScore(
@@ -48,9 +48,9 @@ def suite_run(
 
     Args:
         name: name of the task.
-        algorithm: name of the algorithm; the longer, the better.
-        seed: seed of the run, which draws its scores.
-        value: value of each race; by default, drawn.
+        algorithm: name of the algorithm. Longer names have better scores.
+        seed: seed of the run and of its random scores.
+        value: function for the value of each race; random by default.
         **changes: other values of fields.
     """
     task, random = find_task(name), np.random.default_rng([seed, *algorithm.encode()])
@@ -89,7 +89,7 @@ def suite_run(
 
 
 def write_run(folder: Path, run: SuiteRun) -> Path:
-    """Writes a result, and returns its file."""
+    """Writes a result and returns its file."""
     file = folder / f"{run.name}.json"
     write_text(file, run.to_json() + "\n")
     return file

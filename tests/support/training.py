@@ -1,4 +1,4 @@
-"""Training commands run in this program, which has their libraries, and killed in a copy of it."""
+"""Runs training commands in this program, and kills them in a fork of it."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ from tests.support.processes import wait_until
 
 
 def words_of(folder, settings, **more):
-    """The command line for a folder and settings by name."""
+    """Returns the command line for a folder and settings by name."""
     words = [f"--output={folder}"]
     for name, value in {**settings, **more}.items():
         option = name.removesuffix("s") if name.endswith("tracks") else name
@@ -19,15 +19,15 @@ def words_of(folder, settings, **more):
 
 
 def run_and_kill(main, words, log, lines):
-    """Runs a command in a forked process and kills it once its log has so many lines."""
+    """Runs a command in a forked process and kills it when its log has ``lines`` lines."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # a fork beside the test run's threads
+        warnings.simplefilter("ignore", DeprecationWarning)  # the test run has threads
         process = os.fork()
     if process == 0:
         try:
             main(words)
         finally:
-            os._exit(1)  # a command that ends was not killed
+            os._exit(1)  # a command that ends by itself exits with 1
     try:
         assert wait_until(lambda: log.exists() and log.read_text().count("\n") >= lines, 120)
     finally:

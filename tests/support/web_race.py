@@ -1,4 +1,4 @@
-"""What the tests of the live page share: a race that is watched, and a viewer."""
+"""Helpers for tests of the live page: a watched race and a viewer."""
 
 import asyncio
 import contextlib
@@ -14,7 +14,7 @@ PATIENCE = 20.0
 
 
 class WatchedRace:
-    """A race in a thread of its own, with its page."""
+    """A race in a separate thread, with its live page."""
 
     def __init__(self, drivers=("ai", "random"), *, steps=100_000, track="olivermath", **options):
         self.page = LivePage(**{"port": 0, "paused": True, **options})
@@ -31,7 +31,7 @@ class WatchedRace:
         self.join()
 
     def join(self):
-        """Waits for the race's end and returns the result."""
+        """Waits for the end of the race and returns the result."""
         self._thread.join(60)
         assert not self._thread.is_alive()
         if self.error is not None:
@@ -60,7 +60,7 @@ class WatchedRace:
 
 @contextlib.asynccontextmanager
 async def viewer(session, url, **options):
-    """A viewer of a page; options are those of ``ws_connect`` and the ``key``."""
+    """Connects a viewer to a page. The options are those of ``ws_connect``, and ``key``."""
     address, key = url.split("#")[0], options.pop("key", "")
     async with session.ws_connect(
         f"{address}live", params={"version": "1", "key": key}, max_msg_size=0, **options
@@ -69,7 +69,7 @@ async def viewer(session, url, **options):
 
 
 class Viewer:
-    """A program that speaks the page's protocol."""
+    """A client of the live page's protocol."""
 
     def __init__(self, socket):
         self.socket = socket
@@ -80,7 +80,7 @@ class Viewer:
         await self.socket.send_str(json.dumps({"type": kind, **fields}))
 
     async def next(self, kind, accept=lambda _: True):
-        """The next message of a kind that is accepted."""
+        """Returns the next message of a kind that ``accept`` accepts."""
         while True:
             message = await self.socket.receive(timeout=PATIENCE)
             assert message.type == aiohttp.WSMsgType.TEXT, message
@@ -90,24 +90,24 @@ class Viewer:
                 return form
 
     async def mode(self, mode):
-        """Waits until the race is in a mode."""
+        """Waits until the race is in a mode; returns the message."""
         return await self.next("state", lambda form: form["mode"] == mode)
 
     async def moment(self, steps):
-        """The first moment after at least so many steps."""
+        """Returns the first moment after at least ``steps`` steps."""
         return await self.next("moment", lambda form: form["steps"] >= steps)
 
     async def silence(self, seconds=0.4):
-        """Asserts that nothing moves."""
+        """Asserts that the race does not advance."""
         assert await self._moments(seconds) == []
 
     async def halt(self, seconds=0.4):
-        """Waits until a paused race stands; the step under way may still come, no more."""
+        """Waits until a paused race stands still, which may take one more step."""
         await self.mode("paused")
         assert len(await self._moments(seconds)) <= 1
 
     async def _moments(self, seconds):
-        """The steps that come until nothing has come for a while."""
+        """Returns the steps that arrive until none has arrived for ``seconds``."""
         steps = []
         with contextlib.suppress(asyncio.TimeoutError):
             while True:
