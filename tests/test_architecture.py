@@ -1,4 +1,4 @@
-"""The rules that a reader may rely on: layers, one door, public names, light imports."""
+"""Rules of the architecture: layers, access to the engine, public names, light imports."""
 
 import ast
 import functools
@@ -16,7 +16,7 @@ import stkzoo
 
 ROOT = Path(stkzoo.__file__).resolve().parent
 
-#: Bottom first. A layer may import those before it and itself.
+#: Layers from the bottom up. A module may import from its own layer and those below.
 LAYERS = [
     (
         "base",
@@ -69,7 +69,7 @@ LAYERS = [
     ("cli", ["stkzoo.cli", "stkzoo.__main__"]),
 ]
 
-#: Modules from which agents take names that no package exports, and why.
+#: Modules with names that agents import although no package exports them, and the reason.
 NOT_EXPORTED = {
     "stkzoo._arguments": "training declares its options in the same way as the commands",
     "stkzoo._os": "training writes its files whole, as the rest of the package does",
@@ -78,7 +78,7 @@ NOT_EXPORTED = {
     "stkzoo.race.rescues": "the planner counts rescues in copies of a race, as races do",
 }
 
-#: Class names that are used twice, and why.
+#: Class names that are used twice, and the reason.
 SHARED_CLASS_NAMES: dict[str, str] = {}
 
 
@@ -98,7 +98,7 @@ def module_name(path):
 
 
 def sources():
-    """All modules; wrappers and agents are links to folders, which ``rglob`` does not follow."""
+    """Returns all modules, including linked folders (wrappers, agents), which ``rglob`` skips."""
     found = []
     for folder, _, files in os.walk(ROOT, followlinks=True):
         found += [Path(folder, file) for file in files if file.endswith(".py")]
@@ -118,7 +118,7 @@ def parsed(path):
 
 
 def imports_of(path):
-    """The module of each import statement and the names that it takes from there."""
+    """Yields the module and the names of each import statement."""
     package = module_name(path).split(".")
     if path.name != "__init__.py":
         package.pop()
@@ -131,7 +131,7 @@ def imports_of(path):
             yield module, [alias.name for alias in node.names]
 
 
-def test_wrappers_and_agents_are_seen():
+def test_wrappers_and_agents_are_found():
     modules = {module_name(path) for path in SOURCES}
     assert {
         "stkzoo.wrappers.observations",
@@ -141,7 +141,7 @@ def test_wrappers_and_agents_are_seen():
 
 
 @each_module
-def test_imports_point_down(path):
+def test_modules_import_only_from_their_layer_or_below(path):
     module = module_name(path)
     above = [
         name
@@ -158,13 +158,13 @@ def test_the_architecture_page_lists_the_layers():
 
 
 @each_module
-def test_the_engine_has_one_door(path):
+def test_only_the_engine_package_imports_pystk2(path):
     if "pystk2" in {name.split(".")[0] for name, _ in imports_of(path)}:
         assert module_name(path).startswith("stkzoo.engine.")
 
 
 @each_module
-def test_nobody_imports_the_agents_or_the_tests(path):
+def test_only_agents_import_agents_and_only_tests_import_tests(path):
     outside = {"tests", "benchmarks", "agents", "wrappers"}
     if path not in AGENT_SOURCES:
         outside.add("stkzoo.agents")
@@ -185,7 +185,7 @@ def test_a_package_lists_what_it_exports(package):
 
 
 @each_package
-def test_what_a_package_imports_for_others_is_in_its_list(package):
+def test_names_that_a_package_reexports_are_in_its_list(package):
     path = next(
         path for path in SOURCES if module_name(path) == package and path.stem == "__init__"
     )
@@ -201,7 +201,7 @@ def test_what_a_package_imports_for_others_is_in_its_list(package):
 
 
 def is_public(module, name):
-    """Whether a package, or a module right below stkzoo, lists a name in ``__all__``."""
+    """Returns whether a package or top-level module lists a name in ``__all__``."""
     if any(part.startswith("_") for part in module.split(".")):
         return False
     found = importlib.import_module(module)
@@ -210,7 +210,7 @@ def is_public(module, name):
 
 
 def private_imports_of(path):
-    """What an agent takes from other packages that these do not export."""
+    """Yields the names that an agent imports from other packages that do not export them."""
     for module, names in imports_of(path):
         if module.split(".")[0] == "stkzoo" and not module.startswith("stkzoo.agents"):
             yield from ((module, name) for name in names if not is_public(module, name))
@@ -222,12 +222,12 @@ def test_agents_use_public_names_only(path):
     assert private == []
 
 
-def test_no_exception_for_agents_is_out_of_date():
+def test_exceptions_for_agents_are_up_to_date():
     used = {home for path in AGENT_SOURCES for home, _ in private_imports_of(path)}
     assert set(NOT_EXPORTED) - used == set()
 
 
-def test_a_class_name_means_one_thing():
+def test_class_names_are_unique():
     homes = defaultdict(list)
     for path in SOURCES:
         for node in parsed(path).body:
@@ -255,7 +255,7 @@ def test_importing_stkzoo_is_light():
     assert not heavy & modules_after("import stkzoo")
 
 
-def test_importing_the_race_runner_loads_no_race():
+def test_importing_stkzoo_race_does_not_load_the_runner():
     assert not {"pystk2", "torch", "stkzoo.race.runner"} & modules_after("import stkzoo.race")
 
 
@@ -264,7 +264,7 @@ def test_all_public_names_are_listed_and_sorted():
     assert all(hasattr(stkzoo, name) for name in stkzoo.__all__)
 
 
-def test_the_version_is_that_of_the_package():
+def test_the_version_matches_the_package():
     from importlib.metadata import version
 
     assert stkzoo.__version__ == version("stkzoo")

@@ -1,4 +1,4 @@
-"""Every kind of file that stkzoo reads, damaged: one error that names it, in little memory."""
+"""Damaged files of every kind raise one error that names the file, in bounded memory."""
 
 import json
 import os
@@ -23,11 +23,11 @@ LINES = ("tuning log", "matches", "training log")
 
 
 def with_number(text, number):
-    """The text with another first number."""
+    """Returns the text with its first number replaced."""
     return re.sub(r"(?<=[:\[ ])\d[\d.]*(?=[,\]\s}])", number, text, count=1).encode()
 
 
-#: What a file becomes, as bytes or as a function of its text.
+#: Damages to a file, as bytes or as a function of its text.
 DAMAGES = {
     "empty": b"",
     "truncated": lambda text: text[: len(text) // 2].encode(),
@@ -42,7 +42,7 @@ DAMAGES = {
     "UTF-16": lambda text: text.encode("utf-16"),
     "Latin-1": lambda text: b"\xe9" + text.encode(),
 }
-#: What is no damage.
+#: Combinations that are valid.
 VALID = {
     *((name, "empty") for name in LINES),
     *((name, "an empty object") for name in ("tuned plans", "arguments")),
@@ -50,7 +50,7 @@ VALID = {
 
 
 def refused(kind, file):
-    """The message of the error that reading a file ends in."""
+    """Returns the message of the error that reading a file raises."""
     with pytest.raises(StkzooError) as caught:
         kind.read(file)
     message = str(caught.value)
@@ -110,8 +110,8 @@ def test_a_result_out_of_bounds_is_refused_and_its_field_named(field, value, pro
 @pytest.mark.parametrize(
     "kind", [RaceResult, AiTimes, BenchmarkResult, TimeTrialResult, TournamentResult]
 )
-def test_what_the_published_schema_refuses_is_refused_here_too(kind):
-    """A changed value that breaks the schema is never read; entries may be missing or new."""
+def test_values_that_break_the_published_schema_are_refused(kind):
+    """A change that breaks the schema is refused; missing or additional entries are not checked."""
     schema = json.loads((SCHEMAS / f"{kind.kind}.schema.json").read_text())
     if kind is RaceResult:
         del schema["oneOf"]
@@ -143,7 +143,7 @@ def is_refused(kind, text):
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_mutations_end_in_no_bare_error(tmp_path, name):
+def test_mutations_raise_only_expected_errors(tmp_path, name):
     outcome = run_kind(KINDS[name], 15, 1, tmp_path)
     assert outcome.findings == []
     assert outcome.refused + outcome.read == 15

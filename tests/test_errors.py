@@ -1,4 +1,4 @@
-"""What all errors have in common."""
+"""Common properties of all errors."""
 
 import importlib
 import pickle
@@ -19,7 +19,7 @@ CLASSES = [entry for entry in ALL if isinstance(entry, type)]
 
 
 def all_errors():
-    """Every exception class of the package, also those outside ``errors.py``."""
+    """Returns all exception classes of the package, including those outside ``errors.py``."""
     root = Path(stkzoo.__file__).parent
     for file in sorted(root.glob("*/**/*.py")):
         if re.search(r"^class \w+\(.*(Error|Exception)\b", file.read_text(), re.MULTILINE):
@@ -39,7 +39,7 @@ def test_errors_outside_their_module_are_found():
 
 
 @pytest.mark.parametrize("kind", EVERY)
-def test_an_error_is_made_from_its_text_alone_and_pickled(kind):
+def test_an_error_can_be_created_from_its_text_and_pickled(kind):
     error = kind("what happened")
     # AsyncVectorEnv raises exctype(value), where value is the error itself.
     for copy in (error, pickle.loads(pickle.dumps(error)), kind(error)):
@@ -61,7 +61,7 @@ def test_a_pickled_error_keeps_its_text_and_attributes(error):
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
 
-def test_the_tree_at_the_top_names_every_error_below_its_parent():
+def test_the_tree_in_the_docstring_lists_every_error_below_its_parent():
     indents = {}
     for line in errors.__doc__.splitlines():
         words = line.strip("│├└─ ").split()
@@ -74,7 +74,7 @@ def test_the_tree_at_the_top_names_every_error_below_its_parent():
 
 
 @pytest.mark.parametrize("value", [True, "1", None, float("nan"), 0, -1, float("inf"), 10**400])
-def test_what_is_no_number_above_zero_is_refused(value):
+def test_values_other_than_positive_numbers_are_refused(value):
     with pytest.raises(
         errors.ConfigError, match=r"wait is .*, expected a number of seconds above 0"
     ):
@@ -87,7 +87,7 @@ def test_a_number_out_of_its_bounds_is_refused(value):
         errors.check_number("share", value, 0, 1)
 
 
-def test_a_number_within_bounds_is_given_as_a_float():
+def test_a_number_within_bounds_is_returned_as_a_float():
     assert [errors.check_number("share", value, 0, 1) for value in (0, 0.5, 1)] == [0.0, 0.5, 1.0]
     assert errors.check_number("reach", float("inf"), is_finite=False) == float("inf")
 
@@ -105,7 +105,7 @@ class Broken:
     ],
     ids=repr,
 )
-def test_a_short_value_is_shown_as_python_writes_it(value):
+def test_a_short_value_is_shown_as_its_repr(value):
     assert errors.shortened(value) == repr(value)
 
 
@@ -123,7 +123,7 @@ HUGE = {
 
 
 @pytest.mark.parametrize("name", HUGE)
-def test_showing_a_huge_value_costs_little(name):
+def test_showing_a_huge_value_takes_little_memory(name):
     tracemalloc.start()
     text = errors.shortened(HUGE[name], 200)
     peak = tracemalloc.get_traced_memory()[1]
@@ -132,7 +132,7 @@ def test_showing_a_huge_value_costs_little(name):
     assert peak < 50_000
 
 
-def test_a_deep_value_is_shown_to_some_depth():
+def test_a_deep_value_is_shown_to_a_limited_depth():
     value = []
     for _ in range(100_000):
         value = [value]
@@ -159,7 +159,7 @@ def test_a_value_whose_repr_fails_is_named():
         (stkzoo.MonoAgentWrapperAdapter, "wraper_factories", "wrapper_factories"),
     ],
 )
-def test_an_unknown_keyword_is_one_line_with_what_was_meant(make, wrong, meant):
+def test_an_unknown_keyword_is_reported_with_the_nearest_name(make, wrong, meant):
     with pytest.raises(errors.ConfigError) as caught:
         make(**{wrong: 1})
     assert f"{wrong!r}. Did you mean {meant!r}?" in str(caught.value)

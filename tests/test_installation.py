@@ -1,4 +1,4 @@
-"""The command that adds an extra works wherever stkzoo came from."""
+"""The install command for an extra is correct for every origin of stkzoo."""
 
 import json
 import sys
@@ -14,7 +14,7 @@ from stkzoo.errors import import_extra
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Puts a distribution of stkzoo first on the path, with what pip records of its origin."""
+    """Returns a function that installs a fake distribution with the origin that pip records."""
 
     def make(origin):
         info = tmp_path / "stkzoo-9.dist-info"
@@ -36,24 +36,24 @@ def install(tmp_path, monkeypatch):
     return make
 
 
-def test_from_a_checkout_the_extra_comes_from_the_checkout(install, tmp_path):
+def test_an_editable_install_names_its_checkout(install, tmp_path):
     install({"url": tmp_path.as_uri(), "dir_info": {"editable": True}})
     assert install_command("web") == f'pip install -e "{tmp_path}[web]"'
 
 
-def test_without_editing_the_install_stays_a_copy(install, tmp_path):
+def test_a_normal_install_from_a_checkout_stays_normal(install, tmp_path):
     install({"url": tmp_path.as_uri(), "dir_info": {}})
     assert install_command("web") == f'pip install "{tmp_path}[web]"'
 
 
-def test_from_a_wheel_the_extra_comes_from_the_wheel(install, tmp_path):
+def test_an_install_from_a_wheel_names_the_wheel(install, tmp_path):
     wheel = tmp_path / "stkzoo-9-py3-none-any.whl"
     wheel.touch()
     install({"url": wheel.as_uri(), "archive_info": {}})
     assert install_command("web") == f'pip install "stkzoo[web] @ {wheel.as_uri()}"'
 
 
-def test_from_a_repository_the_extra_comes_from_the_same_commit(install):
+def test_an_install_from_a_repository_names_the_same_commit(install):
     install({"url": "https://example.org/a.git", "vcs_info": {"vcs": "git", "commit_id": "1a2b"}})
     assert (
         install_command("web") == 'pip install "stkzoo[web] @ git+https://example.org/a.git@1a2b"'
@@ -62,20 +62,18 @@ def test_from_a_repository_the_extra_comes_from_the_same_commit(install):
 
 @pytest.mark.parametrize("extra", ["web", "all"])
 @pytest.mark.parametrize("origin", [None, {"url": "file:///gone/stkzoo.whl", "archive_info": {}}])
-def test_without_the_source_the_libraries_are_named(install, origin, extra):
+def test_without_a_known_origin_the_command_names_the_libraries(install, origin, extra):
     install(origin)
     assert install_command(extra) == 'pip install "aiohttp>=3"'
 
 
-def test_without_a_pip_of_its_own_on_the_path_this_python_runs_pip(install, monkeypatch):
+def test_without_its_own_pip_on_the_path_the_command_runs_this_python(install, monkeypatch):
     install(None)
     monkeypatch.setattr(_installation, "which", {"pip": "/elsewhere/pip"}.get)
     assert install_command("web") == f'"{sys.executable}" -m pip install "aiohttp>=3"'
 
 
-def test_the_metadata_of_a_build_in_a_checkout_does_not_hide_the_install(
-    install, monkeypatch, tmp_path
-):
+def test_stale_metadata_in_a_checkout_does_not_hide_the_install(install, monkeypatch, tmp_path):
     install(None)
     stale = tmp_path / "checkout" / "stkzoo.egg-info"
     stale.mkdir(parents=True)
@@ -86,7 +84,7 @@ def test_the_metadata_of_a_build_in_a_checkout_does_not_hide_the_install(
     assert extra_requirements()["web"] == ["aiohttp>=3"]
 
 
-def test_a_missing_library_is_named_with_the_command_that_installs_it(install):
+def test_a_missing_library_is_reported_with_its_install_command(install):
     install(None)
     with pytest.raises(ConfigError) as caught:
         import_extra("no_such_library.part", "the plot needs", "web", "or pass --no-plot")
@@ -96,7 +94,7 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(install):
     )
 
 
-def test_a_library_that_does_not_load_says_why(install):
+def test_a_library_that_does_not_load_is_reported_with_the_cause(install):
     (install(None) / "broken_library.py").write_text("raise ImportError('libGL.so.1 is missing')")
     with pytest.raises(ConfigError, match=r"does not load \(libGL.so.1 is missing\): pip install"):
         import_extra("broken_library", "the window needs", "play")

@@ -1,4 +1,4 @@
-"""Logs that strangers cannot flood, and whose reader cannot stop the program."""
+"""Logs cannot be flooded, and an unread log cannot block the program."""
 
 import logging
 import os
@@ -22,7 +22,7 @@ def log():
 
 @pytest.fixture
 def lines(log):
-    """The records that a log lets through."""
+    """Returns a list that receives the records of a log."""
     handler = BufferingHandler(10_000)
     log.addHandler(handler)
     return handler.buffer
@@ -36,7 +36,7 @@ def pipe():
         os.close(end)
 
 
-def test_a_message_that_repeats_is_logged_a_few_times(log, lines):
+def test_a_repeated_message_is_logged_a_few_times(log, lines):
     log.addFilter(RepeatFilter(most=2))
     for number in range(100):
         log.warning("number %d", number)
@@ -44,7 +44,7 @@ def test_a_message_that_repeats_is_logged_a_few_times(log, lines):
     assert [line.getMessage() for line in lines] == ["number 0", "number 1", "another"]
 
 
-def test_a_message_that_comes_again_later_says_how_many_were_left_out(log, lines, monkeypatch):
+def test_a_later_message_says_how_many_were_left_out(log, lines, monkeypatch):
     now = [100.0]
     monkeypatch.setattr("stkzoo._logs.time.monotonic", lambda: now[0])
     log.addFilter(RepeatFilter(most=1, period=10.0))
@@ -55,7 +55,7 @@ def test_a_message_that_comes_again_later_says_how_many_were_left_out(log, lines
     assert [line.getMessage() for line in lines] == ["again", "again (4 more were left out)"]
 
 
-def test_a_filter_remembers_few_messages(log):
+def test_a_filter_remembers_a_limited_number_of_messages(log):
     own = RepeatFilter()
     log.addFilter(own)
     for number in range(5000):
@@ -73,7 +73,7 @@ def test_lines_are_written_in_order(log, pipe):
     assert os.read(source, 1 << 16).decode().split("\n")[:-1] == [f"line {n}" for n in range(50)]
 
 
-def test_a_log_that_nobody_reads_drops_lines_and_says_how_many(log, pipe):
+def test_an_unread_log_drops_lines_and_says_how_many(log, pipe):
     source, sink = pipe
     handler = BackgroundHandler(sink, most=10)
     log.addHandler(handler)
@@ -92,7 +92,7 @@ def test_a_log_that_nobody_reads_drops_lines_and_says_how_many(log, pipe):
     assert seen.count(b"\n") < 250
 
 
-def test_a_program_ends_although_nobody_reads_its_log():
+def test_a_program_with_an_unread_log_ends():
     program = run_program("""
         import logging, os
         from stkzoo._logs import BackgroundHandler
@@ -106,7 +106,7 @@ def test_a_program_ends_although_nobody_reads_its_log():
     assert (program.stdout, program.returncode) == ("done\n", 0)
 
 
-def test_a_log_whose_descriptor_is_closed_is_lost(log):
+def test_a_log_with_a_closed_descriptor_is_lost(log):
     source, sink = os.pipe()
     os.close(source)
     handler = BackgroundHandler(sink)

@@ -1,4 +1,4 @@
-"""Typical mistakes of newcomers: each message names the cause and the remedy in its first line."""
+"""Typical mistakes of new users: the first line of each message has the cause and the remedy."""
 
 import json
 import socket
@@ -15,7 +15,7 @@ from stkzoo.cli import main
 from stkzoo.errors import MAX_LINE, StkzooError
 from stkzoo.race import RaceSettings, run_race
 
-#: Command line, and what the first line of its message says. ``{here}`` is a folder of examples.
+#: Command line, and a part of the first line of its message. ``{here}`` is a folder of examples.
 COMMANDS = [
     ("rcae", "Did you mean 'race'?"),
     ("race", "no drivers; name some"),
@@ -192,7 +192,7 @@ def test_a_mistake_on_the_command_line_is_explained(
     assert is_legible(said.replace(str(here), "HERE"))
 
 
-#: Command line, the library that is missing, and what the message says.
+#: Command line, the missing library, and a part of the message.
 EXTRAS = [
     ("race ai --video film.mp4", "imageio_ffmpeg", "videos need ffmpeg"),
     ("race ai --web", "aiohttp", "the live page needs aiohttp"),
@@ -218,7 +218,7 @@ def test_a_missing_library_is_explained(words, module, expected, capsys, monkeyp
     assert "pip install" in first
 
 
-def test_missing_data_of_the_game_are_explained(capsys, monkeypatch, tmp_path):
+def test_missing_game_data_is_explained(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("SUPERTUXKART_DATADIR", str(tmp_path))
     assert main(["race", "ai"]) == 1
     said = capsys.readouterr().err.replace(str(tmp_path), "HERE")
@@ -226,7 +226,7 @@ def test_missing_data_of_the_game_are_explained(capsys, monkeypatch, tmp_path):
     assert is_legible(said)
 
 
-#: What an agent returns, and what the report of its race says.
+#: The value that an agent returns, and a part of the race's report.
 RETURNED = [
     ("None", "is None; expected a dict with the keys acceleration, brake"),
     ("{'steer': 0.0}", "lacks acceleration, brake"),
@@ -237,7 +237,7 @@ RETURNED = [
 
 
 @pytest.mark.parametrize(("returned", "expected"), RETURNED, ids=[r for r, _ in RETURNED])
-def test_a_wrong_action_of_an_agent_is_explained(returned, expected, tmp_path, capsys):
+def test_an_invalid_action_of_an_agent_is_explained(returned, expected, tmp_path, capsys):
     source = f"""
 env_name = "supertuxkart/simple-v0"
 def get_actor(module_dir, observation_space, space):
@@ -253,7 +253,7 @@ def make(**options):
     return race_v0.parallel_env(**options)
 
 
-#: A mistake in Python, and what the first line of its message says.
+#: A mistake in Python, and a part of the first line of its message.
 CALLS = [
     (lambda: make(num_kart=0), "num_kart is 0, expected a whole number from 1 to 256"),
     (lambda: make(num_kart="3"), "num_kart is '3', expected a whole number"),
@@ -336,7 +336,7 @@ def race():
 
 
 @pytest.mark.parametrize(("actions", "expected"), ACTIONS, ids=str)
-def test_a_wrong_action_is_explained(race, actions, expected):
+def test_an_invalid_action_is_explained(race, actions, expected):
     with pytest.raises(StkzooError) as caught:
         race.step(actions)
     assert expected in str(caught.value).splitlines()[0]

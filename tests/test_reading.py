@@ -1,4 +1,4 @@
-"""Files that anyone may have made are read in bounded memory, and damage is one error."""
+"""Untrusted files are read in bounded memory, and any damage raises one error."""
 
 import io
 import json
@@ -28,7 +28,7 @@ MEGABYTE = 1 << 20
 
 
 def peak_of(function, *arguments):
-    """Peak of the memory that a function takes [bytes]; its own error does not count."""
+    """Returns the peak memory of a function that raises ``Unreadable`` [bytes]."""
     tracemalloc.start()
     try:
         with pytest.raises(Unreadable):
@@ -45,16 +45,16 @@ def sparse(path, size=1 << 30):
 
 
 @pytest.mark.parametrize("read", [read_file, read_text, load_json])
-def test_a_huge_file_is_refused_unread(tmp_path, read):
+def test_a_huge_file_is_refused_without_reading_it(tmp_path, read):
     assert peak_of(read, sparse(tmp_path / "huge")) < MEGABYTE
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="there is no /proc")
-def test_a_file_that_hides_its_size_is_read_to_its_end():
+def test_a_file_without_a_known_size_is_read_to_its_end():
     assert b"VmPeak" in read_file("/proc/self/status")
 
 
-def test_a_file_is_read_in_no_more_memory_than_it_has(tmp_path):
+def test_reading_a_small_file_takes_little_memory(tmp_path):
     (tmp_path / "small").write_bytes(b"x")
     tracemalloc.start()
     assert read_file(tmp_path / "small", 1 << 30) == b"x"
@@ -63,7 +63,7 @@ def test_a_file_is_read_in_no_more_memory_than_it_has(tmp_path):
     assert peak < MEGABYTE
 
 
-def test_a_pipe_is_refused_instead_of_waited_for(tmp_path):
+def test_a_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(Unreadable, match="not a regular file"):
         read_file(tmp_path / "pipe")
@@ -90,12 +90,12 @@ def test_text_in_another_encoding_is_refused(tmp_path):
         (b"\xff", "byte 0 is not UTF-8"),
     ],
 )
-def test_json_that_nobody_can_use_is_refused(text, problem):
+def test_unusable_json_is_refused(text, problem):
     with pytest.raises(Unreadable, match=problem):
         read_json(text)
 
 
-def test_a_damaged_line_is_named_by_its_number(tmp_path):
+def test_a_damaged_line_is_reported_with_its_number(tmp_path):
     (tmp_path / "log").write_text('{"a": 1}\n{"a"\n')
     lines = read_lines(tmp_path / "log")
     assert next(lines) == {"a": 1}
@@ -113,7 +113,7 @@ def zip_of(path, members, method=zipfile.ZIP_DEFLATED):
     return path
 
 
-def test_a_member_above_its_limit_is_refused_before_it_is_unpacked(tmp_path):
+def test_a_member_above_its_limit_is_refused_without_unpacking_it(tmp_path):
     file = zip_of(tmp_path / "a.zip", {"a": bytes(64 * MEGABYTE)})
     assert peak_of(read_zip, file, {"a": 63 * MEGABYTE}) < 2 * MEGABYTE
 
@@ -124,13 +124,13 @@ def test_a_missing_member_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_compression_without_a_bound_is_refused(tmp_path, method):
+def test_unbounded_compression_is_refused(tmp_path, method):
     file = zip_of(tmp_path / "a.zip", {"a": b"a"}, method)
     with pytest.raises(Unreadable, match="unusual compression"):
         read_zip(file, {"a": 1})
 
 
-def test_a_list_of_a_million_members_is_refused_unread(tmp_path):
+def test_a_directory_of_a_million_members_is_refused_without_reading_it(tmp_path):
     entry = struct.pack("<4s42x", b"PK\1\2")
     count = 1_000_000
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)
@@ -140,7 +140,7 @@ def test_a_list_of_a_million_members_is_refused_unread(tmp_path):
 
 
 def test_members_that_share_their_bytes_are_refused(tmp_path):
-    """A zip of 300 kB whose 100 members are the same 300 MB."""
+    """A zip of 300 kB whose 100 members share the same 300 MB."""
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("a", bytes(300 * MEGABYTE))
@@ -158,7 +158,7 @@ def npy(header, data=b"", version=b"\1\0"):
     return b"\x93NUMPY" + version + struct.pack("<H", len(text)) + text + data
 
 
-def test_arrays_come_back_as_they_were_written(tmp_path):
+def test_arrays_survive_a_round_trip(tmp_path):
     arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array("text"), "c": np.zeros((0, 3))}
     arrays["d"] = np.asfortranarray(arrays["a"])
     np.savez_compressed(tmp_path / "a.npz", **arrays)
@@ -182,7 +182,7 @@ def test_arrays_come_back_as_they_were_written(tmp_path):
         (npy("", version=b"\3\0"), r"has version \(3, 0\)"),
     ],
 )
-def test_an_array_that_does_not_fit_its_file_is_refused(tmp_path, content, problem):
+def test_an_array_that_does_not_match_its_header_is_refused(tmp_path, content, problem):
     file = zip_of(tmp_path / "a.npz", {"a.npy": content})
     with pytest.raises(Unreadable, match=problem):
         read_arrays(file, MEGABYTE)
@@ -192,19 +192,19 @@ def test_an_array_that_does_not_fit_its_file_is_refused(tmp_path, content, probl
 
 
 @pytest.mark.parametrize("error", [KeyError("a"), RecursionError("x"), OSError(2, "gone")])
-def test_every_error_becomes_one_that_names_the_file(error):
+def test_every_error_is_replaced_by_one_that_names_the_file(error):
     expected = pytest.raises(AssetError, match=r"^a\.json is bad \(.+\); expected a good one$")
     with expected, reading("a.json is bad", "a good one", AssetError):
         raise error
 
 
-def test_a_long_reason_is_cut():
+def test_a_long_reason_is_truncated():
     with pytest.raises(ConfigError) as caught, reading("a", "b"):
         raise ValueError("x" * 100_000)
     assert len(str(caught.value)) < 400
 
 
-def test_a_value_that_is_not_json_at_all_stays_out_of_the_message():
+def test_a_long_invalid_value_is_not_in_the_message():
     with pytest.raises(ConfigError) as caught, reading("a", "b"):
         read_json(json.dumps("x" * 100_000)[:-1])
     assert len(str(caught.value)) < 400

@@ -9,7 +9,7 @@ def test_every_track_has_a_record():
     assert tuple(HUMAN_RECORDS) == SPLITS["all"]
 
 
-def test_records_are_faster_per_lap_than_the_games_ai():
+def test_records_are_faster_per_lap_than_the_ai():
     times = load_ai_times()
     for track, record in HUMAN_RECORDS.items():
         ai = times.of(track, False, RECORD_DIFFICULTY).median

@@ -1,4 +1,4 @@
-"""JSON values become dataclasses only if types and bounds of all fields hold."""
+"""JSON values become dataclasses only if all fields have valid types and values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ def test_a_good_value_is_read():
         ({"more": 2**70}, "more is .*, expected a finite number"),
     ],
 )
-def test_a_bad_value_is_refused_and_its_field_named(change, problem):
+def test_a_bad_value_is_refused_with_its_field(change, problem):
     with pytest.raises(Unreadable, match=problem):
         typed(Cart, {"place": 1, **change})
 
@@ -90,12 +90,12 @@ def test_control_codes_are_removed_from_text():
     assert typed(Cart, {"place": 1, "notes": ["a\x1b[2Jb\n"]}).notes == ["a?[2Jb\n"]
 
 
-def test_the_error_of_a_class_names_the_place():
+def test_the_error_of_a_class_names_its_position():
     with pytest.raises(Unreadable, match=r"^\[1\] place is 100"):
         typed(tuple[Cart, ...], [{"place": 1}, {"place": 100}])
 
 
-def test_a_huge_value_is_not_written_in_full():
+def test_a_huge_value_is_not_shown_in_full():
     with pytest.raises(Unreadable) as caught:
         typed(Wheel, [list(range(10_000))] * 1000)
     assert len(str(caught.value)) < 120
