@@ -1,4 +1,4 @@
-/* Computes the memory that decoding a message of stkzoo.drivers.codec takes, without decoding it. */
+/* Computes how much memory it takes to decode a message of stkzoo.drivers.codec. */
 
 #include "kernel.h"
 
