@@ -71,7 +71,7 @@ def write_memory(
         rules: see :func:`age_memory`.
         memory: see :func:`age_memory`.
         out: ``(A, F)``; 12 columns are written.
-        first: the first of these columns.
+        first: index of the first of these columns.
     """
     known, of = _MemoryRules(*rules.tolist()), PlanMemory(*memory)
     drift = np.minimum(of.drift_steps / 30.0, 2.0)
