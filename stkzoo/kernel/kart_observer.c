@@ -259,8 +259,8 @@ static PyObject *new_array(int dimensions, npy_intp *shape, int type, void **dat
     return array;
 }
 
-/* Enlarges the pools to the tuples of three calls, because callers may still hold those of earlier
-   calls. Returns -1 with an exception set on failure. */
+/* Enlarges the pools until they can hold the tuples of three calls, because the caller may still
+   hold those of earlier calls. Returns -1 with an exception set on failure. */
 static int grow(KartObserver *observer, npy_intp count)
 {
     for (Entry *entry = observer->entries; entry < observer->entries + observer->num_entries; entry++) {

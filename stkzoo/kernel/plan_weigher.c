@@ -415,8 +415,8 @@ static void weigh_danger(const Forecast *f, const PlanKart *kart)
     }
 }
 
-/* Returns the gain of a plan by the boost of its drift [m], which is smaller while an earlier boost
-   of the same kind lasts. */
+/* Returns the gain of a plan from the boost of its drift [m]. The gain is smaller while an earlier
+   boost of the same kind lasts. */
 static float boost_of(const Forecast *f, const PlanKart *kart, npy_intp i)
 {
     const npy_intp boost = f->table->boosts.data[f->row + i];

@@ -235,8 +235,8 @@ static void see_karts(const Eye *eye, const Moment *moment, npy_intp most, float
     }
 }
 
-/* Writes the positions of the items in the kart's frame, and their types: 0 and -1 for missing
-   items. */
+/* Writes the positions of the items in the kart's frame, and their types. Missing items have
+   position 0 and type -1. */
 static void see_items(const Eye *eye, const Moment *moment, npy_intp most, float *out,
                       npy_int64 *types)
 {

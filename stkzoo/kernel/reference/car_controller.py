@@ -20,8 +20,8 @@ class CarController:
 
     Args:
         act: :meth:`stkzoo.wrappers.control.CarAction.act`, which computes the controls.
-        kinds: whether actions have a speed, whether they have a steering angle, and whether their
-            numbers are scaled to [-1, 1].
+        kinds: whether the longitudinal number is a speed, whether the steering number is an angle,
+            and whether both are scaled to [-1, 1].
         limits: limits of the steering number, of the longitudinal number, and of the kart.
         pedals: model of the kart.
         columns: columns of throttle, steering and brake.

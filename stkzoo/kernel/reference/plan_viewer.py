@@ -327,7 +327,7 @@ def _nearest(
     return np.where(is_there[..., None], spots, 0).astype(np.float32), is_there
 
 
-# ------------------------------------------------------------------ what a policy sees
+# ------------------------------------------------------------------ inputs of a policy
 
 
 def present_plans(

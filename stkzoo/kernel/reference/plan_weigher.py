@@ -350,7 +350,7 @@ def _danger(
 
 
 def _boosts(table: PlanTable, rows: IntArray, karts: FloatArray, rules: _Rules) -> FloatArray:
-    """Returns the gain by the boosts of drifts, ``(A, C)`` [m].
+    """Returns the gain from the boosts of drifts, ``(A, C)`` [m].
 
     The gain is smaller while an earlier boost of the same kind lasts.
     """
@@ -365,7 +365,7 @@ def _boosts(table: PlanTable, rows: IntArray, karts: FloatArray, rules: _Rules) 
 def _item_gain(
     items: DoubleArray, along: FloatArray, across: FloatArray, rules: _Rules
 ) -> FloatArray:
-    """Returns the gain by the items that plans hit, ``(A, C)`` [m]."""
+    """Returns the gain from the items that plans hit, ``(A, C)`` [m]."""
     gain: FloatArray = np.zeros(along.shape[1:], np.float32)
     for item in range(items.shape[1]):
         who = np.flatnonzero(items[:, item, 2])
