@@ -9,6 +9,7 @@ from dataclasses import fields
 
 import jsonschema
 import pytest
+from referencing import Registry, Resource
 
 from benchmarks.mutation_kinds import KINDS
 from benchmarks.mutations import mutate, run_kind
@@ -16,6 +17,7 @@ from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation import BenchmarkResult, TimeTrialResult, TournamentResult
 from stkzoo.evaluation.benchmark.ai_times import AiTimes
 from stkzoo.race import RaceResult
+from stkzoo.suite import Entry
 from tests.support.paths import SCHEMAS
 
 JSON_KINDS = [name for name, kind in KINDS.items() if kind.is_json]
@@ -108,7 +110,7 @@ def test_a_result_out_of_bounds_is_refused_and_its_field_named(field, value, pro
 
 
 @pytest.mark.parametrize(
-    "kind", [RaceResult, AiTimes, BenchmarkResult, TimeTrialResult, TournamentResult]
+    "kind", [RaceResult, AiTimes, BenchmarkResult, TimeTrialResult, TournamentResult, Entry]
 )
 def test_values_that_break_the_published_schema_are_refused(kind):
     """A change that breaks the schema is refused; missing or additional entries are not checked."""
@@ -116,8 +118,9 @@ def test_values_that_break_the_published_schema_are_refused(kind):
     if kind is RaceResult:
         del schema["oneOf"]
         schema["$ref"] = "#/$defs/race"
-    validator = jsonschema.Draft202012Validator(schema)
+    validator = jsonschema.Draft202012Validator(schema, registry=published_schemas())
     source, valid = random.Random(1), json.loads(KINDS[kind.kind].valid())
+    validator.validate(valid)
     own = {entry.name: valid[entry.name] for entry in fields(kind)}
     checked = 0
     for _ in range(300):
@@ -129,6 +132,13 @@ def test_values_that_break_the_published_schema_are_refused(kind):
             place = list(problems[0].absolute_path)
             assert is_refused(kind, text), f"{place}: {problems[0].message[:200]}"
     assert checked > 100
+
+
+def published_schemas():
+    """Returns all published schemas, to which a schema may refer."""
+    schemas = [json.loads(file.read_text()) for file in SCHEMAS.glob("*.json")]
+    found = [Resource.from_contents(schema) for schema in schemas]
+    return Registry().with_resources((schema.id(), schema) for schema in found)
 
 
 def is_refused(kind, text):

@@ -1,12 +1,12 @@
-"""The inner loops of a step, once in C and once in numpy.
+"""The inner loops of a step, implemented in C and in NumPy.
 
-Every name here but the named tuples is a class or function of the compiled extension ``_kernel``,
-or its twin in :mod:`stkzoo.kernel.reference`, which does the same in numpy. This module alone
-decides which: the extension, unless it is not built here or ``STKZOO_KERNEL=off`` is set. The stub
-``_kernel.pyi`` types both, and ``tests/kernel`` runs each name against its twin.
+Except for the named tuples, each name in this module comes from the compiled extension ``_kernel``.
+If the extension is not built or ``STKZOO_KERNEL=off`` is set, the name comes from the NumPy
+reference implementation in :mod:`stkzoo.kernel.reference`. Only this module chooses between the
+two. The stub ``_kernel.pyi`` types both, and ``tests/kernel`` compares their results.
 
 Attributes:
-    IS_COMPILED: whether the names are those of the extension.
+    IS_COMPILED: whether the names come from the extension.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from stkzoo.kernel._kernel import *  # noqa: F403 - all names of the stub
 
-#: The modules of the twins, below ``stkzoo.kernel.reference``. Each is imported when it is first
-#: needed: some are made of formulas from packages that use the kernel themselves.
+#: The module in ``stkzoo.kernel.reference`` that implements each name. Modules are imported on
+#: first use, because some of them import packages that use the kernel themselves.
 _TWINS = {
     "ActionReader": "action_reader",
     "CarController": "car_controller",
@@ -63,18 +63,19 @@ class PlanTable(NamedTuple):
     """The plans of all states: ``S`` states, ``T`` moments, ``C`` plans.
 
     Attributes:
-        spans: ``(T,)`` how long the moments last [s].
-        least: ``(S, T, C)`` share of full lock that can be turned, positive to the right, from
-        most: ``(S, T, C)`` to this.
-        drifts: ``(S, T, C)`` 1 where the kart drifts.
-        releases: ``(S, T, C)`` 1 where it goes on turning after a drift.
+        spans: ``(T,)`` duration of each moment [s].
+        least: ``(S, T, C)`` lower limit of the turn, positive to the right [fraction of full lock].
+        most: ``(S, T, C)`` upper limit of the turn [fraction of full lock].
+        drifts: ``(S, T, C)`` 1 while the kart drifts.
+        releases: ``(S, T, C)`` 1 while it keeps turning after a drift.
         slower: ``(S, T, C)`` change of speed [m/s].
-        lanes: ``(S, T, C)`` where to drive, -1 is the left edge of the road, 1 the right one.
-        items: ``(S, C)`` number of the item to drive over instead, -1 for none.
-        manoeuvres: ``(S, C)`` what the plan begins with; -1 is no plan.
-        boosts: ``(S, C)`` 0 if it earns the small boost, 1 if the big one, -1 if none.
-        boost_steps: ``(S, C)`` in how many steps.
-        needs_drift: ``(S, C)`` whether it is for karts that may begin a drift.
+        lanes: ``(S, T, C)`` lateral target; -1 is the left edge of the road, 1 the right edge.
+        items: ``(S, C)`` number of the item to drive over instead; -1 for none.
+        manoeuvres: ``(S, C)`` first manoeuvre of the plan; -1 if there is no plan.
+        boosts: ``(S, C)`` boost that the plan earns: 0 for the small one, 1 for the big one, -1 for
+            none.
+        boost_steps: ``(S, C)`` time until it earns the boost [steps].
+        needs_drift: ``(S, C)`` whether only karts that may begin a drift can follow the plan.
     """
 
     spans: npt.NDArray[np.float32]
@@ -92,7 +93,7 @@ class PlanTable(NamedTuple):
 
 
 class PlanMemory(NamedTuple):
-    """What the driver of each of ``A`` karts remembers, ``(A,)`` float32 each; times in steps.
+    """The memory of the drivers of ``A`` karts, ``(A,)`` float32 each. Times are in steps.
 
     Attributes:
         speed: forward speed in the last step [m/s].
@@ -101,14 +102,14 @@ class PlanMemory(NamedTuple):
         drift_turn: turn in the last step of a drift [fraction of full lock].
         drift_side: 1 in a drift to the right, -1 to the left, 0 outside drifts.
         drift_steps: duration of the drift so far.
-        still_steps: for how long the kart has stood still.
-        crawl_steps: for how long it has crawled.
-        free_steps: for how long it has not stood still.
-        reverses: how often it has reversed without getting free.
-        lost_steps: for how long it has been far off the road.
+        still_steps: time for which the kart has stood still.
+        crawl_steps: time for which the kart has crawled.
+        free_steps: time for which the kart has not stood still.
+        reverses: number of times that the kart has reversed without getting free.
+        lost_steps: time for which the kart has been far off the road.
         since_fire: time since the last shot.
         held_offset: steering offset from the plan that is held [fraction of full lock].
-        hold_steps: remaining time of that offset; this and all below count down to 0.
+        hold_steps: remaining time of that offset; this and all attributes below count down to 0.
         hop_steps: time until another drift can begin.
         release_steps: remaining time of the turn after a drift.
         boost_steps: remaining time of the boost of a short drift.
@@ -144,7 +145,7 @@ class PlanMemory(NamedTuple):
 
 
 class MotionRules(NamedTuple):
-    """What the network of the karts' motion needs to know; times in its steps.
+    """Parameters of the network that models the karts' motion. Times are in its steps.
 
     Attributes:
         step: length of a step [s].
@@ -152,7 +153,7 @@ class MotionRules(NamedTuple):
         big_drift: duration of a drift that earns the big boost.
         small_lasts: duration of the small boost.
         big_lasts: duration of the big boost.
-        release_lasts: longest time for which a kart turns on after a drift.
+        release_lasts: longest time for which a kart keeps turning after a drift.
         brake_lasts: duration of braking in a plan that brakes.
     """
 
@@ -166,18 +167,18 @@ class MotionRules(NamedTuple):
 
 
 class MotionState(NamedTuple):
-    """Karts at a step, with what their drivers remember after they have acted.
+    """The state of karts at a step, with the memory of their drivers after they have acted.
 
     Attributes:
         speed: forward speed [m/s].
         slide: speed to the right [m/s].
-        yaw: turn in the step before, positive to the right [rad].
+        yaw: turn in the previous step, positive to the right [rad].
         turn: turn, positive to the right [fraction of full lock].
-        turn_before: turn in the step before.
+        turn_before: turn in the previous step [fraction of full lock].
         side: side of the drift: 1 right, -1 left, 0 none.
         steps: duration of the drift so far.
         release: remaining time of the turn after a drift.
-        drift_turn: turn in the last step of a drift.
+        drift_turn: turn in the last step of a drift [fraction of full lock].
         boost: remaining time of the boost of a short drift.
         big_boost: remaining time of the boost of a long drift.
         brake: 1 if the kart brakes.

@@ -1,7 +1,7 @@
-/* Actions as they come from agents, into the controls that the engine takes.
+/* Converts agents' actions to the engine's controls.
 
-   Only the usual forms are read, and only what lies in the space. For all else the caller has
-   stkzoo.views.actions.read_actions, which brings an action into a usual form or raises. */
+   Only actions in the usual forms and within the action space are read. For all others, the caller
+   uses stkzoo.views.actions.read_action, which converts an action to a usual form or raises. */
 
 #include "kernel.h"
 
@@ -11,11 +11,12 @@
 /* One number of an action. */
 typedef struct {
     double low, high;
-    int is_whole, column, width; /* where it goes; columns of the table */
-    const float *table;          /* controls to add for each whole number; NULL: it is the control */
+    int is_whole, column, width; /* whether it is an integer; first of `width` columns to write */
+    const float *table; /* (values, width): controls to add for each integer. If NULL, the number
+                           itself is the control. */
 } Entry;
 
-/* Numbers that come together: the whole action, or what stands under one key. */
+/* Numbers that form one array: the whole action, or the value of one key. */
 typedef struct {
     Entry *entries;
     npy_intp count;
@@ -23,7 +24,7 @@ typedef struct {
 
 typedef struct {
     OBJECT_HEAD
-    PyObject *names; /* tuple of the leaves' keys; empty if the action is the only leaf */
+    PyObject *names; /* tuple of the leaves' keys; empty if the action is a single leaf */
     Leaf *leaves;
     int num_columns;
 } ActionReader;
@@ -47,7 +48,7 @@ static int put(const Entry *entry, double value, float *row)
     return 1;
 }
 
-/* Number i of an array that holds one of the usual types; 0 if it holds another. */
+/* Reads element i of an array; returns 0 if the dtype is not one of the usual ones. */
 static int number_at(PyArrayObject *array, npy_intp i, double *value)
 {
     const void *data = PyArray_DATA(array);
@@ -108,8 +109,8 @@ static int read_action(const ActionReader *self, PyObject *action, float *row)
     return 1;
 }
 
-/* read(actions, agents, rows, controls): the action of agents[i], from a dict, into row rows[i];
-   whether all were there and could be read. */
+/* read(actions, agents, rows, controls): reads the action of agents[i] from the dict `actions` into
+   row rows[i] of `controls`. Returns False if an action is missing or cannot be read. */
 static PyObject *reader_read(PyObject *object, PyObject *args)
 {
     const ActionReader *self = (ActionReader *)object;
@@ -133,7 +134,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
         if (!action && PyErr_Occurred()) return NULL;
         float *row = controls.data + rows.data[i] * self->num_columns;
         memset(row, 0, (size_t)self->num_columns * sizeof *row);
-        Py_XINCREF(action); /* a number of the agent's own type may run code that drops it */
+        Py_XINCREF(action); /* converting a number can run code that removes it from the dict */
         const int is_read = action ? read_action(self, action, row) : 0;
         Py_XDECREF(action);
         if (is_read < 0) return NULL;
@@ -142,7 +143,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
     Py_RETURN_TRUE;
 }
 
-/* Whether an object is an array with a row of this leaf's numbers for each of `count` slots. */
+/* Returns whether an object is an array with the leaf's numbers for each of `count` slots. */
 static int is_column(const Leaf *leaf, PyObject *object, npy_intp count)
 {
     PyArrayObject *array = (PyArrayObject *)object;
@@ -152,7 +153,7 @@ static int is_column(const Leaf *leaf, PyObject *object, npy_intp count)
            (leaf->count == 1 || PyArray_NDIM(array) == 2);
 }
 
-/* The column of leaf i; NULL if the batch lacks it or it has another form. */
+/* Returns the batch's array for leaf i; NULL if it is missing or has another form. */
 static PyArrayObject *column_of(const ActionReader *self, PyObject *batch, Py_ssize_t i,
                                 npy_intp count)
 {
@@ -179,9 +180,9 @@ static int read_column(const ActionReader *self, const Leaf *leaf, PyArrayObject
     return 1;
 }
 
-/* read_batch(batch, count, slots, rows, controls): the action of slots[i], from arrays with a row
-   for each of `count` slots, into row rows[i]; whether all were in a usual form and could be read.
-   The batch is one array, or a dict of arrays. */
+/* read_batch(batch, count, slots, rows, controls): reads the action of slots[i] from a batch into
+   row rows[i] of `controls`. The batch is one array or a dict of arrays, each with a row for each
+   of `count` slots. Returns False if the batch has another form or an action cannot be read. */
 static PyObject *reader_read_batch(PyObject *object, PyObject *args)
 {
     const ActionReader *self = (ActionReader *)object;
@@ -215,7 +216,7 @@ static PyObject *reader_read_batch(PyObject *object, PyObject *args)
     Py_RETURN_TRUE;
 }
 
-/* One entry from (low, high, is_whole, column, table or None). */
+/* Sets an entry from a tuple (low, high, is_whole, column, table or None). */
 static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 {
     PyObject *table;

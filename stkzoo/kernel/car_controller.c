@@ -1,7 +1,8 @@
-/* Speed or acceleration and a steering angle or its speed, as throttle, steering and brake.
+/* Converts a speed or an acceleration, and a steering angle or steering speed, to throttle,
+   steering and brake.
 
-   Its numpy twin is stkzoo.kernel.reference.car_controller; the formulas are those of
-   stkzoo.wrappers.control. */
+   The NumPy reference implementation is stkzoo.kernel.reference.car_controller; the formulas are
+   those of stkzoo.wrappers.control. */
 
 #include "kernel.h"
 
@@ -10,13 +11,14 @@
 enum { NUM_GEARS = 4 };
 enum { THROTTLE, STEERING, BRAKE };
 
-/* A measured kart, see stkzoo.wrappers.control.kart. */
+/* The measured model of a kart: PEDALS in stkzoo.wrappers.control.kart. */
 typedef struct {
     double gears[NUM_GEARS], thrust[NUM_GEARS + 1], brake[NUM_GEARS + 1];
     double reverse, reverse_speed, roll_drag, air_drag, self_stop_speed, stop_speed, rolling;
 } Pedals;
 
-/* What an agent's controller remembers, and how long its steps are. */
+/* Memory of an agent's controller: the wheel angle [rad], the remaining speed change [m/s], and the
+   step size [s]. */
 typedef struct {
     double angle, owed, step_size;
 } State;
@@ -24,9 +26,11 @@ typedef struct {
 typedef struct {
     OBJECT_HEAD
     const Pedals *pedals;
-    int is_speed, is_angle, is_normalized; /* what is asked for, and in which units */
+    /* Whether actions are speeds (otherwise accelerations), steering angles (otherwise steering
+       speeds), and in [-1, 1] (otherwise in physical units). */
+    int is_speed, is_angle, is_normalized;
     double steer_low, steer_high, low, high, v_min, v_max, sv_max, speed_gain, steer_lag;
-    int columns[3], num_columns; /* of the controls: throttle, steering, brake */
+    int columns[3], num_columns; /* columns of throttle, steering and brake */
 } CarController;
 
 static double clipped(double value, double low, double high)
@@ -108,7 +112,7 @@ static double accelerate(const CarController *self, double asked, double speed, 
     return clipped(asked, slowest < 0 ? slowest : 0, fastest > 0 ? fastest : 0);
 }
 
-/* What was asked for in a row of controls, replaced by what the game is told. */
+/* Replaces the action in a row of controls with the game's controls. */
 static void drive(const CarController *self, const Kart *kart, State *state, float *row)
 {
     const Pedals *pedals = self->pedals;
@@ -135,8 +139,9 @@ static void drive(const CarController *self, const Kart *kart, State *state, flo
     row[self->columns[BRAKE]] = (float)brake;
 }
 
-/* drive(controls, rows, data, karts, states, places): for each i, the controls in row rows[i] of
-   the kart karts[i] at a snapshot's moment, with the memory in row places[i] of the states. */
+/* drive(controls, rows, data, karts, states, places): for each i, replaces the action in row
+   rows[i] of `controls` with the game's controls for kart karts[i] of a snapshot, and updates the
+   memory in row places[i] of `states`. */
 static PyObject *controller_drive(PyObject *object, PyObject *args)
 {
     const CarController *self = (CarController *)object;
@@ -165,7 +170,8 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* CarController(act, kinds, limits, pedals, columns, num_columns) */
+/* CarController(act, kinds, limits, pedals, columns, num_columns): `act` is only for the reference
+   implementation. */
 static int controller_set_up(CarController *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *act;

@@ -1,36 +1,39 @@
-/* What happens to the karts of a race from one moment to the next.
+/* Counts the events of a race's karts between two snapshots.
 
-   Its numpy twin is stkzoo.kernel.reference.event_counter; stkzoo.mdp.events says what each event
-   is. The engine reports neither contacts nor hits nor rescues: they are read from what karts do.
-   The numbers were measured in races seen at the engine's own rate of 120 Hz. */
+   The NumPy reference implementation is stkzoo.kernel.reference.event_counter; stkzoo.mdp.events
+   defines the events. The engine does not report contacts, hits or rescues, so they are derived
+   from the karts' motion. The thresholds were measured in races recorded at 120 Hz, the engine's
+   own rate. */
 
 #include "geometry.h"
 
-/* The columns of counts. */
+/* Columns of `counts`. */
 enum {
     KART_CONTACT, WALL_CONTACT, HIT, ITEM_TAKEN, ITEM_USED,
     OVERTAKE, OVERTAKEN, RESCUE, OFF_ROAD, WRONG_WAY, NUM_EVENTS
 };
 
-/* The first columns of memory; then one for each kart: for how long it still counts as touched. */
+/* First columns of `memory`. One column per kart follows: the time for which further contacts with
+   that kart are not counted [s]. WALL_FOR is the same for contacts with walls. PLACE is the
+   location from which STUCK is measured [m]. */
 enum {
     OFF_ROAD_FOR, WRONG_WAY_FOR, STUCK_FOR, /* [s] */
     PLACE, IS_CARRIED = PLACE + 3, WALL_FOR, NUM_OWN
 };
 
-#define APART 0.5     /* contacts that are less apart are one [s] */
-#define TOUCH 0.1     /* boxes so near touch [m] */
-#define NEAR 0.25     /* what happens so near to a kart is its doing [m] */
-#define STUCK 3.0     /* who gets no further than this is stuck [m] */
-#define BACKWARDS 1.0 /* against the road's direction [m/s] */
-#define NITRO 0.4     /* a bottle has at least 1; burning takes at most 0.15 a step */
+#define APART 0.5     /* contacts within this time count as one [s] */
+#define TOUCH 0.1     /* boxes within this distance touch [m] */
+#define NEAR 0.25     /* a jolt this close to another kart is not a wall contact [m] */
+#define STUCK 3.0     /* a kart that stays within this distance is stuck [m] */
+#define BACKWARDS 1.0 /* minimum speed against the road's direction [m/s] */
+#define NITRO 0.4     /* a bottle adds at least 1, of which a step burns at most 0.15 */
 #define CANNON 15.0   /* cannons are faster, rescues and explosions slower [m/s] */
-#define TUMBLE 1.7    /* karts tumble in explosions; rescues hold them still [rad/s] */
-#define GUM_REACH 3.0 /* from bubble gum to the kart that has driven over it [m] */
-#define FORWARDS 2.0  /* slower karts, and those that reverse, brake as hard as walls do [m/s] */
-#define LOSS 4.5      /* more than a step of 0.1 s takes from a kart that hits nothing [m/s] */
-#define BRAKES 40.0   /* nor do longer steps take more than this [m/s^2] */
-#define DRAG 2.0      /* but a parachute takes up to so many times as much */
+#define TUMBLE 1.7    /* explosions rotate karts faster; rescues do not rotate them [rad/s] */
+#define GUM_REACH 3.0 /* maximum distance of bubble gum from the kart that drove over it [m] */
+#define FORWARDS 2.0  /* slower or reversing karts can brake as hard as at a wall [m/s] */
+#define LOSS 4.5      /* more than a kart loses in a step of 0.1 s without a collision [m/s] */
+#define BRAKES 40.0   /* the same per second, for longer steps [m/s^2] */
+#define DRAG 2.0      /* factor of both limits with a parachute */
 
 enum { ATTACHED_PARACHUTE, ATTACHED_ANVIL, ATTACHED_BOMB, ATTACHED_SHIELD = 6 };
 enum { NO_POWERUP = 0, BUBBLE_GUM = 4 };
@@ -43,9 +46,9 @@ typedef struct {
     npy_intp num_karts;
 } EventCounter;
 
-/* A kart as a box. */
+/* A kart's bounding box. */
 typedef struct {
-    double place[3], velocity[3], axes[3][3], reach[3]; /* right, up, forward; half its size */
+    double place[3], velocity[3], axes[3][3], reach[3]; /* right, up, forward; half sizes */
     int is_carried, is_dragged;
 } Box;
 
@@ -82,7 +85,7 @@ static void time_kart(const EventCounter *self, const Kart *then, const Kart *ka
                             (double)begin[5] - begin[2]};
     const double along = road[0] * v[0] + road[1] * v[1] + road[2] * v[2];
     const int is_off = kart->is_on_road == 0;
-    /* A kart that is carried keeps its velocity, and has no speed. */
+    /* A carried kart keeps its velocity, but its speed is 0. */
     const int is_back = kart->speed != 0 && along < -BACKWARDS * sqrt(inner(road, road));
     for (int i = 0; i < 3; i++) {
         if (isinf(memory[PLACE + i])) memory[PLACE + i] = then->location[i]; /* the first step */
@@ -110,7 +113,8 @@ static void count_items(const Kart *then, const Kart *now, double *counts)
                    (hung == ATTACHED_PARACHUTE || hung == ATTACHED_ANVIL || hung == ATTACHED_BOMB);
 }
 
-/* Rescues, explosions and cannons: a kart that they carry keeps its last velocity. */
+/* Counts rescues and explosions. A kart that a rescue, an explosion or a cannon carries keeps its
+   last velocity. */
 static void count_ride(const Kart *then, const Kart *now, double dt, double *memory, double *counts)
 {
     const float *v = now->velocity, *w = then->velocity, *p = now->rotation, *q = then->rotation;
@@ -125,7 +129,8 @@ static void count_ride(const Kart *then, const Kart *now, double dt, double *mem
     memory[IS_CARRIED] = is_carried;
 }
 
-/* Whether a kart loses speed as no brake and no ground takes it; landings throw it up. */
+/* Returns whether a kart loses more speed than brakes and the ground can take. A landing does not
+   count: it increases the vertical velocity by more than the loss. */
 static int is_jolted(const Box *then, const Box *now, double dt)
 {
     const double *v = then->velocity, *w = now->velocity;
@@ -159,7 +164,8 @@ static int has_item(const Moment *moment, npy_int32 id)
     return 0;
 }
 
-/* Gum that is gone hit the kart that is nearest to it. */
+/* Bubble gum that has disappeared counts as a hit of the nearest kart within GUM_REACH, unless that
+   kart has a shield. */
 static void count_gum(const EventCounter *self, const Moment *then, const Moment *now)
 {
     for (npy_int32 n = 0; n < then->header->num_items; n++) {
@@ -192,7 +198,8 @@ static void set_box(const Kart *kart, Box *box)
     box->is_carried = kart->speed == 0 && fabsf(v[0]) + fabsf(v[1]) + fabsf(v[2]) > 0.3f;
 }
 
-/* How far two boxes are apart by the axes of the first one, the second being `way` off. */
+/* Returns the largest gap between two boxes along the axes of the first one [m], negative if they
+   overlap along all of them. `way` is the vector from the first box to the second. */
 static double gap_along(const Box *first, const Box *second, const double *way)
 {
     double gap = fabs(inner(first->axes[1], way)) - first->reach[1] - second->reach[1];
@@ -207,8 +214,8 @@ static double gap_along(const Box *first, const Box *second, const double *way)
     return gap;
 }
 
-/* The least distance of two boxes from a moment to half a step onwards, or backwards [m]; infinity
-   for some that are not near. */
+/* Returns the smallest gap between two boxes within half of `ahead` [m]. `ahead` is the step size,
+   or its negative to look back [s]. Returns infinity for boxes that are never near. */
 static double least_gap(const Box *first, const Box *second, double ahead)
 {
     double least = INFINITY, near = NEAR;
@@ -232,7 +239,7 @@ static double least_gap(const Box *first, const Box *second, double ahead)
     return least;
 }
 
-/* Counts that two karts touch; whether they are near. */
+/* Counts a contact if two karts touch; returns whether they are near each other. */
 static int count_touch(const EventCounter *self, const Box *then, const Box *now, npy_intp i,
                        npy_intp j)
 {
@@ -250,7 +257,8 @@ static int count_touch(const EventCounter *self, const Box *then, const Box *now
     return gap <= NEAR;
 }
 
-/* Takes room for the boxes of two moments and whether karts are near others. */
+/* Counts contacts with karts and walls; returns -1 with an exception set on failure. One block of
+   memory holds the boxes of both snapshots and, for each kart, whether it is near another. */
 static int count_contacts(const EventCounter *self, const Kart *before, const Kart *after)
 {
     const npy_intp count = self->num_karts;
@@ -267,7 +275,7 @@ static int count_contacts(const EventCounter *self, const Kart *before, const Ka
     for (npy_intp i = 0; i < count; i++) {
         double *free_for = memory_of(self, i) + WALL_FOR, *counts = counts_of(self, i);
         const int is_carried = then[i].is_carried || now[i].is_carried ||
-                               memory_of(self, i)[IS_CARRIED]; /* and set down fast */
+                               memory_of(self, i)[IS_CARRIED]; /* or set down at speed */
         const int is_bumped = !is_near[i] && counts[HIT] == 0 && !is_carried &&
                               is_jolted(then + i, now + i, self->step_size);
         counts[WALL_CONTACT] = is_bumped && *free_for <= 0;
@@ -293,7 +301,7 @@ static int is_valid(const EventCounter *self, const Moment *moment)
     return 1;
 }
 
-/* count(before, after): writes what happened between the bytes of two snapshots. */
+/* count(before, after): counts the events between the bytes of two snapshots. */
 static PyObject *counter_count(PyObject *object, PyObject *args)
 {
     const EventCounter *self = (EventCounter *)object;
@@ -303,7 +311,7 @@ static PyObject *counter_count(PyObject *object, PyObject *args)
         return NULL;
     }
     memset(self->counts.data, 0, (size_t)self->counts.size * sizeof(double));
-    if (now.header->time <= then.header->time) Py_RETURN_NONE; /* nobody may drive yet */
+    if (now.header->time <= then.header->time) Py_RETURN_NONE; /* karts cannot drive yet */
     for (npy_intp i = 0; i < self->num_karts; i++) {
         double *memory = memory_of(self, i), *counts = counts_of(self, i);
         time_kart(self, then.karts + i, now.karts + i, memory, counts);

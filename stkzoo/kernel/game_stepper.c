@@ -1,4 +1,4 @@
-/* The game's step: from controls to the moment after it. */
+/* Steps the game: sets the controls, advances the engine and reads the next snapshot. */
 
 #include "kernel.h"
 
@@ -7,17 +7,17 @@
 
 /* ---------------------------------------------------------------- the engine's block */
 
-/* The engine can write its whole world as one block of bytes (what it pickles), which takes a few
-   microseconds where reading attribute by attribute takes ten times as long. The block's layout
-   is no promise of the engine's: stkzoo.engine.race.GameRace uses it only if, at the race's
-   start, everything in it is what the attributes say.
+/* The engine can write its whole world as one block of bytes, its pickle state. This takes a few
+   microseconds; reading the attributes one by one takes ten times as long. The engine does not
+   guarantee the block's layout, so stkzoo.engine.race.GameRace uses the block only if it agrees
+   with the attributes at the start of the race.
 
-   The block, all little-endian and unpadded: world time; number of players; players; number of
-   karts; karts; number of items; items. A kart is a flag, two ids, its name and model with their
-   lengths, and then an EngineKart. Vectors come with their number of dimensions and their length
-   before them. */
+   The block is little-endian and unpadded: world time; number of players; players; number of karts;
+   karts; number of items; items. A kart consists of a flag, two ids, its name and model, each
+   preceded by its length, and an EngineKart. Each vector is preceded by its number of dimensions
+   and its length. */
 
-/* What the block says of a kart, in order. */
+/* Fields of a kart in the block, in order. */
 #define KART_FIELDS(VECTOR, NUMBER, UNKNOWN)                                                      \
     VECTOR(location, 3) VECTOR(rotation, 4) VECTOR(front, 3) VECTOR(velocity, 3)                  \
     VECTOR(velocity_lc, 3) VECTOR(size, 3)                                                        \
@@ -30,7 +30,7 @@
     NUMBER(float, skeed_factor) NUMBER(npy_uint8, has_finished_race) NUMBER(npy_int32, node)      \
     NUMBER(npy_uint8, is_on_road)
 
-/* The same of an item. */
+/* Fields of an item in the block, in order. */
 #define ITEM_FIELDS(VECTOR, NUMBER, UNKNOWN)                                                      \
     UNKNOWN(npy_uint8, flag) NUMBER(npy_int32, id) VECTOR(location, 3) NUMBER(float, size)        \
     NUMBER(npy_int32, type)
@@ -55,15 +55,15 @@ typedef struct {
 
 typedef struct {
     OBJECT_HEAD
-    PyObject *step, *update, *write, *report; /* the engine's own functions */
+    PyObject *step, *update, *write, *report; /* functions of the engine */
     PyObject *world, *actions, *controls, *phases, *reporting;
-    PyObject *speed, *angular_velocity; /* names of attributes that the block does not hold */
-    npy_intp num_kart, *places, items_at; /* where the block has the karts and the items */
-    int phase, last_phase; /* phases come one after the other; the last one stays */
-    float *present;        /* what the actions say */
+    PyObject *speed, *angular_velocity; /* names of attributes that the block lacks */
+    npy_intp num_kart, *places, items_at; /* offsets of karts and items in the block */
+    int phase, last_phase; /* phases follow in order; the last one is final */
+    float *present;        /* (P, 7) current controls of the engine's actions */
 } GameStepper;
 
-/* A count in the block; -1 with an exception set if there is none. */
+/* Reads a count from the block; returns -1 with an exception set if it is invalid. */
 static npy_int32 count_at(Block block, npy_intp at)
 {
     npy_int32 count = -1;
@@ -71,7 +71,7 @@ static npy_int32 count_at(Block block, npy_intp at)
     return count < 0 ? refuse("the engine's block is laid out in another way") : count;
 }
 
-/* Finds the karts and the items, which stay at their places all race long. */
+/* Finds the karts and the items in the block. Their offsets do not change during a race. */
 static int find_places(GameStepper *self, Block block)
 {
     const npy_intp num_players = count_at(block, PLAYERS_AT);
@@ -95,7 +95,8 @@ static int find_places(GameStepper *self, Block block)
     return 0;
 }
 
-/* What begins at a place of the block; NULL with an exception set if it does not all lie there. */
+/* Returns a pointer to `size` bytes of the block; NULL with an exception set if the block ends
+   before them. */
 static const void *record_at(Block block, npy_intp at, size_t size)
 {
     if (at + (npy_intp)size <= block.size) return block.data + at;
@@ -105,8 +106,8 @@ static const void *record_at(Block block, npy_intp at, size_t size)
 
 /* ---------------------------------------------------------------- to the engine */
 
-/* Brings the engine's actions from what they say to what they should. The controls may be at any
-   address: in a message they follow a head of six bytes. */
+/* Updates the engine's actions where controls have changed. `controls` may be unaligned, because in
+   a message it follows a header of six bytes. */
 static int set_actions(GameStepper *self, const char *controls)
 {
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
@@ -126,7 +127,8 @@ static int set_actions(GameStepper *self, const char *controls)
     return 0;
 }
 
-/* Whether the race goes on after a step; -1 if it failed. */
+/* Advances the race by a step. Returns whether it is still running; -1 with an exception set on
+   failure. */
 static int advance(GameStepper *self)
 {
     PyObject *answer = PyList_GET_SIZE(self->actions) ? PyObject_CallOneArg(self->step, self->actions)
@@ -138,7 +140,7 @@ static int advance(GameStepper *self)
 
 /* ---------------------------------------------------------------- from the engine */
 
-/* One number or a sequence of them into a record; takes over the value. */
+/* Copies a number or a sequence of `count` numbers to a record, and releases `value`. */
 static int copy_numbers(PyObject *value, npy_intp count, void *to)
 {
     if (!value) return -1;
@@ -157,7 +159,7 @@ static int copy_numbers(PyObject *value, npy_intp count, void *to)
     return fits ? 0 : refuse("an attribute of the engine has another length");
 }
 
-/* What the game's AI does with a kart, into its record. */
+/* Copies the controls that the game's AI chose for a kart to the kart's record. */
 static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
 {
     const npy_intp kart = PyLong_AsSsize_t(number);
@@ -172,7 +174,7 @@ static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
     return status;
 }
 
-/* A kart from the block, and what that does not hold from its attributes. */
+/* Reads a kart from the block, and the fields that the block lacks from its attributes. */
 static int read_kart(const GameStepper *self, PyObject *kart, const EngineKart *from, Kart *to)
 {
     if (!from) return -1;
@@ -237,7 +239,7 @@ static int read_header(GameStepper *self, npy_int32 num_items, int is_running, H
     return 0;
 }
 
-/* The present moment from the engine's own block. */
+/* Returns the current snapshot as bytes, read from the engine's block. */
 static PyObject *moment_from(GameStepper *self, Block block, int is_running)
 {
     const npy_int32 num_items = count_at(block, self->items_at);
@@ -259,7 +261,8 @@ static PyObject *moment_from(GameStepper *self, Block block, int is_running)
     return data;
 }
 
-/* The engine's state, which holds its block; NULL with an exception set. */
+/* Makes the engine write its block. Returns the engine's state, a new reference that owns the
+   block; NULL with an exception set on failure. */
 static PyObject *write_block(const GameStepper *self, Block *block)
 {
     PyObject *state = PyObject_CallNoArgs(self->write);
@@ -283,14 +286,15 @@ static PyObject *read_now(GameStepper *self, int is_running)
     return data;
 }
 
-/* read(is_running): the present moment, as the bytes of a Snapshot. */
+/* read(is_running): returns the current snapshot as bytes. */
 static PyObject *stepper_read(PyObject *self, PyObject *is_running)
 {
     const int running = PyObject_IsTrue(is_running);
     return running < 0 ? NULL : read_now((GameStepper *)self, running);
 }
 
-/* step(controls): (P, 7) float32, as a buffer; the moment after the step, as bytes. */
+/* step(controls): applies the controls, a buffer of (P, 7) float32, advances the race by a step and
+   returns the next snapshot as bytes. */
 static PyObject *stepper_step(PyObject *object, PyObject *controls)
 {
     GameStepper *self = (GameStepper *)object;
@@ -320,7 +324,7 @@ static PyObject *stepper_step(PyObject *object, PyObject *controls)
 #include <sys/socket.h>
 #include <sys/uio.h>
 
-/* stkzoo.engine.wire: a message of one frame. */
+/* Header of a message with one frame; see stkzoo.engine.wire. */
 #pragma pack(push, 1)
 typedef struct {
     char kind, num_frames;
@@ -350,11 +354,11 @@ static PyObject *step_and_send(PyObject *self, int fd, PyObject *controls)
     Py_RETURN_NONE;
 }
 
-/* serve(fd): takes the steps that are asked for over a packet socket, until something else is,
-   which it returns. */
+/* serve(fd): serves step requests on a packet socket until another request arrives, and returns
+   that request. */
 static PyObject *stepper_serve(PyObject *self, PyObject *file)
 {
-    static char room[1 << 18]; /* as stkzoo.engine.wire's; no threads here */
+    static char room[1 << 18]; /* as in stkzoo.engine.wire; only one thread uses it */
     const int fd = (int)PyLong_AsLong(file);
     if (PyErr_Occurred()) return NULL;
     for (;;) {
@@ -383,8 +387,8 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
 /* ---------------------------------------------------------------- the type */
 
 /* GameStepper(race, world, actions, controls, phases, last_phase, reporting): the engine's race,
-   world and a list of its actions, the names of the controls, the phases' numbers by the engine's
-   own, and the karts whose control is reported. */
+   world and list of actions; the names of the controls; a dict from the engine's phases to their
+   numbers; the number of all other phases; and the karts whose controls are reported. */
 static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *race;
@@ -398,7 +402,7 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
     self->phase = self->last_phase - 1;
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;
-    for (npy_intp i = 0; i < size; i++) self->present[i] = NAN; /* equal to nothing */
+    for (npy_intp i = 0; i < size; i++) self->present[i] = NAN; /* differs from every control */
     if (!(self->step = keep(self, PyObject_GetAttrString(race, "step"))) ||
         !(self->report = keep(self, PyObject_GetAttrString(race, "get_kart_action"))) ||
         !(self->update = keep(self, PyObject_GetAttrString(self->world, "update"))) ||

@@ -1,4 +1,4 @@
-/* A kart's frame, as stkzoo.mdp.geometry, and what is near in it. */
+/* A kart's frame, as in stkzoo.mdp.geometry, and sorted lists of nearby objects. */
 
 #ifndef STKZOO_GEOMETRY_H
 #define STKZOO_GEOMETRY_H
@@ -23,7 +23,7 @@ static inline void rotation_matrix(const Kart *kart, float m[9])
     m[8] = w * w - x * x - y * y + z * z;
 }
 
-/* A direction of the world as a kart with this matrix sees it. */
+/* Rotates a direction from the world frame to the frame of a kart with this rotation matrix. */
 static inline void rotate(const float m[9], float x, float y, float z, float *out)
 {
     out[0] = x * m[0] + y * m[1] + z * m[2];
@@ -31,7 +31,7 @@ static inline void rotate(const float m[9], float x, float y, float z, float *ou
     out[2] = x * m[6] + y * m[7] + z * m[8];
 }
 
-/* A point of the world, likewise. */
+/* Transforms a point from the world frame to the kart's frame. */
 static inline void to_kart_frame(const Kart *kart, const float m[9], const float *point,
                                  float *out)
 {
@@ -49,7 +49,8 @@ static inline float length(const float *v)
     return sqrtf(dot(v, v));
 }
 
-/* How far a kart at the origin has come on its segment [m]. */
+/* Returns how far along its segment a kart is [m]. The kart is at the origin; `start` is the start
+   of the segment, and `along` the vector to its end. */
 static inline float way_passed(const float *start, const float *along)
 {
     const float squared = dot(along, along);
@@ -57,25 +58,27 @@ static inline float way_passed(const float *start, const float *along)
     return (share < 0 ? 0 : share > 1 ? 1 : share) * sqrtf(squared);
 }
 
-/* The point of a line, of at least two, at a place along it; in its four columns. */
+/* Interpolates all four columns of a line of at least two points. `place` is a fractional index of
+   these points; values beyond an end extrapolate the line. */
 static inline void look_on_line(const float *line, npy_intp num_points, float place, float *point)
 {
     const npy_intp last = num_points - 2;
-    /* NaN, and places before or beyond the line, must not become an index. */
+    /* NaN and places beyond the ends must not become an index. */
     const npy_intp before = place >= (float)last ? last : place > 0 ? (npy_intp)place : 0;
     const float share = place - (float)before, *first = line + 4 * before;
     for (int i = 0; i < 4; i++) point[i] = first[i] + (first[4 + i] - first[i]) * share;
 }
 
-/* A thing that is near, in a kart's frame. */
+/* A nearby object in a kart's frame. */
 typedef struct {
-    float key;      /* what it is ordered by */
+    float key;      /* sort key */
     float place[3];
     int which;
 } Near;
 
-/* Inserts a thing where it belongs: from the lowest key up, then those with negative keys from the
-   highest down; of equals the first stays first. Keeps no more than `limit`; how many these are. */
+/* Inserts an object into a sorted list of at most `limit` objects and returns the new length. Keys
+   that are not negative come first, in ascending order; negative keys follow, in descending order.
+   Objects with equal keys stay in the order of insertion. */
 static inline npy_intp insert(Near *nearest, npy_intp count, npy_intp limit, const Near *one)
 {
     npy_intp low = 0, high = count;

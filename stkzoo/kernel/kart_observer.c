@@ -1,40 +1,40 @@
-/* What karts see, from records to the values that an agent gets, in one pass.
+/* Converts a snapshot's records to agents' observations in one pass.
 
-   Its numpy twin is stkzoo.kernel.reference.kart_observer; the formulas are those of
-   stkzoo.mdp.observations and of the wrappers in stkzoo.wrappers. */
+   The NumPy reference implementation is stkzoo.kernel.reference.kart_observer. The formulas are
+   those of stkzoo.mdp.observations and of the wrappers in stkzoo.wrappers. */
 
 #include "geometry.h"
 
 #include <stddef.h>
 #include <string.h>
 
-/* One moment of a race, and what one kart sees of it. */
+/* A snapshot, and what one kart sees of it. */
 typedef struct {
     TrackGraph *track;
-    npy_intp num_paths;   /* segments that are seen */
-    PyObject *kart_types; /* a tuple */
+    npy_intp num_paths;   /* number of visible segments */
+    PyObject *kart_types; /* tuple */
     Moment moment;
     int is_polar;
-    npy_intp rows[4], real[4]; /* of each group: how many are shown, and how many are there */
-    /* of the present kart: */
+    npy_intp rows[4], real[4]; /* by group: number of rows, and number of those without padding */
+    /* of the observing kart: */
     const Kart *me;
     const void *records[3]; /* by source: HEADER, KART, SCENE */
     float matrix[9], center_path[3], center_path_distance;
-    Near *nearest[2]; /* items and karts, those in front first */
+    Near *nearest[2]; /* items and karts, those ahead first */
     const npy_int32 *ahead;
 } Scene;
 
-enum { ITEMS, KARTS, PATHS, OWN }; /* what the rows of an entry are */
+enum { ITEMS, KARTS, PATHS, OWN }; /* groups: what the rows of an entry describe */
 enum { NUMBER, CHOICE, MASK, NAME, CONTROL };
-enum { HEADER, KART, SCENE, NODES, WIDTHS, DISTANCES, NEAREST, MOTION }; /* where its numbers are */
-enum { IS_POINT = 1, IS_PLACE = 2 }; /* in the world's frame; an angle and more in a polar view */
+enum { HEADER, KART, SCENE, NODES, WIDTHS, DISTANCES, NEAREST, MOTION }; /* sources of numbers */
+enum { IS_POINT = 1, IS_PLACE = 2 }; /* stored in the world frame; converted in a polar view */
 
 /* An entry of an observation. */
 typedef struct {
     const char *name;
     int kind, group, width;
     int source;    /* of numbers and choices */
-    size_t offset; /* [bytes] */
+    size_t offset; /* in the source [bytes] */
     int form;
 } Key;
 
@@ -76,13 +76,13 @@ enum { NUM_KEYS = sizeof KEYS / sizeof *KEYS };
 /* stkzoo.mdp.spaces.POWERUP_COUNT_LIMIT */
 enum { POWERUP_COUNT_LIMIT = 9 };
 
-/* An entry that an observer shows. */
+/* An entry of one observer. */
 typedef struct {
     const Key *key;
     PyObject *name;
-    /* Tuples of rows that were handed out, oldest at `next`, for lists of varying length. One that
-       nobody else holds any more, in whole or in part, is used again, which costs a tenth of
-       making a new one. */
+    /* Tuples of rows that earlier calls returned, for lists of varying length; the oldest is at
+       `next`. A tuple is reused if neither it nor its rows are referenced elsewhere, which costs a
+       tenth of creating a new one. */
     PyObject *pool;
     Py_ssize_t next;
 } Entry;
@@ -91,16 +91,16 @@ typedef struct {
     OBJECT_HEAD
     Entry entries[NUM_KEYS];
     int num_entries;
-    int sizes[4]; /* rows of each group; -1 for all there are */
+    int sizes[4]; /* rows of each group; -1 for a variable number */
     int is_polar, is_flat;
-    int needs[4]; /* which groups the entries look at */
-    npy_intp num_continuous, num_discrete; /* of a flat observer */
-    Indices joined;                        /* values of each choice; none if they stay choices */
-    npy_intp num_ones;                     /* their sum */
-    Flags nitro, fire;                     /* actions that need nitro, a powerup; none: no mask */
+    int needs[4]; /* whether there are entries of each group */
+    npy_intp num_continuous, num_discrete; /* sizes of a flat observer's vectors */
+    Indices joined;                        /* one-hot length of each choice; empty if not joined */
+    npy_intp num_ones;                     /* sum of these lengths */
+    Flags nitro, fire;                     /* actions that need nitro, a powerup; empty: no mask */
 } KartObserver;
 
-/* ---------------------------------------------------------------- what one kart sees */
+/* ---------------------------------------------------------------- one kart's surroundings */
 
 static void see(const Scene *scene, const float *point, float *out)
 {
@@ -128,7 +128,7 @@ static void find_center_path(Scene *scene)
     scene->center_path_distance = path[0] < 0 ? -length(path) : length(path);
 }
 
-/* Finds the nearest items or karts. */
+/* Finds the nearest items or other karts. */
 static void find_near(Scene *scene, int group)
 {
     const Moment *moment = &scene->moment;
@@ -144,7 +144,8 @@ static void find_near(Scene *scene, int group)
     }
 }
 
-/* Takes a kart's place. */
+/* Sets the observing kart and computes what the entries need. Returns -1 with an exception set on
+   failure. */
 static int look(const KartObserver *observer, Scene *scene, npy_intp kart)
 {
     const npy_int32 num_kart = scene->moment.header->num_kart;
@@ -161,7 +162,7 @@ static int look(const KartObserver *observer, Scene *scene, npy_intp kart)
     return 0;
 }
 
-/* ---------------------------------------------------------------- numbers of an entry */
+/* ---------------------------------------------------------------- an entry's numbers */
 
 static const void *record_of(const Scene *scene, const Key *key)
 {
@@ -191,7 +192,7 @@ static void write_choices(const Scene *scene, const Key *key, npy_int64 *out)
     }
 }
 
-/* How fast another kart is, or where it points. */
+/* Writes another kart's velocity or heading in the observing kart's frame. */
 static void write_motion(const Scene *scene, const Key *key, const Kart *other, float *out)
 {
     if (key->width == 3) {
@@ -210,7 +211,7 @@ static void write_numbers(const Scene *scene, const Key *key, float *out)
     const TrackGraph *track = scene->track;
     const npy_intp rows = scene->rows[key->group], real = scene->real[key->group];
     const int width = key->width;
-    const float *from; /* row i is at from + step * order[i]; without an order, step * i */
+    const float *from; /* row i is at from + step * (order ? order[i] : i) */
     const npy_int32 *order = scene->ahead;
     npy_intp step = width;
     for (npy_intp i = real * width; i < rows * width; i++) out[i] = 0;
@@ -237,7 +238,7 @@ static void write_numbers(const Scene *scene, const Key *key, float *out)
     for (npy_intp i = 0; i < real; i++) {
         const float *row = from + step * (order ? order[i] : i);
         float *to = out + width * i;
-        switch (key->form & IS_POINT ? 0 : width) { /* without a loop, which is quicker */
+        switch (key->form & IS_POINT ? 0 : width) { /* unrolled, which is faster */
         case 0: see(scene, row, to); break;
         case 3: to[2] = row[2]; /* fall through */
         case 2: to[1] = row[1]; /* fall through */
@@ -249,7 +250,7 @@ static void write_numbers(const Scene *scene, const Key *key, float *out)
     }
 }
 
-/* ---------------------------------------------------------------- as Python's values */
+/* ---------------------------------------------------------------- Python objects */
 
 static PyObject *new_array(int dimensions, npy_intp *shape, int type, void **data)
 {
@@ -258,7 +259,8 @@ static PyObject *new_array(int dimensions, npy_intp *shape, int type, void **dat
     return array;
 }
 
-/* Room for three calls' tuples: those of the calls before may be held while this one makes its. */
+/* Enlarges the pools until they can hold the tuples of three calls, because the caller may still
+   hold those of earlier calls. Returns -1 with an exception set on failure. */
 static int grow(KartObserver *observer, npy_intp count)
 {
     for (Entry *entry = observer->entries; entry < observer->entries + observer->num_entries; entry++) {
@@ -269,8 +271,9 @@ static int grow(KartObserver *observer, npy_intp count)
     return 0;
 }
 
-/* The numbers behind a tuple's rows, if the rows are as they were made and nobody holds the tuple,
-   a row, or an array that looks into one (it would hold the block that the rows look into). */
+/* Returns the data of a tuple's rows. Returns NULL if the tuple cannot be reused: its rows have
+   changed, or there are other references to it, to a row, or to the rows' block. A view of a row
+   references the block. */
 static float *free_block(PyObject *tuple, npy_intp rows, int width)
 {
     if (tuple == Py_None || Py_REFCNT(tuple) != 1 || PyTuple_GET_SIZE(tuple) != rows) return NULL;
@@ -288,7 +291,7 @@ static float *free_block(PyObject *tuple, npy_intp rows, int width)
     return data;
 }
 
-/* A tuple of the rows of a new block. */
+/* Returns a tuple of the rows of a new block, and the block's data. */
 static PyObject *new_rows(npy_intp rows, npy_intp width, float **data)
 {
     npy_intp shape[2] = {rows, width};
@@ -309,7 +312,7 @@ static PyObject *new_rows(npy_intp rows, npy_intp width, float **data)
     return tuple;
 }
 
-/* A tuple of arrays, one for each row, that nobody else holds. */
+/* Returns an entry's numbers as a tuple of arrays, one per row. The tuple is new or reused. */
 static PyObject *number_rows(const Scene *scene, Entry *entry)
 {
     const npy_intp rows = scene->real[entry->key->group];
@@ -354,17 +357,18 @@ static PyObject *one_number(float number)
     return array;
 }
 
-/* What the kart's driver does, as an action. */
+/* Returns the controls of the kart's driver as an action. */
 static PyObject *control_of(const Kart *me)
 {
-    /* In the order of the action space's keys; columns as in stkzoo.engine.snapshot.CONTROLS. */
+    /* The keys are in the order of the action space, the columns in that of
+       stkzoo.engine.snapshot.CONTROLS. */
     const float *c = me->control;
     return Py_BuildValue("{sN,sl,sl,sl,sl,sl,sN}", "acceleration", one_number(c[0]), "brake",
                          (long)c[2], "drift", (long)c[3], "fire", (long)c[4], "nitro", (long)c[5],
                          "rescue", (long)c[6], "steer", one_number(c[1]));
 }
 
-/* The value of one entry in Gymnasium's form. */
+/* Returns the value of an entry in Gymnasium's format. */
 static PyObject *value_of(const KartObserver *observer, const Scene *scene, Entry *entry)
 {
     const Key *key = entry->key;
@@ -422,7 +426,7 @@ static void write_flat(const KartObserver *observer, const Scene *scene, float *
     }
 }
 
-/* 1 for actions that can do something, 0 for those that need nitro or a powerup in vain. */
+/* Writes 0 for actions that need nitro or a powerup that the kart does not have, else 1. */
 static void write_action_mask(const KartObserver *observer, const Kart *me, npy_int8 *out)
 {
     const int no_nitro = !(me->energy > 0), no_powerup = me->powerup_type == 0;
@@ -433,7 +437,7 @@ static void write_action_mask(const KartObserver *observer, const Kart *me, npy_
     }
 }
 
-/* Choices as one place for each of their values, 1 where it holds. */
+/* One-hot encodes the choices. Returns -1 with an exception set if one is out of range. */
 static int write_ones(Indices joined, const npy_int64 *choices, float *ones)
 {
     for (npy_intp i = 0; i < joined.size; ones += joined.data[i++]) {
@@ -446,8 +450,8 @@ static int write_ones(Indices joined, const npy_int64 *choices, float *ones)
     return 0;
 }
 
-/* The vectors of a flat view: numbers, then ones if the choices are joined to them; choices; and the
-   mask, if there is one. */
+/* Writes the vectors of a flat view: the numbers, followed by the one-hot choices if they are
+   joined; the choices; and the action mask, if there is one. */
 static int write_vectors(const KartObserver *observer, const Scene *scene, float *numbers,
                          npy_int64 *choices, npy_int8 *mask)
 {
@@ -457,7 +461,7 @@ static int write_vectors(const KartObserver *observer, const Scene *scene, float
     return write_ones(observer->joined, choices, numbers + observer->num_continuous);
 }
 
-/* The observation of a flat view; in a dict, if it is more than one vector, in the order of the
+/* Returns the observation of a flat view: one vector, or a dict of vectors in the order of the
    space's keys. */
 static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
 {
@@ -472,7 +476,7 @@ static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
     if (!status) status = write_vectors(observer, scene, numbers, choices, marks);
     if (!status && is_joined && !has_mask) {
         seen = Py_NewRef(continuous);
-    } else if (!status) { /* a format says how many of what follows it there are */
+    } else if (!status) { /* Py_BuildValue ignores arguments beyond its format */
         const char *first = is_joined ? "observation" : "continuous";
         seen = has_mask ? Py_BuildValue(is_joined ? "{sO,sO}" : "{sO,sO,sO}", "action_mask", mask,
                                         first, continuous, "discrete", discrete)
@@ -484,14 +488,15 @@ static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
     return seen;
 }
 
-/* ---------------------------------------------------------------- as rows of a batch */
+/* ---------------------------------------------------------------- rows of a batch */
 
-/* The data of a batch's array under a name, of the converter's type, if it has `width` numbers for
-   each slot and all rows; NULL with an exception set otherwise. Without a name: of the batch. */
+/* Returns the data of the batch's array `name`, or of the batch itself if `name` is NULL. Returns
+   NULL with an exception set if the converter rejects the array, if it does not have `width`
+   numbers per slot, or if it does not have all of `rows`. */
 static void *column_of(PyObject *batch, const char *name, int (*converter)(PyObject *, void *),
                        npy_intp width, Indices rows)
 {
-    struct { void *data; npy_intp size; } numbers; /* as Floats, Wholes and Bytes are */
+    struct { void *data; npy_intp size; } numbers; /* the layout of Floats, Wholes and Bytes */
     if (name && !PyDict_Check(batch)) {
         return PyErr_Format(PyExc_TypeError, "a batch of this view is a dict of arrays");
     }
@@ -507,11 +512,11 @@ static void *column_of(PyObject *batch, const char *name, int (*converter)(PyObj
     if (!are_below(rows, count)) {
         return PyErr_Format(PyExc_IndexError, "there is no row of that number");
     }
-    static char nothing; /* for what has no numbers */
+    static char nothing; /* a valid address for arrays without numbers */
     return numbers.data ? numbers.data : &nothing;
 }
 
-/* The observations of a flat view. */
+/* Writes the observations of a flat view into rows of a batch. */
 static int flat_into(const KartObserver *observer, Scene *scene, Indices who, Indices rows,
                      PyObject *batch)
 {
@@ -543,7 +548,8 @@ static int flat_into(const KartObserver *observer, Scene *scene, Indices who, In
     return status;
 }
 
-/* The arrays' data of a view that is a dict, by entry; NULL for names. */
+/* Finds the data of each entry's array in a batch of a dict view; NULL for names. Returns -1 with
+   an exception set on failure. */
 static int find_columns(KartObserver *observer, const Scene *scene, Indices rows, PyObject *batch,
                         void **columns)
 {
@@ -577,7 +583,8 @@ static void write_entry(const Scene *scene, const Key *key, void *column, npy_in
     }
 }
 
-/* The names of a batch, after its numbers: this may run code that changes the batch. */
+/* Writes the names into lists of a batch. Call this after writing the numbers, because replacing a
+   list's items can run code that changes the batch. */
 static int names_into(const KartObserver *observer, const Scene *scene, Indices who, Indices rows,
                       PyObject *batch)
 {
@@ -595,7 +602,7 @@ static int names_into(const KartObserver *observer, const Scene *scene, Indices 
     return status;
 }
 
-/* The observations of a view that is a dict. */
+/* Writes the observations of a dict view into rows of a batch. */
 static int dicts_into(KartObserver *observer, Scene *scene, Indices who, Indices rows,
                       PyObject *batch)
 {
@@ -613,7 +620,8 @@ static int dicts_into(KartObserver *observer, Scene *scene, Indices who, Indices
 
 /* ---------------------------------------------------------------- the type */
 
-/* Completes a scene whose arguments were read; -1 with an exception set if it is impossible. */
+/* Completes a scene from its parsed arguments and allocates nearest[ITEMS], which the caller frees.
+   Returns -1 with an exception set on failure. */
 static int set_scene(const KartObserver *observer, Scene *scene)
 {
     if (scene->num_paths < 0 || scene->num_paths > scene->track->num_nodes) {
@@ -636,8 +644,8 @@ static int set_scene(const KartObserver *observer, Scene *scene)
     return room ? 0 : -1;
 }
 
-/* observe(track, num_paths, kart_types, data, who): one observation for each kart of `who`, in a
-   list. */
+/* observe(track, num_paths, kart_types, data, who): returns a list with one observation for each
+   kart of `who`. */
 static PyObject *observer_observe(PyObject *self, PyObject *args)
 {
     KartObserver *observer = (KartObserver *)self;
@@ -662,8 +670,9 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
     return list;
 }
 
-/* observe_into(track, num_paths, kart_types, data, who, rows, batch): the same into row rows[i] of
-   the arrays of a batch, a dict by entry; one array if the view is one vector. Names are a list. */
+/* observe_into(track, num_paths, kart_types, data, who, rows, batch): writes the observation of
+   kart who[i] into row rows[i] of a batch. The batch is a dict of arrays by entry, with a list for
+   names, or one array if the view is one vector. */
 static PyObject *observer_observe_into(PyObject *self, PyObject *args)
 {
     KartObserver *observer = (KartObserver *)self;
@@ -704,7 +713,8 @@ static int add_entry(KartObserver *observer, PyObject *name)
     return 0;
 }
 
-/* Takes what a flat view has beside its two vectors. */
+/* Reads the optional parts of a flat view: one-hot choices and an action mask. Returns -1 with an
+   exception set if they are invalid. */
 static int set_extras(KartObserver *observer, PyObject *joined, PyObject *nitro, PyObject *fire)
 {
     if ((joined != Py_None && !as_indices(joined, &observer->joined)) ||

@@ -1,5 +1,7 @@
-/* What the parts of the kernel share. Every type has a twin in numpy in stkzoo.kernel.reference,
-   with which the tests compare it and which runs where the kernel is not compiled. */
+/* Declarations that the parts of the kernel share.
+
+   Every type and function has a NumPy reference implementation in stkzoo.kernel.reference. The
+   tests compare the two, and the reference runs where the kernel is not compiled. */
 
 #ifndef STKZOO_KERNEL_H
 #define STKZOO_KERNEL_H
@@ -14,10 +16,10 @@
 #endif
 #include <numpy/arrayobject.h>
 
-/* ---------------------------------------------------------------- a moment of a race */
+/* ---------------------------------------------------------------- snapshots */
 
-/* stkzoo.engine.snapshot.HEADER_DTYPE, KART_DTYPE and ITEM_DTYPE, field by field; that module
-   compares them. */
+/* HEADER_DTYPE, KART_DTYPE and ITEM_DTYPE of stkzoo.engine.snapshot, which compares the layouts
+   when it is imported. */
 typedef struct {
     float time, aux_ticks;
     npy_int32 phase, num_kart, num_items, running;
@@ -40,7 +42,7 @@ typedef struct {
 
 enum { NUM_CONTROLS = sizeof(((Kart *)0)->control) / sizeof(float) };
 
-/* The parts of Snapshot.data. */
+/* Pointers to the parts of a snapshot's bytes. */
 typedef struct {
     const Header *header;
     const Kart *karts;
@@ -49,7 +51,7 @@ typedef struct {
 
 /* ---------------------------------------------------------------- arguments */
 
-/* C-contiguous arrays of numpy's own types: their data, and how many numbers they have. */
+/* C-contiguous, aligned NumPy arrays: their data and number of elements. */
 typedef struct { float *data; npy_intp size; } Floats;
 typedef struct { double *data; npy_intp size; } Doubles;
 typedef struct { npy_intp *data; npy_intp size; } Indices;
@@ -58,7 +60,7 @@ typedef struct { npy_int64 *data; npy_intp size; } Wholes;
 typedef struct { npy_int8 *data; npy_intp size; } Bytes;
 typedef struct { npy_bool *data; npy_intp size; } Flags;
 
-/* Converters for "O&" of PyArg_ParseTuple. */
+/* Converters for "O&" of PyArg_ParseTuple. as_written_* require a writeable array. */
 int as_floats(PyObject *object, void *floats);
 int as_written_floats(PyObject *object, void *floats);
 int as_doubles(PyObject *object, void *doubles);
@@ -72,44 +74,49 @@ int as_bytes(PyObject *object, void *bytes);
 int as_written_bytes(PyObject *object, void *bytes);
 int as_flags(PyObject *object, void *flags);
 int as_written_flags(PyObject *object, void *flags);
-int as_moment(PyObject *object, void *moment); /* the bytes of a Snapshot, taken apart */
+int as_moment(PyObject *object, void *moment); /* from the bytes of a Snapshot */
 
-/* Whether all indices are from 0 to below a limit. */
+/* Returns whether all indices are at least 0 and below a limit. */
 int are_below(Indices indices, npy_intp limit);
 
-/* Sets a ValueError, unless there is an error already; -1. */
+/* Sets a ValueError, unless an exception is set already; always returns -1. */
 int refuse(const char *message);
 
 /* ---------------------------------------------------------------- types */
 
-/* What an object begins with: a list of all that the rest points to, its arguments among it. */
+/* The first members of every object. `kept` is a list of all Python objects that the other members
+   point to, including the constructor's arguments. */
 #define OBJECT_HEAD PyObject_HEAD PyObject *kept;
 
-/* Keeps what was just made as long as the object; NULL with an exception set if there is none. */
+/* Moves a new reference to the list `kept` and returns it as a borrowed reference. Returns NULL
+   with an exception set on failure, or if `made` is NULL. */
 PyObject *keep(void *self, PyObject *made);
 
-/* Zeros that last as long as the object; NULL with an exception set if there is no room. */
+/* Returns zeroed memory that is freed with the object; NULL with an exception set if there is not
+   enough memory. */
 void *room_for(void *self, npy_intp count, size_t size);
 
-/* stkzoo.engine.track.TrackMap, and the order of what lies ahead of each of its segments. */
+/* The graph of a stkzoo.engine.track.TrackMap, and the segments ahead of each segment in order. */
 typedef struct {
     OBJECT_HEAD
     Floats nodes, widths, distances; /* (N, 2, 3), (N, 1), (N, 2) */
-    Indices begins, successors;      /* those of n: successors[begins[n]:begins[n + 1]] */
+    Indices begins, successors;      /* segment n: successors[begins[n]:begins[n + 1]] */
     npy_intp num_nodes;
     double length;
-    npy_int32 **orders; /* (N,) each; NULL until asked for */
+    npy_int32 **orders; /* (N,) for each segment; NULL until first used */
 } TrackGraph;
 
-/* The segments ahead of one, by distance; NULL with an exception set if there is none such. */
+/* Returns the segments ahead of a segment, (N,), in order of driving distance and beginning with
+   itself. Returns NULL with an exception set if there is no such segment or not enough memory. */
 const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node);
 
-/* A new object that keeps its arguments; NULL with an exception set. */
+/* Creates an object that holds references to its constructor's arguments; returns NULL with an
+   exception set on failure. */
 PyObject *new_object(PyTypeObject *type, PyObject *args, PyObject *kwargs);
 void free_object(PyObject *self);
 
-/* A type of this module, from its methods and PREFIX_set_up, which takes the arguments: -1 with an
-   exception set if they are wrong. */
+/* Defines a type of this module with its methods. PREFIX_set_up reads the constructor's arguments;
+   it returns -1 with an exception set if they are invalid. */
 #define KERNEL_TYPE(TYPE, PREFIX, DOC, ...)                                                       \
     static PyObject *PREFIX##_new(PyTypeObject *type, PyObject *args, PyObject *kwargs)           \
     {                                                                                             \

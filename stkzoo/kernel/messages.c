@@ -1,9 +1,9 @@
-/* How much memory a message of stkzoo.drivers.codec takes, before anything of it is made. */
+/* Computes how much memory it takes to decode a message of stkzoo.drivers.codec. */
 
 #include "kernel.h"
 
-/* Sizes of CPython's and numpy's objects on a machine of 64 bits, rounded up to what malloc
-   takes [bytes]. The twin has the same ones. */
+/* Sizes of CPython's and NumPy's objects on a 64-bit machine, rounded up to the sizes that malloc
+   allocates [bytes]. The reference implementation uses the same values. */
 enum {
     POINTER = 8, LIST = 64, TUPLE = 48, EMPTY_DICT = 80, DICT = 256, ENTRY = 160, NUMBER = 32,
     TEXT = 64, WIDE_TEXT = 80, BYTES = 48, ARRAY = 112, AXIS = 16, WORKING = 1024,
@@ -15,13 +15,14 @@ enum { IS_TUPLE = 1, IS_ARRAY, IS_SCALAR, IS_ROWS, IS_ENCODED };
 static const unsigned char ITEM_SIZES[] = {1, 1, 2, 4, 8, 1, 2, 4, 8, 2, 4, 8};
 
 typedef struct {
-    const unsigned char *at, *end; /* what is still unread of the innermost message */
+    const unsigned char *at, *end; /* unread part of the innermost extension, or of the message */
     Py_ssize_t max_depth, max_length, max_elements, max_memory;
     Py_ssize_t elements, now, peak;
     const char *fault;
 } Scan;
 
-/* Each function below returns 0 and sets the fault where the message is refused. */
+/* A function below that rejects the message sets `fault` and returns 0, or NULL if it returns a
+   pointer, or -1 if it returns a length. */
 static int fail(Scan *scan, const char *fault)
 {
     scan->fault = fault;
@@ -51,7 +52,7 @@ static int skip(Scan *scan, Py_ssize_t size, Py_ssize_t held)
     return take(scan, size) && hold(scan, held);
 }
 
-/* A length of some bytes, the highest first; -1 if there is none. */
+/* Reads a big-endian number of `num_bytes` bytes. */
 static Py_ssize_t length_of(Scan *scan, int num_bytes)
 {
     const unsigned char *begin = take(scan, num_bytes);
@@ -76,7 +77,7 @@ static int scan_text(Scan *scan, Py_ssize_t size)
     unsigned char all = 0;
     for (Py_ssize_t i = 0; i < size; i++) all |= text[i];
     if (all < 0x80) return size < 2 || hold(scan, TEXT + size);
-    /* Python widens what it has decoded so far when a wider letter comes. */
+    /* At a wider character, Python copies the text decoded so far to a wider form. */
     if (!hold(scan, WIDE_TEXT + 8 * size)) return 0;
     scan->now -= 4 * size;
     return 1;
@@ -117,7 +118,7 @@ static int scan_dict(Scan *scan, Py_ssize_t count, Py_ssize_t depth)
     return 1;
 }
 
-/* The elements of an array: their dtype and the rest of its content. */
+/* Scans the elements of an array, which fill the rest of its extension. */
 static int scan_elements(Scan *scan, unsigned char dtype, Py_ssize_t axes, Py_ssize_t count)
 {
     if (dtype >= sizeof ITEM_SIZES) return fail(scan, "it has an array of an unknown dtype");
@@ -127,7 +128,7 @@ static int scan_elements(Scan *scan, unsigned char dtype, Py_ssize_t axes, Py_ss
     }
     const Py_ssize_t held = ARRAY + AXIS * axes + size;
     if (!skip(scan, size, held) || (!dtype && !hold(scan, held))) return 0;
-    if (!dtype) scan->now -= held; /* truth values are compared, which makes another array */
+    if (!dtype) scan->now -= held; /* booleans are compared, which creates a second array */
     return 1;
 }
 
@@ -146,7 +147,8 @@ static int scan_array(Scan *scan, int is_rows)
                                   (Py_ssize_t)bytes[3] << 24;
         if (axis == 0) rows = length;
         is_empty |= length == 0;
-        /* Without its zeros, an empty array may be no longer than a list. */
+        /* The product leaves out zeros: the other axes of an empty array are limited like the
+           length of a list. The comparison prevents overflow. */
         if (length && count <= left + scan->max_length) count *= length;
     }
     if (is_empty && count > scan->max_length) {
@@ -169,7 +171,7 @@ static int scan_scalar(Scan *scan)
     return hold(scan, NUMBER);
 }
 
-/* A tuple comes as a list, which is freed when the tuple is made. */
+/* A tuple is encoded as a list, which is freed after the tuple has been created. */
 static int scan_tuple(Scan *scan, Py_ssize_t depth)
 {
     const Py_ssize_t code = length_of(scan, 1);
@@ -199,7 +201,7 @@ static int scan_content(Scan *scan, unsigned char type, Py_ssize_t depth)
     }
 }
 
-/* An extension's content is copied before it is decoded. */
+/* The decoder copies an extension's content before decoding it. */
 static int scan_extension(Scan *scan, Py_ssize_t size, Py_ssize_t depth)
 {
     if (size < 0) return 0;
@@ -225,7 +227,7 @@ static int scan_value(Scan *scan, Py_ssize_t depth)
 {
     const Py_ssize_t code = length_of(scan, 1);
     if (code < 0) return 0;
-    if (code < 0x80 || code >= 0xfb) return 1; /* Python has these numbers already */
+    if (code < 0x80 || code >= 0xfb) return 1; /* Python caches these integers */
     if (code < 0x90) return scan_dict(scan, code & 15, depth);
     if (code < 0xa0) return scan_list(scan, code & 15, depth);
     if (code < 0xc0) return scan_text(scan, code & 31);
@@ -248,8 +250,8 @@ static int scan_value(Scan *scan, Py_ssize_t depth)
     }
 }
 
-/* measure_message(data, (max_depth, max_length, max_elements, max_memory)): the most memory that
-   decoding takes at once [bytes]; a ValueError for what is no message, or is above a limit. */
+/* measure_message(data, (max_depth, max_length, max_elements, max_memory)): returns the peak memory
+   of decoding [bytes]. Raises ValueError if the data is not a message or exceeds a limit. */
 PyObject *measure_message(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Py_buffer data;

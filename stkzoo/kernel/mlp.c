@@ -1,31 +1,32 @@
 /* Multilayer perceptrons: the networks of drivers, for any number of karts at once.
 
-   An output is a sum in the order of the inputs, without fused multiply-adds. So it does not
-   depend on other rows, on the number of rows or on the width of the processor's vectors. */
+   Each output is summed in the order of the inputs, without fused multiply-adds. It therefore does
+   not depend on other rows, on the number of rows or on the width of the processor's vectors. */
 
 #include "kernel.h"
 #include "vectors.h"
 
 #include <string.h>
 
-/* Rows whose sums are kept in registers, vectors of each, and the columns of these. */
+/* Number of rows that are summed in registers at once, vectors per row, and columns per block. */
 enum { ROWS = 4, VECTORS = 2, BLOCK = VECTORS * sizeof(Lanes) / sizeof(float) };
 
 typedef struct {
-    npy_intp inputs, outputs, width; /* the width is the outputs, rounded up to whole blocks */
-    float *matrix, *bias;            /* (inputs, width), (width,) */
+    npy_intp inputs, outputs, width; /* width: number of outputs, rounded up to whole blocks */
+    float *matrix, *bias;            /* (inputs, width), (width,), padded with zeros */
 } Layer;
 
 typedef struct {
     OBJECT_HEAD
-    PyObject *given; /* the layers as they came */
+    PyObject *given; /* the constructor's argument `layers` */
     npy_intp num_layers, widest;
     int is_tanh;
     Layer *layers;
 } Mlp;
 
-/* tanh of -20 to 20, to 2e-7: 1 - 2e / (1 + e) of e = exp(-2|x|), which is a power of two of a whole
-   number times one of a fraction (the series of exp, to the ninth power). */
+/* Computes tanh for -20 to 20 with an error below 2e-7, as 1 - 2e / (1 + e) with e = exp(-2|x|).
+   To compute e, the exponent to base 2 is split into an integer, which becomes the exponent of a
+   float, and a fraction, for which the Taylor series of exp up to the ninth power is used. */
 FORCE_INLINE float tanh_of(float x)
 {
     const float exponent = -2.8853900817779268f * fabsf(x); /* -2 / ln 2 */
@@ -48,7 +49,7 @@ FORCE_INLINE float tanh_of(float x)
     return copysignf(1.0f - 2.0f * e / (1.0f + e), x);
 }
 
-/* A block of columns of a layer, for some rows. */
+/* Computes a block of a layer's output columns for some rows. */
 FORCE_INLINE void sum_block(const Layer *layer, npy_intp column, const float *ins, npy_intp stride,
                             float *outs, const int rows)
 {
@@ -77,14 +78,15 @@ FORCE_INLINE void activate(float *numbers, npy_intp count, int is_tanh)
             const float below = numbers[i] < 20.0f ? numbers[i] : 20.0f;
             numbers[i] = below > -20.0f ? below : -20.0f;
         }
-        /* A loop of its own, which compilers can make parallel. */
+        /* A separate loop, which compilers can vectorize. */
         for (npy_intp i = 0; i < count; i++) numbers[i] = tanh_of(numbers[i]);
     } else {
         for (npy_intp i = 0; i < count; i++) numbers[i] = numbers[i] > 0 ? numbers[i] : 0;
     }
 }
 
-/* All layers for some rows; returns where their outputs are. The room is for two layers. */
+/* Computes all layers for some rows and returns a pointer to the outputs, which are in `room`.
+   `room` has space for the outputs of two layers. */
 FORCE_INLINE const float *forward(const Mlp *mlp, const float *ins, npy_intp stride, float *room,
                                   const int rows)
 {
@@ -117,7 +119,8 @@ static void evaluate_rows(const Mlp *mlp, const float *inputs, npy_intp stride, 
     }
 }
 
-/* evaluate(inputs, out) */
+/* evaluate(inputs, out): writes the outputs for each row of inputs. Rows may have additional
+   columns after the network's inputs, which are ignored. */
 static PyObject *mlp_evaluate(PyObject *self, PyObject *args)
 {
     const Mlp *mlp = (const Mlp *)self;
@@ -184,7 +187,7 @@ static int mlp_set_up(Mlp *mlp, PyObject *args, PyObject *kwargs)
     return 0;
 }
 
-/* Pickles and copies are made again from the arguments. */
+/* Pickled and copied objects are rebuilt from the constructor's arguments. */
 static PyObject *mlp_reduce(PyObject *self, PyObject *Py_UNUSED(none))
 {
     const Mlp *mlp = (const Mlp *)self;

@@ -1,4 +1,4 @@
-/* The module and what its parts share. */
+/* The extension module, and the functions that its parts share. */
 
 #define STKZOO_KERNEL_MODULE
 #include "kernel.h"
@@ -22,7 +22,7 @@ static int as_array(PyObject *object, int type, int flags, void *out)
                      flags ? " and writeable" : "");
         return 0;
     }
-    /* Floats, Doubles and so on differ only in what they point to. */
+    /* Floats, Doubles and the other types differ only in the type of their pointer. */
     const struct { void *data; npy_intp size; } numbers = {PyArray_DATA(array), PyArray_SIZE(array)};
     memcpy(out, &numbers, sizeof numbers);
     return 1;
@@ -122,7 +122,7 @@ void free_object(PyObject *self)
 
 #define AT(TYPE, FIELD) {#TYPE "." #FIELD, offsetof(TYPE, FIELD)}
 
-/* Where the fields of the records are, in bytes, for a comparison with the dtypes. */
+/* layouts(): returns the name and byte offset of each record field, to compare with the dtypes. */
 static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 {
     static const struct {

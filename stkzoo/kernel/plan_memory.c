@@ -1,12 +1,12 @@
-/* What drivers remember from step to step.
+/* Updates the memory that drivers keep between steps.
 
-   The formulas are those of stkzoo.kernel.reference.plan_memory. */
+   The NumPy reference implementation is stkzoo.kernel.reference.plan_memory. */
 
 #include "plan_memory.h"
 
 #include <math.h>
 
-/* In the order in which they are given. */
+/* Indices of `rules`. */
 enum {
     STEP, CRASH_DROP, CAUTION_TIME, STUCK_SPEED, STUCK_TIME, CRAWL_SPEED, FREE_TIME, NITRO_TIME,
     LONG_AGO, DRIFT_SHOWS, RELEASE_TIME, BOOST_TIME, BIG_BOOST_TIME, NUM_RULES
@@ -14,7 +14,7 @@ enum {
 
 enum { NUMBERS = 12 };
 
-/* The number of a row for a kart. */
+/* Returns the address of a kart's number in a row of the memory. */
 static float *at(Floats memory, npy_intp count, int row, npy_intp kart)
 {
     return memory.data + row * count + kart;
@@ -27,7 +27,7 @@ static int fits_rules(Doubles rules, Floats memory, npy_intp count)
     return 0;
 }
 
-/* age_memory(rules, memory, speed, skeed_factor) */
+/* age_memory(rules, memory, speed, skeed_factor): advances the memory by one step. */
 PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Doubles rules;
@@ -73,7 +73,8 @@ PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* write_memory(rules, memory, out, first) */
+/* write_memory(rules, memory, out, first): writes a policy's inputs from the memory, beginning at
+   column `first`. */
 PyObject *write_memory(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Doubles rules;

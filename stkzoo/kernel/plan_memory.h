@@ -1,4 +1,4 @@
-/* stkzoo.kernel.PlanMemory: the rows of a memory, with a number for each kart. */
+/* The rows of stkzoo.kernel.PlanMemory. Each row has one number per kart. */
 
 #ifndef STKZOO_PLAN_MEMORY_H
 #define STKZOO_PLAN_MEMORY_H

@@ -1,7 +1,7 @@
-/* What plans depend on, and what a policy sees of them.
+/* Computes the inputs of plans, and a policy's inputs from the weighed plans.
 
-   The formulas are those of stkzoo.kernel.reference.plan_viewer, which says what the numbers are.
-   Results agree with numpy's to the last bit where numpy uses fused multiply-adds. */
+   The NumPy reference implementation, stkzoo.kernel.reference.plan_viewer, documents the arrays.
+   The results match NumPy's bit for bit where NumPy uses fused multiply-adds. */
 
 #include "geometry.h"
 #include "plan_memory.h"
@@ -10,7 +10,7 @@
 enum { MANOEUVRES = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
 static const double PI = 3.14159265358979323846;
 
-/* What holds for all karts, in the order in which it is given. */
+/* Indices of `rules`, which apply to all karts. */
 enum {
     MARK_SPACING, SLOWEST, AIM_DISTANCE, AIM_TIME, WHEEL_BASE, DRIFT_SPEED, BRAKE_SPEED, MARGIN,
     CAUTION_ROOM, GREATEST_ROOM, STRAIGHT_TIME, ITEM_RADIUS, BAD_ITEM_RADIUS, NEAREST, FARTHEST,
@@ -19,16 +19,16 @@ enum {
     FIRE_EVERY, WORTH_SCALE, NEVER, NUM_RULES
 };
 
-/* Where a kart is on the road and whether it may fire, in the order in which it is written. */
+/* Columns of the scene: where a kart is on the road, and whether firing is useful. */
 enum { ANGLE, OFFSET, ASIDE, STRAIGHTNESS, IS_USEFUL, SCENE_SIZE };
 
-/* A kart's own state, of the full view in batch form. */
+/* The karts' own state: entries of the full view in batch form. */
 typedef struct {
     Floats velocity, energy;
     Wholes jumping, powerup, powerups;
 } Own;
 
-/* The road ahead of a kart, by marks. */
+/* The road ahead of a kart, at the marks. */
 typedef struct {
     npy_intp marks;
     const float *line; /* (marks + 1, 4) */
@@ -59,7 +59,8 @@ FORCE_INLINE float least_of(float x, float y) { return x < y ? x : y; }
 
 FORCE_INLINE float most_of(float x, float y) { return x > y ? x : y; }
 
-/* A whole number of marks within a distance; NaN and what is out of bounds must not become one. */
+/* Returns the number of marks within a distance, clamped to `least` and `most`. Clamps before the
+   cast, because casting NaN or a number out of range is undefined. */
 FORCE_INLINE npy_intp marks_within(double distance, double spacing, npy_intp least, npy_intp most)
 {
     const double marks = distance / spacing;
@@ -68,7 +69,7 @@ FORCE_INLINE npy_intp marks_within(double distance, double spacing, npy_intp lea
 
 /* ---------------------------------------------------------------- the road */
 
-/* Directions without jumps of a full turn, as numpy.unwrap. */
+/* Removes jumps of a full turn from headings, as numpy.unwrap does. */
 static void unwrap(float *headings, npy_intp marks)
 {
     const float full = (float)(2 * PI), half = (float)PI;
@@ -109,7 +110,7 @@ FORCE_INLINE void read_road(Road *road, const double *rules)
     road->angle = -headings[0];
 }
 
-/* Where a spot is along and across the road. */
+/* Returns the position of a spot relative to the road. */
 FORCE_INLINE Place place_of(Road *road, const double *rules, const float *spot)
 {
     const npy_intp marks = road->marks;
@@ -132,7 +133,7 @@ FORCE_INLINE Place place_of(Road *road, const double *rules, const float *spot)
     return place;
 }
 
-/* The largest turn of the road within a distance. */
+/* Returns the largest turn of the road within a distance [rad]. */
 FORCE_INLINE float straightness_of(const Road *road, const double *rules, float distance)
 {
     const npy_intp count =
@@ -144,9 +145,10 @@ FORCE_INLINE float straightness_of(const Road *road, const double *rules, float 
     return most;
 }
 
-/* ---------------------------------------------------------------- what is near */
+/* ---------------------------------------------------------------- nearby items */
 
-/* Inserts a thing among the nearest; of equals the first stays first. */
+/* Inserts an object among the nearest, behind those with an equal key. Returns the new count, at
+   most `limit`. */
 FORCE_INLINE npy_intp add_near(Near *nearest, npy_intp count, npy_intp limit, const Near *one)
 {
     npy_intp at = count;
@@ -158,7 +160,7 @@ FORCE_INLINE npy_intp add_near(Near *nearest, npy_intp count, npy_intp limit, co
     return count;
 }
 
-/* The relevant items ahead, nearest first, and whether the kart should fire. */
+/* Writes the relevant items ahead, nearest first, and whether the kart should fire. */
 FORCE_INLINE void survey_items(const Survey *s, npy_intp kart, Road *road)
 {
     const double *rules = s->rules;
@@ -199,7 +201,7 @@ FORCE_INLINE void survey_items(const Survey *s, npy_intp kart, Road *road)
 
 /* ---------------------------------------------------------------- the nearest karts */
 
-/* How far a kart has turned to the right since the step before. */
+/* Returns how far a kart has turned to the right since the previous step [rad]. */
 FORCE_INLINE float turned_since(const double *rules, const Road *road, const float *before, float way)
 {
     const float marks = way / (float)rules[MARK_SPACING];
@@ -221,8 +223,8 @@ FORCE_INLINE float turned_since(const double *rules, const Road *road, const flo
     return fabs(turned) < rules[MOST_TURNED] ? (float)turned : 0;
 }
 
-/* Positions, as two arrays: GCC 12 rotates neighbouring numbers by fused operations even with
-   -ffp-contract=off, which changes last bits. */
+/* Positions in two arrays. If the coordinates of a point were adjacent, GCC 12 would rotate it with
+   fused operations even with -ffp-contract=off, which changes the last bits. */
 typedef struct {
     float right[MOST_NEAR], ahead[MOST_NEAR];
 } Spots;
@@ -234,8 +236,8 @@ FORCE_INLINE void turn_right(Spots *spots, npy_intp i, float sine, float cosine)
     spots->ahead[i] = right * sine + ahead * cosine;
 }
 
-/* Where karts would be now that stood still at the earlier spots; how far the own kart has turned
-   to the right since then. */
+/* Writes the karts' previous positions in the observing kart's current frame. Returns how far the
+   observing kart has turned to the right since the previous step [rad]. */
 FORCE_INLINE float move_spots(const Survey *s, npy_intp kart, const Road *road,
                               const float *velocity, Spots *stayed)
 {
@@ -257,8 +259,8 @@ FORCE_INLINE float move_spots(const Survey *s, npy_intp kart, const Road *road,
     return turned;
 }
 
-/* The nearest karts with their speeds, from where they were in the step before; how far the own
-   kart has turned to the right since then. */
+/* Writes the nearest karts, with velocities from the changes of their positions since the previous
+   step. Returns how far the observing kart has turned to the right since then [rad]. */
 FORCE_INLINE float survey_rivals(const Survey *s, npy_intp kart, Road *road)
 {
     const double *rules = s->rules;
@@ -302,14 +304,14 @@ FORCE_INLINE float survey_rivals(const Survey *s, npy_intp kart, Road *road)
     return turned;
 }
 
-/* ---------------------------------------------------------------- what plans depend on */
+/* ---------------------------------------------------------------- inputs of plans */
 
 FORCE_INLINE float remembered(const Survey *s, int name, npy_intp kart)
 {
     return s->memory.data[name * s->count + kart];
 }
 
-/* The number of the kart's state in the table of plans. */
+/* Returns the index of the kart's state in the table of plans. */
 FORCE_INLINE npy_intp state_of(const Survey *s, npy_intp kart)
 {
     const double *rules = s->rules;
@@ -445,7 +447,8 @@ static int survey_fits(Survey *s, Doubles rules)
     return 0;
 }
 
-/* survey_road(rules, worths, memory, own, around, before, now, out) */
+/* survey_road(rules, worths, memory, own, around, before, now, out): writes the arguments of
+   weigh_plans and the scene of each kart. */
 PyObject *survey_road(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Survey s;
@@ -467,7 +470,7 @@ PyObject *survey_road(PyObject *Py_UNUSED(module), PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* ---------------------------------------------------------------- what a policy sees */
+/* ---------------------------------------------------------------- inputs of a policy */
 
 typedef struct {
     const double *rules;
@@ -486,7 +489,7 @@ static npy_intp best_of(const float *worth)
     return best;
 }
 
-/* The logits of the rules. */
+/* Writes the logits of the rules. */
 static void put_prior(const Presentation *p, npy_intp kart)
 {
     const double *rules = p->rules;
@@ -515,7 +518,7 @@ static void put_prior(const Presentation *p, npy_intp kart)
     }
 }
 
-/* A policy's inputs from the plans and from the nearest karts. */
+/* Writes a policy's inputs from the plans and the nearest karts. */
 static void put_inputs(const Presentation *p, npy_intp kart)
 {
     const npy_intp all = MANOEUVRES * p->count;
@@ -566,7 +569,8 @@ static int presentation_fits(Presentation *p, Doubles rules)
     return 0;
 }
 
-/* present_plans(rules, logits, memory, own, best, scene, rivals, prior, inputs, first) */
+/* present_plans(rules, logits, memory, own, best, scene, rivals, prior, inputs, first): writes the
+   logits of the rules into `prior`, and a policy's inputs beginning at column `first`. */
 PyObject *present_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Presentation p;

@@ -1,14 +1,15 @@
-/* The plans of karts: driven over the road ahead by a model of a kart, and weighed.
+/* Simulates the plans of karts on the road ahead with a model of a kart, and weighs them.
 
    There are two models: arcs at constant speed, and a small network that has learned how karts
-   move. The formulas are those of stkzoo.kernel.reference.plan_weigher, which says what the
-   numbers are. Results agree with numpy's to the last bit where numpy uses fused multiply-adds;
-   those of the network do not depend on the processor. */
+   move. The NumPy reference implementation, stkzoo.kernel.reference.plan_weigher, documents the
+   arrays. The results match NumPy's bit for bit where NumPy uses fused multiply-adds. The network's
+   results do not depend on the processor. */
 
 #include "kernel.h"
 #include "vectors.h"
 
-/* Before a loop: what it writes is read by no later round. */
+/* Before a loop: asserts that no iteration reads what an earlier one wrote, so that the compiler
+   can vectorize the loop. */
 #if defined(__clang__)
 #define NO_OVERLAP _Pragma("clang loop vectorize(assume_safety)")
 #elif defined(__GNUC__)
@@ -19,11 +20,11 @@
 
 enum { MANOEUVRES = 4, BRAKE = 1, ITEM_LANES = 2 };
 static const float NEVER = -1e4f;
-/* The largest turn in a step [rad], and the lowest speed [m/s], of the network's plans. */
+/* Largest turn per step [rad] and lowest speed [m/s] of plans simulated by the network. */
 static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
 
 
-/* The plans of all states, in the order in which they are given. */
+/* The plans of all states, in the order of stkzoo.kernel.PlanTable. */
 typedef struct {
     Floats spans;                                         /* (T,) */
     Floats least, most, drifts, releases, slower, lanes; /* (S, T, C) */
@@ -32,21 +33,21 @@ typedef struct {
     Flags needs_drift;
 } Table;
 
-/* What holds for all karts, in the order in which it is given. */
+/* Indices of `rules`, which apply to all karts. */
 enum {
     RELEASE_TURN, STEERING_LAG, MARK_SPACING, OVER_COST, LATE_TIME, LATE_COST, ANGLE_COST,
     SMALL_BOOST_LASTS, BIG_BOOST_LASTS, BOOST_WORTH, BIG_BOOST_WORTH, BOOST_WAIT_COST, BLUR,
     BUMP_COST, BUMP_WIDTH, LENGTH, BESIDE, HARMLESS, CROSSING, NUM_RULES
 };
 
-/* A kart's own numbers, in the order in which they are given. */
+/* A row of the argument `karts`. */
 typedef struct {
     float speed, lock, reach, turn, drift_turn, offset, angle, boost_steps, big_boost_steps;
     float may_drift, may_brake, slide, yaw, drift_side, drift_steps, release_steps;
 } PlanKart;
 enum { KART_SIZE = sizeof(PlanKart) / sizeof(float) };
 
-/* Rectified linear units. A mask, because compilers refuse a choice between vectors in C. */
+/* Rectified linear units. They use a mask, because in C compilers reject ?: for vectors. */
 #ifdef __GNUC__
 typedef npy_int32 Masks __attribute__((vector_size(32), aligned(4), may_alias));
 #define RECTIFIED(X) (Lanes)(((X) > 0) & (Masks)(X))
@@ -54,10 +55,11 @@ typedef npy_int32 Masks __attribute__((vector_size(32), aligned(4), may_alias));
 #define RECTIFIED(X) ((X) > 0 ? (X) : 0)
 #endif
 
-/* Units whose sums are kept in registers, vectors of each, and the plans of these. */
+/* Number of units whose sums are kept in registers, number of vectors per unit, and number of plans
+   in these vectors. */
 enum { UNITS = 4, VECTORS = 2, BLOCK = VECTORS * sizeof(Lanes) / sizeof(float) };
 
-/* What the network sees of a plan at a step, and what it says. */
+/* Inputs and outputs of the network, for a plan at a step. */
 enum {
     SEEN_SPEED, SEEN_SLIDE, SEEN_YAW, SEEN_TURN, SEEN_TURN_BEFORE, SEEN_SIDE, SEEN_DRIFT_STEPS,
     SEEN_RELEASE, SEEN_DRIFT_TURN, SEEN_BOOST, SEEN_BIG_BOOST, SEEN_BRAKE, SEEN_DRIFT_BEGIN,
@@ -66,19 +68,19 @@ enum {
 enum { NEXT_YAW, MORE_SPEED, MORE_SLIDE, NUM_NEXT };
 enum { LAYERS = 3, MOST_UNITS = 64 };
 
-/* The network: (outputs, inputs) and (outputs,) of each layer; without layers, karts drive arcs. */
+/* The network: (outputs, inputs) and (outputs,) of each layer. Without layers, karts drive arcs. */
 typedef struct {
     Floats matrices[LAYERS], biases[LAYERS];
     npy_intp units[LAYERS + 1];
 } Network;
 
-/* The rules of the network, in the order in which they are given. */
+/* Indices of the network's rules, in the order of stkzoo.kernel.MotionRules. */
 enum {
     MOTION_STEP, SMALL_DRIFT, BIG_DRIFT, SMALL_LASTS, BIG_LASTS, RELEASE_LASTS, BRAKE_LASTS,
     NUM_MOTION_RULES
 };
 
-/* Plans in motion, (C,) each. */
+/* States of the plans that the network simulates, (C,) each. */
 typedef struct {
     float *speed, *slide, *yaw, *side, *steps, *release, *boost, *big_boost, *turn;
     float *seen, *hidden[2], *next; /* (units, C) */
@@ -92,27 +94,28 @@ typedef struct {
     double is_there, along, across, gain, drift;
 } RoadRival;
 
-/* What plans of a kart come to: moments by plans, and plans. */
+/* The simulated plans of one kart: (T, C) for moments by plans, (C,) for plans. */
 typedef struct {
     const Table *table;
     npy_intp states, moments, plans, marks;
-    npy_intp row; /* where the plans of the kart's state begin in (S, C) */
+    npy_intp row; /* index of the first plan of the kart's state in arrays (S, C) */
     const double *rules;
     float *along, *across, *ahead;            /* (T, C) */
     float *angle, *last_turn, *turns, *extra; /* (C,) */
     float *danger, *worth, *gain;             /* (C,) */
-    float *bends, *curves, *rooms_now;        /* (C,) of the road where plans are */
-    npy_int32 *places;                        /* (C,) */
-    float *ends;                              /* (T,) of the moments */
+    float *bends, *curves, *rooms_now;        /* (C,) of the road at the plans' marks */
+    npy_int32 *places;                        /* (C,) marks */
+    float *ends;                              /* (T,) of the moments [s] */
     const Network *network;
     const double *motion_rules;
-    npy_intp driven; /* the plans of the kart's state are among the first ones */
-    npy_intp stride; /* the plans, rounded up to whole blocks */
+    npy_intp driven; /* number of simulated plans, counted from the first */
+    npy_intp stride; /* number of plans, rounded up to whole blocks */
     float *along_now, *across_now; /* (C,) */
     Motion motion;
 } Forecast;
 
-/* The mark at a distance, which may be too large for a whole number, or NaN. */
+/* Returns the mark at a distance. Clamps before the cast, because casting NaN or a number out of
+   range is undefined. */
 FORCE_INLINE npy_int32 mark_at(float along, float per_mark, float last_mark)
 {
     float mark = along * per_mark;
@@ -120,7 +123,7 @@ FORCE_INLINE npy_int32 mark_at(float along, float per_mark, float last_mark)
     return (npy_int32)(mark < last_mark ? mark : last_mark);
 }
 
-/* One moment of all plans, from where the moment before it ended. */
+/* Simulates one moment of all plans, from the end of the previous moment. */
 FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp moment,
                                const int is_first)
 {
@@ -165,7 +168,7 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
             turn = turn + (own_turn - turn) * lag;
         }
         turn = (turn + last_turn * (releases[i] * release_rate)) * rate;
-        /* along the road the inner side of a curve is the shorter one */
+        /* the inner side of a curve is shorter than the middle of the road */
         const float step = speed * span, inner = 1.0f - beside * curve;
         float way = step / (inner > 0.3f ? inner : 0.3f);
         turn = 0.5f * (turn - way * curve);
@@ -181,7 +184,8 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
     }
 }
 
-/* The road where all plans are; apart, because compilers do not look numbers up side by side. */
+/* Looks up the road at the marks of all plans. This is a separate loop, because compilers do not
+   vectorize table lookups. */
 static void look_up(const Forecast *f, const float *road, float *rooms)
 {
     for (npy_intp i = 0; i < f->driven; i++) {
@@ -190,9 +194,9 @@ static void look_up(const Forecast *f, const float *road, float *rooms)
     }
 }
 
-/* ---------------------------------------------------------------- plans driven by the network */
+/* ---------------------------------------------------------------- simulation by the network */
 
-/* Some units of a layer for a block of plans. A sum is in the order of the inputs. */
+/* Computes some units of a layer for a block of plans. Adds the inputs of each unit in order. */
 FORCE_INLINE void sum_units(const float *matrix, const float *bias, npy_intp inputs,
                             const float *in, npy_intp stride, int is_last, float *out,
                             const int units)
@@ -213,7 +217,7 @@ FORCE_INLINE void sum_units(const float *matrix, const float *bias, npy_intp inp
     }
 }
 
-/* What the network says about what it sees, for all plans. */
+/* Computes the outputs of the network for all simulated plans. */
 FORCE_INLINE void infer(const Forecast *f)
 {
     const Network *network = f->network;
@@ -238,7 +242,7 @@ FORCE_INLINE void infer(const Forecast *f)
     }
 }
 
-/* What the network sees at a step, after what the driver would remember of the plan. */
+/* Updates what the driver would remember of each plan, then writes the network's inputs. */
 FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp moment,
                                npy_intp step)
 {
@@ -307,7 +311,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     }
 }
 
-/* Moves all plans by a step, as the network says. */
+/* Advances all plans by one step with the network's outputs. */
 FORCE_INLINE void move_plans(const Forecast *f)
 {
     const Motion *m = &f->motion;
@@ -334,7 +338,7 @@ FORCE_INLINE void move_plans(const Forecast *f)
         const float ahead = half * (speed_before + speed), aside = half * (slide_before + slide);
         float sine, cosine;
         sine_and_cosine(angle + 0.5f * yaw, &sine, &cosine);
-        /* along the road the inner side of a curve is the shorter one */
+        /* the inner side of a curve is shorter than the middle of the road */
         const float inner = 1.0f - beside * curve;
         const float way = (ahead * cosine - aside * sine) / (inner > 0.3f ? inner : 0.3f);
         const float there = along[i] + way;
@@ -346,7 +350,7 @@ FORCE_INLINE void move_plans(const Forecast *f)
     }
 }
 
-/* All moments of all plans, step by step. */
+/* Simulates all moments of all plans with the network, step by step. */
 FOR_ALL_PROCESSORS
 static void drive_by_network(const Forecast *f, const PlanKart *kart, const float *road)
 {
@@ -376,7 +380,7 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
     }
 }
 
-/* All moments of all plans, in arcs. */
+/* Simulates all moments of all plans with arcs. */
 FOR_ALL_PROCESSORS
 static void drive_arcs(const Forecast *f, const PlanKart *kart, const float *road)
 {
@@ -388,7 +392,7 @@ static void drive_arcs(const Forecast *f, const PlanKart *kart, const float *roa
     }
 }
 
-/* What plans cost beyond the edge of the road [m]. */
+/* Computes the cost of each plan beyond the edge of the road [m]. */
 FOR_ALL_PROCESSORS
 static void weigh_danger(const Forecast *f, const PlanKart *kart)
 {
@@ -411,7 +415,8 @@ static void weigh_danger(const Forecast *f, const PlanKart *kart)
     }
 }
 
-/* What plans earn by drifting [m]: less while such a boost still lasts. */
+/* Returns the gain of a plan from the boost of its drift [m]. The gain is smaller while an earlier
+   boost of the same kind lasts. */
 static float boost_of(const Forecast *f, const PlanKart *kart, npy_intp i)
 {
     const npy_intp boost = f->table->boosts.data[f->row + i];
@@ -432,7 +437,7 @@ static double share_of(double x)
     return x < 0 ? 0 : x > 1 ? 1 : x;
 }
 
-/* What plans earn by an item on their way, added to their gain [m]. */
+/* Adds the worth of an item to the gain of each plan that hits it [m]. */
 static void add_item(const Forecast *f, const RoadItem *item)
 {
     const npy_intp plans = f->plans;
@@ -451,7 +456,7 @@ static void add_item(const Forecast *f, const RoadItem *item)
     }
 }
 
-/* What plans cost by running into a slower kart ahead, added to their gain as a loss [m]. */
+/* Adds the cost of running into a slower kart ahead to `gain` [m]. The caller subtracts it. */
 static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *rival)
 {
     const double *rules = f->rules;
@@ -477,7 +482,7 @@ static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *
     }
 }
 
-/* How far across the road the next good items are; plans for items are to drive there. */
+/* Sets the lateral target of plans for items: the offset of the next good items [m]. */
 static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp num_items)
 {
     const npy_intp *item = f->table->items.data + f->row;
@@ -491,7 +496,7 @@ static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp nu
     }
 }
 
-/* Whether a plan exists and the kart may follow it. */
+/* Returns whether a plan exists and the kart may follow it. */
 FORCE_INLINE int has_plan(const Forecast *f, const PlanKart *kart, npy_intp i)
 {
     const npy_intp manoeuvre = f->table->manoeuvres.data[f->row + i];
@@ -516,7 +521,7 @@ static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_kart
     }
 }
 
-/* How many of the first plans of a kart contain all that it has. */
+/* Returns the number of plans up to the last one that the kart may follow. */
 static npy_intp plans_of(const Forecast *f, const PlanKart *kart)
 {
     npy_intp plans = f->plans;
@@ -524,7 +529,7 @@ static npy_intp plans_of(const Forecast *f, const PlanKart *kart)
     return plans;
 }
 
-/* Drives and weighs the plans of one kart. */
+/* Simulates and weighs the plans of one kart. */
 static void weigh(Forecast *f, const PlanKart *kart, const float *road, const RoadItem *items,
                   npy_intp num_items, const RoadRival *rivals, npy_intp num_rivals)
 {
@@ -583,7 +588,7 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
     return fits ? 0 : refuse("the arrays of the table do not fit together");
 }
 
-/* The network and its rules; an empty tuple is none. */
+/* Reads the network and its rules. An empty tuple means that there is no network. */
 static int read_motion(PyObject *tuple, Network *network, Doubles *rules)
 {
     *network = (Network){.units = {0}};
@@ -606,8 +611,9 @@ static int read_motion(PyObject *tuple, Network *network, Doubles *rules)
     return fits ? 0 : refuse("the rules of the network are wrong");
 }
 
-/* Room for a forecast, all of it in one block; NULL with an exception set if there is none. It begins
-   with zeros, because plans that are not driven are weighed too, though never chosen. */
+/* Allocates the arrays of a forecast in one block, which the caller frees. Returns NULL with an
+   exception set on failure. The arrays are zeroed, because plans that are not simulated are weighed
+   too, though never chosen. */
 static void *make_room(Forecast *f)
 {
     const npy_intp *units = f->network->units;
@@ -637,7 +643,8 @@ static void *make_room(Forecast *f)
     return block;
 }
 
-/* weigh_plans(table, rules, motion, rows, karts, road, items, rivals, out) */
+/* weigh_plans(table, rules, motion, rows, karts, road, items, rivals, out): writes the best plan of
+   each manoeuvre for each kart. */
 PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *tuple, *motion;

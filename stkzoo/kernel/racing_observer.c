@@ -1,11 +1,11 @@
-/* The view racing, from records to its vector, in one pass.
+/* Converts a snapshot's records to the vectors of the racing view in one pass.
 
-   The formulas are those of stkzoo.wrappers.racing.features, the order of the numbers is that of
-   stkzoo.wrappers.racing.layout, from where constants and tables are given. */
+   The NumPy reference implementation is stkzoo.kernel.reference.racing_observer. The constants,
+   the tables and the order of the numbers are those of stkzoo.wrappers.racing.features. */
 
 #include "geometry.h"
 
-enum { LINE = 4 }; /* x, y, z and room of a line's point */
+enum { LINE = 4 }; /* x, y, z of a line's point, and its distance to the edge of the road */
 
 typedef struct {
     Floats lines, starts, along; /* (N, points, 4), (N, 3), (N, 3) */
@@ -16,18 +16,19 @@ typedef struct {
     OBJECT_HEAD
     Track *tracks;
     npy_intp num_tracks;
-    Floats marks;      /* where the road is looked at */
-    Bytes items;       /* by type: a good one's column, -1 for a bad one, -2 for others */
-    Bytes attachments; /* by type: its column, or -1 */
-    int num_powerups, powerup_limit, num_hangs, num_kinds; /* columns of the one-hot parts */
-    int karts, goods, bads;                                /* how many are seen */
+    Floats marks;      /* distances at which the road is observed [m] */
+    Bytes items;       /* by type: column of a good item, -1 for a bad one, -2 for others */
+    Bytes attachments; /* by type: column, or -1 */
+    /* One-hot lengths; powerup_limit is the largest powerup count in the view. */
+    int num_powerups, powerup_limit, num_hangs, num_kinds;
+    int karts, goods, bads; /* numbers of objects in the view */
     float step, beyond, kart_reach, item_reach, item_ahead, item_level;
     npy_intp size;
 } RacingObserver;
 
-enum { MOST = 8 }; /* that are seen of one sort */
+enum { MOST = 8 }; /* largest number of objects of one kind in the view */
 
-/* A kart's own state, by the names of the full view. */
+/* A kart's own state, with the names of the full view. */
 typedef struct {
     const float *velocity;
     float max_steer_angle, skeed_factor, energy, attachment_time_left, shield_time;
@@ -39,7 +40,7 @@ typedef struct {
     float *out;
 } Pen;
 
-/* A kart in a race, and its frame. */
+/* The observing kart, its rotation, and its distance from the start of its segment [m]. */
 typedef struct {
     const Track *track;
     const Kart *kart;
@@ -61,13 +62,13 @@ static void put_one_of(Pen *pen, npy_intp which, int count)
     for (int i = 0; i < count; i++) put(pen, i == which ? 1.0f : 0.0f);
 }
 
-/* A table's entry for a type; `none` for types that it does not know. */
+/* Returns a table's entry for a type, or `none` for types outside the table. */
 static int entry_of(Bytes table, npy_int64 type, int none)
 {
     return type >= 0 && type < table.size ? table.data[type] : none;
 }
 
-/* ---------------------------------------------------------------- the kart itself */
+/* ---------------------------------------------------------------- own state */
 
 static OwnState own_of(const Kart *kart, int powerup_limit)
 {
@@ -102,7 +103,8 @@ static void put_own(Pen *pen, const OwnState *own)
 
 /* ---------------------------------------------------------------- the road */
 
-/* The line's point at a distance ahead of the kart, in its frame, and its room. */
+/* Writes the line's point at a distance ahead of the kart, in the kart's frame, and the point's
+   distance to the edge of the road. */
 static void look_at(const RacingObserver *view, const Eye *eye, float distance, float *point)
 {
     const Track *track = eye->track;
@@ -113,7 +115,7 @@ static void look_at(const RacingObserver *view, const Eye *eye, float distance, 
     point[3] = there[3];
 }
 
-/* The road where the view looks at it: beside the kart, at the marks, and beyond them. */
+/* Writes the features of the road from its points beside the kart, at the marks and beyond them. */
 static void put_road(Pen *pen, const float *road)
 {
     const npy_intp count = pen->view->marks.size;
@@ -132,7 +134,7 @@ static void put_road(Pen *pen, const float *road)
     pen->out += 6 * count;
 }
 
-/* ---------------------------------------------------------------- what is near */
+/* ---------------------------------------------------------------- nearby karts and items */
 
 static Near near_at(const float *place, int kind)
 {
@@ -191,7 +193,8 @@ static void put_items(Pen *pen, const float *items, const npy_int64 *types, npy_
 
 /* ---------------------------------------------------------------- a kart's surroundings */
 
-/* Where a kart of a race looks from; -1 with an exception set if there is none such. */
+/* Sets the observing kart. Returns -1 with an exception set if its track, kart or segment does not
+   exist. */
 static int open_eye(const RacingObserver *view, npy_intp track, const Moment *moment, npy_intp kart,
                     Eye *eye)
 {
@@ -218,7 +221,8 @@ static int open_eye(const RacingObserver *view, npy_intp track, const Moment *mo
     return 0;
 }
 
-/* The other karts; not finite where there is none, and in place of the kart itself. */
+/* Writes the positions of the other karts in the kart's frame: infinity for missing karts and for
+   the kart itself. */
 static void see_karts(const Eye *eye, const Moment *moment, npy_intp most, float *out)
 {
     for (npy_intp i = 0; i < most; i++, out += 3) {
@@ -231,7 +235,8 @@ static void see_karts(const Eye *eye, const Moment *moment, npy_intp most, float
     }
 }
 
-/* The items and their types; -1 where there is none. */
+/* Writes the positions of the items in the kart's frame, and their types. Missing items have
+   position 0 and type -1. */
 static void see_items(const Eye *eye, const Moment *moment, npy_intp most, float *out,
                       npy_int64 *types)
 {
@@ -246,8 +251,8 @@ static void see_items(const Eye *eye, const Moment *moment, npy_intp most, float
 
 /* ---------------------------------------------------------------- the type */
 
-/* observe(data, road, who, out, rows): the view of each kart of `who`, into row rows[i] of `out`;
-   without rows, `out` has one for each kart. */
+/* observe(data, road, who, out, rows): writes the view of kart who[i] into row rows[i] of `out`.
+   Without `rows`, `out` has one row per kart, in order. */
 static PyObject *racing_observe(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
@@ -301,7 +306,7 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* look(data, road, who, looks, out): the surroundings of each kart of `who`. */
+/* look(data, road, who, looks, out): writes the surroundings of each kart of `who`. */
 static PyObject *racing_look(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
@@ -336,8 +341,8 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* write(numbers, kinds, around, out): the view of karts with these surroundings, in the first
-   columns of the rows of `out`. */
+/* write(numbers, kinds, around, out): writes the view of karts with given surroundings into the
+   first columns of `out`. */
 static PyObject *racing_write(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
@@ -378,7 +383,7 @@ static PyObject *racing_write(PyObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* The arrays of the tracks; -1 with an exception set. */
+/* Reads the arrays of the tracks. Returns -1 with an exception set on failure. */
 static int read_tracks(RacingObserver *view, PyObject *roads)
 {
     view->num_tracks = PyTuple_GET_SIZE(roads);

@@ -1,23 +1,24 @@
-/* The road ahead as a line with evenly spaced points, from a track's segments.
+/* Builds the line of the road ahead, with evenly spaced points, from a track's segments.
 
-   The formulas are those of stkzoo.kernel.reference.road_tracer. */
+   The NumPy reference implementation is stkzoo.kernel.reference.road_tracer. */
 
 #include "geometry.h"
 
 enum { LINE = 4, MOST_SEGMENTS = 128, MOST_POINTS = 2 * MOST_SEGMENTS + 1 };
 
-/* In the order in which they are given. */
+/* Indices of `rules`. */
 enum { POINT_SPACING, TOUCHING, LONGEST_JUMP, TAIL, NUM_RULES };
 
-/* The segments ahead of a kart: starts, ends and widths. */
+/* The segments ahead of a kart. */
 typedef struct {
     npy_intp count;
     float starts[MOST_SEGMENTS][3], ends[MOST_SEGMENTS][3], widths[MOST_SEGMENTS];
 } Segments;
 
-/* ---------------------------------------------------------------- rows of numbers */
+/* ---------------------------------------------------------------- vectors */
 
-/* Copies a vector of this width; whether it is one, and if not, perhaps with an exception set. */
+/* Copies a vector of `width` numbers and returns 1. Returns 0 if it cannot be converted, with an
+   exception set, or if it has another size, without an exception. */
 static int read_vector(PyObject *vector, npy_intp width, float *out)
 {
     PyArrayObject *array = (PyArrayObject *)vector;
@@ -35,8 +36,8 @@ static int read_vector(PyObject *vector, npy_intp width, float *out)
     return fits;
 }
 
-/* Copies vectors, an array or a sequence of arrays; how many these are, -1 with an exception set.
-   Those beyond `most` are left out. */
+/* Copies at most `most` vectors from an array or a sequence of arrays. Returns the number of
+   vectors copied, or -1 with an exception set. */
 static npy_intp read_vectors(PyObject *rows, npy_intp width, npy_intp most, float *out)
 {
     if (PyArray_Check(rows)) {
@@ -65,7 +66,7 @@ static npy_intp read_vectors(PyObject *rows, npy_intp width, npy_intp most, floa
     return fits ? taken : refuse("vectors have another width");
 }
 
-/* stack_vectors(rows, blank, out): the vectors of each row, padded with `blank`. */
+/* stack_vectors(rows, blank, out): writes the vectors of each row, padded with `blank`. */
 PyObject *stack_vectors(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *rows;
@@ -102,7 +103,7 @@ static int is_touching(const Segments *s, double touching)
     return 1;
 }
 
-/* The segments that follow each other, from the first; how many these are. */
+/* Writes the indices of consecutive segments, beginning with the first. Returns their number. */
 static npy_intp chain_of(const Segments *s, const double *rules, npy_intp *chain)
 {
     if (is_touching(s, rules[TOUCHING])) {
@@ -127,7 +128,8 @@ static npy_intp chain_of(const Segments *s, const double *rules, npy_intp *chain
     }
 }
 
-/* The line through points at distances along it, linear between them. */
+/* Writes points at even distances on the line that connects `points`. The distances of `points`
+   along the line are `marks`. */
 static void interpolate(const double *marks, const double (*points)[LINE], npy_intp count,
                         double spacing, npy_intp num_points, float *out)
 {
@@ -175,7 +177,8 @@ static void trace(const Segments *s, const double *rules, npy_intp num_points, f
     interpolate(marks, (const double (*)[LINE])points, last + 1, rules[POINT_SPACING], num_points, out);
 }
 
-/* The segments of a kart; -1 with an exception set. Without any there is one at the kart. */
+/* Reads the segments of a kart. If there are none, uses one segment of zero length at the kart.
+   Returns -1 with an exception set on failure. */
 static int read_segments(Segments *s, PyObject *starts, PyObject *ends, PyObject *widths,
                          npy_intp most)
 {
@@ -192,7 +195,8 @@ static int read_segments(Segments *s, PyObject *starts, PyObject *ends, PyObject
     return 0;
 }
 
-/* trace_roads(starts, ends, widths, most, rules, lines, first) */
+/* trace_roads(starts, ends, widths, most, rules, lines, first): writes the lines ahead of karts and
+   the karts' own segments. */
 PyObject *trace_roads(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *starts, *ends, *widths;
@@ -224,9 +228,9 @@ PyObject *trace_roads(PyObject *Py_UNUSED(module), PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* ---------------------------------------------------------------- points on it */
+/* ---------------------------------------------------------------- points on the line */
 
-/* look_along(lines, spacing, first, looks, out) */
+/* look_along(lines, spacing, first, looks, out): writes points at distances ahead of karts. */
 PyObject *look_along(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Floats lines, first, looks, out;

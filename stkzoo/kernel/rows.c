@@ -1,4 +1,4 @@
-/* Rows that are alike, as one block. */
+/* Joins arrays of one dtype and shape. */
 
 #include "kernel.h"
 
@@ -12,8 +12,9 @@ static int is_like(PyArrayObject *row, PyArrayObject *first)
            PyArray_CompareLists(PyArray_DIMS(row), PyArray_DIMS(first), axes);
 }
 
-/* join_rows(tuple): the bytes of arrays of one dtype and shape, one after the other; None if
-   they are not alike or do not lie in one piece. */
+/* join_rows(tuple): returns the concatenated bytes of arrays of one dtype and shape. Returns None
+   if the tuple is empty or contains other objects, if dtypes or shapes differ, or if an array is
+   not C-contiguous or holds Python objects. */
 PyObject *join_rows(PyObject *Py_UNUSED(module), PyObject *rows)
 {
     if (!PyTuple_Check(rows)) return PyErr_Format(PyExc_TypeError, "expected a tuple");

@@ -1,7 +1,7 @@
-/* Rewards, ends and infos of a race's agents.
+/* Computes the rewards, terminations, truncations and infos of a race's agents.
 
-   Its numpy twin is stkzoo.kernel.reference.step_scorer; the formulas are those of
-   stkzoo.mdp.rewards. */
+   The NumPy reference implementation is stkzoo.kernel.reference.step_scorer; the formulas are those
+   of stkzoo.mdp.rewards. */
 
 #include "kernel.h"
 
@@ -10,25 +10,25 @@
 
 enum { PROGRESS, RANK, TIME, FINISH, COURSE, PLACEMENT, ADVANCE, PLACE, NUM_TERMS };
 
-/* Agents that share a reward. */
+/* A reward, and the agents that share it. */
 typedef struct {
-    Indices terms, columns, who; /* who: numbers of agents */
+    Indices terms, columns, who; /* who: indices of the agents */
     Doubles weights;
 } Reward;
 
 typedef struct {
     OBJECT_HEAD
-    PyObject *agents, *keys; /* tuples */
-    PyObject *blank_info;    /* with all keys */
+    PyObject *agents, *keys; /* tuples of agents' ids and of the keys of an info */
+    PyObject *blank_info;    /* dict with all keys */
     double *info;            /* (6 + 2 C,) values of one info */
-    Indices karts, rows;     /* each agent's kart, and its row of the arrays below */
-    Doubles last, sums;      /* (R, C): a step's terms, then events, and the episode's, of all agents */
-    Doubles events;          /* (K, E): of the step, of all karts */
+    Indices karts, rows;     /* each agent's kart, and its row in `last` and `sums` */
+    Doubles last, sums;      /* (R, C): reward terms, then events, of the step; their sums */
+    Doubles events;          /* (K, E): events of all karts in the step */
     npy_intp num_columns, num_terms, num_events;
     double race_length;
     Reward *rewards;
     Py_ssize_t num_rewards;
-    npy_bool *is_racing; /* (R,) whether a row is one of the agents' */
+    npy_bool *is_racing; /* (R,) whether the row belongs to one of the agents */
 } StepScorer;
 
 /* ---------------------------------------------------------------- rewards */
@@ -38,7 +38,7 @@ static double driven(const Kart *kart)
     return kart->overall_distance > 0 ? kart->overall_distance : 0;
 }
 
-/* Metres of the race driven, at most its length. */
+/* Returns the distance driven [m], limited to the length of the race. */
 static double driven_of(const Kart *kart, double race_length)
 {
     return kart->has_finished_race > 0 ? race_length : fmin(driven(kart), race_length);
@@ -91,7 +91,7 @@ static void score(const StepScorer *self, const Reward *reward, const Moment *be
     }
 }
 
-/* Adds the step's terms to the sums; those who have left get nothing. */
+/* Adds the step's values to the sums. Rows of agents that have left the race get zeros. */
 static void add_up(StepScorer *self)
 {
     double *last = self->last.data, *sums = self->sums.data;
@@ -103,7 +103,7 @@ static void add_up(StepScorer *self)
     }
 }
 
-/* ---------------------------------------------------------------- what is handed out */
+/* ---------------------------------------------------------------- results */
 
 static int put(PyObject *dict, PyObject *key, PyObject *value)
 {
@@ -112,7 +112,7 @@ static int put(PyObject *dict, PyObject *key, PyObject *value)
     return status;
 }
 
-/* Writes the values of an agent's info; value i to out[i * step]. */
+/* Writes the values of an agent's info, with value i at out[i * step]. */
 static void write_info(const StepScorer *self, npy_intp agent, const Kart *kart, double length,
                        double *out, npy_intp step)
 {
@@ -133,7 +133,7 @@ static void write_info(const StepScorer *self, npy_intp agent, const Kart *kart,
 
 static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kart, PyObject *length)
 {
-    PyObject *dict = PyDict_Copy(self->blank_info); /* quicker than a new one that grows */
+    PyObject *dict = PyDict_Copy(self->blank_info); /* faster than filling an empty dict */
     const npy_intp count = PyTuple_GET_SIZE(self->keys);
     write_info(self, agent, kart, 0, self->info, 1);
     for (npy_intp i = 0; dict && i < count; i++) {
@@ -180,8 +180,8 @@ static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, i
     return parts;
 }
 
-/* Computes the step's terms and adds them to the sums; 0 with an exception set if the snapshots are
-   of another race. */
+/* Computes the step's terms and adds them to the sums. Returns 0 with an exception set if the
+   snapshots are of another race. */
 static int advance(StepScorer *self, const Moment *before, const Moment *after)
 {
     if (!is_of_this_race(self, before) || !is_of_this_race(self, after)) return 0;
@@ -197,8 +197,9 @@ static int advance(StepScorer *self, const Moment *before, const Moment *after)
     return 1;
 }
 
-/* score(before, after, is_over): rewards, terminations and truncations of the step between the
-   bytes of two snapshots, each a dict by agent; whether time is up. */
+/* score(before, after, is_over): returns the rewards, terminations and truncations of the step
+   between the bytes of two snapshots, as three dicts by agent. `is_over` is whether the time limit
+   has been reached. */
 static PyObject *scorer_score(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
@@ -211,7 +212,7 @@ static PyObject *scorer_score(PyObject *object, PyObject *args)
     return ends_and_rewards(self, &after, is_over);
 }
 
-/* Whether there is one of `count` slots for each agent; otherwise an exception is set. */
+/* Returns whether each agent has a slot below `count`; sets an exception otherwise. */
 static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
 {
     if (slots.size != self->karts.size) {
@@ -225,8 +226,8 @@ static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
     return 1;
 }
 
-/* score_into(before, after, is_over, slots, rewards, terminations, truncations): the same into
-   arrays with one number for each slot; agent i has slots[i]. */
+/* score_into(before, after, is_over, slots, rewards, terminations, truncations): writes the results
+   of score() into arrays with one element per slot; agent i has slots[i]. */
 static PyObject *scorer_score_into(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
@@ -254,7 +255,8 @@ static PyObject *scorer_score_into(PyObject *object, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* infos(data, length): the infos at a snapshot, a dict by agent; how many steps the episode has. */
+/* infos(data, length): returns the infos at a snapshot, a dict by agent. `length` is the number of
+   steps of the episode. */
 static PyObject *scorer_infos(PyObject *object, PyObject *args)
 {
     const StepScorer *self = (StepScorer *)object;
@@ -272,8 +274,8 @@ static PyObject *scorer_infos(PyObject *object, PyObject *args)
     return infos;
 }
 
-/* infos_into(data, length, slots, table): the same into a table with a row for each key and a column
-   for each slot; agent i has slots[i]. */
+/* infos_into(data, length, slots, table): writes the values of infos() into a table with a row per
+   key and a column per slot; agent i has slots[i]. */
 static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 {
     const StepScorer *self = (StepScorer *)object;
@@ -300,7 +302,7 @@ static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 
 /* ---------------------------------------------------------------- the type */
 
-/* A reward from (terms, weights, columns, who). */
+/* Sets a reward from a tuple (terms, weights, columns, who). */
 static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
 {
     if (!PyTuple_Check(spec)) return refuse("a reward is a tuple");
@@ -317,7 +319,8 @@ static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
     return fits ? 0 : refuse("the parts of a reward do not fit together");
 }
 
-/* From `sums`, which is one table with `last`, and `events`. */
+/* Sets the numbers of columns from the shapes of `sums`, which `last` shares, and `events`; checks
+   the arrays, and marks the agents' rows. */
 static int set_rows(StepScorer *self, PyArrayObject *sums, PyArrayObject *events)
 {
     if (PyArray_NDIM(sums) != 2 || PyArray_NDIM(events) != 2) {
@@ -339,8 +342,8 @@ static int set_rows(StepScorer *self, PyArrayObject *sums, PyArrayObject *events
     return 0;
 }
 
-/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards, events): rewards is a
-   tuple of what set_reward takes. */
+/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards, events): `rewards` is a
+   tuple of tuples for set_reward(). */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;

@@ -1,19 +1,20 @@
-/* A track's segments, and the order of what lies ahead of each.
+/* A track's segments, and the order of the segments ahead of each.
 
-   As stkzoo.engine.track.TrackMap._order_from. */
+   The NumPy reference implementation is stkzoo.kernel.reference.track_graph. */
 
 #include "kernel.h"
 
 #include <math.h>
 #include <string.h>
 
+/* A segment that the search has reached, and the driving distance to it [m]. */
 typedef struct {
     double distance;
     npy_int32 node;
 } Reached;
 
-/* Takes the nearest of `count` off, of equals the lowest number. There are never many: one, and at
-   a fork two or three. */
+/* Removes and returns the nearest of `count` segments; ties go to the lowest number. A linear scan
+   suffices: there is usually one segment, and two or three at a fork. */
 static Reached take_nearest(Reached *reached, npy_intp count)
 {
     Reached *nearest = reached;
@@ -28,7 +29,7 @@ static Reached take_nearest(Reached *reached, npy_intp count)
     return taken;
 }
 
-/* How far it is from one segment's start on to another's, along the lap. */
+/* Returns the distance along the lap from the start of one segment to that of another [m]. */
 static double gap(const TrackGraph *track, npy_intp from, npy_intp to)
 {
     const float *begins = track->distances.data;
@@ -36,7 +37,8 @@ static double gap(const TrackGraph *track, npy_intp from, npy_intp to)
     return rest < 0 ? rest + track->length : rest;
 }
 
-/* Those that a way leads to, then those that none does, by their place in the lap. */
+/* Fills a row with the segments that are reachable from `start`, by driving distance, then with the
+   others, by distance along the lap. */
 static void fill_order(const TrackGraph *track, npy_intp start, Reached *reached, char *is_seen,
                        npy_int32 *row)
 {
@@ -82,7 +84,7 @@ const npy_int32 *nodes_ahead(TrackGraph *track, npy_intp node)
     return track->orders[node];
 }
 
-/* ahead(node): the segments ahead of one, (N,). */
+/* ahead(node): returns the segments ahead of a segment, (N,), beginning with itself. */
 static PyObject *track_ahead(PyObject *self, PyObject *number)
 {
     TrackGraph *track = (TrackGraph *)self;

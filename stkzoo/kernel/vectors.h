@@ -1,13 +1,14 @@
-/* Functions for processors with and without wide vectors, and arithmetic that agrees with numpy's. */
+/* Vector types and function versions for different processors, and NumPy's sine and cosine. */
 
 #ifndef STKZOO_VECTORS_H
 #define STKZOO_VECTORS_H
 
 #include <math.h>
 
-/* Versions of a function for processors with and without vectors of eight and fused
-   multiply-adds; the first that fits is chosen when the module is loaded. Older compilers know the
-   first kind only by a processor of Intel's, which others do not match. */
+/* Compiles a function in two versions: for processors with vectors of eight floats and fused
+   multiply-adds, and for all others. The version is chosen when the module is loaded. Older
+   compilers can only name an Intel processor for the first version, so processors of other
+   vendors run the second one. */
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__)
 #if __GNUC__ >= 12 && !defined(__clang__)
 #define FOR_ALL_PROCESSORS __attribute__((target_clones("arch=x86-64-v3", "default")))
@@ -18,21 +19,23 @@
 #define FOR_ALL_PROCESSORS
 #endif
 
-/* A part of a function of all processors: each of its versions has a copy, for its processor. */
+/* A helper of a FOR_ALL_PROCESSORS function. It is inlined, so each version of that function has a
+   copy that is compiled for the same processor. */
 #ifdef __GNUC__
 #define FORCE_INLINE __attribute__((always_inline)) static inline
 #else
 #define FORCE_INLINE static inline
 #endif
 
-/* Numbers of a vector. They have the same results as one number after the other. */
+/* A vector of floats. Operations on it give the same results as on one number at a time. */
 #ifdef __GNUC__
 typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
 #else
 typedef float Lanes;
 #endif
 
-/* Sine and cosine as numpy computes them in float32 (Cody-Waite reduction, then polynomials). */
+/* Computes sine and cosine as NumPy does in float32: a Cody-Waite reduction, followed by
+   polynomials. */
 FORCE_INLINE void sine_and_cosine(float x, float *sine, float *cosine)
 {
     const float magic = 0x1.8p23f;
@@ -49,7 +52,7 @@ FORCE_INLINE void sine_and_cosine(float x, float *sine, float *cosine)
     s = fmaf(s, square, 0x1.11119ap-07f);
     s = fmaf(s, square, -0x1.555556p-03f);
     s = fmaf(s * square, r, r);
-    const float most = 0x1p30f; /* angles beyond, and NaN, are no whole number of quarters */
+    const float most = 0x1p30f; /* larger values and NaN cannot be cast to int */
     const float below = quarter < most ? quarter : most;
     const int turned = (int)(below > -most ? below : -most);
     const float first = turned & 1 ? c : s, second = turned & 1 ? s : c;

@@ -1,6 +1,6 @@
-"""The kernel's twins in numpy: one module for each C file, one class for each of its types.
+"""NumPy reference implementations of the kernel: a module per C file, a class per type.
 
-They are reached through :mod:`stkzoo.kernel`, which decides between them and the extension.
+Import their names from :mod:`stkzoo.kernel`, which chooses between them and the extension.
 """
 
 __all__: list[str] = []

@@ -1,4 +1,4 @@
-"""The twin of ``action_reader.c``."""
+"""The NumPy reference implementation of ``action_reader.c``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-#: (low, high, is whole, column, table or None) of one number.
+#: One number of an action: (low, high, is whole, column, table or ``None``).
 Entry = tuple[float, float, bool, int, Any]
 
 #: :data:`stkzoo.views.actions.BOUND_TOLERANCE`
@@ -16,14 +16,15 @@ _SCALARS = (bool, int, float, np.bool_, np.integer, np.floating)
 
 
 class ActionReader:
-    """How actions of one space become controls.
+    """Converts actions of one space to controls.
 
     Args:
-        names: the keys of an action; empty if it is one array or number.
-        leaves: for each key, what its numbers are: tuples of lowest and highest value, whether
-            it is whole, the column that it goes to, and for choices a table with a row for each
-            value, which is added to the controls from that column on, or ``None``.
-        num_columns: of the controls.
+        names: keys of an action; empty if an action is one array or number.
+        leaves: for each key, a tuple per number: its lowest value, its highest value, whether it is
+            a whole number, its column in the controls, and a table or ``None``. A table belongs to
+            a choice and has a row for each value; that row is added to the controls from the column
+            on.
+        num_columns: number of columns of the controls.
 
     Raises:
         ValueError: the leaves do not fit together.
@@ -49,7 +50,7 @@ class ActionReader:
         """Reads the action of each agent into its row of the controls.
 
         Returns:
-            Whether all were there, in their space and in a usual form.
+            Whether every agent has an action that is in its space and in a usual form.
         """
         if len(agents) != len(rows):
             raise ValueError(f"{len(agents)} agents for {len(rows)} rows")
@@ -73,10 +74,10 @@ class ActionReader:
             count: number of slots.
             slots: slot of each action to read.
             rows: row of each action in ``controls``.
-            controls: ``(P, C)`` float32, which this changes.
+            controls: ``(P, C)`` float32, whose rows are overwritten.
 
         Returns:
-            Whether all were in their space and in a usual form.
+            Whether all actions are in their space and in a usual form.
         """
         if len(slots) != len(rows):
             raise ValueError(f"{len(slots)} slots for {len(rows)} rows")
@@ -122,7 +123,7 @@ def _checked(entry: Entry, num_columns: int) -> Entry:
 
 
 def _is_column(leaf: tuple[Entry, ...], value: Any, count: int) -> bool:
-    """Whether a value is an array with a row of the leaf's numbers for each slot."""
+    """Returns whether a value is an array with a row of the leaf's numbers for each slot."""
     if not isinstance(value, np.ndarray) or value.ndim == 0 or len(value) != count:
         return False
     return value.size == count * len(leaf) and (value.ndim == 2 or len(leaf) == 1)

@@ -1,4 +1,4 @@
-"""The twin of ``car_controller.c``."""
+"""The NumPy reference implementation of ``car_controller.c``."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ IntArray = npt.NDArray[np.intp]
 
 
 class CarController:
-    """Speed or acceleration and a steering angle or its speed, as the game's controls.
+    """Converts a speed or acceleration and a steering angle or steering speed to controls.
+
+    Only the extension uses the arguments ``kinds``, ``limits``, ``pedals`` and ``num_columns``.
 
     Args:
-        act: :meth:`stkzoo.wrappers.control.CarAction.act`, which does the twin's work.
-        kinds: whether a speed is asked for, whether an angle, and whether from -1 to 1; the
-            extension's formulas need it, as all that follows but ``columns``.
-        limits: of steering and of the longitudinal number, then those of the kart.
-        pedals: the model of the kart.
-        columns: of throttle, steering and brake.
-        num_columns: of the controls.
+        act: :meth:`stkzoo.wrappers.control.CarAction.act`, which computes the controls.
+        kinds: whether the longitudinal number is a speed, whether the steering number is an angle,
+            and whether both are scaled to [-1, 1].
+        limits: limits of the steering number, of the longitudinal number, and of the kart.
+        pedals: model of the kart.
+        columns: columns of throttle, steering and brake.
+        num_columns: number of columns of the controls.
     """
 
     def __init__(
@@ -47,16 +49,17 @@ class CarController:
         states: npt.NDArray[np.float64],
         places: IntArray,
     ) -> None:
-        """Replaces what is asked for by what the game is told.
+        """Replaces actions by the controls that the game takes.
 
         Args:
-            controls: ``(P, n)`` with the longitudinal number in the throttle's column.
-            rows: ``(A,)`` the rows to change.
-            data: the bytes of the present snapshot.
-            karts: ``(A,)`` whose rows they are.
-            states: ``(S, 3)`` what the controllers remember, which changes, and the length of
-                their steps [s].
-            places: ``(A,)`` rows of the states.
+            controls: ``(P, n)``; the columns of steering and throttle hold the action's steering
+                and longitudinal numbers.
+            rows: ``(A,)`` rows to change.
+            data: bytes of the current snapshot.
+            karts: ``(A,)`` kart of each row.
+            states: ``(S, 3)`` two columns of the controllers' memory, which are updated, and the
+                length of a step [s].
+            places: ``(A,)`` row of each kart in ``states``.
         """
         records = Snapshot(data).karts
         throttle, steer, brake = self._columns

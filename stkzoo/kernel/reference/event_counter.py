@@ -1,4 +1,4 @@
-"""The twin of ``event_counter.c``."""
+"""The NumPy reference implementation of ``event_counter.c``."""
 
 from __future__ import annotations
 
@@ -17,30 +17,31 @@ BoolArray = npt.NDArray[np.bool_]
 #: The columns of ``counts``.
 _KART_CONTACT, _WALL_CONTACT, _HIT, _ITEM_TAKEN, _ITEM_USED = range(5)
 _OVERTAKE, _OVERTAKEN, _RESCUE, _OFF_ROAD, _WRONG_WAY = range(5, 10)
-#: The first columns of ``memory``; where a kart was is three of them. Then a column for each kart.
+#: The first columns of ``memory``. The place has three columns. A column for each kart follows.
 _OFF_ROAD_FOR, _WRONG_WAY_FOR, _STUCK_FOR, _PLACE, _IS_CARRIED, _WALL_FOR, _NUM_OWN = (
     *range(4),
     *(6, 7, 8),
 )
-#: What event_counter.c explains.
+#: Thresholds, explained in ``event_counter.c``.
 _APART, _TOUCH, _NEAR, _STUCK, _BACKWARDS, _NITRO = 0.5, 0.1, 0.25, 3.0, 1.0, 0.4
 _CANNON, _TUMBLE, _GUM_REACH = 15.0, 1.7, 3.0
 _FORWARDS, _LOSS, _BRAKES, _DRAG = 2.0, 4.5, 40.0, 2.0
-#: When the boxes of two karts are compared: shares of a step after one moment, before the next.
+#: When the boxes of two karts are compared, as fractions of a step: after the first snapshot and
+#: before the second one.
 _WHEN = (0.0, 0.25, 0.5)
 
 
 class EventCounter:
-    """What happens to all K karts of a race, step by step.
+    """Counts the events of all K karts of a race, step by step.
 
     Args:
-        nodes: ``(N, 2, 3)`` float32: start and end of the track's segments [m].
+        nodes: ``(N, 2, 3)`` float32, start and end of the track's segments [m].
         step_size: game time of a step [s].
-        memory: ``(K, 8 + K)``: what karts have been through, zeros at first, but infinity in the
-            columns 3 to 5, where karts were when they last moved on; :meth:`count` writes it. The
-            columns 0 to 2 are for how long each has been off the road, driving the wrong way and
-            within 3 m [s].
-        counts: ``(K, 10)``: the step's events (:data:`stkzoo.mdp.events.EVENTS`), which
+        memory: ``(K, 8 + K)`` memory of the events, which :meth:`count` updates. Columns 0 to 2 are
+            the times for which each kart has been off the road, has driven the wrong way and has
+            stayed within 3 m [s]. Columns 3 to 5 are the place that it has stayed near. Initialize
+            columns 3 to 5 with infinity and the others with zeros.
+        counts: ``(K, 10)`` events of the step (:data:`stkzoo.mdp.events.EVENTS`), which
             :meth:`count` writes.
 
     Raises:
@@ -60,14 +61,14 @@ class EventCounter:
         self._memory, self._counts = memory, counts
 
     def count(self, before: bytes, after: bytes) -> None:
-        """Counts what happened in the step between two moments.
+        """Counts the events of the step between two snapshots.
 
         Args:
-            before: the bytes of a snapshot.
-            after: the bytes of the next one.
+            before: bytes of the snapshot before the step.
+            after: bytes of the snapshot after the step.
 
         Raises:
-            ValueError: they are of a race with other karts.
+            ValueError: a snapshot has another number of karts.
         """
         then, now = Snapshot(before), Snapshot(after)
         if not len(then.karts) == len(now.karts) == len(self._counts):
@@ -121,7 +122,7 @@ class EventCounter:
                 )
 
     def _count_rides(self, then: Any, now: Any) -> None:
-        """Rescues, explosions and cannons: a kart that they carry keeps its last velocity."""
+        """Counts rescues and explosions, but not cannons. A carried kart keeps its velocity."""
         way = now["location"].astype(np.float64) - then["location"]
         far = np.sqrt((way * way).sum(1))
         is_carried = (now["velocity"] == then["velocity"]).all(1) & (far > 0)
@@ -150,7 +151,10 @@ class EventCounter:
         memory[:, _WALL_FOR] = np.where(bumps | is_flying, _APART, memory[:, _WALL_FOR] - dt)
 
     def _bumps(self, then: Any, now: Any) -> BoolArray:
-        """Whether karts lose speed as no brake and no ground takes it; landings throw them up."""
+        """Returns which karts lose more speed than brakes or the ground can take.
+
+        Landings do not count: they change the vertical velocity even more.
+        """
         old, new = then["velocity"].astype(np.float64), now["velocity"].astype(np.float64)
         axes = rotation_matrices(then["rotation"].astype(np.float64))
         forwards, change = (axes[:, 2] * old).sum(1), new - old
@@ -162,7 +166,13 @@ class EventCounter:
         return bumps
 
     def _gaps(self, karts: Any, ahead: float) -> FloatArray:
-        """``(K, K)``: the least distance of karts' boxes half a step onwards or backwards [m]."""
+        """Returns the least distances of karts' boxes, ``(K, K)`` [m].
+
+        Args:
+            karts: records of the karts.
+            ahead: length of a step [s], negative to go back in time; distances are taken over half
+                of it.
+        """
         axes = rotation_matrices(karts["rotation"].astype(np.float64))
         reach = karts["size"].astype(np.float64) / 2.0
         places, velocities = (karts[name].astype(np.float64) for name in ("location", "velocity"))
@@ -174,7 +184,7 @@ class EventCounter:
             gap = np.abs((axes[:, None, 1] * ways).sum(-1)) - heights
             gap = np.maximum(gap, gap.T)
             for axis in (0, 2):
-                along = axes[:, axis]  # (K, 3), those of the first kart
+                along = axes[:, axis]  # (K, 3), of the first kart
                 own = reach[:, None, axis]
                 sides = np.abs(np.einsum("ic,jac->ija", along, axes[:, ::2]))
                 others = (sides * reach[None, :, ::2]).sum(-1)
@@ -186,6 +196,6 @@ class EventCounter:
 
 
 def _is_carried(karts: Any) -> BoolArray:
-    """Whether a rescue, an explosion or a cannon moves karts: the game then drives none."""
+    """Returns which karts a rescue, an explosion or a cannon carries: their speed is 0."""
     is_carried: BoolArray = (karts["speed"] == 0) & (np.abs(karts["velocity"]).sum(1) > 0.3)
     return is_carried

@@ -1,4 +1,4 @@
-"""The twin of ``game_stepper.c``."""
+"""The reference implementation of ``game_stepper.c``."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 
-#: The first controls are numbers, the others buttons.
+#: Number of analog controls, which come first; the others are buttons.
 _NUM_ANALOGUE = 2
 _ZERO_CONTROL = (0.0,) * len(CONTROLS)
 
-#: The engine's attributes for fields of our records, where they have another name.
+#: The engine's names of record fields, where they differ from the field's name.
 _ATTRIBUTES = {
     "attachment_time_left": "attachment.time_left",
     "attachment_type": "attachment.type.value",
@@ -23,7 +23,7 @@ _ATTRIBUTES = {
     "powerup_type": "powerup.type.value",
     "type": "type.value",
 }
-#: All fields of a record, in order; of a kart all but the last, its control.
+#: Read all fields of a record in order, except for a kart's last field, its control.
 _item_of, _kart_of = (
     attrgetter(*(_ATTRIBUTES.get(name, name) for name in names))
     for names in (ITEM_DTYPE.names or (), (KART_DTYPE.names or ())[:-1])
@@ -31,16 +31,16 @@ _item_of, _kart_of = (
 
 
 class GameStepper:
-    """A race of the engine, stepped, and read attribute by attribute.
+    """Steps a race of the engine, and reads it attribute by attribute.
 
     Args:
         race: a ``pystk2.Race`` that has started.
         world: its ``pystk2.WorldState``.
-        actions: a ``pystk2.Action`` for each player kart in grid order.
-        controls: the names of an action's parts.
-        phases: our numbers of the engine's phases.
-        last_phase: the number of all other phases.
-        reporting: the karts whose driver's controls are read.
+        actions: a ``pystk2.Action`` for each player kart, in grid order.
+        controls: names of the controls, which are attributes of an action.
+        phases: number of each of the engine's phases.
+        last_phase: number of all other phases.
+        reporting: karts whose driver's controls are read.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class GameStepper:
             controls: ``(P, 7)`` float32, or its bytes: a row for each player kart.
 
         Returns:
-            The moment after it, as the bytes of a :class:`~stkzoo.engine.snapshot.Snapshot`.
+            The bytes of a :class:`~stkzoo.engine.snapshot.Snapshot` after the step.
         """
         numbers = np.frombuffer(controls, np.float32)
         if numbers.size != len(self._actions) * len(self._controls):
@@ -78,7 +78,7 @@ class GameStepper:
         return self.read(is_running)
 
     def read(self, is_running: bool) -> bytes:
-        """The present moment."""
+        """Returns the bytes of a snapshot of the current state."""
         world = self._world
         karts = np.array([(*_kart_of(kart), _ZERO_CONTROL) for kart in world.karts], KART_DTYPE)
         items = np.array([_item_of(item) for item in world.items], ITEM_DTYPE)

@@ -1,4 +1,4 @@
-"""The twin of ``kart_observer.c``."""
+"""The NumPy reference implementation of ``kart_observer.c``."""
 
 from __future__ import annotations
 
@@ -25,18 +25,19 @@ _POLAR = ("center_path", "items_position", "karts_position", "paths_start", "pat
 
 
 class KartObserver:
-    """What is shown to agents of one view.
+    """Makes the observations of one view.
 
     Args:
-        names: the entries of the observation, in order.
-        items: how many items are shown; all that are there by default.
-        karts: how many other karts.
-        paths: how many track segments.
-        polar: positions as two angles and a distance.
-        flat: all numbers as one vector, all choices as another.
-        joined: how many values each choice has; makes one vector of both.
-        nitro: which actions press the nitro button; adds a mask of the actions that can do
-            something.
+        names: entries of the observation, in order.
+        items: number of items in the observation; -1 for all items of the race.
+        karts: number of other karts in the observation; -1 for all.
+        paths: number of track segments in the observation; -1 for all visible ones.
+        polar: whether positions are two angles and a distance.
+        flat: whether all numbers form one vector and all choices another one.
+        joined: number of values of each choice. If given, the choices are one-hot encoded and
+            appended to the vector of numbers.
+        nitro: which actions press the nitro button. If given, observations have a mask of the
+            actions that have an effect.
         fire: which actions fire.
 
     Raises:
@@ -74,14 +75,14 @@ class KartObserver:
         data: bytes,
         who: IntArray,
     ) -> list[Any]:
-        """One observation for each of some karts.
+        """Returns a list with one observation per kart.
 
         Args:
             track: the race's track.
-            num_paths: how many of its segments can be seen.
+            num_paths: number of visible segments of the track.
             kart_types: model name of each kart.
-            data: the bytes of the moment's snapshot.
-            who: ``(A,)`` indices of the karts.
+            data: bytes of the snapshot.
+            who: ``(A,)`` indices of the observing karts.
         """
         made = self._batch(track, num_paths, kart_types, data, who)
         lists = {group for group, size in self._sizes.items() if size < 0}
@@ -106,7 +107,7 @@ class KartObserver:
             data: see :meth:`observe`.
             who: see :meth:`observe`.
             rows: row of each kart.
-            batch: arrays by entry, with a list for names; one array if the view is one vector.
+            batch: arrays by entry, with a list for names, or one array if the view is one vector.
 
         Raises:
             ValueError: the view has no fixed size, or the arguments do not fit together.
@@ -135,7 +136,7 @@ class KartObserver:
         data: bytes,
         who: IntArray,
     ) -> Any:
-        """The observations of some karts, with an axis for them in front."""
+        """Returns the observations of some karts, with a leading axis over karts."""
         snapshot = Snapshot(data)
         if not 0 <= num_paths <= len(track.path_nodes):
             raise ValueError(f"{num_paths} of {len(track.path_nodes)} segments")
@@ -177,7 +178,7 @@ class KartObserver:
 
 
 def _resize(batch: Batch, group: str, size: int) -> None:
-    """Makes a group's lists as long as that, and their mask."""
+    """Cuts or pads a group's entries to a number of rows, and adds their mask."""
     for key in [key for key in batch if key.startswith(f"{group}_")]:
         rows = batch[key]
         length = min(size, rows.shape[1])
@@ -189,7 +190,7 @@ def _resize(batch: Batch, group: str, size: int) -> None:
 
 
 def _singles(batch: Any, lists: set[str]) -> list[Any]:
-    """The rows of a batch in Gymnasium's form, lists as tuples."""
+    """Returns the rows of a batch in Gymnasium's format, with entries of ``lists`` as tuples."""
     if not isinstance(batch, dict):
         return list(batch)
     columns = []

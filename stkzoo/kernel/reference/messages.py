@@ -1,4 +1,4 @@
-"""The twin of ``messages.c``: how much memory a message takes, before anything of it is made."""
+"""The reference implementation of ``messages.c``: measures a message before it is decoded."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ _TEXT, _WIDE_TEXT, _BYTES, _ARRAY, _AXIS, _WORKING = 64, 80, 48, 112, 16, 1024
 _MAX_AXES = 8
 _ITEM_SIZES = (1, 1, 2, 4, 8, 1, 2, 4, 8, 2, 4, 8)
 
-#: Length and memory of what follows the first byte of a number, ``None``, ``True`` or ``False``.
+#: Number of bytes after the first byte, and memory of the object [bytes], for numbers, ``None``,
+#: ``True`` and ``False``.
 _PLAIN = {
     **dict.fromkeys((*range(0x80), *range(0xFB, 0x100), 0xC0, 0xC2, 0xC3), (0, 0)),
     **dict.fromkeys(range(0xE0, 0xFB), (0, _NUMBER)),
@@ -19,21 +20,22 @@ _PLAIN = {
     **{0xCC + power: (1 << power, _NUMBER) for power in (1, 2, 3)},
     **{0xD0 + power: (1 << power, _NUMBER) for power in (0, 1, 2, 3)},
 }
-#: How many bytes of length follow the first byte.
+#: Number of bytes of the length, which follows the first byte.
 _TEXTS, _BLOBS = {0xD9: 1, 0xDA: 2, 0xDB: 4}, {0xC4: 1, 0xC5: 2, 0xC6: 4}
 _LISTS, _DICTS = {0xDC: 2, 0xDD: 4}, {0xDE: 2, 0xDF: 4}
 _EXTENSIONS = {0xC7: 1, 0xC8: 2, 0xC9: 4}
 
 
 def measure_message(data: bytes | bytearray | memoryview, limits: tuple[int, int, int, int]) -> int:
-    """The most memory that decoding a message takes at once [bytes].
+    """Returns the peak memory of decoding a message [bytes].
 
     Args:
         data: the message.
-        limits: its depth, elements of one list, tuple or dict, elements of all, and memory.
+        limits: largest depth, number of elements of one list, tuple or dict, number of elements in
+            total, and memory [bytes].
 
     Raises:
-        ValueError: it is no message, or above a limit.
+        ValueError: the message is malformed or exceeds a limit.
     """
     scan = _Scan(bytes(data), limits)
     scan.scan_value(0)
@@ -55,7 +57,7 @@ class _Scan:
             raise ValueError("it takes too much memory for its length")
 
     def take(self, size: int) -> int:
-        """Where the next bytes begin."""
+        """Skips bytes and returns where they begin."""
         begin = self.at
         if size > self.end - begin:
             raise ValueError("it ends too early")
@@ -112,7 +114,7 @@ class _Scan:
     def scan_text(self, size: int) -> None:
         begin = self.take(size)
         if not self.data[begin : begin + size].isascii():
-            # Python widens what it has decoded so far when a wider letter comes.
+            # Python copies the text decoded so far when it meets a wider character.
             self.hold(_WIDE_TEXT + 8 * size)
             self.now -= 4 * size
         elif size > 1:
@@ -161,7 +163,7 @@ class _Scan:
         self.now -= _BYTES + size
 
     def scan_tuple(self, depth: int) -> None:
-        """A tuple comes as a list, which is freed when the tuple is made."""
+        """Scans a tuple. It is encoded as a list, which is freed after the tuple is made."""
         code = self.data[self.take(1)]
         if code in _LISTS:
             count = self.length_of(_LISTS[code])
@@ -174,7 +176,7 @@ class _Scan:
         self.now -= _LIST + _POINTER * count
 
     def scan_elements(self, dtype: int, axes: int, count: int) -> None:
-        """The elements of an array, which are the rest of its extension."""
+        """Scans the elements of an array, which are the rest of its extension."""
         if dtype >= len(_ITEM_SIZES):
             raise ValueError("it has an array of an unknown dtype")
         size = self.end - self.at
@@ -183,7 +185,7 @@ class _Scan:
         self.take(size)
         held = _ARRAY + _AXIS * axes + size
         self.hold(held)
-        if dtype == 0:  # truth values are compared, which makes another array
+        if dtype == 0:  # decoding compares truth values, which makes another array
             self.hold(held)
             self.now -= held
 
@@ -201,7 +203,7 @@ class _Scan:
         for length in shape:
             count *= length or 1
         if 0 in shape:
-            # Without its zeros, an empty array may be no longer than a list.
+            # The product of an empty array's other axes is limited like the length of a list.
             if count > self.max_length:
                 raise ValueError("it has an empty array of a long shape")
             count = 0

@@ -1,4 +1,4 @@
-"""The twin of ``mlp.c``: the networks of drivers."""
+"""The NumPy reference implementation of ``mlp.c``: the networks of drivers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ class Mlp:
 
     Args:
         layers: matrix ``(inputs, outputs)`` and bias ``(outputs,)`` of each layer.
-        is_tanh: whether tanh follows all layers but the last; otherwise rectified linear units do.
+        is_tanh: whether tanh follows each layer except the last; otherwise a rectified linear unit
+            does.
 
     Raises:
         ValueError: the shapes do not fit.
@@ -32,13 +33,13 @@ class Mlp:
         """Writes the outputs for rows of inputs; a row's outputs do not depend on other rows.
 
         Args:
-            inputs: ``(A, F)``; of a row, the first ones are the network's inputs.
+            inputs: ``(A, F)``; the first columns are the network's inputs.
             out: ``(A, outputs)``.
 
         Raises:
             ValueError: the shapes do not fit.
         """
-        x = inputs[:, None, : len(self._layers[0][0])]  # a product for each row
+        x = inputs[:, None, : len(self._layers[0][0])]  # one matrix product per row
         *hidden, (matrix, bias) = self._layers
         for weights, offset in hidden:
             x = x @ weights + offset

@@ -1,4 +1,4 @@
-"""The twin of ``plan_memory.c``: what drivers remember from step to step."""
+"""The NumPy reference implementation of ``plan_memory.c``: drivers' memory between steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CLOCKS = slice(_NAMES.index("hold_steps"), _NAMES.index("rescue_steps") + 1)
 
 
 class _MemoryRules(NamedTuple):
-    """Thresholds, and times in steps unless they say otherwise."""
+    """Thresholds and times. Times are in steps, except where noted."""
 
     step: float  # [s]
     crash_drop: float
@@ -71,7 +71,7 @@ def write_memory(
         rules: see :func:`age_memory`.
         memory: see :func:`age_memory`.
         out: ``(A, F)``; 12 columns are written.
-        first: the first of these columns.
+        first: index of the first of these columns.
     """
     known, of = _MemoryRules(*rules.tolist()), PlanMemory(*memory)
     drift = np.minimum(of.drift_steps / 30.0, 2.0)

@@ -1,4 +1,4 @@
-"""The twin of ``plan_viewer.c``: what plans depend on, and what a policy sees of them.
+"""The NumPy reference implementation of ``plan_viewer.c``: inputs of plans and of a policy.
 
 An observation has the positions of other karts but neither their velocities nor their identities.
 The observing kart's own motion is known: its velocity, and its rotation from the apparent rotation
@@ -26,7 +26,7 @@ _MANOEUVRES, _BRAKE, _OFFSETS = 4, 1, 7
 
 
 class _ViewRules(NamedTuple):
-    """What holds for all karts."""
+    """Parameters that apply to all karts."""
 
     mark_spacing: float
     slowest: float
@@ -84,28 +84,34 @@ def survey_road(
     now: Arrays,
     out: Arrays,
 ) -> None:
-    """Finds what the plans of ``A`` karts depend on: the arguments of ``weigh_plans``.
+    """Computes the arguments of ``weigh_plans`` for ``A`` karts, and where the karts are.
 
     Args:
-        rules: ``(34,)``: what holds for all karts, in the order of ``_ViewRules``.
-        worths: ``(2, types)``: the worth of item types to karts without and with a powerup [m].
-        memory: ``(22, A)``: what karts remember, in the order of
+        rules: ``(34,)`` parameters for all karts, in the order of ``_ViewRules``.
+        worths: ``(2, types)`` worth of item types for karts without and with a powerup [m].
+        memory: ``(22, A)`` memory of the drivers, in the order of
             :class:`~stkzoo.kernel.PlanMemory`.
         own: entries of the ``full`` view in batch form, in the order of ``_Own``: ``velocity``
             ``(A, 3)`` and ``energy`` float32, the others ``(A,)`` int64.
-        around: the road at marks, ``(A, M + 1, 4)`` with half widths [m], at least 12 of them; its
-            directions, ``(A, M)``, which are unwrapped in place; the tangents of the karts'
-            largest steering angles, ``(A, 1)``; positions of other karts, ``(A, K, 3)``, not finite
-            if missing, and of items, ``(A, N, 3)``, in the karts' frames [m]; the items' types,
-            ``(A, N)`` int64.
-        before: observations of the step before: positions of the nearest karts, right and ahead,
+        around: a tuple of six arrays:
+
+            - the road at 12 or more marks, with half widths, ``(A, M + 1, 4)`` [m];
+            - directions of the road, ``(A, M)`` [rad], which are unwrapped in place;
+            - tangents of the karts' largest steering angles, ``(A, 1)``;
+            - positions of other karts in the kart's frame, ``(A, K, 3)`` [m], not finite if
+              missing;
+            - positions of items in the kart's frame, ``(A, N, 3)`` [m];
+            - types of the items, ``(A, N)`` int64.
+        before: observations of the previous step: positions of the nearest karts, right and ahead,
             ``(A, R, 2)`` [m]; velocity of the observing kart, ``(A, 2)`` [m/s]; directions of the
-            road, ``(A, M)``.
-        now: ``(A, R, 2)`` and ``(A, 2)``: the same of this step, which are written.
-        out: what is written: the arguments ``rows``, ``karts``, ``road``, ``items`` ``(A, I, 4)``
-            and ``rivals`` ``(A, R, 5)`` of ``weigh_plans``, where ``R`` may be 0 to leave other
-            karts out; and ``(A, 5)``: angle to the road [rad], offset from its middle [m], distance
-            beyond its edge [m], its largest turn soon [rad], whether firing is useful.
+            road, ``(A, M)`` [rad].
+        now: the same positions and velocities of this step, ``(A, R, 2)`` and ``(A, 2)``, which are
+            written.
+        out: arrays to write. The first five are the arguments ``rows``, ``karts``, ``road``,
+            ``items`` ``(A, I, 4)`` and ``rivals`` ``(A, R, 5)`` of ``weigh_plans``; with ``R = 0``,
+            other karts are ignored. The last one, ``(A, 5)``, is where the karts are: angle to the
+            road [rad], offset from its middle [m], distance beyond its edge [m], the largest turn
+            of the road in the near future [rad], and whether firing is useful.
     """
     known, remembered, state = _ViewRules(*rules.tolist()), PlanMemory(*memory), _Own(*own)
     line, headings, tangents, karts, items, types = around
@@ -168,7 +174,7 @@ def table_rows(
         drift_side: ``(A,)`` 1 in a drift to the right, -1 to the left, 0 outside drifts.
         drift_steps: ``(A,)`` duration of the drift [steps].
         release_steps: ``(A,)`` remaining time of the turn after the last drift [steps].
-        most: the largest number of steps after a drift, and in one; larger numbers count as these.
+        most: limits of ``release_steps`` and of ``drift_steps``; larger numbers count as the limit.
     """
     release, longest = most
     steps = np.minimum(drift_steps, longest).astype(np.intp)
@@ -184,7 +190,7 @@ def write_road(road: RoadAhead, reach: FloatArray, room: FloatArray, out: FloatA
         road: the road.
         reach: ``(A,)`` distance at which karts aim [m].
         room: ``(A, M)`` largest offset from the middle [m].
-        out: the array.
+        out: array to write.
     """
     out[:, 0] = road.bends(reach) * (0.5 * reach * reach)[:, None]
     out[:, 1], out[:, 2] = room, road.curvature
@@ -225,7 +231,7 @@ def _items(
 def _is_useful(
     items: FloatArray, types: npt.NDArray[np.int64], own: _Own, rules: _ViewRules
 ) -> npt.NDArray[np.bool_]:
-    """Whether each kart should fire; the switch is not used near items that it would spoil."""
+    """Returns whether each kart should fire. The switch is not used near items it would spoil."""
     is_close = (items[..., 2] > 0) & (squared(items) < rules.switch_reach**2) & (types >= 0)
     spoils = (own.powerup_type == rules.switch) & is_close.any(axis=1)
     return np.asarray((own.powerup_count > 0) & ~spoils)
@@ -321,7 +327,7 @@ def _nearest(
     return np.where(is_there[..., None], spots, 0).astype(np.float32), is_there
 
 
-# ------------------------------------------------------------------ what a policy sees
+# ------------------------------------------------------------------ inputs of a policy
 
 
 def present_plans(
@@ -340,17 +346,17 @@ def present_plans(
 
     Args:
         rules: see :func:`survey_road`.
-        logits: ``(7,)`` of the offsets, and ``(2, 2)`` of a button that the rules do not want and
-            of one that they want.
+        logits: ``(7,)`` logits of the offsets, and ``(2, 2)`` logits of a button, first if the
+            rules do not press it, then if they do.
         memory: see :func:`survey_road`.
         own: see :func:`survey_road`.
-        best: ``out`` of ``weigh_plans``.
-        scene: the last of ``out`` of :func:`survey_road`.
+        best: argument ``out`` of ``weigh_plans``.
+        scene: last array of the argument ``out`` of :func:`survey_road`.
         rivals: see :func:`survey_road`.
-        prior: ``(A, 15)``, which is written.
-        inputs: ``(A, F)``; 19 columns and 5 for each kart of ``rivals`` are written. ``F`` may be 0
-            to leave them out.
-        first: the first of these columns.
+        prior: ``(A, 15)`` logits of the rules, which are written.
+        inputs: ``(A, F)``; 19 columns, and 5 for each kart of ``rivals``, are written. With
+            ``F = 0``, none are written.
+        first: index of the first of these columns.
     """
     known, remembered, state = _ViewRules(*rules.tolist()), PlanMemory(*memory), _Own(*own)
     worth, turns, dangers = best

@@ -1,4 +1,4 @@
-"""The twin of ``plan_weigher.c``: plans driven by a model of a kart, and weighed."""
+"""The NumPy reference implementation of ``plan_weigher.c``: simulates and weighs plans."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ DoubleArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 Arrays = tuple[npt.NDArray[Any], ...]
 
-#: What plans begin with, how many, and which of them brakes.
+#: Number of manoeuvres with which plans begin, and the manoeuvre that brakes.
 _MANOEUVRES, _BRAKE = 4, 1
-#: The worth of a manoeuvre that no plan begins with.
+#: Worth of a manoeuvre with which no plan begins.
 _NEVER = -1e4
-#: The largest turn in a step [rad], and the lowest speed [m/s], of the network's plans.
+#: Largest turn per step [rad] and lowest speed [m/s] of plans simulated by the network.
 _MOST_YAW, _LEAST_SPEED = np.float32(0.4), np.float32(2.0)
 
 
 class _Rules(NamedTuple):
-    """What holds for all karts."""
+    """Parameters that apply to all karts."""
 
     release_turn: float
     steering_lag: float
@@ -59,30 +59,40 @@ def weigh_plans(
 ) -> None:
     """Finds the best plan of each manoeuvre for ``A`` karts.
 
-    A kart steers for a point of its lane ahead, as far as its plan lets it.
+    A kart steers toward a point of its lane ahead, within the turning limits of its plan.
 
     Args:
         table: the plans of all states, in the order of :class:`~stkzoo.kernel.PlanTable`.
-        rules: ``(19,)``: what holds for all karts, in the order of ``_Rules``.
-        motion: empty for karts that drive arcs at constant speed; else ``(7,)`` float64 in the
+        rules: ``(19,)`` parameters for all karts, in the order of ``_Rules``.
+        motion: empty for karts that drive arcs at constant speed. Otherwise ``(7,)`` float64 in the
             order of :class:`~stkzoo.kernel.MotionRules`, and three layers of a network,
             ``(outputs, inputs)`` and ``(outputs,)`` each, with rectified linear units between
-            them. It maps :meth:`~stkzoo.kernel.MotionState.inputs` to the turn to the right in a
-            step [rad] and the changes of the speed ahead and to the right [m/s].
-        rows: ``(A,)``: the karts' states.
-        karts: ``(A, 16)``: speed [m/s], turn at full lock [rad/s], how far ahead it aims [m],
-            share of full lock of the last step and of the last drift, distance from the middle of
-            the road [m], angle to it [rad], how much longer a small and a big boost last [steps],
-            whether it may drift, whether it may brake, speed to the right [m/s], turn in the last
-            step [rad], side and duration of a drift, remaining turn after a drift [steps].
-        road: ``(A, 3, M)`` at marks: how far the road bends aside within that distance [m], how
-            far from its middle karts may be [m], its curvature [1/m].
-        items: ``(A, I, 4)``, nearest first: along the road, across it, worth, radius [m].
-        rivals: ``(A, R, 5)``: whether there is one, along the road, across it [m], how much
-            faster it is, how fast it crosses the road [m/s].
-        out: ``(3, A, 4)``: the worth of the best plan that begins with each manoeuvre [m], the
-            share of full lock that it turns by now, and what it costs beyond the edge of the road
-            [m].
+            them. The network maps :meth:`~stkzoo.kernel.MotionState.inputs` to the turn to the
+            right in a step [rad] and the changes of forward speed and speed to the right [m/s].
+        rows: ``(A,)`` states of the karts.
+        karts: ``(A, 16)`` columns of the karts:
+
+            - speed [m/s];
+            - turn at full lock [rad/s];
+            - distance at which the kart aims [m];
+            - turn in the last step, and in the last step of a drift [fraction of full lock];
+            - offset from the middle of the road [m] and angle to the road [rad];
+            - remaining time of a small boost and of a big boost [steps];
+            - whether the kart may drift, and whether it may brake;
+            - speed to the right [m/s] and turn in the last step [rad];
+            - side of a drift and its duration [steps];
+            - remaining time of the turn after a drift [steps].
+        road: ``(A, 3, M)`` at the marks: lateral displacement by the road's bend within the
+            distance at which the kart aims [m], largest offset of karts from the middle [m], and
+            curvature [1/m].
+        items: ``(A, I, 4)``, nearest first: distance along the road, offset from its middle, worth
+            and radius [m].
+        rivals: ``(A, R, 5)``: whether there is another kart, its distance along the road and its
+            offset from the middle [m], its speed along the road relative to the observing kart, and
+            its speed across the road [m/s].
+        out: ``(3, A, 4)``, which is written, for the best plan that begins with each manoeuvre: its
+            worth [m], its current turn [fraction of full lock], and its cost beyond the edge of the
+            road [m].
     """
     drive = drive_by_network if motion else drive_arcs
     along, across, ahead, angles, turns = drive(table, rules, motion, rows, karts, road, items)
@@ -107,20 +117,20 @@ def weigh_plans(
 
 
 class _Course:
-    """Where the plans of karts steer, and the road below them.
+    """Where the plans of karts steer, and the road at their current positions.
 
     Args:
         known: the plans.
-        rows: the karts' states.
-        karts: as for :func:`weigh_plans`; likewise the others.
-        road: ``(A, 3, M)``.
-        items: ``(A, I, 4)``.
+        rows: see :func:`weigh_plans`.
+        karts: see :func:`weigh_plans`.
+        road: see :func:`weigh_plans`.
+        items: see :func:`weigh_plans`.
         mark_spacing: distance between two marks [m].
 
     Attributes:
-        bend: how far the road bends aside ahead of each plan [m], ``(A, C)``; likewise
-        width: how far from its middle plans may be [m], and
-        curvature: of the road [1/m].
+        bend: ``(A, C)`` lateral displacement by the road's bend ahead of each plan [m].
+        width: ``(A, C)`` largest offset from the middle of the road [m].
+        curvature: ``(A, C)`` curvature of the road [1/m].
     """
 
     def __init__(
@@ -133,7 +143,7 @@ class _Course:
         mark_spacing: float,
     ) -> None:
         lock, self._reach = karts[:, 1:3, None].swapaxes(0, 1)
-        # what turns into a share of full lock, for each m/s of speed
+        # converts a lateral distance to a turn [fraction of full lock], per m/s of speed
         self._pull = 2.0 / (self._reach * self._reach * lock)
         self._least, self._most = known.least[rows], known.most[rows]
         self._lanes, which = known.lanes[rows], known.items[rows]
@@ -147,21 +157,21 @@ class _Course:
         self.reach_to(np.zeros(which.shape, np.float32))
 
     def reach_to(self, along: FloatArray) -> None:
-        """Looks up the road at the plans' distances [m]."""
+        """Looks up the road at the distances of the plans ``(A, C)`` [m]."""
         marks = np.clip((along * self._per_mark).astype(np.intp), 0, self._last_mark)
         self.bend, self.width, self.curvature = self._at_marks.take(self._first + marks, axis=1)
 
     def turn(
         self, moment: int, beside: FloatArray, angle: FloatArray, speed: FloatArray
     ) -> FloatArray:
-        """Returns how far the plans turn [fraction of full lock]."""
+        """Returns the turns of the plans [fraction of full lock]."""
         aside = self._lanes[:, moment] * self.width + self._extra - beside
         turn = (aside + self.bend - angle * self._reach) * (speed * self._pull)
         limited: FloatArray = np.maximum(turn, self._least[:, moment])
         return np.minimum(limited, self._most[:, moment])
 
     def way(self, step: FloatArray, beside: FloatArray) -> FloatArray:
-        """Returns the way along the road, whose inner side is the shorter one in a curve [m]."""
+        """Returns the distance along the road [m]; the inner side of a curve is shorter."""
         inner = np.maximum(1.0 - beside * self.curvature, np.float32(0.3))
         way: FloatArray = step / inner
         return way
@@ -176,11 +186,14 @@ def drive_arcs(
     road: FloatArray,
     items: DoubleArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Drives all plans of all karts in arcs at constant speed, as :func:`weigh_plans` does.
+    """Simulates all plans of all karts as arcs at constant speed.
+
+    See :func:`weigh_plans` for the arguments.
 
     Returns:
-        Along the road, across it and how far across they may be, ``(T, A, C)`` each [m]; their
-        last angle to the road [rad] and the turns by now, ``(A, C)`` each.
+        Distances along the road, offsets from its middle and largest offsets, ``(T, A, C)`` each
+        [m]; final angles to the road [rad] and current turns [fraction of full lock], ``(A, C)``
+        each.
     """
     del motion
     known, physics = PlanTable(*table), _Rules(*rules.tolist())
@@ -224,7 +237,7 @@ def drive_by_network(
     road: FloatArray,
     items: DoubleArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Drives all plans of all karts with the network; see :func:`drive_arcs`."""
+    """Simulates all plans of all karts with the network; see :func:`drive_arcs`."""
     known, physics = PlanTable(*table), _Rules(*rules.tolist())
     settings, layers = MotionRules(*motion[0].tolist()), motion[1:]
     speed, _, _, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
@@ -265,7 +278,7 @@ def drive_by_network(
 
 
 def _room_for(known: PlanTable, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Returns three arrays for the moments of all plans of karts, ``(T, A, C)``."""
+    """Returns three empty arrays for the moments of all plans of karts, ``(T, A, C)``."""
     along, across, ahead = np.empty((3, len(known.spans), count, known.items.shape[1]), np.float32)
     return along, across, ahead
 
@@ -279,7 +292,7 @@ def _act(
     *,
     is_first: bool,
 ) -> MotionState:
-    """What drivers would remember after a step of their plans."""
+    """Returns the state of karts, with their drivers' memory updated for a step of the plans."""
     aged = 0 if is_first else 1
     release, boost, big_boost = (
         np.maximum(left - aged, 0) for left in (own.release, own.boost, own.big_boost)
@@ -301,7 +314,7 @@ def _act(
 
 
 def _infer(layers: Arrays, inputs: FloatArray) -> FloatArray:
-    """The outputs of the network, ``(3, A, C)``."""
+    """Returns the outputs of the network, ``(3, A, C)``."""
     x = inputs
     for matrix, bias in zip(layers[:-2:2], layers[1:-2:2], strict=True):
         x = np.maximum(x @ matrix.T + bias, 0)
@@ -310,7 +323,7 @@ def _infer(layers: Arrays, inputs: FloatArray) -> FloatArray:
 
 
 def _item_lanes(items: DoubleArray, count: int) -> FloatArray:
-    """How far across the road the next good items are, ``(A, count)`` [m]."""
+    """Returns the offsets of the next good items from the middle, ``(A, count)`` [m]."""
     is_good = items[..., 2] > 0
     order = np.argsort(~is_good, axis=1, kind="stable")[:, :count]
     across = np.take_along_axis(np.where(is_good, items[..., 1], 0), order, axis=1)
@@ -327,7 +340,7 @@ def _danger(
     speed: FloatArray,
     rules: _Rules,
 ) -> FloatArray:
-    """What plans cost by leaving the road, ``(A, C)`` [m]."""
+    """Returns the cost of leaving the road, ``(A, C)`` [m]."""
     over = np.maximum(np.abs(across) - ahead, 0)
     out = across[-1] + angles * (speed * np.float32(rules.late_time))[:, None]
     late = np.maximum(np.abs(out) - ahead[-1], 0)
@@ -337,7 +350,10 @@ def _danger(
 
 
 def _boosts(table: PlanTable, rows: IntArray, karts: FloatArray, rules: _Rules) -> FloatArray:
-    """What plans earn by drifting, ``(A, C)`` [m]: less while such a boost still lasts."""
+    """Returns the gain from the boosts of drifts, ``(A, C)`` [m].
+
+    The gain is smaller while an earlier boost of the same kind lasts.
+    """
     wait, boosts = table.boost_steps[rows], table.boosts[rows]
     fresh = np.minimum(1.0 - (karts[:, 7:8] - wait) / rules.small_boost_lasts, 1.0)
     fresh_big = np.minimum(1.0 - (karts[:, 8:9] - wait) / rules.big_boost_lasts, 1.0)
@@ -349,7 +365,7 @@ def _boosts(table: PlanTable, rows: IntArray, karts: FloatArray, rules: _Rules) 
 def _item_gain(
     items: DoubleArray, along: FloatArray, across: FloatArray, rules: _Rules
 ) -> FloatArray:
-    """What plans earn by the items on their way, ``(A, C)`` [m]."""
+    """Returns the gain from the items that plans hit, ``(A, C)`` [m]."""
     gain: FloatArray = np.zeros(along.shape[1:], np.float32)
     for item in range(items.shape[1]):
         who = np.flatnonzero(items[:, item, 2])
@@ -378,7 +394,7 @@ def _bumps(
     speed: FloatArray,
     rules: _Rules,
 ) -> FloatArray:
-    """What plans cost by running into slower karts ahead, ``(A, C)`` [m]."""
+    """Returns the cost of running into slower karts ahead, ``(A, C)`` [m]."""
     cost: FloatArray = np.zeros(along.shape[1:], np.float32)
     ends = np.cumsum(spans)
     crossing = np.minimum(ends, rules.crossing)[:, None]

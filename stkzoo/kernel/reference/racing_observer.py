@@ -1,4 +1,4 @@
-"""The twin of ``racing_observer.c``."""
+"""The NumPy reference implementation of ``racing_observer.c``."""
 
 from __future__ import annotations
 
@@ -38,15 +38,17 @@ Arrays = tuple[npt.NDArray[Any], ...]
 
 
 class RacingObserver:
-    """The view ``racing`` on some tracks.
+    """Makes the observations of the ``racing`` view on some tracks.
+
+    Only the extension uses ``tables``, ``counts`` and ``lengths``, which are
+    :data:`stkzoo.wrappers.racing.features.KERNEL_TABLES`. This class imports the constants instead.
 
     Args:
-        roads: ``lines``, ``starts`` and ``along`` of a
-            :class:`~stkzoo.wrappers.racing.RoadTable` each.
-        tables: the constants of :mod:`stkzoo.wrappers.racing.features`, as for ``counts`` and
-            ``lengths``; the twin's formulas have them from there.
-        counts: likewise.
-        lengths: likewise.
+        roads: arrays of each track: ``lines``, ``starts`` and ``along`` of its
+            :class:`~stkzoo.wrappers.racing.RoadTable`.
+        tables: tables of the view.
+        counts: sizes of the view's parts.
+        lengths: distances of the view [m].
     """
 
     def __init__(
@@ -73,8 +75,8 @@ class RacingObserver:
         """Writes the view of each kart of ``who`` into a row of ``out``.
 
         Args:
-            data: a snapshot's bytes.
-            road: number of its track.
+            data: bytes of a snapshot.
+            road: index of its track.
             who: ``(n,)`` indices of karts.
             out: ``(N, SIZE)``.
             rows: ``(n,)`` row of each kart; by default, ``out`` has one row per kart, in order.
@@ -104,8 +106,8 @@ class RacingObserver:
         """Writes the surroundings of each kart of ``who``.
 
         Args:
-            data: a snapshot's bytes.
-            road: number of its track.
+            data: bytes of a snapshot.
+            road: index of its track.
             who: ``(n,)`` indices of karts.
             looks: ``(L,)`` distances at which the road is observed [m].
             out: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as many
@@ -135,8 +137,9 @@ class RacingObserver:
 
         Args:
             numbers: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_NUMBERS`:
-                ``(n, 3)``, and ``(n, 1)`` for the others.
-            kinds: likewise in that of :data:`~stkzoo.wrappers.racing.features.OWN_KINDS`, ``(n,)``.
+                the first ``(n, 3)``, the others ``(n, 1)``.
+            kinds: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_KINDS`,
+                ``(n,)`` each.
             around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
             out: ``(n, F)``; the first ``SIZE`` columns are written.
         """

@@ -1,4 +1,4 @@
-"""The twin of ``road_tracer.c``: the road ahead as a line, from a track's segments."""
+"""The NumPy reference implementation of ``road_tracer.c``: the line of the road ahead."""
 
 from __future__ import annotations
 
@@ -29,14 +29,17 @@ def trace_roads(
 
     Args:
         starts: starts of the segments ahead of each kart, ordered by driving distance; the kart's
-            own segment comes first. Without any there is one of no length at the kart.
+            own segment comes first. If there are none, one segment of zero length at the kart is
+            used.
         ends: their ends.
         widths: their widths, vectors of one number.
-        most: number of segments used, at most 128.
-        rules: ``(4,)``: distance between the line's points; distance below which segments touch;
-            longest jump between segments that do not; length beyond the last one [m].
-        lines: ``(A, N, 4)``: points, and distances to the edge of the road.
-        first: ``(A, 2, 3)``: start and end of each kart's own segment.
+        most: largest number of segments used, at most 128.
+        rules: ``(4,)`` distance between the line's points, distance below which segments touch,
+            longest jump between segments that do not touch, and length of the straight extension
+            beyond the last segment [m].
+        lines: ``(A, N, 4)`` points and their distances to the edge of the road [m], which are
+            written.
+        first: ``(A, 2, 3)`` start and end of each kart's own segment [m], which are written.
     """
     spacing, touching, longest_jump, tail = rules.tolist()
     for number, segments in enumerate(zip(starts, ends, widths, strict=True)):
@@ -83,14 +86,14 @@ def _chain(
 def look_along(
     lines: FloatArray, spacing: float, first: FloatArray, looks: FloatArray, out: FloatArray
 ) -> None:
-    """Writes points on the lines of ``A`` karts, ``(A, L, 4)``, and their distances to the edge.
+    """Writes points on the lines of ``A`` karts, and their distances to the edge of the road.
 
     Args:
         lines: ``(A, N, 4)``, see :func:`trace_roads`.
         spacing: distance between their points [m].
         first: ``(A, 2, 3)`` the karts' own segments in frames with the kart at the origin.
         looks: ``(L,)`` distances ahead of the kart [m].
-        out: the points.
+        out: ``(A, L, 4)`` points and distances [m], which are written.
     """
     starts = first[:, 0]
     before, share = line_places(starts, first[:, 1] - starts, looks, spacing, lines.shape[1])

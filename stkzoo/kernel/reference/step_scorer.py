@@ -1,4 +1,4 @@
-"""The twin of ``step_scorer.c``."""
+"""The NumPy reference implementation of ``step_scorer.c``."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 class StepScorer:
-    """Rewards, ends and infos of some agents of a race.
+    """Computes rewards, ends and infos of some agents of a race.
 
     Args:
-        agents: their ids.
-        karts: their karts.
-        rows: their rows of ``last`` and ``sums``.
-        last: ``(R, C)`` the latest step's reward terms and events, which :meth:`score` writes.
-        sums: ``(R, C)`` the episode's, to which it adds them.
-        keys: of an info, in order.
-        race_length: laps times the lap's length [m].
-        rewards: for agents that share a reward: numbers of terms in
-            :data:`stkzoo.mdp.rewards.KERNEL_TERMS`, their weights, their columns, and the
-            agents' places among ``agents``. Other terms are in ``last`` already.
-        events: ``(K, E)`` the step's, of all karts: the last columns of ``last``.
+        agents: ids of the agents.
+        karts: kart of each agent.
+        rows: row of each agent in ``last`` and ``sums``.
+        last: ``(R, C)`` reward terms and events of the latest step, which :meth:`score` writes.
+        sums: ``(R, C)`` sums of ``last`` over the episode, which :meth:`score` updates.
+        keys: keys of an info, in order.
+        race_length: number of laps times the length of a lap [m].
+        rewards: for each group of agents that share a reward: indices of the reward's terms in
+            :data:`stkzoo.mdp.rewards.KERNEL_TERMS`, their weights, their columns in ``last``, and
+            the agents' indices in ``agents``. The caller writes other terms into ``last``.
+        events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
+            of ``last``.
     """
 
     def __init__(
@@ -64,12 +65,12 @@ class StepScorer:
     def score(
         self, before: bytes, after: bytes, is_over: bool
     ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
-        """Rewards, terminations and truncations of the step between two moments.
+        """Returns the rewards, terminations and truncations of the step between two snapshots.
 
         Args:
-            before: the bytes of a snapshot.
-            after: the bytes of the next one.
-            is_over: whether time is up.
+            before: bytes of the snapshot before the step.
+            after: bytes of the snapshot after the step.
+            is_over: whether the time limit is reached.
         """
         totals, finished = self._advance(before, after)
         cut_short = finished < bool(is_over)
@@ -89,16 +90,16 @@ class StepScorer:
         terminations: BoolArray,
         truncations: BoolArray,
     ) -> None:
-        """Writes what :meth:`score` returns into arrays with one number for each slot.
+        """Writes the results of :meth:`score` into arrays with one number for each slot.
 
         Args:
             before: see :meth:`score`.
             after: see :meth:`score`.
             is_over: see :meth:`score`.
             slots: slot of each agent.
-            rewards: ``(S,)`` float64; this and the next two are changed.
-            terminations: ``(S,)`` bool.
-            truncations: ``(S,)`` bool.
+            rewards: ``(S,)`` float64, which is written.
+            terminations: ``(S,)`` bool, which is written.
+            truncations: ``(S,)`` bool, which is written.
         """
         self._check_slots(slots)
         totals, finished = self._advance(before, after)
@@ -106,7 +107,7 @@ class StepScorer:
         truncations[slots] = finished < bool(is_over)
 
     def _advance(self, before: bytes, after: bytes) -> tuple[FloatArray, BoolArray]:
-        """Adds a step to the record; returns the agents' rewards and who has finished."""
+        """Adds a step to the sums; returns the agents' rewards and whether they have finished."""
         step = Transition(Snapshot(before), Snapshot(after), self._race_length)
         for terms, weights, columns, who in self._rewards:
             rows, karts = self._rows[who], self._karts[who]
@@ -124,7 +125,7 @@ class StepScorer:
             raise ValueError(f"{len(slots)} slots for {len(self._karts)} agents")
 
     def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]:
-        """The infos at a moment, after so many steps."""
+        """Returns the infos of the agents at a snapshot, after ``length`` steps."""
         values = (self._values(data, row, kart) for row, kart in self._places())
         return {
             agent: dict(zip(self._keys, [*own, length], strict=True))
@@ -132,13 +133,13 @@ class StepScorer:
         }
 
     def infos_into(self, data: bytes, length: int, slots: IntArray, table: FloatArray) -> None:
-        """Writes what :meth:`infos` returns into a table.
+        """Writes the results of :meth:`infos` into a table.
 
         Args:
             data: see :meth:`infos`.
             length: see :meth:`infos`.
             slots: slot of each agent.
-            table: with a row for each key and a column for each slot; this changes it.
+            table: array to write, with a row for each key and a column for each slot.
         """
         self._check_slots(slots)
         for slot, (row, kart) in zip(slots, self._places(), strict=True):
@@ -148,7 +149,7 @@ class StepScorer:
         return zip(self._rows.tolist(), self._karts.tolist(), strict=True)
 
     def _values(self, data: bytes, row: int, number: int) -> list[float]:
-        """The values of an agent's info without the last, the length."""
+        """Returns the values of an agent's info without the last one, the length."""
         kart, sums = Snapshot(data).karts[number], self._sums[row].tolist()
         return [
             int(kart["position"]),

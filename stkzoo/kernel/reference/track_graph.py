@@ -1,4 +1,4 @@
-"""The twin of ``track_graph.c``."""
+"""The reference implementation of ``track_graph.c``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ IntArray = npt.NDArray[np.intp]
 
 
 class TrackGraph:
-    """A track's segments, and the order of what lies ahead of each.
+    """A track's segments, and the order of the segments ahead of each one.
 
     Attributes:
         path_nodes: ``(N, 2, 3)`` float32 [m].
@@ -22,13 +22,13 @@ class TrackGraph:
         path_distance: ``(N, 2)`` float32 [m].
 
     Args:
-        nodes: start and end of each segment.
-        widths: their widths.
-        distances: from the start line to their starts and ends.
+        nodes: start and end of each segment [m].
+        widths: width of each segment [m].
+        distances: distances along the lap from the start line to each segment's start and end [m].
         begins: ``(N + 1,)``: the successors of segment ``n`` are
             ``successors[begins[n] : begins[n + 1]]``.
-        successors: segments.
-        length: of a lap [m].
+        successors: numbers of the successors of all segments.
+        length: length of a lap [m].
 
     Raises:
         ValueError: the arrays do not fit together.
@@ -66,7 +66,7 @@ class TrackGraph:
         self._orders: dict[int, IntArray] = {}
 
     def ahead(self, node: int) -> IntArray:
-        """``(N,)`` segments, nearest first along the way a kart can drive."""
+        """Returns all segments in order of driving distance from a segment, ``(N,)``."""
         if not 0 <= node < len(self._begin):
             raise IndexError(f"there is no segment {node}")
         if node not in self._orders:
