@@ -25,7 +25,7 @@ SLOW = (
 # The test processes share the cores, and small networks are faster on one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as after `make test &`; it is inherited
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # inherited, for example after `make test &`
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 #: Fixtures that run whole races or training, which makes their tests slow.

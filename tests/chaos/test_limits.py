@@ -111,7 +111,7 @@ def test_a_game_without_memory_fails_only_its_own_race():
             for _ in range(300):
                 step(env)
         except StkzooError as error:
-            assert isinstance(error, EngineCrashed)  # noqa: PT017 - it may also go on
+            assert isinstance(error, EngineCrashed)  # noqa: PT017 - it may also continue
         step(other)
         assert trace(env) == expected
 

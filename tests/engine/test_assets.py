@@ -113,7 +113,7 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixture
+def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - needs the fixture
     """Adds an installed game to the machine without data; returns its data folder."""
     data = make_data(tmp_path / "usr" / "data")
     monkeypatch.setattr(find, "SYSTEM_FOLDERS", (data,))
@@ -121,7 +121,7 @@ def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - a fixture on a fixtu
 
 
 @pytest.fixture
-def headless(system):  # noqa: ARG001 - a fixture on a fixture
+def headless(system):  # noqa: ARG001 - needs the fixture
     """Installs a headless pack of the installed game; returns its root."""
     install()
     return find.own_folder("headless")
@@ -508,7 +508,7 @@ class TestHeadlessPack:
 
 
 @pytest.fixture
-def archive(headless, tmp_path):  # noqa: ARG001 - a fixture on a fixture
+def archive(headless, tmp_path):  # noqa: ARG001 - needs the fixture
     return pack(output=tmp_path / "pack.tar.xz")
 
 

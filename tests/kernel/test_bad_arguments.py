@@ -1,4 +1,4 @@
-"""The kernel accepts or refuses bad arguments without an access outside its arrays.
+"""The kernel accepts or refuses bad arguments and never accesses memory outside its arrays.
 
 ``make sanitize`` runs these tests with a kernel that stops the program at the first such access.
 """

@@ -271,7 +271,7 @@ def write_quitter(folder, name):
 
 
 def groups(size):
-    """Returns the names of all adversaries in groups; first names fill up the last group."""
+    """Returns all adversaries' names in groups; the first names also fill up the last group."""
     names = [*ADVERSARIES]
     names += names[: -len(names) % size]
     return [names[start : start + size] for start in range(0, len(names), size)]
