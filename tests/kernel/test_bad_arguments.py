@@ -307,7 +307,7 @@ def test_a_block_that_promises_more_items_than_it_has_is_refused():
     race, world, *rest = stepper_arguments()
     stepper = kernel.GameStepper(race, world, *rest)
     world.block = world.block[:-ITEM_SIZE] + struct.pack("<i", 2**31 - 1)
-    with pytest.raises(ValueError, match="shorter than its items"):
+    with pytest.raises(ValueError, match="too short for its items"):
         stepper.read(True)
 
 
@@ -363,5 +363,5 @@ def test_names_that_are_no_text_are_refused():
 
 
 def test_an_entry_that_is_no_tuple_is_refused():
-    with pytest.raises(ValueError, match="an entry is a tuple"):
+    with pytest.raises(ValueError, match="an entry must be a tuple"):
         kernel.ActionReader((), ((None,),), 7)
