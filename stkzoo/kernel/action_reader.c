@@ -126,7 +126,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
                             rows.size);
     }
     if (!are_below(rows, controls.size / self->num_columns)) {
-        return PyErr_Format(PyExc_IndexError, "there is no row of that number");
+        return PyErr_Format(PyExc_IndexError, "a row index is out of range");
     }
     if (!PyDict_Check(actions)) Py_RETURN_FALSE;
     for (npy_intp i = 0; i < rows.size; i++) {
@@ -198,7 +198,7 @@ static PyObject *reader_read_batch(PyObject *object, PyObject *args)
         return PyErr_Format(PyExc_ValueError, "%zd slots for %zd rows", slots.size, rows.size);
     }
     if (!are_below(slots, count) || !are_below(rows, controls.size / self->num_columns)) {
-        return PyErr_Format(PyExc_IndexError, "there is no slot or row of that number");
+        return PyErr_Format(PyExc_IndexError, "a slot or row index is out of range");
     }
     const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names);
     if (num_names && (!PyDict_Check(batch) || PyDict_GET_SIZE(batch) != num_names)) Py_RETURN_FALSE;
@@ -221,7 +221,7 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 {
     PyObject *table;
     Floats controls = {NULL, 1};
-    if (!PyTuple_Check(spec)) return refuse("an entry is a tuple");
+    if (!PyTuple_Check(spec)) return refuse("an entry must be a tuple");
     if (!PyArg_ParseTuple(spec, "ddpiO", &entry->low, &entry->high, &entry->is_whole,
                           &entry->column, &table) ||
         (table != Py_None && !as_floats(table, &controls))) {
@@ -231,11 +231,11 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
     const int has_rows = entry->is_whole && range >= 0 && range < (double)controls.size;
     const npy_intp steps = controls.data && has_rows ? (npy_intp)range + 1 : 1;
     if (controls.data && (!has_rows || controls.size % steps)) {
-        return refuse("a table has a row for each whole number");
+        return refuse("a table must have a row for each whole number");
     }
     entry->table = controls.data;
     if (entry->column < 0 || controls.size / steps > self->num_columns - entry->column) {
-        return refuse("an entry leads beyond the last column");
+        return refuse("an entry has a column beyond the last one");
     }
     entry->width = (int)(controls.size / steps);
     return 0;
@@ -243,7 +243,7 @@ static int set_entry(const ActionReader *self, Entry *entry, PyObject *spec)
 
 static int set_leaf(ActionReader *self, Leaf *leaf, PyObject *specs)
 {
-    if (!PyTuple_Check(specs)) return refuse("a leaf is a tuple of entries");
+    if (!PyTuple_Check(specs)) return refuse("a leaf must be a tuple of entries");
     leaf->count = PyTuple_GET_SIZE(specs);
     if (!(leaf->entries = room_for(self, leaf->count, sizeof *leaf->entries))) return -1;
     for (npy_intp i = 0; i < leaf->count; i++) {
@@ -263,7 +263,7 @@ static int reader_set_up(ActionReader *self, PyObject *args, PyObject *Py_UNUSED
     const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names), count = PyTuple_GET_SIZE(leaves);
     if (self->num_columns < 1) return refuse("there are no columns");
     if (count != (num_names ? num_names : 1)) {
-        return refuse("there is one leaf for each name, or one without");
+        return refuse("expected one leaf per name, or one leaf without a name");
     }
     if (!(self->leaves = room_for(self, count, sizeof *self->leaves))) return -1;
     for (Py_ssize_t i = 0; i < count; i++) {
@@ -272,8 +272,8 @@ static int reader_set_up(ActionReader *self, PyObject *args, PyObject *Py_UNUSED
     return 0;
 }
 
-KERNEL_TYPE(ActionReader, reader, "How actions of one space become controls.",
+KERNEL_TYPE(ActionReader, reader, "Converts actions of one space to controls.",
             {"read", reader_read, METH_VARARGS,
-             "Actions into rows of controls; whether all could be read."},
+             "Reads actions into rows of controls."},
             {"read_batch", reader_read_batch, METH_VARARGS,
-             "Rows of a batch of actions into rows of controls; whether all could be read."})
+             "Reads a batch of actions into rows of controls."})

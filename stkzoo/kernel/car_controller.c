@@ -160,7 +160,7 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
     }
     if (!are_below(rows, controls.size / self->num_columns) ||
         !are_below(karts, moment.header->num_kart) || !are_below(places, memory.size / 3)) {
-        return PyErr_Format(PyExc_IndexError, "there is no row, kart or state of that number");
+        return PyErr_Format(PyExc_IndexError, "a row, kart or state index is out of range");
     }
     State *states = (State *)memory.data;
     for (npy_intp i = 0; i < rows.size; i++) {
@@ -190,5 +190,5 @@ static int controller_set_up(CarController *self, PyObject *args, PyObject *Py_U
     return fits ? 0 : refuse("the pedals or columns do not fit");
 }
 
-KERNEL_TYPE(CarController, controller, "Physical actions as controls.",
-            {"drive", controller_drive, METH_VARARGS, "What was asked for, replaced by controls."})
+KERNEL_TYPE(CarController, controller, "Converts physical actions to controls.",
+            {"drive", controller_drive, METH_VARARGS, "Replaces physical actions with controls."})

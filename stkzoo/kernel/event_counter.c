@@ -290,7 +290,7 @@ static int count_contacts(const EventCounter *self, const Kart *before, const Ka
 static int is_valid(const EventCounter *self, const Moment *moment)
 {
     if (moment->header->num_kart != self->num_karts) {
-        PyErr_Format(PyExc_ValueError, "a snapshot of another race, of %d karts",
+        PyErr_Format(PyExc_ValueError, "a snapshot of another race, with %d karts",
                      moment->header->num_kart);
         return 0;
     }
@@ -337,5 +337,5 @@ static int counter_set_up(EventCounter *self, PyObject *args, PyObject *Py_UNUSE
     return fits ? 0 : refuse("the arrays do not fit together");
 }
 
-KERNEL_TYPE(EventCounter, counter, "What happens to a race's karts.",
-            {"count", counter_count, METH_VARARGS, "Counts what happened in a step."})
+KERNEL_TYPE(EventCounter, counter, "Counts the events of a race's karts.",
+            {"count", counter_count, METH_VARARGS, "Counts the events between two snapshots."})

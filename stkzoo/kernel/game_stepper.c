@@ -68,7 +68,7 @@ static npy_int32 count_at(Block block, npy_intp at)
 {
     npy_int32 count = -1;
     if (at + (npy_intp)sizeof count <= block.size) memcpy(&count, block.data + at, sizeof count);
-    return count < 0 ? refuse("the engine's block is laid out in another way") : count;
+    return count < 0 ? refuse("the engine's block has an unexpected layout") : count;
 }
 
 /* Finds the karts and the items in the block. Their offsets do not change during a race. */
@@ -79,7 +79,7 @@ static int find_places(GameStepper *self, Block block)
     self->num_kart = num_players < 0 ? -1 : count_at(block, at);
     if (self->num_kart < 0 || self->num_kart > block.size / (npy_intp)sizeof(EngineKart) ||
         !(self->places = room_for(self, self->num_kart, sizeof *self->places))) {
-        return refuse("the engine's block is shorter than its karts");
+        return refuse("the engine's block is too short for its karts");
     }
     at += (npy_intp)sizeof(npy_int32);
     for (npy_intp i = 0; i < self->num_kart; i++, at += (npy_intp)sizeof(EngineKart)) {
@@ -100,7 +100,7 @@ static int find_places(GameStepper *self, Block block)
 static const void *record_at(Block block, npy_intp at, size_t size)
 {
     if (at + (npy_intp)size <= block.size) return block.data + at;
-    refuse("the engine's block is shorter than it was");
+    refuse("the engine's block has become shorter");
     return NULL;
 }
 
@@ -156,14 +156,14 @@ static int copy_numbers(PyObject *value, npy_intp count, void *to)
     if (fits) memcpy(to, PyArray_DATA(array), sizeof(float) * (size_t)count);
     Py_DECREF(value);
     Py_XDECREF(array);
-    return fits ? 0 : refuse("an attribute of the engine has another length");
+    return fits ? 0 : refuse("an attribute of the engine has an unexpected length");
 }
 
 /* Copies the controls that the game's AI chose for a kart to the kart's record. */
 static int copy_report(const GameStepper *self, PyObject *number, Kart *records)
 {
     const npy_intp kart = PyLong_AsSsize_t(number);
-    if (kart < 0 || kart >= self->num_kart) return refuse("there is no such kart to report");
+    if (kart < 0 || kart >= self->num_kart) return refuse("a reporting kart is out of range");
     PyObject *action = PyObject_CallOneArg(self->report, number);
     int status = action ? 0 : -1;
     for (int i = 0; !status && i < NUM_CONTROLS; i++) {
@@ -190,7 +190,7 @@ static int read_karts(const GameStepper *self, Block block, Kart *records)
     PyObject *karts = PyObject_GetAttrString(self->world, "karts");
     int status = karts ? 0 : -1;
     if (karts && (!PyList_Check(karts) || PyList_GET_SIZE(karts) != self->num_kart)) {
-        status = refuse("the engine has other karts than before");
+        status = refuse("the engine's karts have changed");
     }
     for (npy_intp i = 0; !status && i < self->num_kart; i++) {
         status = read_kart(self, PyList_GET_ITEM(karts, i),
@@ -245,7 +245,7 @@ static PyObject *moment_from(GameStepper *self, Block block, int is_running)
     const npy_int32 num_items = count_at(block, self->items_at);
     if (num_items < 0) return NULL;
     if (num_items > block.size / (npy_intp)sizeof(EngineItem)) {
-        refuse("the engine's block is shorter than its items");
+        refuse("the engine's block is too short for its items");
         return NULL;
     }
     const size_t karts = (size_t)self->num_kart * sizeof(Kart), items = num_items * sizeof(Item);
@@ -268,7 +268,7 @@ static PyObject *write_block(const GameStepper *self, Block *block)
     PyObject *state = PyObject_CallNoArgs(self->write);
     if (!state) return NULL;
     if (!PyTuple_Check(state) || PyTuple_GET_SIZE(state) < 1) {
-        PyErr_SetString(PyExc_TypeError, "the engine's state is no tuple");
+        PyErr_SetString(PyExc_TypeError, "the engine's state is not a tuple");
         Py_CLEAR(state);
     } else if (PyBytes_AsStringAndSize(PyTuple_GET_ITEM(state, 0), (char **)&block->data,
                                        &block->size) < 0) {
@@ -379,7 +379,7 @@ static PyObject *stepper_serve(PyObject *self, PyObject *file)
     }
 }
 
-#define SERVE , {"serve", stepper_serve, METH_O, "Takes steps over a socket."}
+#define SERVE , {"serve", stepper_serve, METH_O, "Serves step requests on a socket."}
 #else
 #define SERVE
 #endif
@@ -397,8 +397,10 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
                           &self->last_phase, &PyTuple_Type, &self->reporting)) {
         return -1;
     }
-    if (PyTuple_GET_SIZE(self->controls) != NUM_CONTROLS) return refuse("there are other controls");
-    if (self->last_phase < 0) return refuse("phases have numbers from 0");
+    if (PyTuple_GET_SIZE(self->controls) != NUM_CONTROLS) {
+        return refuse("the number of controls is wrong");
+    }
+    if (self->last_phase < 0) return refuse("a phase number must not be negative");
     self->phase = self->last_phase - 1;
     const npy_intp size = PyList_GET_SIZE(self->actions) * NUM_CONTROLS;
     if (!(self->present = room_for(self, size, sizeof *self->present))) return -1;
@@ -418,6 +420,6 @@ static int stepper_set_up(GameStepper *self, PyObject *args, PyObject *Py_UNUSED
     return status;
 }
 
-KERNEL_TYPE(GameStepper, stepper, "A race of the engine, stepped and read in one go.",
-            {"step", stepper_step, METH_O, "Advances the race; the moment after the step."},
-            {"read", stepper_read, METH_O, "The present moment."} SERVE)
+KERNEL_TYPE(GameStepper, stepper, "Advances a race of the engine and reads its state.",
+            {"step", stepper_step, METH_O, "Advances the race by a step; returns the snapshot."},
+            {"read", stepper_read, METH_O, "Returns the current snapshot."} SERVE)

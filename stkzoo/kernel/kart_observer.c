@@ -498,7 +498,7 @@ static void *column_of(PyObject *batch, const char *name, int (*converter)(PyObj
 {
     struct { void *data; npy_intp size; } numbers; /* the layout of Floats, Wholes and Bytes */
     if (name && !PyDict_Check(batch)) {
-        return PyErr_Format(PyExc_TypeError, "a batch of this view is a dict of arrays");
+        return PyErr_Format(PyExc_TypeError, "a batch of this view must be a dict of arrays");
     }
     PyObject *array = name ? PyDict_GetItemString(batch, name) : batch;
     if (!array) return PyErr_Format(PyExc_ValueError, "the batch has no %s", name);
@@ -506,11 +506,11 @@ static void *column_of(PyObject *batch, const char *name, int (*converter)(PyObj
     const int has_slots = PyArray_NDIM((PyArrayObject *)array) > 0;
     const npy_intp count = has_slots ? PyArray_DIM((PyArrayObject *)array, 0) : 0;
     if (numbers.size != count * width) {
-        return PyErr_Format(PyExc_ValueError, "the batch has another number of %s",
+        return PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %s",
                             name ? name : "numbers");
     }
     if (!are_below(rows, count)) {
-        return PyErr_Format(PyExc_IndexError, "there is no row of that number");
+        return PyErr_Format(PyExc_IndexError, "a row index is out of range");
     }
     static char nothing; /* a valid address for arrays without numbers */
     return numbers.data ? numbers.data : &nothing;
@@ -592,7 +592,7 @@ static int names_into(const KartObserver *observer, const Scene *scene, Indices 
     for (int i = 0; !status && i < observer->num_entries; i++) {
         if (observer->entries[i].key->kind != NAME) continue;
         PyObject *list = Py_XNewRef(PyDict_GetItemWithError(batch, observer->entries[i].name));
-        if (!list || !PyList_Check(list)) status = refuse("the names of a batch are a list");
+        if (!list || !PyList_Check(list)) status = refuse("the names of a batch must be a list");
         for (npy_intp n = 0; !status && n < who.size; n++) {
             PyObject *name = Py_XNewRef(PyTuple_GetItem(scene->kart_types, who.data[n]));
             status = name ? PyList_SetItem(list, rows.data[n], name) : -1;
@@ -607,7 +607,7 @@ static int dicts_into(KartObserver *observer, Scene *scene, Indices who, Indices
                       PyObject *batch)
 {
     void *columns[NUM_KEYS];
-    if (!PyDict_Check(batch)) return refuse("a batch of this view is a dict of arrays");
+    if (!PyDict_Check(batch)) return refuse("a batch of this view must be a dict of arrays");
     if (find_columns(observer, scene, rows, batch, columns) < 0) return -1;
     for (npy_intp i = 0; i < who.size; i++) {
         if (look(observer, scene, who.data[i]) < 0) return -1;
@@ -697,10 +697,10 @@ static PyObject *observer_observe_into(PyObject *self, PyObject *args)
 static int add_entry(KartObserver *observer, PyObject *name)
 {
     const Key *key = KEYS;
-    if (!PyUnicode_Check(name)) return refuse("the name of an entry is text");
+    if (!PyUnicode_Check(name)) return refuse("the name of an entry must be text");
     while (key < KEYS + NUM_KEYS && PyUnicode_CompareWithASCIIString(name, key->name)) key++;
     if (key == KEYS + NUM_KEYS || (key->kind == CONTROL && observer->is_flat)) {
-        PyErr_Format(PyExc_ValueError, "no entry is called %S", name);
+        PyErr_Format(PyExc_ValueError, "there is no entry named %S", name);
         return -1;
     }
     PyObject *pool = keep(observer, PyList_New(0));
@@ -729,10 +729,10 @@ static int set_extras(KartObserver *observer, PyObject *joined, PyObject *nitro,
     }
     if (joined != Py_None &&
         (!observer->is_flat || observer->joined.size != observer->num_discrete)) {
-        return refuse("joined has one count for each choice of a flat view");
+        return refuse("joined must have one count for each choice of a flat view");
     }
     if (nitro != Py_None && (!observer->is_flat || observer->fire.size != observer->nitro.size)) {
-        return refuse("a mask is part of a flat view, as long as nitro");
+        return refuse("a mask must be part of a flat view and as long as nitro");
     }
     return 0;
 }
@@ -753,7 +753,7 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
     const Py_ssize_t count = PyTuple_GET_SIZE(names);
     if (count > NUM_KEYS) return refuse("too many entries");
     if (observer->is_flat && (sizes[ITEMS] < 0 || sizes[KARTS] < 0 || sizes[PATHS] < 0)) {
-        return refuse("a flat view has a fixed size");
+        return refuse("a flat view must have a fixed size");
     }
     for (Py_ssize_t i = 0; i < count; i++) {
         if (add_entry(observer, PyTuple_GET_ITEM(names, i)) < 0) return -1;
@@ -761,7 +761,8 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
     return set_extras(observer, joined, nitro, fire);
 }
 
-KERNEL_TYPE(KartObserver, observer, "What is shown to agents of one observer.",
-            {"observe", observer_observe, METH_VARARGS, "One observation for each kart, in a list."},
+KERNEL_TYPE(KartObserver, observer, "Makes the observations of one view.",
+            {"observe", observer_observe, METH_VARARGS,
+             "Returns a list with one observation per kart."},
             {"observe_into", observer_observe_into, METH_VARARGS,
-             "Observations into rows of a batch."})
+             "Writes observations into rows of a batch."})

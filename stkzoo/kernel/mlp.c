@@ -196,4 +196,4 @@ static PyObject *mlp_reduce(PyObject *self, PyObject *Py_UNUSED(none))
 
 KERNEL_TYPE(Mlp, mlp, "A multilayer perceptron.",
             {"evaluate", mlp_evaluate, METH_VARARGS, "Writes the outputs for rows of inputs."},
-            {"__reduce__", mlp_reduce, METH_NOARGS, "What a pickle consists of."})
+            {"__reduce__", mlp_reduce, METH_NOARGS, "Returns the parts of a pickle."})

@@ -60,7 +60,7 @@ int as_moment(PyObject *object, void *out)
     if (size < sizeof *header || header->num_kart < 0 || header->num_items < 0 ||
         size != sizeof *header + (size_t)header->num_kart * sizeof(Kart) +
                     (size_t)header->num_items * sizeof(Item)) {
-        PyErr_Format(PyExc_ValueError, "%zu bytes are no snapshot", size);
+        PyErr_Format(PyExc_ValueError, "%zu bytes are not a snapshot", size);
         return 0;
     }
     moment->karts = (const Kart *)(header + 1);
@@ -151,24 +151,24 @@ static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 }
 
 static PyMethodDef methods[] = {
-    {"age_memory", age_memory, METH_VARARGS, "Advances what some drivers remember by one step."},
-    {"join_rows", join_rows, METH_O, "The bytes of arrays that are alike."},
-    {"layouts", layouts, METH_NOARGS, "Where the fields of the records are."},
-    {"look_along", look_along, METH_VARARGS, "Points on the lines of some roads."},
-    {"measure_message", measure_message, METH_VARARGS, "The memory that decoding a message takes."},
-    {"present_plans", present_plans, METH_VARARGS, "What a policy sees of the plans of some karts."},
-    {"stack_vectors", stack_vectors, METH_VARARGS, "The vectors of some rows, padded."},
-    {"survey_road", survey_road, METH_VARARGS, "What the plans of some karts depend on."},
-    {"trace_roads", trace_roads, METH_VARARGS, "The lines ahead of some karts."},
-    {"weigh_plans", weigh_plans, METH_VARARGS, "The best plan of each manoeuvre, for some karts."},
-    {"write_memory", write_memory, METH_VARARGS, "A policy's inputs from what drivers remember."},
+    {"age_memory", age_memory, METH_VARARGS, "Advances the memory of drivers by one step."},
+    {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
+    {"layouts", layouts, METH_NOARGS, "Returns the byte offsets of record fields."},
+    {"look_along", look_along, METH_VARARGS, "Writes points at distances ahead of karts."},
+    {"measure_message", measure_message, METH_VARARGS, "Returns the peak memory of decoding."},
+    {"present_plans", present_plans, METH_VARARGS, "Writes a policy's inputs on plans."},
+    {"stack_vectors", stack_vectors, METH_VARARGS, "Writes the vectors of rows, padded."},
+    {"survey_road", survey_road, METH_VARARGS, "Writes the arguments of weigh_plans."},
+    {"trace_roads", trace_roads, METH_VARARGS, "Writes the lines ahead of karts."},
+    {"weigh_plans", weigh_plans, METH_VARARGS, "Writes each kart's best plan of each manoeuvre."},
+    {"write_memory", write_memory, METH_VARARGS, "Writes a policy's inputs from the memory."},
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
     PyModuleDef_HEAD_INIT,
     .m_name = "stkzoo.kernel._kernel",
-    .m_doc = "The step's inner loops.",
+    .m_doc = "The inner loops of a step.",
     .m_size = -1,
     .m_methods = methods,
 };

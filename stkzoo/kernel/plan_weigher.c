@@ -606,7 +606,9 @@ static int read_motion(PyObject *tuple, Network *network, Doubles *rules)
             return refuse("the layers of the network do not fit together");
         }
     }
-    if (network->units[LAYERS] != NUM_NEXT) return refuse("the network has other outputs");
+    if (network->units[LAYERS] != NUM_NEXT) {
+        return refuse("the network has the wrong number of outputs");
+    }
     const int fits = rules->size == NUM_MOTION_RULES && rules->data[MOTION_STEP] >= 0.01;
     return fits ? 0 : refuse("the rules of the network are wrong");
 }
@@ -674,7 +676,7 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
     }
     if (!are_below(rows, forecast.states)) {
-        return PyErr_Format(PyExc_IndexError, "there is no state of that number");
+        return PyErr_Format(PyExc_IndexError, "a state index is out of range");
     }
     const PlanKart *karts = (const PlanKart *)kart_numbers.data;
     const RoadItem *items = (const RoadItem *)item_numbers.data;

@@ -273,7 +273,7 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
                             rows.size, view->size);
     }
     if (has_rows && !are_below(rows, out.size / view->size)) {
-        return PyErr_Format(PyExc_IndexError, "there is no row of that number");
+        return PyErr_Format(PyExc_IndexError, "a row index is out of range");
     }
     const npy_intp marks = view->marks.size, num_looks = 1 + 2 * marks;
     const npy_intp num_karts = moment.header->num_kart, num_items = moment.header->num_items;
@@ -436,8 +436,8 @@ static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUS
     return read_tracks(view, roads);
 }
 
-KERNEL_TYPE(RacingObserver, racing, "The view racing on some tracks.",
+KERNEL_TYPE(RacingObserver, racing, "Makes the view `racing` on a set of tracks.",
             {"observe", racing_observe, METH_VARARGS,
-             "The view of each of some karts, as rows of an array."},
-            {"look", racing_look, METH_VARARGS, "The surroundings of each of some karts."},
-            {"write", racing_write, METH_VARARGS, "The view of karts with given surroundings."})
+             "Writes the views of karts into rows."},
+            {"look", racing_look, METH_VARARGS, "Writes the surroundings of karts."},
+            {"write", racing_write, METH_VARARGS, "Writes the views for given surroundings."})

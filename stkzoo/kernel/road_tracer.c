@@ -50,7 +50,7 @@ static npy_intp read_vectors(PyObject *rows, npy_intp width, npy_intp most, floa
             memcpy(out, PyArray_DATA(array), (size_t)(taken * width) * sizeof *out);
         }
         Py_DECREF(array);
-        return size == count * width ? taken : refuse("vectors have another width");
+        return size == count * width ? taken : refuse("vectors have the wrong width");
     }
     PyObject *all = PySequence_Fast(rows, "expected vectors");
     if (!all) return -1;
@@ -63,7 +63,7 @@ static npy_intp read_vectors(PyObject *rows, npy_intp width, npy_intp most, floa
         Py_DECREF(row);
     }
     Py_DECREF(all);
-    return fits ? taken : refuse("vectors have another width");
+    return fits ? taken : refuse("vectors have the wrong width");
 }
 
 /* stack_vectors(rows, blank, out): writes the vectors of each row, padded with `blank`. */
@@ -77,7 +77,8 @@ PyObject *stack_vectors(PyObject *Py_UNUSED(module), PyObject *args)
     }
     const npy_intp count = PyTuple_GET_SIZE(rows), most = count ? out.size / (3 * count) : 0;
     if (out.size != 3 * most * count) {
-        return PyErr_Format(PyExc_ValueError, "out must hold equally many vectors for each row");
+        return PyErr_Format(PyExc_ValueError,
+                            "out must have the same number of vectors in each row");
     }
     for (npy_intp i = 0; i < count; i++) {
         float *row = out.data + 3 * most * i;

@@ -157,7 +157,7 @@ static double total_of(const StepScorer *self, npy_intp agent)
 static int is_of_this_race(const StepScorer *self, const Moment *moment)
 {
     if (are_below(self->karts, moment->header->num_kart)) return 1;
-    PyErr_Format(PyExc_ValueError, "a snapshot of another race, of %d karts",
+    PyErr_Format(PyExc_ValueError, "a snapshot of another race, with %d karts",
                  moment->header->num_kart);
     return 0;
 }
@@ -220,7 +220,7 @@ static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
         return 0;
     }
     if (!are_below(slots, count)) {
-        PyErr_Format(PyExc_IndexError, "there is no slot of that number");
+        PyErr_Format(PyExc_IndexError, "a slot index is out of range");
         return 0;
     }
     return 1;
@@ -305,7 +305,7 @@ static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 /* Sets a reward from a tuple (terms, weights, columns, who). */
 static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
 {
-    if (!PyTuple_Check(spec)) return refuse("a reward is a tuple");
+    if (!PyTuple_Check(spec)) return refuse("a reward must be a tuple");
     if (!PyArg_ParseTuple(spec, "O&O&O&O&", as_indices, &reward->terms, as_doubles,
                           &reward->weights, as_indices, &reward->columns, as_indices,
                           &reward->who)) {
@@ -370,8 +370,8 @@ static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(k
     return self->rewards ? 0 : -1;
 }
 
-KERNEL_TYPE(StepScorer, scorer, "What a race's steps mean for some agents.",
-            {"score", scorer_score, METH_VARARGS, "Rewards and ends."},
-            {"score_into", scorer_score_into, METH_VARARGS, "Rewards and ends, into arrays."},
-            {"infos", scorer_infos, METH_VARARGS, "Infos by agent."},
-            {"infos_into", scorer_infos_into, METH_VARARGS, "Infos, into a table."})
+KERNEL_TYPE(StepScorer, scorer, "Makes the rewards, ends and infos of agents.",
+            {"score", scorer_score, METH_VARARGS, "Returns rewards and ends."},
+            {"score_into", scorer_score_into, METH_VARARGS, "Writes rewards and ends into arrays."},
+            {"infos", scorer_infos, METH_VARARGS, "Returns the infos by agent."},
+            {"infos_into", scorer_infos_into, METH_VARARGS, "Writes the infos into a table."})

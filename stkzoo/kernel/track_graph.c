@@ -127,4 +127,4 @@ static int track_set_up(TrackGraph *track, PyObject *args, PyObject *Py_UNUSED(k
 }
 
 KERNEL_TYPE(TrackGraph, track, "A track's segments.",
-            {"ahead", track_ahead, METH_O, "The segments ahead of one, nearest first along the way."})
+            {"ahead", track_ahead, METH_O, "Returns the segments ahead of a segment."})

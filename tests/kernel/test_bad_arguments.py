@@ -307,7 +307,7 @@ def test_a_block_with_too_few_items_is_refused():
     race, world, *rest = stepper_arguments()
     stepper = kernel.GameStepper(race, world, *rest)
     world.block = world.block[:-ITEM_SIZE] + struct.pack("<i", 2**31 - 1)
-    with pytest.raises(ValueError, match="shorter than its items"):
+    with pytest.raises(ValueError, match="too short for its items"):
         stepper.read(True)
 
 
@@ -363,5 +363,5 @@ def test_names_must_be_strings():
 
 
 def test_entries_must_be_tuples():
-    with pytest.raises(ValueError, match="an entry is a tuple"):
+    with pytest.raises(ValueError, match="an entry must be a tuple"):
         kernel.ActionReader((), ((None,),), 7)

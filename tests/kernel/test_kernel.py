@@ -585,7 +585,7 @@ def test_the_kernel_checks_its_arguments():
     )
     with pytest.raises(TypeError):
         KartObserver(("energy",)).observe(*[numbers] * 5)
-    with pytest.raises(ValueError, match="no snapshot"):
+    with pytest.raises(ValueError, match="not a snapshot"):
         KartObserver(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data[:-1], one)
     with pytest.raises(IndexError, match="kart 1 of 1"):
         KartObserver(("energy",)).observe(track_of([[0]]), 1, ("tux",), snapshot.data, one + 1)
@@ -785,7 +785,7 @@ def test_a_scorer_refuses_snapshots_of_another_race():
     assert scorer_of().score(one, one, False)[1] == {"kart_0": False}
     with pytest.raises(ValueError, match="another race"):
         scorer_of().score(one, none, False)
-    with pytest.raises(ValueError, match="no snapshot"):
+    with pytest.raises(ValueError, match="not a snapshot"):
         scorer_of().infos(b"", 1)
 
 

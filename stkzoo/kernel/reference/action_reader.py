@@ -34,7 +34,7 @@ class ActionReader:
         self, names: tuple[str, ...], leaves: tuple[tuple[Entry, ...], ...], num_columns: int
     ) -> None:
         if len(leaves) != (len(names) or 1):
-            raise ValueError("there is one leaf for each name, or one without")
+            raise ValueError("expected one leaf per name, or one leaf without a name")
         self._names = names
         self._leaves = tuple(
             tuple(_checked(entry, num_columns) for entry in leaf) for leaf in leaves
@@ -115,10 +115,10 @@ def _checked(entry: Entry, num_columns: int) -> Entry:
         steps = int(high - low) + 1
         width = table.size // steps
         if not is_whole or table.size == 0 or table.size % steps:
-            raise ValueError("a table has a row for each whole number")
+            raise ValueError("a table must have a row for each whole number")
         table = table.reshape(steps, width)
     if not 0 <= column <= num_columns - width:
-        raise ValueError("an entry leads beyond the last column")
+        raise ValueError("an entry has a column beyond the last one")
     return low, high, is_whole, column, table
 
 

@@ -72,7 +72,7 @@ class EventCounter:
         """
         then, now = Snapshot(before), Snapshot(after)
         if not len(then.karts) == len(now.karts) == len(self._counts):
-            raise ValueError(f"a snapshot of another race, of {len(now.karts)} karts")
+            raise ValueError(f"a snapshot of another race, with {len(now.karts)} karts")
         self._counts[:] = 0.0
         if now.header["time"] > then.header["time"]:
             self._time_karts(then, now)

@@ -58,9 +58,9 @@ class KartObserver:
     ) -> None:
         for name in names:
             if name not in _KNOWN or (flat and name == "action"):
-                raise ValueError(f"no entry is called {name}")
+                raise ValueError(f"there is no entry named {name}")
         if flat and min(items, karts, paths) < 0:
-            raise ValueError("a flat view has a fixed size")
+            raise ValueError("a flat view must have a fixed size")
         if not flat and (joined is not None or nitro is not None):
             raise ValueError("only a flat view is joined or has a mask")
         self._names, self._is_polar, self._is_flat = names, polar, flat
