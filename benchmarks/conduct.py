@@ -6,8 +6,7 @@
 A scripted rammer chases ordinary drivers on the training tracks, in both directions: the
 heuristic, *ace* and the game's AI. It should be at fault in at least 95 % of its contacts, and the
 others in at most 2 % of theirs with it. Further races are with other victims and without a rammer.
-Writes
-``benchmarks/results/conduct.json``. Rates have 95 % intervals over tracks.
+Writes ``benchmarks/results/conduct.json``. Rates have 95 % intervals over tracks.
 """
 
 from __future__ import annotations
@@ -86,13 +85,12 @@ def rates(group: str, races: Sequence[RaceConduct]) -> dict[str, Any]:
     def among(own: Sequence[str], other: Sequence[str]) -> dict[str, Any]:
         return rate(races, lambda one, two: one in own and two in other)
 
-    found = {"among_others": among(judged, others)}
-    found |= {f"among_others: {driver}": among([driver], others) for driver in judged}
-    if RAMMER in GROUPS[group]:
-        found |= {"rammer": among([RAMMER], others), "victims": among(judged, [RAMMER])}
-        found |= {f"rammer with {driver}": among([RAMMER], [driver]) for driver in others}
-        found |= {f"victims: {driver}": among([driver], [RAMMER]) for driver in judged}
-    return found
+    if RAMMER not in GROUPS[group]:
+        found = {"among_others": among(judged, others)}
+        return found | {f"among_others: {driver}": among([driver], others) for driver in judged}
+    found = {"rammer": among([RAMMER], others), "victims": among(judged, [RAMMER])}
+    found |= {f"rammer with {driver}": among([RAMMER], [driver]) for driver in others}
+    return found | {f"victims: {driver}": among([driver], [RAMMER]) for driver in judged}
 
 
 def _row(name: str, found: dict[str, Any]) -> list[str]:

@@ -291,7 +291,7 @@ def test_a_controller_checks_its_arguments():
     for wrong in (0, 2, 4):
         arguments = [one, snapshot.data, one, states, one]
         arguments[wrong] = one + 1
-        with pytest.raises(IndexError, match="no row, kart or state"):
+        with pytest.raises(IndexError, match="a row, kart or state index"):
             controller.drive(rows, *arguments)
     with pytest.raises(ValueError, match="1 rows, 2 karts"):
         controller.drive(rows, one, snapshot.data, two, states, one)

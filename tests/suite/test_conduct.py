@@ -116,6 +116,30 @@ def test_the_later_start_is_at_fault_and_between_close_ones_the_kart_that_closes
     assert JudgedContact(10, (3, 5), (1, 1), latest, closing).at_fault == at_fault
 
 
+@pytest.mark.parametrize(
+    ("latest", "at_fault"),
+    [((None, None), None), ((0.3, None), 3), ((0.5, 0.3), 5), ((0.3, 0.5), 3), ((0.5, 0.5), None)],
+)
+def test_with_braking_nobody_is_at_fault_if_the_starts_are_equal(latest, at_fault):
+    contact = JudgedContact(10, (3, 5), (1, 1), latest, (9.0, -1.0), braking=True)
+    assert contact.at_fault == at_fault
+
+
+def test_braking_decides_where_the_reference_drivers_only_steer_into_the_other_kart(tmp_path):
+    drivers = ["benchmarks.rammer", "heuristic", "heuristic", "pretrained:ace", "ai", "ai"]
+    file = record(tmp_path / "mines.stkz", drivers, track="mines", seed=1082, max_steps=32)
+    first, second, *_ = race_conduct(file, [0]).contacts
+    assert (first.karts, first.braking, first.at_fault) == ((0, 4), True, 0)
+    assert (second.karts, second.braking, second.at_fault) == ((0, 1), False, 0)
+
+
+def test_only_the_contacts_of_the_chosen_agents_are_judged(rammed, judged):
+    race = race_conduct(rammed, [0])
+    assert [contact for contact in judged.contacts if 0 in contact.karts] == [*race.contacts]
+    assert race.not_judged == len(judged.contacts) - len(race.contacts) > 0
+    assert race.karts[0] == judged.karts[0]
+
+
 def test_touches_within_a_second_are_one_contact():
     touches = [
         Contact(20, (0, 1), (1, 1)),

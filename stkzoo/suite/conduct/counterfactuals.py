@@ -1,13 +1,14 @@
 """Counterfactuals of recorded races: what if a reference driver had driven one of the karts?
 
 The engine's exact state some time before a contact is restored. A reference driver drives one kart,
-all others repeat their recorded controls, and the game's AI drives on.
+all others repeat their recorded controls, and the game's AI drives on. If this decides nothing, the
+reference drivers brake.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
@@ -31,6 +32,8 @@ STARTS = (0.3, 0.5, 0.7, 1.0, 1.5, 2.0)
 CLOSE_STARTS = 2.0
 #: How long after the contact the karts must not touch [s].
 CLEARANCE = 0.5
+#: Reference drivers that brake do so above this speed [m/s]. Slower karts would reverse.
+_STANDSTILL = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +60,16 @@ class ContactTrials:
     """The outcome of the trials of a contact, for each of its karts.
 
     Attributes:
-        latest: latest start from which every reference driver avoids the contact [s before it];
-            ``None`` if there is none, or if it is earlier than :data:`CLOSE_STARTS` times that of
-            the other kart.
+        latest: latest start from which the contact is avoided [s before it]; ``None`` if there is
+            none, or if it is earlier than :data:`CLOSE_STARTS` times that of the other kart.
         closing: speed towards the other kart before they touch [m/s].
+        braking: whether the reference drivers braked. Then one that avoids the contact is enough;
+            otherwise, every one must.
     """
 
     latest: tuple[float | None, float | None]
     closing: tuple[float, float]
+    braking: bool = False
 
 
 class CounterfactualJudge(RaceListener):
@@ -119,7 +124,7 @@ class CounterfactualJudge(RaceListener):
             return
         while self._contacts and self._contacts[0].step == race.steps:
             contact = self._contacts.pop(0)
-            self.trials[contact] = ContactTrials(self._latest(contact), self._closing(contact))
+            self.trials[contact] = self._judge(contact)
         self._events.count(self._before, race.snapshot)
         self._before = race.snapshot
         self._forget(race.steps - max(self._starts.values()))
@@ -157,7 +162,15 @@ class CounterfactualJudge(RaceListener):
         speeds = karts["velocity"].astype(float) @ way / max(float(np.linalg.norm(way)), 1e-6)
         return round(float(speeds[0]), 3), round(-float(speeds[1]), 3)
 
-    def _latest(self, contact: Contact) -> tuple[float | None, float | None]:
+    def _judge(self, contact: Contact) -> ContactTrials:
+        """Tries a contact without braking and, if it is avoided in neither kart, with it."""
+        closing = self._closing(contact)
+        trials = ContactTrials(self._latest(contact, braking=False), closing)
+        if trials.latest == (None, None):
+            return ContactTrials(self._latest(contact, braking=True), closing, braking=True)
+        return trials
+
+    def _latest(self, contact: Contact, *, braking: bool) -> tuple[float | None, float | None]:
         """Tries earlier and earlier starts until it is clear which kart avoids it later."""
         latest: list[float | None] = [None, None]
         limit = max(STARTS)
@@ -166,19 +179,22 @@ class CounterfactualJudge(RaceListener):
             if kept is None or kept.step <= contact.apart_since or start > limit:
                 break
             for place, number in enumerate(contact.karts):
-                if latest[place] is None and self._is_avoided(contact, kept, number):
+                if latest[place] is None and self._is_avoided(contact, kept, number, braking):
                     latest[place] = start
                     limit = min(limit, CLOSE_STARTS * start)
         return latest[0], latest[1]
 
-    def _is_avoided(self, contact: Contact, kept: _KeptMoment, number: int) -> bool:
-        """Returns whether every reference driver in a kart avoids a contact."""
+    def _is_avoided(self, contact: Contact, kept: _KeptMoment, number: int, braking: bool) -> bool:
+        """Returns whether the reference drivers in a kart avoid a contact."""
         agent = f"kart_{number}"
         if agent not in kept.observations or (REFERENCES[0], agent) not in kept.actors:
             return False
-        return not any(self._touch(contact, kept, agent, name) for name in REFERENCES)
+        touches = (self._touch(contact, kept, agent, name, braking) for name in REFERENCES)
+        return not all(touches) if braking else not any(touches)
 
-    def _touch(self, contact: Contact, kept: _KeptMoment, agent: str, reference: str) -> bool:
+    def _touch(
+        self, contact: Contact, kept: _KeptMoment, agent: str, reference: str, braking: bool
+    ) -> bool:
         """Drives a copy of the race; returns whether the karts of a contact touch."""
         env, events, seen = self._copy, copy.deepcopy(kept.events), kept.observations
         env.restore_state(kept.state)
@@ -189,7 +205,8 @@ class CounterfactualJudge(RaceListener):
         for step in range(kept.step, min(end, self._replay.steps)):
             actions = self._recorded(step, env.agents)
             if agent in actions:
-                actions[agent] = actor(seen[agent])
+                action = actor(seen[agent])
+                actions[agent] = _braked(action, seen[agent]) if braking else action
             seen, *_ = env.step(actions)
             after = env.snapshot
             assert after is not None  # noqa: S101 - the race runs
@@ -203,6 +220,13 @@ class CounterfactualJudge(RaceListener):
         """Returns the recorded actions of some agents."""
         rows = self._replay.controls[step]
         return {agent: action_of(rows[int(agent.removeprefix("kart_"))]) for agent in agents}
+
+
+def _braked(action: Mapping[str, Any], observation: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns an action with the brake on, until the kart stands still."""
+    brake = int(float(observation["velocity"][2]) > _STANDSTILL)
+    coast = {"acceleration": np.zeros(1, np.float32), "nitro": 0, "drift": 0}
+    return {**action, **coast, "brake": brake}
 
 
 def _loaded(name: str, resources: ExitStack) -> AgentCode:

@@ -7,7 +7,7 @@ than in the place of the other kart (:mod:`stkzoo.suite.conduct.counterfactuals`
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +46,8 @@ class JudgedContact:
             before it]; ``None`` if they do not, or only from a much earlier start than in the
             other kart.
         closing: speed of either kart towards the other before they touch [m/s].
+        braking: whether the reference drivers braked, because otherwise they do not avoid the
+            contact in either kart.
     """
 
     step: Count
@@ -53,18 +55,22 @@ class JudgedContact:
     counts: tuple[Count, Count]
     latest: tuple[Seconds | None, Seconds | None]
     closing: tuple[float, float]
+    braking: bool = False
 
     @property
     def at_fault(self) -> int | None:
         """Number of the agent at fault; ``None`` if nobody is.
 
         It is the one in whose place the reference drivers avoid the contact from a later start. If
-        both starts are about as late, it is the one that closes the gap.
+        both starts are about as late, it is the one that closes the gap; with braking, only equal
+        starts count as that, and then nobody is at fault.
         """
         (one, other), (first, second) = self.latest, self.karts
         if one is None or other is None:
             return first if one is not None else second if other is not None else None
-        if max(one, other) > CLOSE_STARTS * min(one, other):
+        if self.braking and one == other:
+            return None
+        if self.braking or max(one, other) > CLOSE_STARTS * min(one, other):
             return first if one < other else second
         return first if self.closing[0] >= self.closing[1] else second
 
@@ -163,13 +169,16 @@ def _mean(driver: str, karts: Sequence[KartConduct]) -> MeanConduct:
     )
 
 
-def race_conduct(file: str | os.PathLike[str]) -> RaceConduct:
+def race_conduct(
+    file: str | os.PathLike[str], agents: Collection[int] | None = None
+) -> RaceConduct:
     """Plays a recorded race again and measures the conduct of its karts.
 
     A race with contacts is played twice, the second time with copies of it for each contact.
 
     Args:
         file: the replay.
+        agents: numbers of the agents whose contacts are judged; ``None`` for all.
 
     Raises:
         ReplayError: the replay is missing or damaged, or cannot be reproduced here.
@@ -178,11 +187,19 @@ def race_conduct(file: str | os.PathLike[str]) -> RaceConduct:
     replay, counter = load_replay(file), ConductCounter()
     _play(file, replay, counter)
     contacts = merge_touches(counter.touches, round(MERGED_WITHIN / replay.step_size))
-    judge = CounterfactualJudge(replay, contacts[:MAX_JUDGED])
-    if contacts:
+    chosen = [own for own in contacts if agents is None or not {*own.karts}.isdisjoint(agents)]
+    judge = CounterfactualJudge(replay, chosen[:MAX_JUDGED])
+    if chosen:
         _play(file, replay, judge)
     judged = tuple(
-        JudgedContact(contact.step, contact.karts, contact.counts, found.latest, found.closing)
+        JudgedContact(
+            contact.step,
+            contact.karts,
+            contact.counts,
+            found.latest,
+            found.closing,
+            found.braking,
+        )
         for contact, found in judge.trials.items()
     )
     return RaceConduct(
