@@ -82,7 +82,7 @@ class Player:
 
 @dataclass(frozen=True, slots=True)
 class DuelResults:
-    """How the duels of a turn went, as its file has them; see :meth:`PlayerMatchmaker.state`."""
+    """Results of the duels of a turn, as in its file; see :meth:`PlayerMatchmaker.state`."""
 
     pool: list[Rival]
     reported: list[Share]

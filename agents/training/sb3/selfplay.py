@@ -208,7 +208,7 @@ class BackgroundEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class SB3Facts:
-    """The facts in a checkpoint; the parts check their own."""
+    """The facts in a checkpoint; each component checks its own part."""
 
     kart_steps: Count
     iteration: Count
