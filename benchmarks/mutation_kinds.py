@@ -93,7 +93,7 @@ class FileKind:
         mutate: Callable[[Any, random.Random], Any],
         damaged_text: Callable[[str, random.Random], bytes],
     ) -> Path:
-        """Writes a damaged file: usually with changed values if it is JSON, else as damaged text."""
+        """Writes a damaged file: usually with changed values if it is JSON, else damaged text."""
         text = self.valid()
         if not self.is_json or source.random() < 0.15:
             return self.store(folder, damaged_text(text, source))
