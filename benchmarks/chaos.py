@@ -1,8 +1,8 @@
 """Injects thousands of faults: kills and stops processes at random moments.
 
-Each fault has a number; the seed determines it. A separate program injects a hundred faults at a
-time, beside a race that must not be affected; whole programs are hit from outside. Each result is
-written immediately, and the same command resumes an interrupted run.
+Each fault has a number, and is determined by it and the seed. A separate program injects a hundred
+faults at a time, next to a race that must not be affected. Faults of whole programs are injected
+from outside. Each result is written immediately, and the same command resumes an interrupted run.
 
     python -m benchmarks.chaos                        # 1,000 faults that hit, 40 minutes
     python -m benchmarks.chaos --faults 50 --seed 7   # fewer and different faults

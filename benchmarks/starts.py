@@ -1,4 +1,4 @@
-"""Checks random starts over all tracks: whether every kart starts and drives where requested.
+"""Checks random starts on all tracks: whether each kart starts and drives as requested.
 
     python -m benchmarks.starts            # 1,000 starts; writes benchmarks/results/starts.json
 

@@ -174,7 +174,7 @@ def _save(picture: Image.Image, name: str) -> None:
 
 
 def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
-    """Draws the ground beside the driving line from above, with the z axis up."""
+    """Draws the ground along the driving line from above, with the z axis up."""
     starts, ends = road.path_nodes[:, 0], road.path_nodes[:, 1]
     low = road.path_nodes[..., [0, 2]].min((0, 1)) - _BESIDE
     high = road.path_nodes[..., [0, 2]].max((0, 1)) + _BESIDE

@@ -17,7 +17,7 @@ Choose = Callable[[PolicyInput], IntArray]
 
 #: Number by which a candidate changes the index of the offset.
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
-#: Maneuvers whose logit in the prior is at most this have no plan at the moment.
+#: A maneuver without a plan at the moment has at most this logit in the prior.
 _NO_PLAN = LEAST_LOGIT + 1
 _BEGIN, _TURN, _NITRO = range(3)
 

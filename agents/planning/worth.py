@@ -120,7 +120,7 @@ def plan_rules(parameters: DriverParameters) -> PlanRules:
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """The best plan of each maneuver, and where the karts are.
+    """The best plan of each maneuver, and the karts' positions on the road.
 
     Attributes:
         best: ``(3, A, 4)``: :attr:`worth`, :attr:`turn` and danger, the cost beyond the edge of the

@@ -135,7 +135,7 @@ def _likeliest(logits: FloatArray) -> IntArray:
 
 
 def is_network(weights: Mapping[str, FloatArray]) -> bool:
-    """Whether arrays are a network without plans, not a policy over plans."""
+    """Returns whether arrays are a network without plans, not a policy over plans."""
     return _LAST.format("weight") in weights
 
 

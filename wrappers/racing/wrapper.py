@@ -119,7 +119,7 @@ class _RacingObserver:
 
 
 def _is_short(source: ObservationSource) -> bool:
-    """Whether karts observe fewer segments than the vector needs."""
+    """Returns whether karts observe fewer segments than the vector needs."""
     _, num_paths, _ = source.course
     return bool(num_paths < min(MAX_SEGMENTS, source.track_map.num_nodes))
 

@@ -11,10 +11,10 @@ from stkzoo.agents.pretrained.driver import new_state
 
 __all__ = ["create_state", "env_name", "get_actor", "get_batch_actor", "player_name"]
 
-#: Id of the environment that the driver was made for.
+#: The environment that the driver was made for.
 env_name = "supertuxkart/full-v0"
 
-#: Display name.
+#: The name to show.
 player_name = "ace"
 
 create_state = partial(new_state, Path(__file__).parent)

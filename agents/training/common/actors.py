@@ -143,7 +143,7 @@ class ActorPool:
 
 def _serve(connection: Connection, make: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     """Runs an actor until the learner closes the connection or ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the learner ends, and then this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # this process ends with the learner
     end_with_parent()
     limit_threads()
     is_made, actor = _outcome(make, arguments)

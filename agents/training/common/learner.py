@@ -210,7 +210,7 @@ class OverlappedLearner(ABC):
         return {name: round(value, 6) for name, value in line.items()}
 
     def is_checkpoint(self, iteration: int) -> bool:
-        """Whether a checkpoint follows an iteration; all races restart after it."""
+        """Returns whether a checkpoint follows an iteration; all races restart after it."""
         return iteration % self.arguments.checkpoint_every == 0
 
     def _drive(self, iteration: int) -> None:

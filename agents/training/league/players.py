@@ -64,7 +64,7 @@ class Player:
         return f"{self.name}-g{self.generation}"
 
     def is_done(self, beaten: float, patience: int) -> bool:
-        """Whether the player starts over; a main player never does.
+        """Returns whether the player starts over; a main player never does.
 
         Args:
             beaten: fraction of duels won in the last turn.

@@ -111,7 +111,7 @@ class TaskActor:
             logits = network.logits(seen)
             choices = self._choose(logits)
             self._races.step_async(choices)
-            step["inputs"], step["choices"] = seen, choices  # the races run meanwhile
+            step["inputs"], step["choices"] = seen, choices  # while the races run
             step["log_probability"] = log_probability_of(choices, logits)
             step["values"] = values_of(critic_inputs(step))[:, 0] * VALUE_UNIT
             steps = self._races.wait_slots()
