@@ -1,22 +1,22 @@
-# The commands of this project. `make race` and `make test` need nothing but Python 3.10
-# or newer, make and, for the game's data, apt (Debian, Ubuntu) or a network.
+# The commands of this project. `make race` and `make test` need only Python 3.10 or newer, make
+# and, for the game's data, apt (Debian, Ubuntu) or a network connection.
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-# On all cores; a core that is done takes tests from another one.
+# Runs on all cores; an idle core takes over tests from a busy one.
 PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
-# The tests start hundreds of programs, which start faster from bytecode.
+# The tests start hundreds of programs, which start faster with cached bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
-# $(call apt_install,PACKAGES): the lists of packages are updated only if they are too old.
+# $(call apt_install,PACKAGES): updates the package lists only if the first attempt fails.
 apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 	{ apt-get update -q && apt-get install -y -q $(1); }; }
 
-# What people read: checked for typing errors and for words to avoid.
+# Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
 .PHONY: browser graphics sandbox help race test test-fast sanitize check bench docs pictures site wheel clean
@@ -43,15 +43,15 @@ test: $(VENV)/.dev graphics browser sandbox
 	$(BIN)/stkzoo assets install
 	$(PYTEST) $(ARGS)
 
-# Every package with the real engine, in two minutes on two cores.
+# Tests every package with the real engine, in two minutes on two cores.
 test-fast: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(PYTEST) -m "not slow" $(ARGS)
 
-# The kernel in C with checks of addresses, alignment and undefined behaviour, in a copy of this
-# checkout. A bad access ends the process that makes it, the game's processes included, so its test
-# fails. Python allocates each object by itself, so that the checks see its bounds. Python and numpy
-# never free some memory, so leaks are not reported.
+# Builds the C kernel with checks of addresses, alignment and undefined behavior, in a copy of this
+# checkout. An invalid access ends its process, also if that is a game process, so the test fails.
+# PYTHONMALLOC=malloc allocates each object separately, so that the checks see its bounds. Leaks are
+# not reported, because Python and NumPy never free some memory.
 SANITIZED := build/sanitize
 SANITIZERS := -O1 -g -fno-omit-frame-pointer -fno-sanitize-recover=all \
 	-fsanitize=address,undefined,float-cast-overflow
@@ -84,8 +84,8 @@ bench: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m benchmarks.bench_all $(ARGS)
 
-# Modules that pytest cannot import here: the libraries of most do not fit into this environment,
-# and supersuit.py hides the library of its name.
+# Modules that pytest cannot import here: most need libraries that conflict with this environment,
+# and supersuit.py shadows the library of the same name.
 NOT_IMPORTED := $(addprefix --ignore=stkzoo/,\
 	agents/training/rllib agents/training/sb3/supersuit.py suite/torchrl.py suite/benchmarl.py)
 
@@ -93,25 +93,25 @@ docs: site $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(PYTEST) --doctest-modules stkzoo $(NOT_IMPORTED) tests/docs $(ARGS)
 
-# Pictures are in the repository; draw them again after a change of the map or of the results.
+# The pictures are in the repository; draw them again after a change to the map or the results.
 pictures: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m benchmarks.track_atlas
 	$(BIN)/python -m benchmarks.gallery
 	$(BIN)/python -m benchmarks.bench_charts
 
-# The documentation as pages, in the folder site; every warning and every dead link fails.
+# Builds the documentation in the folder site; fails on any warning or broken link.
 site: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs site
 	@echo "open site/index.html"
 
-# From the source distribution, so that nothing of an earlier build gets into it.
+# Builds from the source distribution, so that the wheel contains no files of earlier builds.
 wheel: $(VENV)/.made
 	$(PIP) install --quiet build
 	$(BIN)/python -m build --outdir dist .
 
-# The game draws off-screen with these libraries, and its window is tried in Xvfb. Where they
-# cannot be installed, the map is drawn instead, and the tests look for that.
+# The game renders off-screen with these libraries, and the tests open its window in Xvfb. If they
+# cannot be installed, stkzoo draws the map instead, and the tests expect that.
 graphics:
 	@if PATH="$$PATH:/usr/sbin:/sbin" ldconfig -p 2>/dev/null | grep -q 'libEGL\.so' && \
 		ls /usr/lib/*/dri/*_dri.so /usr/lib64/dri/*_dri.so /usr/lib/*/libnvidia-eglcore* \
@@ -123,7 +123,7 @@ graphics:
 		echo "for the game's own pictures and window: sudo apt install $(GRAPHICS_PACKAGES)"; \
 	fi
 
-# The live page is tried in this browser. Where it cannot be installed, these tests say so.
+# Tests of the live page use this browser. They are skipped if it cannot be installed.
 browser:
 	@if command -v chromedriver >/dev/null && \
 		{ command -v chromium || command -v google-chrome; } >/dev/null; then :; \
@@ -134,7 +134,7 @@ browser:
 		echo "to try the live page in a browser: sudo apt install $(BROWSER_PACKAGES)"; \
 	fi
 
-# Agents are raced in bubblewrap's sandbox. Where it cannot be installed, its tests are skipped.
+# Agents race in bubblewrap's sandbox. Its tests are skipped if it cannot be installed.
 sandbox:
 	@if command -v bwrap >/dev/null; then :; \
 	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
@@ -148,8 +148,8 @@ clean:
 	rm -rf $(VENV) build dist site jupyter_execute .ecosystem *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Without pip among the system's packages (a bare Debian or Ubuntu), the apt client
-# fetches it into the environment; nothing is installed outside of it.
+# If the system has no pip (a bare Debian or Ubuntu), the apt client downloads it into the
+# environment; nothing is installed outside the environment.
 $(VENV)/.made:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { \
 		echo "stkzoo needs Python 3.10 or newer: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
@@ -184,7 +184,7 @@ $(VENV)/.core: $(VENV)/.made pyproject.toml
 	$(PIP) install --quiet --editable .
 	@touch $@
 
-# torch first and by itself, so that pip's own settings decide which build it is.
+# Installs torch first and separately, so that pip's settings determine its build.
 $(VENV)/.dev: $(VENV)/.core pyproject.toml
 	$(PIP) install torch==2.13.0
 	$(PIP) install --quiet --editable '.[dev,sb3]'

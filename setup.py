@@ -1,4 +1,4 @@
-"""The kernel in C, which an install does without where it cannot be built."""
+"""Builds the C kernel, which is optional: if it cannot be built, the installation continues."""
 
 import sys
 
@@ -34,7 +34,7 @@ setup(
                 for part in ("geometry", "kernel", "plan_memory", "vectors")
             ],
             include_dirs=[numpy.get_include()],
-            # Every result is rounded as numpy rounds it; nothing asks for errno or exceptions.
+            # Rounding must match numpy; errno and floating-point exceptions are unused.
             extra_compile_args=[]
             if sys.platform == "win32"
             else ["-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"],

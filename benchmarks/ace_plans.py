@@ -2,8 +2,8 @@
 
     stkzoo benchmark benchmarks/ace_plans.py --track validation --inline
 
-The parameters of the plans are those on the card of *ace*. The heuristic has the same ones, except
-that it ignores other karts. Alone on the track, both are the same driver.
+The parameters of the plans are those on the card of *ace*. The heuristic uses the same ones, but
+ignores other karts. Alone on the track, both are the same driver.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stkzoo.errors import ConfigError
 
 __all__ = ["create_state", "env_name", "get_actor", "get_batch_actor", "player_name"]
 
-#: The name to show.
+#: Display name.
 player_name = "ace without networks"
 
 

@@ -1,12 +1,12 @@
-"""Races against agents that attack, and what they leave behind.
+"""Races two drivers against hostile agents, and checks that nothing is left behind.
 
     python -m benchmarks.adversaries               # 200 races, about 40 minutes
     python -m benchmarks.adversaries --races 6     # each adversary twice
     python -m benchmarks.adversaries --cup 100     # a tournament instead
 
-Each race has two drivers that must not notice, beside adversaries in bubblewrap's sandbox. Their
-results must be those of a race beside agents that only fail at the same steps. At the end, no
-process, file, descriptor or thread of any race may be left.
+Each race has two ordinary drivers and several adversaries in bubblewrap's sandbox. The results of
+the two drivers must equal those of a race in which the other agents only fail at the same steps. At
+the end, no process, file, descriptor or thread of any race may remain.
 
 In the tournament, one agent kills, stops, floods or bombs its race whenever it is behind. No race
 may be void, and the agent must be rated last.
@@ -43,7 +43,7 @@ _SETTLE = 10.0  # [s]
 
 
 def race(drivers: Sequence[str]) -> RaceResult:
-    """A short race of the good drivers and others."""
+    """Runs a short race of the good drivers and others."""
     return run_race(
         [*GOOD, *drivers],
         track="lighthouse",
@@ -56,16 +56,16 @@ def race(drivers: Sequence[str]) -> RaceResult:
 
 
 def good_rows(result: RaceResult) -> list[AgentResult]:
-    """The results of the good drivers."""
+    """Returns the results of the good drivers."""
     return [row for row in result.agents if row.driver in ("Plain", "heuristic")]
 
 
 def problems_of(result: RaceResult, undisturbed: RaceResult) -> list[str]:
-    """What went wrong in a race with adversaries.
+    """Returns descriptions of what went wrong in a race with adversaries.
 
     Args:
-        result: of the race.
-        undisturbed: of the same race beside agents that fail at the same steps.
+        result: result of the race.
+        undisturbed: result of the same race with agents that only fail at the same steps.
     """
     found = []
     if good_rows(result) != good_rows(undisturbed):
@@ -82,7 +82,7 @@ def problems_of(result: RaceResult, undisturbed: RaceResult) -> list[str]:
 
 
 def left_behind(mark: str) -> dict[str, int]:
-    """What exists now of this program and of its agents, by kind."""
+    """Counts what this program and its agents currently have, by kind."""
     commands = [_text(folder / "cmdline") for folder in Path("/proc").glob("[0-9]*")]
     names = [name for folder in _FOLDERS for name in os.listdir(folder)]
     return {
@@ -101,12 +101,12 @@ def _text(file: Path) -> str:
 
 
 def cup(folder: Path, races: int, action_timeout: float = 5.0) -> TournamentResult:
-    """A tournament with an agent that attacks its race whenever it is behind.
+    """Runs a tournament with an agent that attacks its race whenever it is behind.
 
     Args:
-        folder: for the agent and the tournament.
-        races: how many races that agent has.
-        action_timeout: of each agent [s].
+        folder: folder for the agent and the tournament.
+        races: number of that agent's races.
+        action_timeout: action timeout of each agent [s].
     """
     loser = write_sore_loser(folder, f"stkzoo-adversary-{os.getpid()}")
     return run_tournament(
@@ -138,7 +138,7 @@ def _run_cup(races: int) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the races; the exit code is 1 if an adversary has done more than to fail."""
+    """Runs the races; returns 1 if an adversary did more than fail."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.adversaries",
         description=__doc__,

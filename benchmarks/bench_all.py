@@ -6,7 +6,7 @@
 
 The results are JSON files in one folder. The page is written only if that folder is the project's
 own (``benchmarks/results``). ``--steps`` and ``--karts`` override the defaults of every benchmark;
-to see these, run ``python -m benchmarks.bench_steps --help`` and likewise for the others.
+each command shows them with ``--help``, such as ``python -m benchmarks.bench_steps --help``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks import bench_charts, bench_tables
 from benchmarks.bench_common import RESULTS, progress_bar
 
-#: In the order in which they run, with arguments that make a trial of each short.
+#: Benchmarks in the order in which they run, with the arguments of ``--quick``.
 BENCHMARKS: dict[str, tuple[str, ...]] = {
     "steps": ("--steps", "10", "--karts", "2", "--view", "flattened", "--single-karts", "2"),
     "transport": ("--steps", "10", "--karts", "2"),
@@ -73,7 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
     with progress_bar(len(options.only)) as (bar, task):
         for name in options.only:
             bar.update(task, description=name)
-            bar.stop()  # each benchmark shows a bar of its own
+            bar.stop()  # each benchmark shows its own bar
             if _run(name, options) != 0:
                 failed.append(name)
             bar.start()

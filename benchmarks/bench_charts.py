@@ -24,7 +24,7 @@ _FORMS = {"P": "alone", "PAAAA": "one against four", "PPAAA": "two against three
 
 
 def throughput(results: Path, axes: Any) -> None:
-    """Steps per second of a race whose karts are all agents, here and in the reference."""
+    """Draws the steps per second of races whose karts are all agents, also in the reference."""
     contenders = {"engine": GREY, "stkzoo, worker": PALETTE[0], "reference, in process": PALETTE[1]}
     titles = ("the engine alone", "stkzoo", "pystk2-gymnasium")
     rows = [row for row in _load(results / "steps.json") if row["group"] == "multi"]
@@ -43,7 +43,7 @@ def throughput(results: Path, axes: Any) -> None:
 
 
 def scaling(results: Path, axes: Any) -> None:
-    """A step against the number of karts."""
+    """Draws the time of a step against the number of karts."""
     lines = {"engine": GREY, "flattened, worker": PALETTE[0], "full, worker": PALETTE[2]}
     titles = ("the engine alone", "stkzoo, flattened view", "stkzoo, full view")
     rows = [row for row in _load(results / "scaling.json") if row["part"] == "karts"]
@@ -63,7 +63,7 @@ def scaling(results: Path, axes: Any) -> None:
 
 
 def drivers(results: Path, axes: Any) -> None:
-    """Races won against four of the hardest AI karts, with 95 % intervals."""
+    """Draws the fraction of races won against four of the hardest AI karts, with 95 % intervals."""
     for row, name in enumerate(_DRIVERS):
         figures = _figures(results, name, "PAAAA")
         won = {key: 100 * figures["win_rate"][key] for key in ("value", "low", "high")}
@@ -77,7 +77,7 @@ def drivers(results: Path, axes: Any) -> None:
 
 
 def time_ratios(results: Path, axes: Any) -> None:
-    """Time ratios on the test tracks by form, with 95 % intervals."""
+    """Draws the time ratios on the test tracks by race form, with 95 % intervals."""
     names = _DRIVERS[1:]  # random never finishes
     for number, (form, title) in enumerate(_FORMS.items()):
         colour = PALETTE[number]
@@ -94,7 +94,7 @@ def time_ratios(results: Path, axes: Any) -> None:
 
 
 def ratings(results: Path, axes: Any) -> None:
-    """Ratings of the policies of a run over kart-steps, with 95 % intervals."""
+    """Draws the ratings of a run's policies over kart-steps, with 95 % intervals."""
     found = json.loads((results / "learning" / "apex" / "ratings.json").read_text())
     rows = {row["name"]: row for row in found["ratings"]}
     ai, start = rows.pop("ai"), rows.pop("start")
@@ -111,7 +111,7 @@ def ratings(results: Path, axes: Any) -> None:
 
 
 def crossplay(results: Path, axes: Any) -> None:
-    """How often each driver of the suite's population beats each other one."""
+    """Draws how often each driver of the suite's population beats each of the others."""
     cells = json.loads((results / "suite_crossplay.json").read_text())["cells"]
     shares = {(cell["row"], cell["column"]): cell["value"] for cell in cells}
     names = [*dict.fromkeys(cell["row"] for cell in cells)]
@@ -122,7 +122,7 @@ def crossplay(results: Path, axes: Any) -> None:
     style_axes(axes, "Races in which the row beats the column [%]; best driver first")
 
 
-#: What draws each picture, by the picture's name, and its height [in].
+#: Drawing function and height [in] of each chart, by name.
 CHARTS: dict[str, tuple[Callable[[Path, Any], None], float]] = {
     "throughput": (throughput, 3.0),
     "scaling": (scaling, 3.0),
@@ -150,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _figures(results: Path, driver: str, form: str) -> Mapping[str, Any]:
-    """The figures of a driver's races in a form on the test tracks."""
+    """Returns the figures of a driver's races of one form on the test tracks."""
     found = json.loads((results / "benchmark" / f"{driver}.json").read_text())
     own = (group for group in found["groups"] if (group["by"], group["name"]) == ("form", form))
     figures: Mapping[str, Any] = next(own)["figures"]

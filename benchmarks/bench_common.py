@@ -44,12 +44,12 @@ __all__ = [
 
 RESULTS = Path(__file__).parent / "results"
 KARTS = (1, 3, 10, 20)
-#: The views that pystk2-gymnasium has too.
+#: Views that pystk2-gymnasium also has.
 REFERENCE_VIEWS = ("full", "simple", "flattened", "flattened_discrete")
-#: All views that need no pictures, those of the reference first.
+#: All views without camera images, those of the reference first.
 VIEWS = tuple(sorted(stkzoo.views.VIEWS, key=lambda view: view not in REFERENCE_VIEWS))
 
-#: Tables are not squeezed into less, even where the terminal is narrower.
+#: Minimum width of tables, even if the terminal is narrower.
 _TABLE_WIDTH = 200
 _PACKAGES = ("stkzoo", "PySuperTuxKart2", "pystk2-gymnasium", "numpy", "numba", "gymnasium")
 
@@ -63,15 +63,15 @@ def parser(
     track: str | Sequence[str] = "lighthouse",
     cores: int | Sequence[int] = 1,
 ) -> argparse.ArgumentParser:
-    """The arguments that all commands have.
+    """Returns a parser with the arguments that all commands share.
 
     Args:
-        doc: the command's module docstring.
-        name: of the file in ``benchmarks/results`` that it writes by default, less suffix.
+        doc: module docstring of the command.
+        name: name of the default output file in ``benchmarks/results``, without its suffix.
         steps: default of ``--steps``.
         karts: default of ``--karts``.
-        track: default of ``--track``; the command takes several if these are.
-        cores: default of ``--cores``; the command takes several if these are.
+        track: default of ``--track``; with a sequence, the option accepts several tracks.
+        cores: default of ``--cores``; with a sequence, the option accepts several numbers.
     """
     made = argparse.ArgumentParser(
         prog=f"python -m benchmarks.bench_{name}",
@@ -128,14 +128,14 @@ def add_driving(words: argparse.ArgumentParser) -> None:
 
 
 def cores(number: int) -> tuple[int, ...]:
-    """The last so many cores of those that this process may use; none, for any, if 0."""
+    """Returns the last ``number`` cores that this process may use; empty, meaning all, for 0."""
     if not number or not hasattr(os, "sched_getaffinity"):
         return ()
     return tuple(sorted(os.sched_getaffinity(0))[-number:])
 
 
 def quantiles(values: Iterable[float]) -> dict[str, float]:
-    """Median and the 10 and 90 % quantiles.
+    """Returns the median and the 10 and 90 % quantiles.
 
     Raises:
         ValueError: there are no values.
@@ -149,17 +149,16 @@ def quantiles(values: Iterable[float]) -> dict[str, float]:
 
 
 def figures(times: Times, bare: Times | None = None) -> dict[str, Any]:
-    """One contender's figures.
+    """Returns the figures of a contender.
 
     Args:
-        times: of the contender.
-        bare: of the bare engine in the same run, if it ran.
+        times: times of the contender.
+        bare: times of the bare engine in the same run; ``None`` if it did not run.
 
     Returns:
-        Quantiles of ``step`` and ``engine`` (inside ``Race.step``) in microseconds; of
-        ``ratio`` (``step / engine``) and ``overhead`` (``step - engine``, microseconds),
-        both step by step; and the number ``to_bare``, the median of ``step`` over that of
-        the bare engine.
+        Quantiles of ``step`` and of ``engine``, the time inside ``Race.step`` [µs]; quantiles of
+        ``ratio`` (``step / engine``) and ``overhead`` (``step - engine`` [µs]), both computed step
+        by step; and ``to_bare``, the median of ``step`` over that of the bare engine.
     """
     pairs = [(t, e) for t, e in zip(times["total"], times["engine"], strict=True) if e]
     found: dict[str, Any] = {"step": quantiles(1e6 * t for t in times["total"])}
@@ -173,7 +172,7 @@ def figures(times: Times, bare: Times | None = None) -> dict[str, Any]:
 
 
 def host_facts() -> dict[str, Any]:
-    """What a reader must know of the machine; nothing that names it."""
+    """Returns facts about the machine that matter for the figures, but do not identify it."""
     return {
         "cpu": _cpu(),
         "cores": os.cpu_count(),
@@ -188,15 +187,15 @@ def host_facts() -> dict[str, Any]:
 def save(
     output: Path, name: str, settings: argparse.Namespace, results: Sequence[Mapping[str, Any]]
 ) -> None:
-    """Writes the results as JSON, with the command and the facts of the host.
+    """Writes the results as JSON, with the command and the host facts.
 
     Args:
-        output: the file.
-        name: of the benchmark, as its module without ``bench_``.
-        settings: the command's arguments.
-        results: what was measured; floats are rounded to five digits that count.
+        output: file to write.
+        name: name of the benchmark: its module without ``bench_``.
+        settings: arguments of the command.
+        results: the measurements; floats are rounded to five significant digits.
     """
-    # Folders of this machine say nothing about the measurement.
+    # Paths on this machine are irrelevant to the measurement.
     arguments = {k: v for k, v in vars(settings).items() if k not in ("output", "folder")}
     report = {
         "benchmark": name,
@@ -215,10 +214,10 @@ class Table:
     """One table of a report.
 
     Attributes:
-        title: what it shows, with units.
-        columns: headings; the first column is text, the others are figures.
+        title: title, with units.
+        columns: column headings; the first column is text, the others are figures.
         rows: cells as text.
-        note: a line below it.
+        note: line below the table.
     """
 
     title: str
@@ -227,7 +226,7 @@ class Table:
     note: str = ""
 
     def to_markdown(self) -> str:
-        """The table for a Markdown page."""
+        """Returns the table as Markdown."""
         rule = [":--", *["--:"] * (len(self.columns) - 1)]
         lines = [" | ".join(cells) for cells in (self.columns, rule, *self.rows)]
         parts = [f"**{self.title}**", "\n".join(f"| {line} |" for line in lines), self.note]
@@ -250,7 +249,7 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 
 def spread(found: Mapping[str, float] | None, digits: int = 0) -> str:
-    """A median with its quantiles, ``"52 (49..60)"``; ``"-"`` for none."""
+    """Formats a median with its quantiles, such as ``"52 (49..60)"``; ``"-"`` for ``None``."""
     if found is None:
         return "-"
     median, low, high = (f"{found[key]:.{digits}f}" for key in ("median", "p10", "p90"))
@@ -259,7 +258,7 @@ def spread(found: Mapping[str, float] | None, digits: int = 0) -> str:
 
 @contextmanager
 def progress_bar(total: int) -> Iterator[tuple[Progress, Any]]:
-    """A progress bar on the standard error stream, and its task."""
+    """Yields a progress bar on stderr, and its task."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -320,7 +319,7 @@ def _memory_bytes() -> int:
 
 
 def _rounded(value: Any) -> Any:
-    """Floats with five digits that count: no more is known of them."""
+    """Rounds floats to five significant digits, the precision of the measurements."""
     if isinstance(value, float):
         return float(f"{value:.5g}")
     if isinstance(value, Mapping):

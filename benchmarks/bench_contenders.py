@@ -21,12 +21,12 @@ from benchmarks.bench_timing import CLOCK_VARIABLE, Clock, time_the_engine
 
 __all__ = ["serve"]
 
-#: A request that lasts longer ends the process: nobody may be left to end it.
+#: Time limit of a request [s]. It ends the process, because its parent may be gone.
 _MAX_REQUEST_SECONDS = 900
 
 
 class _Server:
-    """Answers requests; every method is one."""
+    """Answers requests; each public method is one kind of request."""
 
     def __init__(self, spec: dict[str, Any]) -> None:
         self._clock = Clock()
@@ -36,11 +36,11 @@ class _Server:
         self._num_kart, self._view = spec["num_kart"], spec["view"]
 
     def load(self) -> float:
-        """Seconds of the import."""
+        """Imports the library; returns the duration [s]."""
         return _seconds(self._runner.load)
 
     def make(self) -> float:
-        """Seconds of making the environment."""
+        """Makes the environment; returns the duration [s]."""
         return _seconds(self._runner.make)
 
     def reset(
@@ -50,7 +50,7 @@ class _Server:
         race: dict[str, Any] | None = None,
         controls: list[list[list[float]]] | None = None,
     ) -> float:
-        """Seconds of one reset; steps will follow ``controls``, or random ones."""
+        """Resets; returns the duration [s]. Later steps use ``controls``, or random ones."""
         seconds = _seconds(self._runner.reset, track, seed, race)
         from benchmarks.bench_controls import RandomControls, RecordedControls
 
@@ -62,7 +62,7 @@ class _Server:
         return seconds
 
     def record(self, track: str, seed: int, count: int, style: str) -> list[list[list[float]]]:
-        """How a driver drives the agents of a race; the rows of the game's karts are zeros."""
+        """Returns a driver's controls for the agents of a race; the game's karts have zeros."""
         from benchmarks.bench_controls import PHYSICAL, controls_of, to_action
 
         if style == PHYSICAL:
@@ -85,11 +85,11 @@ class _Server:
         return rows
 
     def race(self) -> dict[str, Any]:
-        """Engine seed and karts of the present race."""
+        """Returns the engine seed and the agents' karts of the current race."""
         return self._runner.race()
 
     def steps(self, count: int) -> dict[str, list[float | None]]:
-        """Takes steps; seconds of each, in all and inside ``Race.step``."""
+        """Makes steps; returns the duration of each, in total and inside ``Race.step`` [s]."""
         runner, clock = self._runner, self._clock
         times: dict[str, list[float | None]] = {"total": [], "engine": []}
         for _ in range(count):
@@ -101,15 +101,15 @@ class _Server:
         return times
 
     def distances(self) -> list[float]:
-        """Where all karts are."""
+        """Returns the overall distance of each kart [m]."""
         return self._runner.distances()
 
     def sizes(self) -> dict[str, int]:
-        """Sizes of what there is to observe."""
+        """Returns the numbers of path nodes and items."""
         return self._runner.sizes()
 
     def profile(self, count: int, top: int) -> str:
-        """Steps under cProfile: the table of the most expensive functions."""
+        """Makes steps under cProfile; returns a table of the most expensive functions."""
         import cProfile
         import io
         import pstats
@@ -125,7 +125,7 @@ class _Server:
         return text.getvalue()
 
     def fork_reset(self, track: str, seed: int) -> float:
-        """Seconds of one reset in a fork of this process."""
+        """Resets in a fork of this process; returns the duration [s]."""
         reader, writer = os.pipe()
         child = os.fork()
         if child == 0:
@@ -143,7 +143,7 @@ class _Server:
         return float(json.loads(text))
 
     def close(self) -> float:
-        """Seconds of closing."""
+        """Closes the environment; returns the duration [s]."""
         return _seconds(self._runner.close)
 
 
@@ -154,7 +154,7 @@ def _seconds(function: Callable[..., Any], *arguments: Any) -> float:
 
 
 def _let_forks_die_with_this() -> None:
-    """Lets no process that the reference forks outlive this one."""
+    """Ends all processes that the reference forks when this process ends."""
     if sys.platform != "linux":
         return
     import ctypes
@@ -165,10 +165,10 @@ def _let_forks_die_with_this() -> None:
 
 
 def serve() -> None:
-    """The other interpreter's main function: a request and an answer a line, until EOF."""
+    """Runs the contender's process: reads requests and writes answers, one per line, until EOF."""
     _let_forks_die_with_this()
     replies = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what the engine prints
+    os.dup2(2, 1)  # the engine prints to stdout
     spec = json.loads(sys.stdin.readline())
     if spec["cores"] and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, spec["cores"])
@@ -178,14 +178,14 @@ def serve() -> None:
             paths = [folder, *filter(None, [os.environ.get("PYTHONPATH")])]
             os.environ["PYTHONPATH"] = os.pathsep.join(paths)
         else:
-            os.environ["HOME"] = home  # a player's settings must not change a race
+            os.environ["HOME"] = home  # the user's settings must not affect the race
         _answer_all(_Server(spec), replies)
 
 
 def _answer_all(server: _Server, replies: TextIO) -> None:
     for line in sys.stdin:
         if hasattr(signal, "alarm"):
-            signal.alarm(_MAX_REQUEST_SECONDS)  # a game that hangs ends this process
+            signal.alarm(_MAX_REQUEST_SECONDS)  # ends this process if the game hangs
         request = json.loads(line)
         answer = getattr(server, request.pop("do"))(**request)
         try:

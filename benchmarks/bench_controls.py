@@ -1,4 +1,4 @@
-"""The same driving for all contenders, whatever form of action each accepts."""
+"""Converts the same driving to the actions of each contender."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ __all__ = [
 
 FloatArray = npt.NDArray[np.float64]
 
-#: The levels of the views with discrete actions. Views that can do more are driven on this
-#: grid too, so that all contenders drive alike.
+#: Values of the views with discrete actions. Other views use the same values, so that all
+#: contenders drive identically.
 ACCELERATIONS = np.linspace(0.0, 1.0, 5)
 STEERS = np.linspace(-1.0, 1.0, 7)
 
 _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 _PRESSED = (0.03, 0.15, 0.1, 0.2, 0.005)
-#: A draw is held for so many steps.
+#: Number of steps for which random controls are held.
 _HOLD_STEPS = 4
 
-#: The driving style whose rows hold a steering angle [rad] and a speed [m/s].
+#: Driving style whose rows contain a steering angle [rad] and a speed [m/s].
 PHYSICAL = "physical"
 _STYLES = {
     "flattened_continuous_actions": "pedal and wheel",
@@ -44,30 +44,30 @@ _STYLES = {
 
 
 def driving_style(view: str) -> str:
-    """What a view can express; views of one style can drive exactly the same race.
+    """Returns the driving style of a view; views of one style can drive exactly the same race.
 
     Args:
-        view: the view's name.
+        view: name of the view.
 
     Returns:
-        ``"grid"``: discrete pedal and wheel, and all buttons; ``"pedal and wheel"``: no
+        ``"grid"``: discrete acceleration and steering, and all buttons; ``"pedal and wheel"``: no
         buttons; ``"choices"``: those of the view ``racing``; or :data:`PHYSICAL`.
     """
     return _STYLES.get(view, "grid")
 
 
 class Controls(Protocol):
-    """Where a race's driving comes from."""
+    """A source of controls for the karts of a race."""
 
     def next(self) -> FloatArray:
-        """``(K, 7)`` for the next step: acceleration, steer, then five buttons."""
+        """Returns ``(K, 7)`` for the next step: acceleration, steer, then five buttons."""
 
 
 class RecordedControls:
-    """Driving that was recorded before, repeated from its start when it is over.
+    """Recorded controls, repeated from the start when they end.
 
     Args:
-        rows: ``(N, K, 7)``, for N steps of K karts.
+        rows: ``(N, K, 7)``, N steps of K karts.
     """
 
     def __init__(self, rows: npt.ArrayLike) -> None:
@@ -82,15 +82,15 @@ class RecordedControls:
 
 
 class RandomControls:
-    """Seeded driving of all karts: mostly full throttle, wavering wheel, some of the rest.
+    """Seeded random controls of all karts: mostly full throttle, random steering, few buttons.
 
-    Such karts soon stand at walls, where a step costs the engine more: good enough where
-    steps are not compared.
+    Karts soon get stuck at walls, where a step costs the engine more. Do not use these controls to
+    compare steps.
 
     Args:
         num_kart: number of karts.
-        view: the view that drives.
-        seed: of the stream.
+        view: view whose driving style the controls have.
+        seed: seed of the random controls.
     """
 
     def __init__(self, num_kart: int, view: str, seed: int = 0) -> None:
@@ -116,7 +116,7 @@ class RandomControls:
 
 
 def controls_of(style: str, action: Mapping[str, Any]) -> list[float]:
-    """The row of :meth:`Controls.next` nearest to an action of the view ``full``.
+    """Returns the row of :meth:`Controls.next` nearest to an action of the view ``full``.
 
     Args:
         style: see :func:`driving_style`; with :data:`PHYSICAL`, an action of a
@@ -130,7 +130,7 @@ def controls_of(style: str, action: Mapping[str, Any]) -> list[float]:
 
 
 def _fit(style: str, row: FloatArray) -> list[float]:
-    """The nearest row that a style can express."""
+    """Returns the nearest row that a driving style can express."""
     if style == PHYSICAL:
         return [0.3 * row[1], 20.0 * row[0], 0.0, 0.0, 0.0, 0.0, 0.0]
     if style == "choices":
@@ -159,10 +159,10 @@ def _full(row: FloatArray) -> dict[str, Any]:
 
 
 def to_action(view: str, row: FloatArray) -> Any:
-    """One kart's action in a view.
+    """Returns a kart's action in a view.
 
     Args:
-        view: the view's name.
+        view: name of the view.
         row: ``(7,)``, a row of :meth:`Controls.next` in the view's :func:`driving_style`.
     """
     pair = np.array(row[:2], np.float32)

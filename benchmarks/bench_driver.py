@@ -1,4 +1,4 @@
-"""Contenders, as seen by the program that measures them."""
+"""Starts contenders in separate interpreters, and runs the same race in all of them."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ __all__ = [
     "record_controls",
 ]
 
-#: Steps before the measured ones: the start, and the reference's compiler.
+#: Steps before the measured ones, for the start of the race and the reference's compilation.
 WARMUP = 40
 
-#: Seconds of every measured step of a contender: ``total`` for the caller, ``engine`` inside
-#: ``pystk2.Race.step`` (``None``: not measured).
+#: Duration of each measured step of a contender [s]: ``total`` for the caller, ``engine`` inside
+#: ``pystk2.Race.step`` (``None`` if not measured).
 Times = dict[str, list[Any]]
 
 
 @dataclass(frozen=True)
 class Spec:
-    """What a contender is.
+    """Definition of a contender.
 
     Attributes:
         kind: ``bare`` (the engine alone), ``stkzoo`` or ``reference`` (pystk2-gymnasium).
         api: ``parallel``, ``multi`` (the id multi-full-v0) or ``single`` (one kart's ids).
         view: the view, for ``parallel`` and ``single``.
         num_kart: number of karts.
-        num_agents: how many of them are driven by actions, the rest by the game.
-        subprocess: whether the game runs in a process of its own.
-        cores: cores that the contender may use; any if empty.
+        num_agents: number of karts driven by actions; the game drives the others.
+        subprocess: whether the game runs in a separate process.
+        cores: cores that the contender may use; empty for all.
         kernel: whether the contender may use stkzoo's compiled kernel.
         events: whether the contender, with the api ``parallel``, counts events.
     """
@@ -69,15 +69,15 @@ class Spec:
 
 
 class Interpreter:
-    """An interpreter of its own that answers requests, a line of JSON each.
+    """A separate interpreter that answers requests, one line of JSON each.
 
     Args:
-        name: what errors call it.
+        name: name in error messages.
         words: arguments of the interpreter.
-        env: its environment.
+        env: environment variables.
 
     Raises:
-        RuntimeError: a request failed; the text ends with what the process wrote.
+        RuntimeError: a request failed; the message ends with the output of the process.
     """
 
     def __init__(self, name: str, words: Sequence[str], env: Mapping[str, str]) -> None:
@@ -95,7 +95,7 @@ class Interpreter:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """Process id of the interpreter."""
         return self._process.pid
 
     def ask(self, what: str, **arguments: Any) -> Any:
@@ -137,13 +137,13 @@ class Interpreter:
 
 
 class Contender(Interpreter):
-    """One contender; its requests are the methods of the contender's server.
+    """A contender; its requests are the methods of the server in ``bench_contenders``.
 
     Args:
-        spec: what it is.
+        spec: definition of the contender.
 
     Raises:
-        RuntimeError: a request failed; the text ends with what the process wrote.
+        RuntimeError: a request failed; the message ends with the output of the process.
     """
 
     def __init__(self, spec: Spec) -> None:
@@ -161,14 +161,14 @@ def answer_of(
     variables: Mapping[str, str],
     python: str = sys.executable,
 ) -> Any:
-    """What a command of this folder prints as JSON for one ``--contender``.
+    """Runs a command of this folder for one ``--contender``; returns the JSON that it prints.
 
     Args:
-        module: the command's, which runs in an interpreter of its own.
+        module: module of the command, which runs in a separate interpreter.
         spec: the contender.
-        words: more arguments.
-        variables: more environment variables.
-        python: the interpreter.
+        words: further arguments.
+        variables: further environment variables.
+        python: path of the interpreter.
     """
     command = [python, "-m", f"benchmarks.{module}", "--contender", json.dumps(spec)]
     answer = subprocess.run(  # noqa: S603 - our own interpreter and words
@@ -185,7 +185,7 @@ def answer_of(
 
 
 def engine_variables() -> dict[str, str]:
-    """The same data and calm BLAS that stkzoo gives its engine processes."""
+    """Returns variables for the same game data and BLAS threads as in stkzoo's engine processes."""
     return {
         "SUPERTUXKART_DATADIR": str(find_assets().root),
         "OPENBLAS_NUM_THREADS": "1",
@@ -195,7 +195,7 @@ def engine_variables() -> dict[str, str]:
 
 @contextmanager
 def contenders(specs: Mapping[str, Spec]) -> Iterator[dict[str, Contender]]:
-    """Contenders by name, imported and made, one after the other."""
+    """Starts contenders one after another; yields them by name, with environments made."""
     with ExitStack() as stack:
         started = {name: stack.enter_context(Contender(spec)) for name, spec in specs.items()}
         for contender in started.values():
@@ -218,17 +218,17 @@ def race_together(
     """Runs the same race in all contenders, a few steps of each in turn.
 
     Args:
-        started: contenders; one of stkzoo, if there is one, draws the race for all.
-        track: the track.
-        steps: measured steps of each.
-        warmup: steps before them, which are not measured.
-        block: steps of one contender before it is the next one's turn.
-        seed: of the race and the driving.
-        driving: ``heuristic`` repeats recorded sensible driving, ``random`` is erratic.
-        advance: called with the number of measured steps.
+        started: contenders by name; if one is of stkzoo, it draws the race for all.
+        track: name of the track.
+        steps: measured steps of each contender.
+        warmup: steps before the measured ones.
+        block: consecutive steps of a contender in its turn.
+        seed: seed of the race and of the controls.
+        driving: ``heuristic`` repeats the recorded controls of a driver; ``random`` is random.
+        advance: called with the number of measured steps after each turn.
 
     Returns:
-        Times by contender, and whether all ran the same race to the last bit.
+        Times by contender, and whether all ran the same race, bit for bit.
     """
     some = next(iter(started.values())).spec
     controls = None
@@ -260,23 +260,23 @@ def race_together(
 def record_controls(
     track: str, num_kart: int, num_agents: int, seed: int, count: int, style: str = "grid"
 ) -> list[list[list[float]]]:
-    """A driver's driving of a race, which all contenders then repeat.
+    """Records a driver's controls of a race, which all contenders then repeat.
 
-    The heuristic driver drives; ``pursuit`` where the style is physical.
+    The driver is the heuristic, or ``pursuit`` if the style is physical.
 
-    Karts that drive cost the engine less than karts that stand at a wall: without
-    sensible driving, every ratio to the engine's time would look too good.
+    Moving karts cost the engine less than karts that are stuck at a wall. With random controls,
+    the ratios to the engine's time would look too good.
 
     Args:
-        track: the track.
+        track: name of the track.
         num_kart: number of karts.
-        num_agents: how many of them are driven; the game drives the others.
-        seed: of the race.
+        num_agents: number of karts to record; the game drives the others.
+        seed: seed of the race.
         count: number of steps N.
-        style: what the view can express, :func:`benchmarks.bench_controls.driving_style`.
+        style: see :func:`benchmarks.bench_controls.driving_style`.
 
     Returns:
-        ``(N, K, 7)``, as :meth:`benchmarks.bench_controls.Controls.next`.
+        ``(N, K, 7)``, rows as in :meth:`benchmarks.bench_controls.Controls.next`.
     """
     view = "control of full" if style == PHYSICAL else "full"
     spec = Spec("stkzoo", "parallel", view, num_kart, num_agents, subprocess=True)

@@ -1,14 +1,15 @@
-"""Measures what the headless pack's thinned scenes save in a step of the engine, on every track.
+"""Measures how much time thinned scenes save in a step of the engine, on every track.
 
-Two packs are made from the full data: one with whole scenes and one with thinned scenes
-(`stkzoo.engine.assets.scenes`). Then, for each track:
+The benchmark builds two headless packs from the full data: one with whole scenes and one with
+thinned scenes (`stkzoo.engine.assets.scenes`). Then it runs two kinds of races on each track:
 
-- timed races: blocks of steps of both packs in turn. The time is the processor time of the engine's
-  own step, including some microseconds for reading all karts and items.
-- compared races, for each seed, forward and in reverse: half of the karts are the game's bots, the
-  others drive at random, use items and nitro and ask for rescue. All karts and items must be equal
-  bit for bit at every step. A race that parts runs again in new processes: a few races have several
-  outcomes with the same pack, because the engine orders karts that touch by their addresses.
+- Timed races: blocks of steps with both packs in turn. The time is the CPU time of the engine's own
+  step, including some microseconds for reading all karts and items.
+- Compared races, for each seed, forward and in reverse: half of the karts are the game's bots; the
+  others drive at random, use items and nitro, and call for rescue. All karts and items must be
+  equal, bit for bit, at every step. If the two races differ, they run again in new processes: a few
+  races have several outcomes with the same pack, because the engine orders touching karts by their
+  memory addresses.
 
     python -m benchmarks.bench_engine
     python -m benchmarks.bench_engine --track black_forest --seeds 2 --steps 200
@@ -41,11 +42,11 @@ from stkzoo.engine.process import engine_environment
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.tracks import SPLITS
 
-#: Steps of one pack before it is the other one's turn, and steps before the measured ones.
+#: Consecutive steps of one pack in its turn, and steps before the measured ones.
 BLOCK, WARMUP = 20, 40
-#: Timed races of each track; their steps are measured together.
+#: Timed races of each track; their times are pooled.
 ROUNDS = 3
-#: Karts of the races that are compared, and new interpreters of each pack for one that parts.
+#: Karts of compared races, and number of new interpreters of each pack if a race differs.
 COMPARED, FRESH = 6, 12
 RESAMPLES = 2000
 BEFORE, AFTER = "whole scenes", "thinned scenes"
@@ -98,7 +99,7 @@ def _compare(
     seed: int,
     length: int,
 ) -> None:
-    """Runs the races of one track and seed with both packs, and notes those that part."""
+    """Runs the races of one track and seed with both packs, and records those that differ."""
     for reverse in (False, True):
         race = {"track": result["track"], "seed": seed, "reverse": reverse, "karts": COMPARED}
         ends = [one.ask("race", **race, steps=length) for one in both.values()]
@@ -109,10 +110,10 @@ def _compare(
 
 
 def is_unstable(roots: Mapping[str, Path], race: Mapping[str, Any], length: int) -> bool:
-    """Whether new processes with one pack also get to an outcome of the other pack.
+    """Returns whether new processes with both packs have an outcome in common.
 
-    The engine orders karts that touch by their addresses in memory, so a few races have several
-    outcomes with the same pack, from one process to the next.
+    The engine orders touching karts by their memory addresses, so the outcome of a few races
+    differs between processes with the same pack.
     """
     outcomes: dict[str, set[str]] = {name: set() for name in roots}
     for _ in range(FRESH):
@@ -153,7 +154,7 @@ def _time(both: Mapping[str, _Contender], track: str, steps: int, karts: int) ->
 
 
 def speedup(before: Sequence[float], after: Sequence[float]) -> tuple[float, float, float]:
-    """How many times as fast, with a 95 % interval from resampled pairs of blocks."""
+    """Returns the speedup and its 95 % interval, from resampled pairs of blocks."""
     pairs = np.array([before, after])
     random = np.random.default_rng(0)
     drawn = random.integers(pairs.shape[1], size=(RESAMPLES, pairs.shape[1]))
@@ -163,7 +164,7 @@ def speedup(before: Sequence[float], after: Sequence[float]) -> tuple[float, flo
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results as a table, a row for each track."""
+    """Returns the results as a table with one row per track."""
     columns = ("track", "step", "thinned", "times as fast", "start", "thinned", "equal races")
     rows = []
     for result in results:
@@ -187,7 +188,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 class _Contender(Interpreter):
-    """An interpreter with the engine and one pack, which forks a process for each race."""
+    """An interpreter with the engine and one pack; it forks a process for each race."""
 
     def __init__(self, root: Path) -> None:
         self._home = tempfile.TemporaryDirectory(prefix="stkzoo-bench-")
@@ -201,11 +202,11 @@ class _Contender(Interpreter):
 
 
 def serve() -> None:
-    """Answers requests from the standard input, in a process of their own for each race."""
+    """Answers requests from standard input; each race runs in its own process."""
     from stkzoo.engine.race import init_engine
 
     replies = os.fdopen(os.dup(1), "w")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the game prints
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the game prints to stdout
     init_engine()
     while line := sys.stdin.readline():
         pid = os.fork()
@@ -233,7 +234,7 @@ def _serve_race(request: dict[str, Any], reply: Callable[[str], None]) -> None:
 
 
 class _DrivenRace:
-    """A race in this process: bots, and players that drive at random but get on."""
+    """A race in this process: bots, and players with smooth random steering at full throttle."""
 
     def __init__(self, track: str, seed: int, reverse: bool, karts: int) -> None:
         from stkzoo.engine.race import GameRace
@@ -251,7 +252,7 @@ class _DrivenRace:
         self._steer = np.zeros(self._players)
 
     def step(self, count: int) -> float:
-        """Takes so many steps; returns their time [s]."""
+        """Makes ``count`` steps; returns their CPU time [s]."""
         seconds = 0.0
         for _ in range(count):
             controls = self._controls()

@@ -1,24 +1,25 @@
-"""Compares learners with the bare engine, in kart-steps a second a core.
+"""Compares learners with the bare engine, in kart-steps per second and core.
 
     python -m benchmarks.bench_learners
     python -m benchmarks.bench_learners --only engine ppo --rounds 3
     python -m benchmarks.bench_learners --only ppo --karts 1 5 20 --races 2 8 --cores 1 2
     python -m benchmarks.bench_learners --only engine rllib torchrl
 
-Contenders take turns, and each turn is a program of its own that may use all cores:
+Contenders take turns. Each turn runs in a separate process that may use all cores. With every
+contender but engine, one policy drives all karts:
 
-engine  pystk2 alone: a race for each core, with recorded driving of the heuristic agent
-ppo     stkzoo.agents.training.ppo.selfplay: one policy drives all karts
-sb3     PPO of Stable-Baselines3 on RaceVecEnv in the view racing: likewise
-rllib   PPO of Ray RLlib by stkzoo.agents.training.rllib.selfplay: likewise
-torchrl PPO of TorchRL on RaceVectorEnv in the view racing: likewise
+engine  pystk2 alone: one race per core, with recorded controls of the heuristic agent
+ppo     stkzoo.agents.training.ppo.selfplay
+sb3     PPO of Stable-Baselines3 on RaceVecEnv in the view racing
+rllib   PPO of Ray RLlib with stkzoo.agents.training.rllib.selfplay
+torchrl PPO of TorchRL on RaceVectorEnv in the view racing
 
-Without --only, the contenders run whose libraries are installed. Libraries that are missing and
-named by --only are installed in an environment below --folder.
+By default, all contenders run whose libraries are installed. If --only names a contender whose
+library is missing, the command installs the library in an environment below --folder.
 
-The start and the first updates are not counted; resets and learning are. The shares are of the time
-of all cores: the game's processes, making observations, networks, learning, the rest of the
-programs, and waiting, in which a core had nothing to do for the contender.
+The start and the first updates are not counted; resets and learning are. The time of all cores is
+divided into shares: the game's processes, observations, networks, learning, the rest of the
+programs, and waiting, when a core was idle.
 """
 
 from __future__ import annotations
@@ -69,22 +70,22 @@ from benchmarks.bench_shares import (
 from benchmarks.ecosystem import ROOT, SETS, environment
 from stkzoo._os import cpu_count
 
-#: Parts of an actor's time that are measured.
+#: Measured parts of an actor's time.
 _ACTOR_PARTS = ("networks", "observing")
 CONTENDERS = ("engine", "ppo", "sb3", "rllib", "torchrl")
-#: What a contender needs: its module, and its environment in ``ecosystem.SETS``.
+#: The module that a contender needs, and the key of its environment in ``ecosystem.SETS``.
 _LIBRARIES = {"rllib": ("ray", "rllib"), "torchrl": ("torchrl", "main")}
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is measured.
+    """Settings of one measurement.
 
     Attributes:
         name: one of :data:`CONTENDERS`.
         karts: number of karts in a race.
-        races: number of races; the engine has one for each core.
-        cores: number of cores; 0 is all.
+        races: number of races; the engine has one per core.
+        cores: number of cores; 0 for all.
     """
 
     name: str
@@ -130,7 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _settings(options: argparse.Namespace) -> list[Setting]:
-    """All settings that the options ask for."""
+    """Returns the settings that the options select."""
     found = []
     for num_cores, karts in itertools.product(options.cores, options.karts):
         for name in options.only:
@@ -150,7 +151,7 @@ def _is_installed(name: str) -> bool:
 
 
 def _python(name: str, folder: Path) -> str:
-    """The interpreter that has a contender's library; makes its environment if necessary."""
+    """Returns the interpreter with a contender's library; makes its environment if necessary."""
     if _is_installed(name):
         return sys.executable
     where = _LIBRARIES[name][1]
@@ -167,7 +168,7 @@ def _measure(setting: Setting, options: argparse.Namespace, python: str) -> dict
 
 
 def _engine_rate(setting: Setting, options: argparse.Namespace) -> float:
-    """Kart-steps a second a core of races that run on all cores at once."""
+    """Returns the kart-steps per second and core of races on all cores at once."""
     karts, count = setting.karts, setting.races
     controls = record_controls(options.track, karts, karts, 1, WARMUP + options.steps)
     pinned = cores(setting.cores)
@@ -228,7 +229,7 @@ def _ppo(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
 
 
 def _moment(actors: Sequence[int]) -> tuple[float, float]:
-    """Processor time of the game's processes, and of this program with its actors [s]."""
+    """Returns the CPU times of the game's processes, and of this program with its actors [s]."""
     times = processor_times()
     programs = time.process_time() + sum(times[pid][1] for pid in actors)
     return engine_time(actors), programs
@@ -291,7 +292,7 @@ def _sb3(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
         setattr(owner, method, meter.timed(name, getattr(owner, method)))
 
     class Marks(BaseCallback):
-        """Notes the state at the start of each rollout."""
+        """Records the times and counts at the start of each rollout."""
 
         def _on_rollout_start(self) -> None:
             now = time.perf_counter(), time.process_time(), engine_time(())
@@ -338,7 +339,7 @@ def _result(setting: Setting, found: Mapping[Setting, Sequence[Mapping[str, floa
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results as a table."""
+    """Returns the results as a table."""
     rows = []
     for result in results:
         rate = result["kart_steps_per_second_per_core"]

@@ -1,4 +1,4 @@
-"""PPO of Ray RLlib and of TorchRL, as contenders of bench_learners."""
+"""PPO of Ray RLlib and of TorchRL, for bench_learners."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from stkzoo._os import cpu_count
 if TYPE_CHECKING:
     from benchmarks.bench_learners import Setting
 
-#: Steps of each kart per update, as in the contender sb3.
+#: Steps of each kart per update, as for sb3.
 _STEPS = 128
 _MAX_CYCLES = 250
 
 
 def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
-    """The algorithm of rllib.selfplay, with an env runner for each core and no past selves."""
+    """Measures the algorithm of rllib.selfplay, with one env runner per core and no past selves."""
     import ray
 
     from stkzoo.agents.training.rllib.races import MAIN, RLlibArguments
@@ -59,7 +59,7 @@ def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
 
 
 def torchrl(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
-    """TorchRL's collector, GAE and clipped loss, with the network and passes of sb3."""
+    """Measures TorchRL's collector, GAE and clipped loss, with the network and epochs of sb3."""
     import torch
     from tensordict.nn import InteractionType, TensorDictModule
     from torch import nn
@@ -130,7 +130,7 @@ def torchrl(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
 
 
 def _distribution(choices: tuple[int, ...]) -> Callable[..., Any]:
-    """A distribution of several choices from their logits in one row."""
+    """Returns a distribution class for several choices whose logits are concatenated."""
     import torch
     from torch.distributions import Categorical, Distribution
 
@@ -157,7 +157,7 @@ def _distribution(choices: tuple[int, ...]) -> Callable[..., Any]:
 
 
 def _torchrl_races(setting: Setting, track: str) -> Any:
-    """RaceVectorEnv as a batched environment of TorchRL, whose batch is the slots."""
+    """Returns a ``RaceVectorEnv`` as a batched TorchRL environment; its batch axis is the slots."""
     import torch
     from tensordict import TensorDict
     from torchrl.data import Categorical, Composite, MultiCategorical, Unbounded
@@ -167,7 +167,7 @@ def _torchrl_races(setting: Setting, track: str) -> Any:
     from stkzoo.wrappers.racing import CHOICES, SIZE
 
     class Races(EnvBase):
-        """Restarted races wait in ``_first`` until TorchRL resets their slots."""
+        """Races that restart themselves; ``_first`` holds the observations for the next reset."""
 
         def __init__(self) -> None:
             self._races = RaceVectorEnv(

@@ -77,7 +77,7 @@ def _specs(karts: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
 
 
 def measure(spec: Spec, options: argparse.Namespace, advance: Callable[[], None]) -> dict[str, Any]:
-    """Stages of one contender, and its growth over resets."""
+    """Measures the memory of a contender at several stages, and its growth over resets."""
     stages: dict[str, Any] = {}
     with Contender(spec) as contender:
         contender.ask("load")
@@ -98,7 +98,7 @@ def measure(spec: Spec, options: argparse.Namespace, advance: Callable[[], None]
 def _growth(
     contender: Contender, options: argparse.Namespace, advance: Callable[[], None]
 ) -> dict[str, Any] | None:
-    """Resident MiB by process at a few points; the growth from the first to the last."""
+    """Returns the resident memory by process at some resets, and its total growth [MiB]."""
     if options.resets < 2:
         return None
     points = sorted({max(1, options.resets * n // _NUM_POINTS) for n in range(1, _NUM_POINTS + 1)})
@@ -115,7 +115,7 @@ def _growth(
 
 
 def processes(pid: int) -> dict[str, dict[str, float]]:
-    """MiB of a contender's processes by role; the newest stands for those of one depth."""
+    """Returns the memory by role [MiB]; of several processes with one role, that of the newest."""
     roles = ("program", "fork server or game", "race")
     level = [pid]
     found = {}
@@ -128,7 +128,7 @@ def processes(pid: int) -> dict[str, dict[str, float]]:
 
 
 def children(pid: int) -> list[int]:
-    """Ids of the processes that a process has started."""
+    """Returns the process ids of a process's children."""
     try:
         tasks = list(Path(f"/proc/{pid}/task").iterdir())
         return [int(c) for task in tasks for c in (task / "children").read_text().split()]
@@ -145,7 +145,7 @@ def _sizes(pid: int) -> dict[str, float]:
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """Stages and growth."""
+    """Returns a table of the stages and one of the growth."""
     stages = [
         (
             result["contender"],

@@ -3,11 +3,11 @@
     python -m benchmarks.bench_profile
     python -m benchmarks.bench_profile --karts 10 --view full --steps 300
 
-First, each phase is timed on its own in an in-process race, many times and therefore with warm
-caches; right after a step of the engine it takes half as long again. ``update``, ``write`` and
-``motion`` belong to the engine: it rebuilds its world, writes it as bytes, and provides the karts'
-attributes that the bytes lack. ``read`` includes the last two and the copying; ``controls``
-converts the actions, and ``outcome`` makes the agents' results.
+First, each phase is timed separately in an in-process race. It is repeated many times, so its
+caches are warm; right after a step of the engine, it takes 1.5 times as long. ``update``, ``write``
+and ``motion`` belong to the engine: it rebuilds its world, serializes it to bytes, and provides the
+karts' attributes that the bytes lack. ``read`` includes the last two and the copying; ``controls``
+converts the actions; ``score``, ``observe`` and ``infos`` make the agents' results.
 
 Then stkzoo runs under cProfile, in process and with the default worker, and the functions that take
 the most time are listed. The profiler exaggerates the cost of Python calls; ``bench_steps``
@@ -71,7 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def parts(view: str, karts: int, track: str, repeats: int = 400) -> dict[str, float]:
-    """Median microseconds of each part of a step."""
+    """Returns the median duration of each part of a step [µs]."""
     with race_v0.parallel_env(
         num_kart=karts, track=track, view=view, use_subprocess=False, max_cycles=None
     ) as env:
@@ -106,7 +106,7 @@ def _median(function: Callable[[], object], repeats: int) -> float:
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The parts of a step as one table."""
+    """Returns the parts of a step as one table."""
     by_part = [result for result in results if "parts" in result]
     names = list(by_part[0]["parts"])
     rows = [

@@ -34,35 +34,35 @@ def get_actor(module_dir, observation_space, action_space):
     return lambda state, observation: action_space.sample()
 """
 
-#: What the step of a networked race may cost more than here [ms].
+#: Maximum additional time of a step in a networked race [ms].
 ALLOWED = 1.5
 
 
 class StepTimes(RaceListener):
-    """When each step was done [s]."""
+    """Records the time at the end of each step [s]."""
 
     def __init__(self) -> None:
         self.marks: list[float] = []
 
     def started(self, race: RaceProgress) -> None:
-        """The clock begins."""
+        """Starts the clock."""
         del race
         self.marks = [time.perf_counter()]
 
     def stepped(self, race: RaceProgress) -> None:
-        """One more step."""
+        """Records a step."""
         del race
         self.marks.append(time.perf_counter())
 
     @property
     def mean(self) -> float:
-        """Milliseconds a step."""
+        """Mean duration of a step [ms]."""
         return 1000 * (self.marks[-1] - self.marks[0]) / (len(self.marks) - 1)
 
 
 @contextlib.contextmanager
 def _servers(agents: Sequence[str]) -> Iterator[list[str]]:
-    """Two servers with two agents each; gives their addresses."""
+    """Starts two servers with two agents each; yields their addresses."""
     command = [sys.executable, "-m", "stkzoo", "race-server", "--address", "127.0.0.1:*", "--quiet"]
     with contextlib.ExitStack() as life:
         addresses = []
@@ -107,7 +107,7 @@ def _compare(agents: Sequence[str], options: argparse.Namespace) -> dict[str, An
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the comparison, prints and saves it; 1 if it cost more than allowed."""
+    """Runs, prints and saves the comparison; returns 1 if a step costs more than allowed."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.bench_remote",
         description=__doc__,
@@ -133,7 +133,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results."""
+    """Returns the results as a table."""
     columns = ("median_local", "median_networked", "more")
     return [
         Table(

@@ -8,7 +8,7 @@ construction of the environment, the first reset and the first step (in which th
 compiles). Later resets are then measured in turn. The engine's part of a reset consists of
 ``Race(config)``, ``start`` and the steps until the karts are on the grid. It is measured repeatedly
 in one process and, as in stkzoo's worker, as the first race of a forked process. The start of the
-interpreter is not counted; files are in the system's cache.
+interpreter is not counted; files are in the file system's cache.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def _summary(karts: int, seconds: Seconds) -> dict[str, Any]:
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results, a table for each number of karts."""
+    """Returns one table per number of karts."""
     columns = (*_FRESH, "to first observation", "later resets")
     return [
         Table(

@@ -1,4 +1,4 @@
-"""The contenders: how each of them imports, makes, resets and steps its environment.
+"""Runners of the contenders: each imports, makes, resets and steps its environment.
 
 Heavy imports happen on request, so that they can be timed.
 """
@@ -9,12 +9,12 @@ from typing import Any
 
 __all__ = ["Runner", "runner_for"]
 
-#: So long that no kart finishes while steps are measured.
+#: Enough laps that no kart finishes during the measurement.
 _LAPS = 20
 
 
 class Runner:
-    """One contender; the parts that differ are filled in below.
+    """Base class of the contenders' runners.
 
     Args:
         spec: fields of :class:`benchmarks.bench_driver.Spec`.
@@ -24,34 +24,34 @@ class Runner:
         self.spec = spec
 
     def load(self) -> None:
-        """Imports what is measured."""
+        """Imports the measured library."""
         raise NotImplementedError
 
     def make(self) -> None:
         """Makes the environment."""
 
     def reset(self, track: str, seed: int, race: dict[str, Any] | None) -> None:
-        """Starts a race; ``race`` is what :meth:`race` of another contender returned."""
+        """Starts a race; ``race`` is the result of :meth:`race` of another contender."""
         raise NotImplementedError
 
     def race(self) -> dict[str, Any]:
-        """Engine seed and each agent's kart."""
+        """Returns the engine seed and the kart of each agent."""
         raise NotImplementedError
 
     def action(self, controls: Any) -> Any:
-        """What :meth:`step` takes, made outside of the measured time."""
+        """Converts controls to the argument of :meth:`step`; not measured."""
         raise NotImplementedError
 
     def step(self, action: Any) -> Any:
-        """The measured step."""
+        """Makes a step; this is what is measured."""
         raise NotImplementedError
 
     def distances(self) -> list[float]:
-        """Overall distance of all karts: alike if all contenders ran the same race."""
+        """Returns the overall distance of all karts; equal if all contenders ran the same race."""
         raise NotImplementedError
 
     def sizes(self) -> dict[str, int]:
-        """Path nodes and items of the present race."""
+        """Returns the numbers of path nodes and items of the current race."""
         return {}
 
     def close(self) -> None:
@@ -59,10 +59,10 @@ class Runner:
 
 
 class _Bare(Runner):
-    """The engine by itself."""
+    """The engine without a library around it."""
 
     def load(self) -> None:
-        import numpy  # noqa: F401 - else the first race imports it
+        import numpy  # noqa: F401 - otherwise the first race imports it
         import pystk2
 
         pystk2.init(pystk2.GraphicsConfig.none())
@@ -221,7 +221,7 @@ class _StkzooParallel(_StkzooGym):
 
 
 class _Reference(_Gym):
-    """pystk2-gymnasium, made to run a race that stkzoo has drawn."""
+    """pystk2-gymnasium, patched to run a race that stkzoo has drawn."""
 
     def load(self) -> None:
         import pystk2_gymnasium
@@ -274,7 +274,7 @@ class _Reference(_Gym):
 
 
 def runner_for(spec: dict[str, Any]) -> Runner:
-    """Makes the contender that the fields of a :class:`benchmarks.bench_driver.Spec` describe."""
+    """Returns the runner for the fields of a :class:`benchmarks.bench_driver.Spec`."""
     if spec["kind"] == "bare":
         return _Bare(spec)
     if spec["kind"] == "reference":

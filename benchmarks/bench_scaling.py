@@ -93,7 +93,7 @@ def _specs(karts: int, options: argparse.Namespace) -> dict[str, Spec]:
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """A table of karts and one of tracks."""
+    """Returns a table of numbers of karts and one of tracks."""
     columns = (
         "",
         "karts",

@@ -1,4 +1,4 @@
-"""Where the processor time of a learner and its races goes, for bench_learners."""
+"""Measures how the CPU time of a learner and its races is spent, for bench_learners."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
 
 
 def processor_times() -> dict[int, tuple[int, float, float]]:
-    """Parent, own processor time and that of ended children [s] of all processes, by id."""
+    """Returns the parent, the CPU time and the CPU time of ended children [s] of all processes."""
     found = {}
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -31,7 +31,7 @@ def processor_times() -> dict[int, tuple[int, float, float]]:
 
 
 def engine_time(programs: Sequence[int]) -> float:
-    """Processor time of this program's children that are not these programs [s]."""
+    """Returns the CPU time of this program's descendants other than ``programs`` [s]."""
     times = processor_times()
     total, level = 0.0, {os.getpid()}
     while level:
@@ -41,14 +41,14 @@ def engine_time(programs: Sequence[int]) -> float:
 
 
 class Meter:
-    """Adds up this thread's processor time in calls, without that of calls within."""
+    """Sums the CPU time of this thread in measured calls, without measured calls inside them."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._inner = 0.0
 
     def timed(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The call, measured under a name."""
+        """Returns a function that runs ``call`` and adds its time under a name."""
 
         def measured(*arguments: Any, **named: Any) -> Any:
             outer, self._inner = self._inner, 0.0
@@ -67,13 +67,13 @@ class Meter:
 def shares_of(
     wall: float, engine: float, programs: float, parts: Mapping[str, float]
 ) -> dict[str, float]:
-    """Shares of the time of all cores.
+    """Returns the shares of the time of all cores.
 
     Args:
-        wall: seconds.
-        engine: processor time of the game's processes [s].
-        programs: of all other processes [s].
-        parts: of parts of the other processes [s].
+        wall: elapsed time [s].
+        engine: CPU time of the game's processes [s].
+        programs: CPU time of all other processes [s].
+        parts: CPU time of parts of the other processes, by name [s].
     """
     all_cores = wall * cpu_count()
     known = {"engine": engine, **parts, "rest": programs - sum(parts.values())}

@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def measure(karts: int, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
-    """The figures of one number of karts."""
+    """Measures with one number of karts."""
     from stkzoo import race_v0
 
     taken: dict[str, list[float]] = defaultdict(list)
@@ -77,7 +77,7 @@ def measure(karts: int, options: argparse.Namespace, advance: Any) -> dict[str, 
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results."""
+    """Returns the results as a table."""
     return [
         Table(
             "milliseconds, median (10..90 %)",

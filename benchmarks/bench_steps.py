@@ -4,8 +4,8 @@
     python -m benchmarks.bench_steps --karts 3 10 --view full flattened --steps 300
 
 All contenders run the same race with the same actions, a few steps each in turn, so that noise on
-the machine affects all of them equally. The results state whether the karts ended at the same
-positions, bit for bit. The ratio of a step is its time over the time spent inside
+the machine affects all of them equally. The results state whether all karts drove the same
+distance, bit for bit. The ratio of a step is its time over the time spent inside
 ``pystk2.Race.step`` in that step. Compilation and the first steps are not counted.
 
 There are three groups. ``parallel`` is stkzoo's ParallelEnv in each view with all karts as agents,
@@ -52,7 +52,7 @@ class Lineup:
 
     Attributes:
         group: one of :data:`GROUPS`.
-        view: what all of them observe.
+        view: view of all contenders.
         num_kart: number of karts.
         specs: contenders by name.
     """
@@ -64,7 +64,7 @@ class Lineup:
 
 
 def matches(options: argparse.Namespace) -> Iterator[Lineup]:
-    """All matches that the options ask for."""
+    """Yields the lineups that the options select."""
     pinned = cores(options.cores)
     for num_kart in options.karts:
         for group in options.group:
@@ -101,7 +101,7 @@ def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dic
 
 
 def run(match: Lineup, options: argparse.Namespace, advance: Any) -> dict[str, Any]:
-    """Runs one match; its part of the results."""
+    """Runs one lineup; returns its part of the results."""
     with contenders(match.specs) as started:
         times, is_same = race_together(
             started,
@@ -146,7 +146,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results, a table for each group."""
+    """Returns one table per group."""
     columns = ("", "view", "karts", "step", "in engine", "ratio", "added", "to bare", "same race")
     return [
         Table(

@@ -77,10 +77,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def page(reports: Mapping[str, Mapping[str, Any]]) -> str:
-    """The whole page.
+    """Returns the whole page.
 
     Args:
-        reports: what the benchmarks have saved, by name.
+        reports: saved results of the benchmarks, by name.
     """
     parts = [_HEAD]
     for name, report in reports.items():

@@ -21,7 +21,7 @@ from typing import Any
 
 __all__ = ["CLOCK_VARIABLE", "Clock", "time_the_engine"]
 
-#: Names the clock's file to engine processes; read by ``bench_instrument/sitecustomize.py``.
+#: Environment variable with the clock's file; ``bench_instrument/sitecustomize.py`` reads it.
 CLOCK_VARIABLE = "STKZOO_BENCH_CLOCK"
 
 _SECONDS = struct.Struct("<d")
@@ -29,10 +29,10 @@ _SIZE = 4096
 
 
 class Clock:
-    """Seconds of the last step, shared with other processes.
+    """The duration of the last step, in memory shared with other processes.
 
     Args:
-        path: the clock of another process, as its :attr:`path`; a new one by default.
+        path: :attr:`path` of another process's clock; ``None`` makes a new one.
     """
 
     def __init__(self, path: str | None = None) -> None:
@@ -45,22 +45,22 @@ class Clock:
 
     @property
     def path(self) -> str:
-        """Where another process finds this clock; its file has no name of its own."""
+        """Path under which other processes open this clock; its file is unnamed."""
         return f"/proc/{os.getpid()}/fd/{self._file.fileno()}"
 
     def set(self, seconds: float) -> None:
-        """Notes the seconds of a step."""
+        """Stores the duration of a step [s]."""
         _SECONDS.pack_into(self._memory, 0, seconds)
 
     def take(self) -> float | None:
-        """The seconds of the last step, once; ``None`` if there was none since."""
+        """Returns and clears the duration of the last step [s]; ``None`` without a new step."""
         (seconds,) = _SECONDS.unpack_from(self._memory)
         self.set(0.0)
         return float(seconds) or None
 
 
 def time_the_engine(clock: Clock) -> None:
-    """Times the engine's steps from the import of ``pystk2`` on."""
+    """Times the engine's steps once ``pystk2`` is imported."""
 
     def time_race(module: Any) -> None:
         module.Race = _timed_race(module.Race, clock)
@@ -75,7 +75,7 @@ def _timed_race(race_class: Any, clock: Clock) -> type:
             self._step = self._race.step
 
         def step(self, *actions: Any) -> Any:
-            if not actions:  # it warms a race up, perhaps another one than that measured
+            if not actions:  # a warm-up step, perhaps of another race
                 return self._step()
             start = time.perf_counter()
             result = self._step(*actions)

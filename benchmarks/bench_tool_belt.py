@@ -86,19 +86,19 @@ def _contenders(options: argparse.Namespace) -> list[dict[str, Any]]:
 def _in_an_interpreter_of_its_own(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
     words = ["--track", options.track, "--seconds", str(options.seconds)]
     words += ["--steps", str(options.steps)]
-    # The game's pictures need its full data, which stkzoo finds by itself.
+    # Rendering needs the full game data, which stkzoo finds by itself.
     variables = engine_variables() if spec["who"] == "reference" else {}
     return answer_of("bench_tool_belt", spec, words, variables)
 
 
 def _measure(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
-    """Calls a second, and for cameras milliseconds a step."""
+    """Returns calls per second; for cameras, the time of a step [ms]."""
     if spec["group"] == "cameras":
         return _camera_step(spec, options)
     import gymnasium as gym
     from gymnasium.utils import performance
 
-    warnings.simplefilter("ignore")  # the reference's ids warn at every step
+    warnings.simplefilter("ignore")  # the reference warns at every step
     importlib.import_module(_LIBRARIES.get(spec["who"], "stkzoo"))
     race: dict[str, Any] = {"track": options.track, "num_kart": 3}
     name = f"supertuxkart/{spec['id']}-v0"
@@ -109,17 +109,17 @@ def _measure(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
     env = gym.make(name, **race)
     try:
         if spec["group"] == "step":
-            env.action_space.seed(1)  # which it leaves to chance
+            env.action_space.seed(1)  # benchmark_step does not seed it
             return performance.benchmark_step(env, options.seconds, seed=1)
         env.reset(seed=1)
-        env.render()  # the render process starts
+        env.render()  # starts the render process
         return performance.benchmark_render(env, options.seconds)
     finally:
         env.close()
 
 
 class _Made:
-    """The last environment made, closed when the next one is."""
+    """Holds the latest environment, which is closed before the next one is made."""
 
     env: Any = None
 
@@ -154,7 +154,7 @@ def _filmed(camera: Mapping[str, Any], env: Any) -> Any:
 
 
 def tables(results: list[dict[str, Any]]) -> list[Table]:
-    """The results as tables."""
+    """Returns the results as tables."""
     rates = [row for row in results if row["group"] != "cameras"]
     cameras = [row for row in results if row["group"] == "cameras"]
     return [

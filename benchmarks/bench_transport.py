@@ -13,7 +13,7 @@ step are:
   number of bytes back and forth over pipes, while the other process is busy for as long as the
   engine.
 
-``--cores 1`` pins program and game to one core, so that no wake-up crosses cores.
+``--cores 1`` pins the program and the game to one core, so that no wake-up crosses cores.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def main(arguments: list[str] | None = None) -> int:
 def measure(
     number: int, view: str, karts: int, options: argparse.Namespace, advance: Callable[[int], None]
 ) -> dict[str, Any]:
-    """Both contenders on so many cores; their part of the results."""
+    """Measures both contenders on a number of cores; returns their part of the results."""
     specs = {
         name: Spec("stkzoo", "parallel", view, karts, karts, name == THERE, cores(number))
         for name in (HERE, THERE)
@@ -103,14 +103,14 @@ def measure(
 def pipes_alone(
     steps: int, *, busy: float, there: int, back: int, on: Sequence[int]
 ) -> list[float]:
-    """Microseconds of a message there and back, less the time that the other process worked.
+    """Returns the round-trip times of messages without the other process's work [µs].
 
     Args:
-        steps: how many messages.
-        busy: how long the other process works on each [s].
-        there: bytes of a message.
-        back: bytes of its answer.
-        on: the cores of both, any if empty.
+        steps: number of messages.
+        busy: duration of the other process's work per message [s].
+        there: size of a message [bytes].
+        back: size of the answer [bytes].
+        on: cores of both processes; empty for all.
     """
     inbox, outbox = os.pipe(), os.pipe()
     child = os.fork()
@@ -153,7 +153,7 @@ def _work(seconds: float) -> None:
 
 
 def differences(here: Times, there: Times) -> dict[str, Any]:
-    """Quantiles of the worker's extra microseconds; see the top of this file."""
+    """Returns quantiles of the worker's additional time [µs]; see the module's docstring."""
     outside = {
         name: _minus(times["total"], times["engine"])
         for name, times in ((HERE, here), (THERE, there))
@@ -175,7 +175,7 @@ def _minus(left: Sequence[Any], right: Sequence[Any]) -> list[float]:
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results as one table."""
+    """Returns the results as one table."""
     columns = ("view", "karts", "cores", "step", "outside the engine", "pipes alone")
     rows = [
         (

@@ -79,7 +79,7 @@ def _in_an_interpreter_of_its_own(spec: Mapping[str, Any], options: argparse.Nam
 
 
 def _rate(spec: Mapping[str, Any], options: argparse.Namespace) -> float:
-    """Agent-steps a second."""
+    """Returns agent-steps per second."""
     envs = _vector(spec, options.track)
     try:
         envs.reset(seed=1)
@@ -138,12 +138,12 @@ def _slots(races: int, karts: int) -> str:
 
 
 def _base_of(spec: Mapping[str, Any]) -> str:
-    """The contender that another one is compared with."""
+    """Returns the name of the contender that ``spec`` is compared with."""
     return _SINGLE[2] if spec["group"] == "single" else _slots(1, spec["karts"])
 
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """The results, a table for each group."""
+    """Returns one table per group."""
     notes = {"slots": "gain: over one race", "single": "gain: over the reference"}
     return [
         Table(

@@ -1,8 +1,8 @@
 """Injects thousands of faults: kills and stops processes at random moments.
 
-Each fault has a number; the seed determines it. A separate program injects a hundred faults at a
-time, beside a race that must not be affected; whole programs are hit from outside. Each result is
-written immediately, and the same command resumes an interrupted run.
+Each fault has a number, and is determined by it and the seed. A separate program injects a hundred
+faults at a time, next to a race that must not be affected. Faults of whole programs are injected
+from outside. Each result is written immediately, and the same command resumes an interrupted run.
 
     python -m benchmarks.chaos                        # 1,000 faults that hit, 40 minutes
     python -m benchmarks.chaos --faults 50 --seed 7   # fewer and different faults
@@ -39,13 +39,13 @@ from tests.support.processes import wait_until
 
 OUTPUT = RESULTS / "robustness" / "faults.jsonl"
 _BATCH = 100
-#: Longer than any fault may take [s].
+#: Time without a result after which a batch counts as hung [s].
 _PATIENCE = 400.0
 _SETTLE = 15.0  # [s]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Injects what is missing and shows the table."""
+    """Injects the missing faults and prints the table."""
     words = argparse.ArgumentParser(
         prog="python -m benchmarks.chaos",
         description=__doc__,
@@ -86,7 +86,7 @@ def _read(file: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in file.read_text().splitlines()]
 
 
-# ---------------------------------------------------------------------- the program of a batch
+# ---------------------------------------------------------------------- the process of a batch
 
 
 def _inject(numbers: Sequence[int], seed: int, output: Path | None) -> int:
@@ -112,11 +112,11 @@ def _as_row(number: int, outcome: Outcome) -> dict[str, Any]:
     return {"number": number, **fault, **form}
 
 
-# ---------------------------------------------------------------------- its watch
+# ---------------------------------------------------------------------- supervision of a batch
 
 
 def _run_batch(numbers: Sequence[int], seed: int, output: Path) -> None:
-    """Runs a batch in a program of its own, which may hang or die: that is a loss then."""
+    """Runs a batch in a separate process; records a loss if the process hangs or dies."""
     mark = uuid.uuid4().hex
     command = [sys.executable, "-X", "faulthandler", "-m", "benchmarks.chaos"]
     how = ["--seed", str(seed), "--output", str(output), "--batch", *map(str, numbers)]
@@ -141,14 +141,14 @@ def _run_batch(numbers: Sequence[int], seed: int, output: Path) -> None:
 
 
 def _watch(program: subprocess.Popen[str], output: Path) -> str:
-    """Waits for the end; says what is wrong if nothing moves any more."""
+    """Waits for the end; returns a description of the problem if the output stops growing."""
     size, since = -1, time.monotonic()
     while program.poll() is None:
         now = output.stat().st_size if output.exists() else 0
         if now != size:
             size, since = now, time.monotonic()
         if time.monotonic() - since > _PATIENCE:
-            program.send_signal(signal.SIGABRT)  # which shows where it hangs
+            program.send_signal(signal.SIGABRT)  # faulthandler prints where it hangs
             return f"it hung for {_PATIENCE:.0f} s"
         time.sleep(0.2)
     return ""

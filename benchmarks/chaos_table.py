@@ -1,7 +1,7 @@
-"""Makes the table of ``docs/explanation/robustness.md`` from the saved results.
+"""Builds the table of ``docs/explanation/robustness.md`` from the saved results.
 
-python -m benchmarks.chaos_table            # shows it
-python -m benchmarks.chaos_table --write    # writes it to the page
+python -m benchmarks.chaos_table            # print it
+python -m benchmarks.chaos_table --write    # write it to the page
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _HEAD = "| what | tried | survived | lost | command |\n| --- | ---: | ---: | ---
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Shows the table or writes it into the page."""
+    """Prints the table or writes it to the page."""
     words = argparse.ArgumentParser(
         prog="python -m benchmarks.chaos_table",
         description=__doc__,
@@ -38,13 +38,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def updated(page: str) -> str:
-    """The page with the present table in it."""
+    """Returns the page with the current table."""
     before, _, rest = page.partition(_BEGIN)
     return f"{before}{_BEGIN}\n{table()}\n{_END}{rest.partition(_END)[2]}"
 
 
 def table() -> str:
-    """The table as Markdown."""
+    """Returns the table as Markdown."""
     rows = [*_faults(), *_fuzz(), *_soak(), *_training()]
     return "\n".join([_HEAD, *(f"| {' | '.join(row)} |" for row in rows)])
 

@@ -2,8 +2,8 @@
 
 Stable-Baselines3's PPO drives all karts of two races (`stkzoo.sb3.RaceVecEnv`) for a number of
 agent-steps. Meanwhile a thread kills or stops one of the game processes or their fork server. The
-run must end by itself, with the right number of steps, without values that are not finite, and
-without remaining processes.
+run must finish with the right number of steps, with finite values only, and without leftover
+processes.
 
     python -m benchmarks.chaos_training                     # 200,000 steps, ten minutes
     python -m benchmarks.chaos_training --steps 20000 --every 5
@@ -36,7 +36,7 @@ from tests.support.processes import wait_until
 OUTPUT = RESULTS / "robustness" / "training.json"
 _RACES, _KARTS = 2, 4
 _ROLLOUT = 256
-#: What is done to a process, and to which kind, in turn.
+#: Signals to send in turn, and the kind of process that receives each.
 _BLOWS = (
     ("SIGKILL", "race"),
     ("SIGSEGV", "race"),
@@ -48,7 +48,7 @@ _ENGINE_TIMEOUT = 5.0  # [s]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Trains, kills, and writes down what came of it."""
+    """Trains while killing processes, and writes the results."""
     words = argparse.ArgumentParser(
         prog="python -m benchmarks.chaos_training",
         description=__doc__,
@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def train(steps: int, every: float) -> dict[str, Any]:
-    """Trains for so many steps of agents, with a kill every so many seconds."""
+    """Trains for ``steps`` agent-steps, with a kill every ``every`` seconds."""
     import torch
     from stable_baselines3 import PPO
 
@@ -122,7 +122,7 @@ def train(steps: int, every: float) -> dict[str, Any]:
 
 
 def _watch(tell: Any) -> Any:
-    """A callback that looks at every rollout and every figure that is logged."""
+    """Returns a callback that checks each rollout and each logged figure for finite values."""
     from stable_baselines3.common.callbacks import BaseCallback
 
     class Watch(BaseCallback):
@@ -156,10 +156,10 @@ def _watch(tell: Any) -> Any:
 
 
 class _Killer:
-    """Hits one process every so many seconds. A context manager.
+    """A context manager that sends a signal to a random process every ``every`` seconds.
 
     Attributes:
-        blows: what was done, in words.
+        blows: descriptions of the signals sent.
     """
 
     def __init__(self, every: float) -> None:

@@ -1,12 +1,12 @@
-"""Tests the measure of conduct with a rammer, and measures ordinary drivers.
+"""Validates the conduct measure with a rammer, and measures ordinary drivers.
 
     python -m benchmarks.conduct              # continues if interrupted
     python -m benchmarks.conduct --races 4 --others 2 --ordinary 2 --output /tmp/conduct.json
 
-A scripted rammer chases ordinary drivers on the training tracks, in both directions: the
-heuristic, *ace* and the game's AI. It should be at fault in at least 95 % of its contacts, and the
-others in at most 2 % of theirs with it. Further races are with other victims and without a rammer.
-Writes ``benchmarks/results/conduct.json``. Rates have 95 % intervals over tracks.
+A scripted rammer chases ordinary drivers (the heuristic, *ace* and the game's AI) on the training
+tracks, in both directions. The rammer should be at fault in at least 95 % of its contacts, and its
+victims in at most 2 % of their contacts with it. Further races have other victims or no rammer. The
+command writes ``benchmarks/results/conduct.json``. Rates have 95 % intervals over tracks.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.statistics import estimate_clustered
 from stkzoo.suite import RaceConduct
 
-#: Decides of a contact whether it counts for a rate: the driver, and the other one.
+#: Returns whether a contact counts for a rate, from the names of the driver and of the other one.
 Selection = Callable[[str, str], bool]
 _GOALS = {"rammer": 0.95, "victims": 0.02}
 

@@ -21,16 +21,16 @@ GROUPS = {
         *("heuristic", "pretrained:ace", "pretrained:scout", "pretrained:apex", "pursuit", "ai"),
     ),
 }
-#: Races last 40 s: later the rammer has lost the others.
+#: Races last 40 s; later the rammer has lost contact with the others.
 _STEPS = 400
 _DIRECTIONS = 2
-#: The rule was chosen with other seeds, and with other orders on the grid.
+#: First seed; the rule was chosen with other seeds and other orders on the grid.
 _FIRST_SEED = 2000
 
 
 @dataclass(frozen=True, slots=True)
 class JudgedRaceOrder(RaceOrder):
-    """A race to run and to judge."""
+    """A race to run and judge."""
 
     def run(self, folder: Path) -> RaceConduct:
         """Runs the race, stores its replay and judges it.
@@ -56,7 +56,7 @@ def orders(group: str, races: int) -> list[JudgedRaceOrder]:
 
 
 def _order(drivers: Sequence[str], number: int) -> JudgedRaceOrder:
-    # With equal track, direction and grid, races of different seeds begin alike.
+    # With equal track, direction and grid, races with different seeds begin identically.
     turn = (number + number // (_DIRECTIONS * len(TRAIN_TRACKS))) % len(drivers)
     lap, place = divmod(number, len(TRAIN_TRACKS))
     settings = RaceSettings(

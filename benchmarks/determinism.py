@@ -1,7 +1,7 @@
 """Checks that races with the same seed are equal bit for bit, on every track up to the finish.
 
 Three agents (the heuristic driver with seeded noise) race against three of the game's bots. The
-race of one seed is driven three times in one environment, once in another, and once in a new
+same seed is raced three times in one environment, once in another, and once in a new
 program. All observations, rewards, ends, infos and the global state must be equal bit for bit at
 every step. A race with another seed must differ.
 
@@ -38,23 +38,23 @@ RESULTS = Path(__file__).parent / "results" / "determinism.json"
 NUM_AGENTS = 3
 NUM_KART = 6
 MAX_STEPS = 4000
-#: The driver needs to see some way ahead, not the whole track at every step.
+#: Enough segments for the driver; fewer than the whole track save time.
 MAX_PATHS = 60
 
 
 @dataclass(frozen=True)
 class Result:
-    """What came of one track; each comparison is empty, or says where two races part.
+    """Results of one track. A comparison is empty if the races are equal.
 
     Attributes:
-        track: the track's name.
+        track: name of the track.
         steps: length of the race.
-        finished: how many agents crossed the finish line.
-        same_env: differences between the races of one environment.
-        other_env: differences from the race of another environment.
-        fresh_program: differences from the race of a fresh program.
+        finished: number of agents that crossed the finish line.
+        same_env: first differences between the races of one environment.
+        other_env: first difference from the race in another environment.
+        fresh_program: first difference from the race in a new program.
         other_seed_differs: whether another seed gave another race.
-        seconds: how long all races took.
+        seconds: duration of all races [s].
     """
 
     track: str
@@ -68,20 +68,20 @@ class Result:
 
     @property
     def is_right(self) -> bool:
-        """Whether the track kept all promises."""
+        """Whether all checks passed."""
         differences = self.same_env or self.other_env or self.fresh_program
         return not differences and self.other_seed_differs and self.finished == NUM_AGENTS
 
 
 class NoisyDrivers:
-    """A heuristic driver for each agent, with noise on the wheel and random shots."""
+    """A heuristic driver for each agent, with noise on the steering and random shots."""
 
     def __init__(self, seed: int = 0) -> None:
         self._drive = get_actor(None, None, None)
         self._seed = seed
 
     def __call__(self, step: Step) -> dict[str, Any]:
-        """Actions by agent."""
+        """Returns the actions by agent."""
         if step.number == 0:
             self._states = {agent: create_state() for agent in step.agents}
             self._random = {
@@ -99,7 +99,7 @@ class NoisyDrivers:
 
 
 def make_env(track: str) -> RaceParallelEnv:
-    """The race of one track."""
+    """Returns the environment of a track."""
     return race_v0.parallel_env(
         agents=NUM_AGENTS,
         num_kart=NUM_KART,
@@ -110,7 +110,7 @@ def make_env(track: str) -> RaceParallelEnv:
 
 
 def drive(env: RaceParallelEnv, seed: int) -> tuple[Trace, int]:
-    """One race to the finish: its fingerprints, and how many agents finished."""
+    """Drives a race to the finish; returns its trace and the number of agents that finished."""
     finished = 0
 
     def steps() -> Iterator[Step]:
@@ -128,13 +128,13 @@ def drive(env: RaceParallelEnv, seed: int) -> tuple[Trace, int]:
 
 
 def drive_alone(track: str, seed: int) -> Trace:
-    """One race in an environment of its own."""
+    """Drives a race in a new environment; returns its trace."""
     with closing(make_env(track)) as env:
         return drive(env, seed)[0]
 
 
 def examine(track: str, seed: int) -> Result:
-    """All races of one track."""
+    """Drives and compares all races of a track."""
     start = time.perf_counter()
     with closing(make_env(track)) as env:
         first, finished = drive(env, seed)

@@ -29,7 +29,7 @@ PAGE = ROOT / "docs" / "how-to" / "works-with.md"
 MARK = "<!-- written by python -m benchmarks.ecosystem -->"
 
 TORCH = "torch==2.13.0"
-#: What each environment has beside stkzoo. Some libraries cannot be in one with others.
+#: Packages of each environment besides stkzoo. Some libraries conflict with others.
 SETS = {
     "main": (
         TORCH,
@@ -40,23 +40,23 @@ SETS = {
         "tianshou==2.0.1",
         "minari[create]==0.5.4",
     ),
-    "rllib": (TORCH, "ray[rllib]==2.60.0"),  # it wants gymnasium 1.2.2
-    "agilerl": (TORCH, "agilerl==2.58.0", "peft==0.21.2"),  # it wants pettingzoo below 1.27
-    "pufferlib": ("pufferlib-core==3.0.23",),  # it wants torch 2.9.0
+    "rllib": (TORCH, "ray[rllib]==2.60.0"),  # requires gymnasium 1.2.2
+    "agilerl": (TORCH, "agilerl==2.58.0", "peft==0.21.2"),  # requires pettingzoo < 1.27
+    "pufferlib": ("pufferlib-core==3.0.23",),  # requires torch 2.9.0
 }
 
 
 @dataclass(frozen=True)
 class Example:
-    """One library and the script that uses it.
+    """A library and the example script that uses it.
 
     Attributes:
-        library: its name.
-        package: its name among Python's packages; empty if only the script itself is shown.
-        script: the example.
-        where: the environment, a key of ``SETS``.
-        view: the view that the example takes.
-        shows: what it does.
+        library: name of the library.
+        package: name of its Python package.
+        script: name of the script.
+        where: environment of the script, a key of ``SETS``.
+        view: view that the script uses.
+        shows: what the script demonstrates.
     """
 
     library: str
@@ -116,7 +116,7 @@ LIBRARIES = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """How an example went: the versions it had, what it wrote last, and how long it took [s]."""
+    """Outcome of an example: versions, last lines of output, and duration [s]."""
 
     library: str
     version: str
@@ -128,7 +128,7 @@ class Outcome:
 
 
 def main() -> int:
-    """Makes environments, runs examples, writes the results and the page's table."""
+    """Makes the environments, runs the examples, and writes the results and the page's table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -169,7 +169,7 @@ def main() -> int:
 
 
 def _agrees(places: set[str], folder: Path) -> bool:
-    """Asks before gigabytes are installed; without a terminal the answer is no."""
+    """Asks before installing gigabytes; returns ``False`` without a terminal."""
     gigabytes = 3 * len(places)  # most of it is torch
     print(f"This installs up to {gigabytes} GB of libraries below {folder}.")
     return sys.stdin.isatty() and input("Continue? [y/N] ").strip().lower() in ("y", "yes")
@@ -180,7 +180,7 @@ def _known() -> list[dict[str, object]]:
 
 
 def environment(folder: Path, packages: tuple[str, ...]) -> Path:
-    """An environment's Python; what it must have is installed one package after the other."""
+    """Makes an environment and installs its packages one by one; returns its Python."""
     python = folder / "bin" / "python"
     if not python.exists():
         subprocess.run([sys.executable, "-m", "venv", folder], check=True)
@@ -251,7 +251,7 @@ def _write_table(outcomes: list[dict[str, object]]) -> None:
 
 
 def _versions(outcomes: list[dict[str, object]]) -> str:
-    """Which Gymnasium and PettingZoo there were: most libraries', and the others'."""
+    """Returns the versions of Gymnasium and PettingZoo: the most common, and those that differ."""
     words = []
     for package, title in (("gymnasium", "Gymnasium"), ("pettingzoo", "PettingZoo")):
         found = [str(outcome[package]) for outcome in outcomes]

@@ -2,10 +2,10 @@
 
     python -m benchmarks.events            # 20 races; writes benchmarks/results/events.json
 
-In each race one kart rams others, one leaves the road and one turns round; the game drives three
-more. The race is recorded in every physics tick (120 Hz). The counter sees every twelfth tick, like
-an environment with steps of 0.1 s; ``events_truth`` sees all ticks. Then the heuristic driver races
-alone, to check that no false events are counted.
+In each race, one kart rams others, one leaves the road, one drives the wrong way, and the game
+drives three more. The race is recorded in every physics tick (120 Hz). The counter sees every
+twelfth tick, like an environment with steps of 0.1 s; ``events_truth`` sees all ticks. Then the
+heuristic driver races alone, to check that no false events are counted.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def counted(race: Recording) -> Totals:
-    """What the environment counts at steps of 0.1 s, ``(K,)`` by event."""
+    """Returns the counts of the environment at steps of 0.1 s, ``(K,)`` by event."""
     events = RaceEvents(race.track, TICKS / RATE, len(race.moments[0].karts))
     sums = np.zeros_like(events.counts)
     steps = race.moments[::TICKS]
@@ -71,7 +71,7 @@ def counted(race: Recording) -> Totals:
 
 
 def compare(race: Recording) -> dict[str, Any]:
-    """By script and event: counted and true."""
+    """Returns the counted and the true number by script and event."""
     found, truth = counted(race), truth_of(race)
     return {
         script: {
@@ -82,7 +82,7 @@ def compare(race: Recording) -> dict[str, Any]:
 
 
 def totals(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
-    """Sums by event: counted, true, how far apart [%]; too many and missed, kart by kart."""
+    """Returns sums by event: counted, true, error [%], and excess and missed counts per kart."""
     karts = [found for row in rows for found in row.values() if isinstance(found, dict)]
     sums = {}
     for name in EVENTS:
@@ -97,7 +97,7 @@ def totals(rows: list[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
 
 
 def show(name: str, sums: dict[str, dict[str, float | None]]) -> None:
-    """Prints a table."""
+    """Prints the table of a group of races."""
     print("\n" + f"{name:14}" + "".join(f"{key:>10}" for key in next(iter(sums.values()))))
     for event, row in sums.items():
         print(

@@ -17,7 +17,7 @@ from stkzoo.engine.starting import CentreLine
 from stkzoo.engine.track import TrackMap
 from stkzoo.mdp.geometry import rotation_matrices
 
-#: Ticks of the game's physics in a second, and in an environment's step of 0.1 s.
+#: Physics ticks per second, and per environment step of 0.1 s.
 RATE, TICKS = 120, 12
 
 Action = dict[str, Any]
@@ -31,7 +31,7 @@ class Recording:
 
     Attributes:
         track: the track.
-        moments: the start, and one for each tick.
+        moments: snapshots of the start and of each tick.
         scripts: names of the agents' scripts, by kart.
     """
 
@@ -43,7 +43,7 @@ class Recording:
 def record(
     track: str, seed: int, scripts: Sequence[str], *, bots: int = 0, seconds: float = 60.0
 ) -> Recording:
-    """Drives a race and keeps every tick; agents choose an action every 0.1 s."""
+    """Drives a race and records every tick; agents choose an action every 0.1 s."""
     num_kart = len(scripts) + bots
     with race_v0.parallel_env(
         num_kart=num_kart,
@@ -74,14 +74,14 @@ def record(
 
 
 class Follower:
-    """Drives along the centre line; the other scripts are made of it."""
+    """Drives along the center line; base class of the other scripts."""
 
     def __init__(self, track: TrackMap) -> None:
         self.line = CentreLine(track)
         self._place, self._there_since = np.full(3, np.inf), 0.0
 
     def __call__(self, now: Snapshot, kart: int, time: float, seen: Mapping[str, Any]) -> Action:
-        """The action of a kart at a moment."""
+        """Returns the action of a kart at a moment."""
         del seen
         own = now.karts[kart]
         if np.linalg.norm(own["location"] - self._place) > 3.0 or not now.header["time"] > 0:
@@ -95,16 +95,16 @@ class Follower:
         return drive_to(own, self.target(now, kart, time), fire=int(time % 2.0 < 0.15))
 
     def target(self, now: Snapshot, kart: int, time: float) -> Point:
-        """Where the kart drives to."""
+        """Returns the point that the kart drives toward."""
         del time
         return self.line.point(float(now.karts[kart]["distance_down_track"]) + 12.0)
 
 
 class Rammer(Follower):
-    """Drives into the nearest kart within 25 m, for six seconds out of nine."""
+    """Drives into the nearest kart within 25 m, for six of every nine seconds."""
 
     def target(self, now: Snapshot, kart: int, time: float) -> Point:
-        """The place of a kart half a second on, or the road ahead."""
+        """Returns the position of the nearest kart in 0.3 s, or a point of the road ahead."""
         places = now.karts["location"].astype(np.float64)
         apart = np.linalg.norm(places - places[kart], axis=1)
         apart[kart] = np.inf
@@ -116,10 +116,10 @@ class Rammer(Follower):
 
 
 class Cutter(Follower):
-    """Leaves the road to either side for three seconds out of seven."""
+    """Leaves the road for three of every seven seconds, on alternating sides."""
 
     def target(self, now: Snapshot, kart: int, time: float) -> Point:
-        """Ahead on the road, or beside it."""
+        """Returns a point of the road ahead, or a point beside it."""
         ahead = float(now.karts[kart]["distance_down_track"]) + 12.0
         place, along = self.line.point(ahead), self.line.direction(ahead)
         side = np.array([along[2], 0.0, -along[0]]) * (1.0 if time % 14.0 < 7.0 else -1.0)
@@ -127,10 +127,10 @@ class Cutter(Follower):
 
 
 class Ghost(Follower):
-    """Turns round after ten seconds and drives the wrong way for eight, again and again."""
+    """Drives the wrong way for the last eight of every 18 seconds."""
 
     def target(self, now: Snapshot, kart: int, time: float) -> Point:
-        """Ahead on the road, or behind."""
+        """Returns a point of the road ahead or behind."""
         here = float(now.karts[kart]["distance_down_track"])
         return self.line.point(here + (-12.0 if time % 18.0 > 10.0 else 12.0))
 
@@ -143,7 +143,7 @@ class Expert:
         self._state = heuristic.create_state()
 
     def __call__(self, now: Snapshot, kart: int, time: float, seen: Mapping[str, Any]) -> Action:
-        """The action of a kart at a moment."""
+        """Returns the action of a kart at a moment."""
         del now, kart, time
         return self._state.drive(seen)
 
@@ -157,7 +157,7 @@ SCRIPTS: dict[str, Callable[[TrackMap], Follower | Expert]] = {
 
 
 def action(acceleration: float = 0.0, steer: float = 0.0, **buttons: int) -> Action:
-    """An action of the ``full`` view."""
+    """Returns an action of the ``full`` view."""
     numbers = {"acceleration": acceleration, "steer": steer}
     return {
         **{name: np.full(1, number, np.float32) for name, number in numbers.items()},
@@ -167,7 +167,7 @@ def action(acceleration: float = 0.0, steer: float = 0.0, **buttons: int) -> Act
 
 
 def drive_to(own: np.void, place: Point, **buttons: int) -> Action:
-    """Full throttle, less in sharp turns, towards a place."""
+    """Returns an action that drives toward a point at full throttle, less in sharp turns."""
     axes = rotation_matrices(own["rotation"].astype(np.float64)[None])[0]
     right, _, forward = axes @ (place - own["location"])
     angle = math.atan2(right, forward)

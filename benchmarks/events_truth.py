@@ -17,9 +17,9 @@ from benchmarks.events_races import RATE, TICKS, Recording
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-#: Contacts less than this apart are one [ticks].
+#: Contacts at most this far apart count as one [ticks].
 _APART = RATE // 2
-#: Points along a kart's outline, as shares of its half width and half length.
+#: Points on a kart's outline, as fractions of its half width and half length.
 _SIDE = np.linspace(-1.0, 1.0, 13)
 _OUTLINE = np.array(
     [(x, z) for x in _SIDE for z in (-1.0, 1.0)] + [(x, z) for z in _SIDE for x in (-1.0, 1.0)]
@@ -30,7 +30,7 @@ class Trajectories:
     """A recorded race, as arrays over ticks and karts.
 
     Args:
-        race: the recording. What is before GO is left out.
+        race: the recording; moments before GO are dropped.
     """
 
     def __init__(self, race: Recording) -> None:
@@ -55,10 +55,10 @@ class Trajectories:
         }
 
     def _rides(self, kart: int) -> list[tuple[int, int, str]]:
-        """First and last ticks in which the game moves a kart by script, and what it is.
+        """Returns the first and last ticks of each scripted motion of a kart, and its kind.
 
-        Its velocity stands still to the last bit, while it moves. A rescue puts it elsewhere in
-        one tick, an explosion turns it over, a cannon does neither.
+        In a scripted motion, the kart moves while its velocity stays constant, bit for bit. A
+        rescue moves it far in one tick, an explosion turns it over, and a cannon does neither.
         """
         still = (np.diff(self.speed[:, kart], axis=0) == 0).all(1)
         moves = np.linalg.norm(np.diff(self.place[:, kart], axis=0), axis=1)
@@ -73,7 +73,7 @@ class Trajectories:
         return rides
 
     def _gap(self, one: int, other: int) -> FloatArray:
-        """The gap of two karts in each tick [m]; infinity while they are far or scripted."""
+        """Returns the gap of two karts in each tick [m]; infinite if far or in scripted motion."""
         gaps = np.full(len(self.karts), np.inf)
         away = np.linalg.norm(self.place[:, one] - self.place[:, other], axis=1)
         near = np.flatnonzero((away < 4.0) & ~self.is_riding[:, [one, other]].any(1))
@@ -83,7 +83,7 @@ class Trajectories:
 
 
 def axes_of(rotation: npt.NDArray[Any]) -> FloatArray:
-    """``(..., 3, 3)``: right, up and forward of karts, from their quaternions w, x, y, z."""
+    """Returns the right, up and forward axes ``(..., 3, 3)`` for quaternions w, x, y, z."""
     w, x, y, z = np.moveaxis(rotation.astype(np.float64), -1, 0)
     right = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1)
     forward = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1)
@@ -91,11 +91,11 @@ def axes_of(rotation: npt.NDArray[Any]) -> FloatArray:
 
 
 def gap_of(first: npt.NDArray[Any], second: npt.NDArray[Any]) -> FloatArray:
-    """``(T,)``: how far the outline of a kart is from the box of another [m]; 0 is inside.
+    """Returns the distance ``(T,)`` of a kart's outline from another's box [m]; 0 if inside.
 
     Args:
         first: ``(T,)`` records of a kart.
-        second: of another.
+        second: ``(T,)`` records of another kart.
     """
     gaps = []
     for one, other in ((first, second), (second, first)):
@@ -113,7 +113,7 @@ def gap_of(first: npt.NDArray[Any], second: npt.NDArray[Any]) -> FloatArray:
 
 
 def runs(ticks: npt.NDArray[np.intp], apart: int) -> list[tuple[int, int]]:
-    """First and last ticks of the runs of ticks that are at most so many apart."""
+    """Groups ticks that are at most ``apart`` apart; returns each group's first and last tick."""
     if not len(ticks):
         return []
     breaks = np.flatnonzero(np.diff(ticks) > apart)
@@ -122,7 +122,7 @@ def runs(ticks: npt.NDArray[np.intp], apart: int) -> list[tuple[int, int]]:
 
 
 def kart_contacts(race: Trajectories) -> FloatArray:
-    """Runs of ticks in which the outline of one kart is within 5 cm of another's."""
+    """Counts contacts: runs of ticks in which a kart's outline is within 5 cm of another kart."""
     counts = np.zeros(race.num_kart)
     for pair, gaps in race.gaps.items():
         counts[list(pair)] += len(runs(np.flatnonzero(gaps <= 0.05), _APART))
@@ -130,10 +130,10 @@ def kart_contacts(race: Trajectories) -> FloatArray:
 
 
 def wall_contacts(race: Trajectories) -> FloatArray:
-    """Blows of over 1 m/s in a tick that cost a kart 5 m/s in a tenth of a second.
+    """Counts ticks in which a kart loses over 1 m/s, and over 5 m/s within 0.1 s.
 
-    It drives forwards, no kart is near, it was not carried half a second before, and it does not
-    land, which changes its speed upwards more than ahead.
+    The kart must drive forward, without another kart nearby, without a scripted motion in the last
+    0.5 s, and without a landing, which changes the vertical speed more than the forward speed.
     """
     counts = np.zeros(race.num_kart)
     window = TICKS
@@ -159,13 +159,13 @@ def wall_contacts(race: Trajectories) -> FloatArray:
 
 
 def _is_burdened(race: Trajectories, kart: int, ticks: slice) -> bool:
-    """Whether an anvil, a parachute or bubble gum slows a kart down."""
+    """Returns whether a kart gets or loses a parachute or an anvil in these ticks."""
     kinds = race.karts["attachment_type"][ticks, kart]
     return bool((kinds != kinds[0]).any() and np.isin(kinds, (0, 1)).any())
 
 
 def hits(race: Trajectories) -> FloatArray:
-    """Explosions that turn a kart over, burdens that it gets, bubble gum that it takes away."""
+    """Counts explosions that turn a kart over, harmful attachments, and bubble gum driven into."""
     counts = np.zeros(race.num_kart)
     for kart in range(race.num_kart):
         counts[kart] += sum(kind == "hit" for _, _, kind in race.rides[kart])
@@ -183,7 +183,7 @@ def hits(race: Trajectories) -> FloatArray:
 
 
 def items_taken(race: Trajectories) -> FloatArray:
-    """Ticks in which a kart is at a box or bottle and has more, or another powerup, after it."""
+    """Counts ticks after which a kart near a box or bottle has more powerups, another, or nitro."""
     counts = np.zeros(race.num_kart)
     for kart in range(race.num_kart):
         number = race.karts["powerup_num"][:, kart]
@@ -201,12 +201,12 @@ def items_taken(race: Trajectories) -> FloatArray:
 
 
 def items_used(race: Trajectories) -> FloatArray:
-    """Ticks in which a kart has one powerup less."""
+    """Counts ticks in which a kart's number of powerups decreases."""
     return (np.diff(race.karts["powerup_num"], axis=0) < 0).sum(0).astype(np.float64)
 
 
 def overtakes(race: Trajectories) -> tuple[FloatArray, FloatArray]:
-    """Made and suffered: changes of who is further, by laps and metres, until one finishes."""
+    """Counts overtakes made and suffered, by laps and meters, until one kart finishes."""
     karts = race.karts[::TICKS]
     far = karts["finished_laps"] * race.track.length + karts["distance_down_track"]
     far = np.where(karts["finished_laps"] < 0, -1.0 - np.arange(race.num_kart), far)  # on the grid
@@ -222,13 +222,13 @@ def overtakes(race: Trajectories) -> tuple[FloatArray, FloatArray]:
 
 
 def rescues(race: Trajectories) -> FloatArray:
-    """Rides that put a kart elsewhere in one tick."""
+    """Counts scripted motions that are rescues."""
     kinds = [[kind for _, _, kind in rides] for rides in race.rides]
     return np.array([own.count("rescue") for own in kinds], np.float64)
 
 
 def off_road(race: Trajectories) -> FloatArray:
-    """Seconds in which a kart is within no segment of the track, by its width."""
+    """Returns the time that each kart spends outside all track segments [s]."""
     _, beside, beyond = _on_track(race)
     half = race.track.path_width[:, 0] / 2.0
     is_off = ~((beside < half) & (beyond <= 0.0)).any(-1)
@@ -236,7 +236,7 @@ def off_road(race: Trajectories) -> FloatArray:
 
 
 def wrong_way(race: Trajectories) -> FloatArray:
-    """Seconds in which a kart gets over 1 m/s against the direction of the nearest segment."""
+    """Returns the time at more than 1 m/s against the direction of the nearest segment [s]."""
     nearest = _on_track(race)[0].argmin(-1)[1:]
     begin, end = race.track.path_nodes.astype(np.float64).swapaxes(0, 1)
     along = (end - begin) / (np.linalg.norm(end - begin, axis=1, keepdims=True) + 1e-9)
@@ -245,10 +245,11 @@ def wrong_way(race: Trajectories) -> FloatArray:
 
 
 def _on_track(race: Trajectories) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where karts are by each segment, ten times a second, each ``(T, K, N)`` [m].
+    """Locates karts relative to each segment, ten times per second.
 
     Returns:
-        How far they are from its centre line, how far beside it, and how far beyond its ends.
+        Distance from the segment's center line, lateral distance, and distance beyond its ends,
+        each ``(T, K, N)`` [m].
     """
     begin, end = race.track.path_nodes.astype(np.float64).swapaxes(0, 1)
     length = np.linalg.norm(end - begin, axis=1) + 1e-9
@@ -263,7 +264,7 @@ def _on_track(race: Trajectories) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def truth_of(recording: Recording) -> dict[str, FloatArray]:
-    """``(K,)`` of each event, by name."""
+    """Returns the true counts ``(K,)`` by event."""
     race = Trajectories(recording)
     made, suffered = overtakes(race)
     single: dict[str, Callable[[Trajectories], FloatArray]] = {

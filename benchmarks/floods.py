@@ -1,11 +1,11 @@
-"""Floods of the live page and of the race-server, at full size.
+"""Floods the live page and the race server at full scale.
 
     python -m benchmarks.floods
 
-Each attack hits a race or a server that may have 1024 descriptors (ulimit -n 1024). A line says how
-many descriptors and how much memory it had at most, whether the page or the server answered
-meanwhile, whether the race's result, replay and video are whole, and whether the next race was
-served. The command ends with exit code 1 if an answer is no.
+Each attack hits a race or a server that may open 1024 file descriptors (ulimit -n 1024). For each
+attack, the command prints the maximum number of descriptors and the maximum memory, whether the
+page or the server answered during the attack, whether the race's result, replay and video are
+complete, and whether the next race was served. It returns 1 if any of these checks fails.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _FILES = ("race.json", "race.stkz", "race.mp4")
 
 @dataclass
 class Outcome:
-    """What an attack cost.
+    """Outcome of an attack.
 
     Attributes:
-        descriptors: the most that were open.
-        memory: the most that was resident [bytes].
+        descriptors: maximum number of open file descriptors.
+        memory: maximum resident memory [bytes].
         answered: whether the victim answered during the attack.
-        kept: whether nothing of the result is lost.
+        kept: whether the result is complete.
         next_served: whether the next race was served.
         log_lines: lines on stderr.
     """
@@ -52,7 +52,7 @@ class Outcome:
 
     @contextmanager
     def watching(self, process: subprocess.Popen[str]) -> Iterator[None]:
-        """Notes the most descriptors and memory of a process."""
+        """Records the maximum descriptors and memory of a process."""
         done = threading.Event()
 
         def watch() -> None:
@@ -106,7 +106,7 @@ def _is_whole(result: Path, replay: Path, video: Path) -> bool:
     try:
         steps = RaceResult.from_json(result.read_text()).steps
         return steps == load_replay(replay).steps == _STEPS and video.stat().st_size > 1000
-    except Exception as error:  # noqa: BLE001 - a lost result is what this looks for
+    except Exception as error:  # noqa: BLE001 - any error means a lost result
         print(f"lost: {error!r:.200}")
         return False
 
@@ -135,7 +135,7 @@ def attack_server(attack: Callable[[str], Any], descriptors: int) -> Outcome:
 def _is_served(address: str) -> bool:
     try:
         return not floods.remote_race(address)
-    except Exception as error:  # noqa: BLE001 - a race that is not served is what this looks for
+    except Exception as error:  # noqa: BLE001 - any error means that no race was served
         print(f"not served: {error!r:.200}")
         return False
 
@@ -153,7 +153,7 @@ def _page_resets(count: int) -> Attack:
     def attack(address: tuple[str, int]) -> list[Any]:
         resetting = threading.Thread(target=floods.reset_at_once, args=(address, count))
         resetting.start()
-        time.sleep(1.0)  # the page is asked in the midst of them
+        time.sleep(1.0)  # the page is requested during the resets
         return []
 
     return attack

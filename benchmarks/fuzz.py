@@ -1,11 +1,11 @@
-"""Fuzzes every reader of what comes from outside: messages, replays, agents, results, archives.
+"""Fuzzes all readers of untrusted input: messages, replays, agents, results and archives.
 
-Whatever the bytes, a reader may end well or with its own error. Each input is measured: a message
-may take 16 bytes of memory for each of its own and 1 MiB more, another input 64 MiB, and each 1 s
-of CPU time. Anything else is a finding: it is kept beside the results with the bytes that did it,
-and ends the run of that reader. atheris (`pip install atheris`) looks for inputs that reach new
-lines; without it, inputs are changed at random. Counts are kept as they come, and the same command
-goes on where it was.
+For any input, a reader must succeed or raise its own error, within limits: 1 s of CPU time, and
+64 MiB of memory; for a message, 1 MiB plus 16 times its size. Anything else is a finding. The
+command saves the finding and its input next to the results, and stops fuzzing that reader. With
+atheris (`pip install atheris`), inputs are mutated to reach new lines of code; without it, they are
+mutated at random. Counts are saved as the run proceeds, and the same command resumes an interrupted
+run.
 
     python -m benchmarks.fuzz                          # 1,000,000 inputs, an hour
     python -m benchmarks.fuzz --inputs 20000 --readers replays results
@@ -36,7 +36,7 @@ from rich.table import Table
 from stkzoo._os import atomic_write
 
 RESULTS = Path(__file__).parent / "results" / "robustness" / "fuzz.json"
-#: How the inputs are shared out: the quick readers get more.
+#: Relative numbers of inputs; fast readers get more.
 SHARES = {
     "messages": 40,
     "results": 17,
@@ -50,12 +50,12 @@ SHARES = {
     "asset archives": 1,
 }
 _CHUNK = 20_000
-#: Longer inputs than this are not made [bytes].
+#: Maximum length of an input [bytes].
 _MAX_LENGTH = 1 << 14
-#: Seconds and megabytes after which atheris ends the process of an input.
+#: Time [s] and memory [MB] of an input at which atheris ends the process.
 _PATIENCE, _MEMORY = 30, 3000
 _COLUMNS = ("reader", "inputs", "findings", "how", "a second", "memory [MB]", "CPU [s]")
-#: Where a process keeps the most that an input took.
+#: File with the maximum time and memory of an input.
 _WORST = "worst.json"
 _INSTRUMENTED = [
     "stkzoo.engine.assets.headless",
@@ -75,7 +75,7 @@ _INSTRUMENTED = [
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Feeds what is missing and shows the table."""
+    """Feeds the missing inputs and prints the table."""
     words = argparse.ArgumentParser(
         prog="python -m benchmarks.fuzz",
         description=__doc__,
@@ -141,7 +141,7 @@ def _run_chunk(
     folder: Path,
     worst: dict[str, float],
 ) -> tuple[int, dict[str, str] | None]:
-    """Feeds a reader in a process of its own; how many inputs it took, and what was found."""
+    """Feeds a reader in a separate process; returns the number of inputs and any finding."""
     corpus = corpus / name.replace(" ", "-")
     (corpus / "found").mkdir(parents=True, exist_ok=True)
     (corpus / "found" / _WORST).unlink(missing_ok=True)
@@ -171,15 +171,15 @@ def _quiet() -> dict[str, str]:
     return {**os.environ, "PYTHONWARNINGS": "ignore"}
 
 
-# ---------------------------------------------------------------------- in the process that feeds
+# ---------------------------------------------------------------------- the feeding process
 
 
 class _Meter:
-    """Feeds a target, and keeps the most that an input took in a file.
+    """Feeds a target, and saves the maximum time and memory of an input.
 
     Args:
-        target: what to feed.
-        file: where the most is kept; written whenever there is more.
+        target: the target.
+        file: file for the maximum; written whenever it grows.
     """
 
     def __init__(self, target: Any, file: Path) -> None:

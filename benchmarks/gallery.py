@@ -1,11 +1,11 @@
-"""Draws the gallery of the documentation: each track in pictures, each view as what an agent sees.
+"""Draws the gallery of the documentation: pictures of each track and of each view.
 
     python -m benchmarks.gallery              # all, about ten minutes without a graphics card
     python -m benchmarks.gallery --only views
 
-A track has a frame by the game's renderer and a film of one lap on the map. A view has a drawing
-of what its observation contains, and its numbers where it is a vector. All views show the same
-moment.
+A track has a frame from the game's renderer and a film of one lap on the map. A view has a drawing
+of its observation and, if the observation is a vector, a plot of its values. All views show the
+same moment.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ PAGE = Path(__file__).parent.parent / "docs" / "reference" / "gallery.md"
 _FRAME_SIZE, _FRAME_STEP = (480, 270), 45
 _DRIVERS = ("heuristic", *(f"ai@:AI {number}" for number in range(1, 5)))
 
-#: The moment that all views show: four karts on hacienda, before a curve.
+#: The moment that all views show: four karts before a curve on hacienda.
 _TRACK, _SEED = "hacienda", 1
 _STARTS = {
     "kart_0": Start(share=0.31, speed=12.0),
@@ -59,7 +59,7 @@ _GROUND_COLOURS = {
 }
 
 Array = npt.NDArray[Any]
-#: Segments of the road as start, end and width in the drawing; karts and items ``(N, x and z)``.
+#: Road segments as start, end and line width; then karts and items, ``(N, 2)`` x and z [m].
 Surroundings = tuple[list[tuple[Array, Array, float]], Array, Array]
 
 
@@ -67,10 +67,10 @@ Surroundings = tuple[list[tuple[Array, Array, float]], Array, Array]
 
 
 class FrameRecorder(RaceListener):
-    """Keeps one frame of a race, drawn by the game.
+    """Keeps one frame of a race, rendered by the game.
 
     Attributes:
-        frame: the picture; ``None`` before that step, and if the game cannot draw the track.
+        frame: the image; ``None`` before its step, or if the game cannot render the track.
     """
 
     def __init__(self) -> None:
@@ -78,11 +78,11 @@ class FrameRecorder(RaceListener):
         self._renderer = RaceRenderer("engine", _FRAME_SIZE)
 
     def stepped(self, race: RaceProgress) -> None:
-        """Draws the frame at its step."""
+        """Renders the frame at its step."""
         if race.steps == _FRAME_STEP:
             scene = without_names(race.scene, camera_karts(race.scene))
             self._renderer.begin(replace(scene, setup=replace(scene.setup, num_cameras=1)))
-            with suppress(EngineError):  # pystk2 0.7.4 crashes on mines, with Mesa 22.3
+            with suppress(EngineError):  # pystk2 0.7.4 crashes on mines with Mesa 22.3
                 self.frame = next(iter(self._renderer.pictures(race.snapshot).values()))
             self._renderer.close()
 
@@ -129,7 +129,7 @@ def _observed(view: str) -> Any:
 
 
 def _vectors(observation: Any) -> dict[str, Array]:
-    """The vectors of an observation by name; none if it has the game's entries."""
+    """Returns the vectors of an observation by name; empty for the game's own entries."""
     if isinstance(observation, np.ndarray):
         return {"observation": observation}
     names = ("observation", "continuous", "discrete", "action_mask")
@@ -137,7 +137,7 @@ def _vectors(observation: Any) -> dict[str, Array]:
 
 
 def _draw_surroundings(axes: Any, name: str, observation: Any) -> None:
-    """Draws what the observation contains from above, the kart looking up."""
+    """Draws the contents of an observation from above, with the kart facing up."""
     if name == "ground":
         _draw_ground(axes, observation)
         return
@@ -160,7 +160,7 @@ def _draw_surroundings(axes: Any, name: str, observation: Any) -> None:
 
 
 def _of_dict(observation: Mapping[str, Any], to_points: Any) -> Surroundings:
-    """The surroundings in a dict observation."""
+    """Returns the surroundings in a dict observation."""
     starts, ends = (_flat(to_points(observation[f"paths_{end}"])) for end in ("start", "end"))
     road = [(start, end, 7.0) for start, end in zip(starts, ends, strict=True)]
     karts, items = (_flat(to_points(observation[f"{of}_position"])) for of in ("karts", "items"))
@@ -168,7 +168,7 @@ def _of_dict(observation: Mapping[str, Any], to_points: Any) -> Surroundings:
 
 
 def _of_racing(vector: Array) -> Surroundings:
-    """The surroundings in the view ``racing``, which has points on the road's line."""
+    """Returns the surroundings in the view ``racing``, which has points along the road's line."""
     marks = vector[PLACES["marks_direction"]].reshape(-1, 3) * MARKS[:, None]
     points = _flat(marks)
     road = [(start, end, 2.0) for start, end in pairwise(points)]
@@ -186,19 +186,19 @@ def _nearby(vector: Array, of: str) -> Array:
 
 
 def _from_polar(rows: Array) -> Array:
-    """Points of rows: the angles are of x and of y to z, each from -pi to pi."""
+    """Converts polar rows to points; the angles are those of x and y to z, from -pi to pi."""
     right, up, distance = np.transpose(rows)
     z = np.sign(np.cos(right)) * distance / np.sqrt(1 + np.tan(right) ** 2 + np.tan(up) ** 2)
     return np.transpose([z * np.tan(right), z * np.tan(up), z])
 
 
 def _flat(points: Array) -> Array:
-    """The x and z of points ``(N, 3)``."""
+    """Returns x and z of points ``(N, 3)``."""
     return np.reshape(points, (-1, 3))[:, [0, 2]]
 
 
 def _present(points: Array) -> Array:
-    """Without the rows of zeros that fill up fixed sizes."""
+    """Returns the points without zero padding."""
     return points[np.abs(points).sum(axis=1) > 0]
 
 
@@ -217,7 +217,7 @@ def _draw_ground(axes: Any, observation: Mapping[str, Any]) -> None:
 
 
 def _draw_numbers(axes: Any, vectors: Mapping[str, Array]) -> None:
-    """Draws the numbers of the vectors as bars: linear up to 1, logarithmic beyond."""
+    """Draws the values of the vectors as bars: linear up to 1, logarithmic beyond."""
     start, ticks = 0, []
     for name, vector in vectors.items():
         places = np.arange(start, start + len(vector))
@@ -235,7 +235,7 @@ def _draw_numbers(axes: Any, vectors: Mapping[str, Array]) -> None:
 
 
 def page() -> str:
-    """The gallery's page."""
+    """Returns the gallery's page."""
     return "\n".join(
         (
             "# Gallery",

@@ -1,4 +1,4 @@
-"""Measures the cost of the shipped learned drivers: µs per kart and decision.
+"""Measures the cost of the shipped learned drivers, in µs per kart and decision.
 
 All karts of some races are driven as one batch, as in training and evaluation. Then the decisions
 at the recorded moments are repeated without the game; the fastest of several repetitions counts.
@@ -35,23 +35,23 @@ from stkzoo.tracks import SPLITS
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
 
 RESULTS = Path(__file__).parent / "results" / "learned_drivers.json"
-#: Karts of one race.
+#: Maximum number of karts in a race.
 TOGETHER = 8
 TURNS = 5
 PARTS = ("see", "plan", "choose", "act")
-#: The learned drivers with plans.
+#: Learned drivers with plans.
 NAMES = ["pretrained:ace", "pretrained:apex", "pretrained:scout"]
 
 
 @dataclass
 class Batch:
-    """A learned driver of all karts of some races, and a clock.
+    """A learned driver for all karts of some races, with timing.
 
     Attributes:
-        folder: the driver's.
-        sizes: how many karts each race has.
-        batched_view: sees for them.
-        marks: when each part of each decision began and ended [s].
+        folder: folder of the driver.
+        sizes: number of karts of each race.
+        batched_view: returns the surroundings of the karts.
+        marks: times at which the parts of each decision began and ended [s].
     """
 
     folder: Path
@@ -65,7 +65,7 @@ class Batch:
         self._who = [np.arange(size) for size in self.sizes]
 
     def decide(self, snapshots: Sequence[Any]) -> npt.NDArray[np.float32]:
-        """The controls of all karts."""
+        """Returns the controls of all karts."""
         marks = [time.perf_counter()]
         seen = self.batched_view.surroundings(snapshots, [0] * len(snapshots), self._who, ALL_LOOKS)
         marks.append(time.perf_counter())
@@ -80,13 +80,13 @@ class Batch:
 
 
 def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
-    """Each part's µs a kart.
+    """Returns the cost of each part of a decision [µs per kart].
 
     Args:
-        name: the driver's.
-        karts: in one batch.
-        track: that they race on.
-        steps: how many moments.
+        name: name of the driver.
+        karts: number of karts in a batch.
+        track: name of the track.
+        steps: number of recorded moments.
     """
     module: Any = importlib.import_module(f"stkzoo.agents.{name.replace(':', '.')}")
     folder = Path(module.__file__).parent

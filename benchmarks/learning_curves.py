@@ -1,12 +1,12 @@
-"""Checks that learning while the actors drive on is as good as learning in turn with them.
+"""Compares learning while the actors keep driving with learning in turn with them.
 
     python -m benchmarks.learning_curves            # 12 million kart-steps, about an hour
     python -m benchmarks.learning_curves --seeds 0 1 --total-timesteps 500000
 
-The same training runs twice for each seed: as it is by default, where the actors drive the next
-rollout during an update, and with ``--on-policy``, where they wait for it. Curves are compared per
-kart-step: the mean time ratio in self-play races, over the second half of the training. The
-command continues after an interruption.
+The same training runs twice for each seed: by default, where the actors drive the next rollout
+during an update, and with ``--on-policy``, where they wait for the update. The curves of the mean
+time ratio in self-play races are compared per kart-step, over the second half of the training. The
+same command resumes an interrupted run.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from stkzoo.agents.training.common.run_folder import read_log
 from stkzoo.agents.training.ppo import selfplay
 
 RUNS = {"overlapping": (), "on-policy": ("--on-policy",)}
-#: Figures of the log that are compared.
+#: Compared figures of the log.
 FIGURES = ("selfplay_ratio", "selfplay_unfinished")
 _OPTIONS = ("--races", "10x8", "--actors", "2", "--anneal-timesteps")
 _POINTS = 40
@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _summary(logs: Sequence[Sequence[Mapping[str, Any]]], total: int) -> dict[str, Any]:
-    """The curve of each seed, and its mean over the second half."""
+    """Returns the mean curve of all seeds, and each seed's mean over the second half."""
     points = np.linspace(total / _POINTS, total, _POINTS)
     curves = {}
     for figure in FIGURES:

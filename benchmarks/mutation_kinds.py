@@ -1,4 +1,4 @@
-"""The kinds of files that stkzoo reads, each with a valid file and its reader."""
+"""Kinds of files that stkzoo reads, each with a valid file and a reader."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ class FileKind:
     """A kind of file.
 
     Attributes:
-        name: its name.
-        valid: makes the text of a valid one.
-        store: writes such a text, or what is left of it, into a folder; returns the file.
-        read: reads the file, and uses what was read.
+        name: name of the kind.
+        valid: returns the text of a valid file.
+        store: writes such a text, possibly damaged, to a folder; returns the file.
+        read: reads the file and uses its content.
         is_json: whether the text is JSON.
     """
 
@@ -83,7 +83,7 @@ class FileKind:
     is_json: bool = True
 
     def write(self, folder: Path, text: str) -> Path:
-        """Writes a text."""
+        """Writes a text to a file in a folder; returns the file."""
         return self.store(folder, text.encode())
 
     def damage(
@@ -93,7 +93,7 @@ class FileKind:
         mutate: Callable[[Any, random.Random], Any],
         damaged_text: Callable[[str, random.Random], bytes],
     ) -> Path:
-        """Writes a damaged file: changed in its structure if it has one, else in its text."""
+        """Writes a damaged file: usually with changed values if it is JSON, else damaged text."""
         text = self.valid()
         if not self.is_json or source.random() < 0.15:
             return self.store(folder, damaged_text(text, source))
@@ -107,7 +107,7 @@ def _parsed(text: str) -> Any:
 
 
 def _as(name: str) -> Callable[[Path, bytes], Path]:
-    """Writes a text as the file of a name."""
+    """Returns a function that writes a text to a file with a name."""
 
     def store(folder: Path, data: bytes) -> Path:
         file = folder / name
@@ -138,7 +138,7 @@ def _document(kind: type[Document], valid: Callable[[], Document]) -> FileKind:
 
 @cache
 def _race() -> tuple[RaceResult, MapFilm, bytes, bytes]:
-    """A race's result, its film, its replay and its demonstrations."""
+    """Returns the result, film, replay and demonstrations of a race."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as name:
@@ -164,7 +164,7 @@ def _benchmark() -> BenchmarkPlan:
 
 
 def _results(races: int) -> dict[int, RaceResult]:
-    """Results of a batch's races: the same race each time."""
+    """Returns results of a batch: the same race for each number."""
     return dict.fromkeys(range(races), _race()[0])
 
 
@@ -226,7 +226,7 @@ def _members(data: bytes) -> dict[str, bytes]:
 
 
 def _in_zip(whole: Callable[[], bytes], member: str, ending: str) -> Callable[[Path, bytes], Path]:
-    """Writes a text as one member of an otherwise valid zip."""
+    """Returns a function that writes a text as one member of an otherwise valid zip file."""
 
     def store(folder: Path, data: bytes) -> Path:
         file = folder / f"file{ending}"
@@ -253,7 +253,7 @@ def _scenario() -> bytes:
 
 
 def _store_demos(folder: Path, data: bytes) -> Path:
-    """Writes a text as the ``about`` of valid arrays."""
+    """Writes a text as the entry ``about`` of a valid demonstration file."""
     with np.load(io.BytesIO(_race()[3])) as found:
         arrays = dict(found)
     file = folder / "demos.npz"
@@ -279,7 +279,7 @@ def _read_demos(file: Path) -> None:
 
 @cache
 def _agent() -> dict[str, bytes]:
-    """The files of an agent that chooses among plans."""
+    """Returns the files of an agent that chooses among plans, by name."""
     import tempfile
 
     from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -302,7 +302,7 @@ def _header_size() -> int:
 
 
 def _store_weights(folder: Path, data: bytes) -> Path:
-    """Writes a text as the header of weights, with a card that fits."""
+    """Writes a text as the header of weights, with a matching card."""
     whole = _agent()[WEIGHTS]
     content = len(data).to_bytes(8, "little") + data + whole[8 + _header_size() :]
     card = _parsed(_agent()[CARD].decode()) | {"sha256": hashlib.sha256(content).hexdigest()}

@@ -1,8 +1,8 @@
-"""Damages valid files of every kind that stkzoo reads: each ends in stkzoo's own error, or is read.
+"""Damages files of every kind that stkzoo reads; each must be read or raise stkzoo's own error.
 
-A JSON file is changed where its structure is: a value becomes one of another type, a number out of
-range or not finite, a huge or deeply nested value; an entry or the end of the file goes, or another
-comes twice. Arrays and zips are damaged in their parts.
+Changes of a JSON file: a value of another type, a number out of range or not finite, a huge or
+deeply nested value, a missing, repeated or renamed entry, or a truncated file. Arrays and zip files
+are damaged in their parts.
 
     python -m benchmarks.mutations                       # 10,000 of each kind, half an hour
     python -m benchmarks.mutations --mutations 500 --kinds race-result league
@@ -30,7 +30,7 @@ from rich.table import Table
 from benchmarks.mutation_kinds import KINDS, FileKind
 from stkzoo.errors import StkzooError
 
-#: What a value may become.
+#: Replacements for a value.
 VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, 1, -1, -5, 2**31, 2**63, -(2**63), 10**400, 0.5, -0.0, 1e308, -1e308),
     *(float("nan"), float("inf"), -float("inf")),
@@ -43,13 +43,13 @@ _MAX_SHOWN = 3
 
 @dataclass(slots=True)
 class Outcome:
-    """What a kind's reader did with damaged files.
+    """Outcome of reading damaged files of one kind.
 
     Attributes:
-        refused: files that ended in stkzoo's own error.
-        read: files that were read.
-        slowest: the longest that one took [s].
-        findings: the mutation and the trace of each bare error.
+        refused: number of files that raised stkzoo's own error.
+        read: number of files that were read.
+        slowest: longest time of a file [s].
+        findings: mutation and traceback of each other error.
     """
 
     refused: int = 0
@@ -59,7 +59,7 @@ class Outcome:
 
 
 def mutate(value: Any, source: random.Random) -> Any:
-    """A copy of a JSON value with one or two changes at random places."""
+    """Returns a copy of a JSON value with one or two random changes."""
     changed = {"root": copy.deepcopy(value)}
     for _ in range(source.choice((1, 1, 1, 2))):
         holder, key = source.choice(list(_places(changed)))
@@ -68,7 +68,7 @@ def mutate(value: Any, source: random.Random) -> Any:
 
 
 def _places(value: Any) -> Iterator[tuple[Any, Any]]:
-    """Each container in a value with each of its keys."""
+    """Yields each container in a value with each of its keys."""
     keys = list(value) if isinstance(value, dict) else range(len(value))
     for key in keys:
         yield value, key
@@ -94,7 +94,7 @@ def _change(holder: Any, key: Any, source: random.Random) -> None:
 
 
 def damaged_text(text: str, source: random.Random) -> bytes:
-    """A damaged form of a text that is not made of values."""
+    """Returns a damaged copy of a text, regardless of its structure."""
     data = text.encode("utf-8", "surrogatepass")
     place = source.randrange(len(data) + 1)
     return source.choice(
@@ -116,12 +116,12 @@ def run_kind(kind: FileKind, count: int, seed: int, folder: Path) -> Outcome:
 
     Args:
         kind: the kind.
-        count: how many.
-        seed: of the damage.
-        folder: an empty one for the file.
+        count: number of files.
+        seed: seed of the damage.
+        folder: empty folder for the files.
     """
     source, outcome, findings = random.Random(f"{seed} {kind.name}"), Outcome(), []
-    kind.read(kind.write(folder, kind.valid()))  # a valid file is read
+    kind.read(kind.write(folder, kind.valid()))  # a valid file must be readable
     for number in range(count):
         file = kind.damage(folder, source, mutate, damaged_text)
         begin = time.perf_counter()
@@ -130,7 +130,7 @@ def run_kind(kind: FileKind, count: int, seed: int, folder: Path) -> Outcome:
             outcome.read += 1
         except StkzooError:
             outcome.refused += 1
-        except Exception:  # noqa: BLE001 - the finding
+        except Exception:  # noqa: BLE001 - any other error is a finding
             findings.append(f"{kind.name}, mutation {number}:\n{traceback.format_exc()[-1500:]}")
         outcome.slowest = max(outcome.slowest, time.perf_counter() - begin)
     outcome.findings = findings
@@ -138,7 +138,7 @@ def run_kind(kind: FileKind, count: int, seed: int, folder: Path) -> Outcome:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Damages files and shows a table."""
+    """Damages and reads files, and prints a table."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.mutations",
         description=__doc__,

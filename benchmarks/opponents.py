@@ -1,9 +1,9 @@
-"""Measures the cost of opponents: CPU time of the program per step.
+"""Measures the cost of opponents, as CPU time of the program per step.
 
-One agent races against eight other karts: the game's own, as bots and as the opponents ``ai:3``;
-and four ``pretrained:ace`` and four ``heuristic``, driven one by one and together. Alternatives are
-measured in turns. The engine's process is not counted, because it does the same work in both
-alternatives.
+One agent races against eight other karts. They are the game's AI, as bots or as the opponents
+``ai:3``; or four ``pretrained:ace`` and four ``heuristic``, driven one by one or together. The
+alternatives are measured in turn. The engine's process is not counted, because its work is the same
+in both alternatives.
 
     python -m benchmarks.opponents
     python -m benchmarks.opponents --races 1 --steps 100
@@ -28,24 +28,24 @@ from stkzoo.race import Driver, find_driver
 
 RESULTS = Path(__file__).parent / "results" / "opponents.json"
 BOTS, DRIVERS = ["ai:3"] * 8, ["pretrained:ace"] * 4 + ["heuristic"] * 4
-#: Steps of one form in a row, before the next one's turn; and those before the first.
+#: Consecutive steps of one alternative in its turn, and steps before the measured ones.
 TURN, WARMUP = 20, 60
 
 
 def alone(name: str) -> Driver:
-    """The driver of this name, without what drives several of its karts at once."""
+    """Returns a driver without the function that drives several of its karts at once."""
     driver = find_driver(name)
     load: Any = driver.load
     return replace(driver, load=lambda stack: replace(load(stack), act_together=None))
 
 
 def cost(races: int, steps: int, track: str) -> dict[str, float]:
-    """The median CPU time of a step in milliseconds, by form.
+    """Returns the median CPU time of a step [ms] of each alternative, by name.
 
     Args:
-        races: side by side.
-        steps: measured ones of each form.
-        track: that they race on.
+        races: number of parallel races.
+        steps: measured steps of each alternative.
+        track: name of the track.
     """
     forms: dict[str, list[Any] | None] = {
         "bots": None,
@@ -60,7 +60,7 @@ def cost(races: int, steps: int, track: str) -> dict[str, float]:
             form: stack.enter_context(closing(RaceVectorEnv(races, opponents=own, **options)))
             for form, own in forms.items()
         }
-        actions = np.tile([10, 0, 0, 0, 0], (races, 1))  # straight on
+        actions = np.tile([10, 0, 0, 0, 0], (races, 1))  # straight ahead
         for env in envs.values():
             env.reset(seed=1)
         for number in range(0, WARMUP + steps, TURN):

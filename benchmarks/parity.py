@@ -4,8 +4,8 @@
 
 stkzoo draws each race (seed, grid positions), and both run it with the same actions. Keys, types,
 shapes, values, rewards, ends and infos are compared at every step.
-``benchmarks.parity_compare.INTENDED`` lists the intended differences; any other difference ends the
-command with exit code 1.
+``benchmarks.parity_compare.INTENDED`` lists the intended differences; with any other difference,
+the command returns 1.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ ENV_IDS = (
     "supertuxkart/flattened_discrete-v0",
     "supertuxkart/multi-full-v0",
 )
-#: Where the reference runs the engine: in its own process, or in one that it starts (its default).
+#: Where the reference runs the engine: in its own process, or in a subprocess (its default).
 MODES = ("direct", "process")
-#: The last three have forks.
+#: Tracks to compare; the last three have forks.
 TRACKS = ("lighthouse", "hacienda", "cocoa_temple", "olivermath", "stk_enterprise")
 
 _RESULTS = Path(__file__).parent / "results" / "parity.json"
@@ -65,7 +65,7 @@ _NUM_KART = 4
 
 
 def reference_process() -> ReferenceProcess:
-    """Starts the reference on the game's data that stkzoo uses."""
+    """Starts the reference with the game data that stkzoo uses."""
     return ReferenceProcess(find_assets().root)
 
 
@@ -75,13 +75,13 @@ def jobs_for(
     steps: int = 300,
     modes: Sequence[str] = ("direct",),
 ) -> Iterator[Job]:
-    """All races: every id on every track, driven by actions and by the game's AI.
+    """Yields all races: each id on each track, driven by actions and by the game's AI.
 
-    Each in every mode of :data:`MODES`.
+    Each race runs in each of ``modes``, which are some of :data:`MODES`.
 
-    The dictionary of agents has two agents and one AI agent in one race, and then AI
-    agents alone. The AI agent starts in front of the others, because the reference hands
-    actions to the wrong karts otherwise (D01).
+    The multi-agent id has three races: agents only, two agents with an AI agent, and AI agents
+    only. The AI agent starts in front of the others, because otherwise the reference assigns
+    actions to the wrong karts (D01).
     """
     for env_id in env_ids:
         teams: list[tuple[bool, ...]] = [(False,), (True,)]
@@ -95,13 +95,13 @@ def jobs_for(
 
 
 def compare_race(job: Job, reference: ReferenceProcess) -> tuple[Job, Comparison]:
-    """Runs one race on both sides; returns it with what was drawn, and the comparison."""
+    """Runs a race on both sides; returns the job with the drawn values, and the comparison."""
     ours, theirs, context = record_race(job, reference)
     return context.job, compare(ours, theirs, context)
 
 
 def record_race(job: Job, reference: ReferenceProcess) -> tuple[Recording, Recording, RaceContext]:
-    """One race as we saw it, as the reference saw it, and what is known of it besides."""
+    """Runs a race on both sides; returns our recording, the reference's, and the context."""
     env = _make(job)
     try:
         first = env.reset(seed=_seed(job))

@@ -17,9 +17,9 @@ from stkzoo.engine.track import TrackMap
 
 __all__ = ["INTENDED", "TOLERANCE", "Comparison", "Intended", "RaceContext", "compare"]
 
-#: Largest error allowed, relative to the number's size, or to 1 (m, rad, s) where it is
-#: smaller. The floor: tracks reach 1 km from the world's origin, where neighbouring float32
-#: numbers lie 6e-5 m apart, and both sides subtract two of them in another order.
+#: Maximum error, relative to the number's magnitude or to 1 (m, rad, s), whichever is larger.
+#: Smaller tolerances fail: tracks extend 1 km from the world's origin, where adjacent float32
+#: numbers are 6e-5 m apart, and the two sides subtract them in different orders.
 TOLERANCE = 1e-4
 
 _POSITIONS = {"items_position", "karts_position", "center_path", "paths_start", "paths_end"}
@@ -28,13 +28,13 @@ _PATHS = {"paths_distance", "paths_width", "paths_start", "paths_end"}
 
 @dataclass(frozen=True)
 class RaceContext:
-    """What the comparison knows of the race beside the two recordings.
+    """Information about a race in addition to the two recordings.
 
     Attributes:
         job: the race.
-        track: its track.
-        nodes: for each moment, the track node of each agent's kart.
-        finished: for each moment, whether each agent had finished before it.
+        track: track of the race.
+        nodes: track node of each agent's kart, by moment.
+        finished: whether each agent had finished before the moment, by moment.
     """
 
     job: Job
@@ -45,15 +45,15 @@ class RaceContext:
 
 @dataclass(frozen=True)
 class Difference:
-    """One entry that is not the same.
+    """An entry that differs.
 
     Attributes:
         aspect: ``missing`` or ``extra`` in ours, ``space``, ``type``, ``value`` or ``order``.
-        path: the entry, ``observation/...``, ``info/...``, ``reward`` and so on.
+        path: path of the entry, such as ``observation/...``, ``info/...`` or ``reward``.
         step: number of the moment; -1 for spaces.
-        text: what both sides have.
-        ours: our value, where there is one.
-        theirs: the reference's value, where there is one.
+        text: description of both sides.
+        ours: our value, if there is one.
+        theirs: the reference's value, if there is one.
     """
 
     aspect: str
@@ -65,7 +65,7 @@ class Difference:
 
     @property
     def agent(self) -> int:
-        """Number of the agent whose entry it is."""
+        """Number of the agent to which the entry belongs."""
         match = re.search(r"/(\d+)(/|$)", self.path)
         return int(match[1]) if match else 0
 
@@ -75,16 +75,16 @@ Check = Callable[[Difference, RaceContext], bool]
 
 @dataclass(frozen=True)
 class Intended:
-    """A difference that is meant to be.
+    """An intended difference.
 
     Attributes:
-        code: its short name in reports; D numbers are defects of the reference.
-        why: the reason.
-        aspects: the kinds of difference it covers.
-        path: regular expression for the whole path.
-        env_id: regular expression for a part of the id.
-        needs_ai: only where the game drives an agent.
-        check: what must hold of the two values all the same.
+        code: short name in reports; D numbers are defects of the reference.
+        why: reason for the difference.
+        aspects: aspects that it covers, separated by spaces.
+        path: regular expression that matches the whole path.
+        env_id: regular expression that matches a part of the environment id.
+        needs_ai: whether it applies only to races in which the game drives an agent.
+        check: additional condition on the difference.
     """
 
     code: str
@@ -96,7 +96,7 @@ class Intended:
     check: Check = lambda _difference, _context: True
 
     def covers(self, difference: Difference, context: RaceContext) -> bool:
-        """Whether this is the reason for the difference."""
+        """Returns whether this entry explains a difference."""
         return (
             difference.aspect in self.aspects.split()
             and re.fullmatch(self.path, difference.path) is not None
@@ -130,7 +130,7 @@ def _pipe_drops_it(difference: Difference, context: RaceContext) -> bool:
 
 
 def _is_number_of_choices(difference: Difference, _: RaceContext) -> bool:
-    """Whether our number stands for their choices, up to one step of each discretised one."""
+    """Returns whether our number encodes their choices, up to one step of discretized ones."""
     if difference.ours is None or difference.theirs is None:
         return False
     counts = (5, 2, 2, 2, 2, 2, 7)
@@ -139,7 +139,7 @@ def _is_number_of_choices(difference: Difference, _: RaceContext) -> bool:
     return bool(np.isin(apart[[0, 6]], (0, 1)).all() and not apart[1:6].any())
 
 
-#: Every difference that is meant to be. ``compare`` reports all others as undocumented.
+#: All intended differences. ``compare`` reports all others as undocumented.
 INTENDED = (
     Intended(
         "D08",
@@ -287,14 +287,14 @@ INTENDED = (
 
 @dataclass
 class Comparison:
-    """What came of comparing two recordings.
+    """Result of comparing two recordings.
 
     Attributes:
-        steps: how many steps were compared.
-        max_error: the largest error of a number, relative to its size or to 1.
-        worst: the path of that number.
-        intended: how often each code of :data:`INTENDED` was met.
-        undocumented: the first of each difference that nothing in the table covers.
+        steps: number of compared steps.
+        max_error: largest error of a number; see :data:`TOLERANCE`.
+        worst: path of that number.
+        intended: number of differences by code of :data:`INTENDED`.
+        undocumented: first occurrence of each difference that :data:`INTENDED` does not cover.
     """
 
     steps: int = 0
@@ -305,7 +305,7 @@ class Comparison:
 
 
 def compare(ours: Recording, theirs: Recording, context: RaceContext) -> Comparison:
-    """Compares two recordings of one race on the same actions."""
+    """Compares two recordings of a race with the same actions."""
     comparer = _Comparer(context, theirs.layout)
     comparer.compare_spaces("observation_space", ours.observation_space, theirs.observation_space)
     comparer.compare_spaces("action_space", ours.action_space, theirs.action_space)
@@ -344,7 +344,7 @@ class _Comparer:
     def _compare_leaves(
         self, part: str, step: int, ours: dict[str, Leaf], theirs: dict[str, Leaf]
     ) -> None:
-        if "" in theirs:  # the reference's continuous view of an AI agent is its action alone
+        if "" in theirs:  # the reference's continuous view of an AI agent has only its action
             theirs = {"action": theirs[""]}
         for key in ours.keys() - theirs.keys():
             self._note(Difference("extra", f"{part}/{key}", step, ours[key].kind))
@@ -359,7 +359,7 @@ class _Comparer:
             self._compare_entries(step, entries)
 
     def _entries(self, path: str, ours: Leaf, theirs: Leaf) -> list[tuple[str, Leaf, Leaf]]:
-        """The inner entries of flattened vectors; anything else as it is."""
+        """Splits flattened vectors into their inner entries; returns other values unchanged."""
         inner = self._layout.get(path.removeprefix("observation/"), [])
         if not inner or ours.kind != theirs.kind:
             return [(path, ours, theirs)]
@@ -375,7 +375,7 @@ class _Comparer:
         return entries
 
     def _compare_entries(self, step: int, entries: list[tuple[str, Leaf, Leaf]]) -> None:
-        """Compares entries of one agent, once things that are equally far away are matched."""
+        """Compares the entries of one agent after matching objects at equal distances."""
         moves: dict[str, npt.NDArray[np.intp]] = {}
         for path, ours, theirs in entries:
             group, _, name = path.rpartition("/")[-1].partition("_")
@@ -394,7 +394,7 @@ class _Comparer:
     def _on_our_side(
         self, path: str, step: int, entries: list[tuple[str, Leaf, Leaf]], ours: Leaf, theirs: Leaf
     ) -> Leaf:
-        """The reference's distance with our sign, where the line is neither left nor right."""
+        """Returns the reference's distance, with our sign if the line is neither left nor right."""
         line = path.removesuffix("_distance")
         vector = next(their.values for name, _, their in entries if name == line)
         is_polar = self._context.job.is_polar
@@ -433,7 +433,7 @@ class _Comparer:
                 self.result.max_error, self.result.worst = error, path
 
     def _in_our_order(self, path: str, step: int, ours: Leaf, theirs: Leaf) -> tuple[Leaf, bool]:
-        """The reference's rows where ours stand; rows of other segments take our values."""
+        """Returns the reference's rows in our order; segments that it lacks get our values."""
         agent = Difference("", path, step, "").agent
         limit = len(theirs.values)
         orders = self._orders_from(self._context.nodes[step][agent])
@@ -447,7 +447,7 @@ class _Comparer:
         return Leaf(theirs.kind, rows), True
 
     def _orders_from(self, node: int) -> tuple[list[int], list[int]]:
-        """The segments from a node on, in our order and in the reference's."""
+        """Returns the segments from a node on, in our order and in the reference's."""
         if node not in self._orders:
             track = self._context.track
             ours = track.nodes_ahead(np.array([node]))[0].tolist()
@@ -478,7 +478,7 @@ class _Comparer:
 def _errors(
     ours: npt.NDArray[Any], theirs: npt.NDArray[Any], is_polar: bool, is_vector: bool
 ) -> npt.NDArray[np.float64]:
-    """The error of each number, relative to its size (for a vector its length), or to 1."""
+    """Returns the error of each number; see :data:`TOLERANCE`. Vectors count with their length."""
     a, b = ours.astype(np.float64), theirs.astype(np.float64)
     if not is_polar:
         size = np.linalg.norm(b, axis=-1, keepdims=True) if is_vector and b.size else np.abs(b)
@@ -498,9 +498,9 @@ def _worst_row(
 
 
 def _arms(polar: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Length of the two arms that turn by the two angles, ``(..., 2)`` [m].
+    """Returns the lengths of the two arms that the two angles rotate, ``(..., 2)`` [m].
 
-    An angle is as good as undefined where its arm vanishes: straight above, for the first.
+    An angle is ill-defined if its arm is short; for the first angle, this is straight above.
     """
     (sin_x, sin_y), (cos_x, cos_y) = (
         np.moveaxis(turn(polar[..., :2]), -1, 0) for turn in (np.sin, np.cos)
@@ -514,7 +514,7 @@ def _arms(polar: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def _matched_rows(
     ours: npt.NDArray[Any], theirs: npt.NDArray[Any], is_polar: bool
 ) -> npt.NDArray[np.intp]:
-    """For each of our rows the reference's row that is equal to it, among near ties."""
+    """Returns the equal row of the reference for each of our rows, among rows that nearly tie."""
     rows = np.arange(len(theirs))
     if ours.shape != theirs.shape:
         return rows
@@ -528,7 +528,7 @@ def _matched_rows(
 
 
 def _order_of_reference(track: TrackMap, start: int) -> list[int]:
-    """The order in which the reference lists segments, where nearer ones than half a lap tie."""
+    """Returns the reference's order of segments, in which those within half a lap tie."""
     ends = track.path_distance[:, 1]
     order: dict[int, None] = {}
     queue = [(0.0, start)]

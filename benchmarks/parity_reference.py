@@ -2,8 +2,8 @@
 
 The reference and stkzoo register the same ids, so the reference runs in a separate interpreter
 (:class:`ReferenceProcess`). With the game's bots, only the first race of a process is reproducible,
-so that interpreter forks a child process per race. The child runs the engine itself, or leaves it
-to the process that the reference starts by default.
+so that interpreter forks a child process per race. The child runs the engine itself, or in the
+subprocess that the reference starts by default.
 """
 
 from __future__ import annotations
@@ -33,26 +33,26 @@ __all__ = [
     "serve",
 ]
 
-#: The action stream accepts a drawn action whose throttle, brake and rescue are unhelpful
-#: with these probabilities; else the karts would stand.
+#: Probabilities of accepting a random action with low throttle, brake or rescue. With all such
+#: actions, karts would hardly move.
 _KEEP_SLOW, _KEEP_BRAKE, _KEEP_RESCUE = 0.2, 0.1, 0.01
-#: A drawn action is held for so many steps.
+#: Number of steps for which an action is held.
 _HOLD_STEPS = 4
 
 
 @dataclass(frozen=True)
 class Job:
-    """One race to run: plain values, so that it crosses a process border as JSON.
+    """A race to run. All values are plain, so that it can be sent to a process as JSON.
 
     Attributes:
         env_id: Gymnasium id.
         track: the track.
-        steps: steps to take at most; the episode is truncated there.
+        steps: maximum number of steps, after which the episode is truncated.
         num_kart: number of karts.
-        use_ai: for each agent, whether the game drives it.
-        engine_seed: the engine's own seed.
-        kart_indices: each agent's kart in grid order.
-        use_subprocess: whether the reference runs the engine in a process of its own.
+        use_ai: whether the game drives each agent.
+        engine_seed: seed of the engine.
+        kart_indices: kart index of each agent, in grid order.
+        use_subprocess: whether the reference runs the engine in a subprocess.
     """
 
     env_id: str
@@ -66,12 +66,12 @@ class Job:
 
     @property
     def is_multi(self) -> bool:
-        """Whether the id is the dictionary of agents."""
+        """Whether the id is the multi-agent id."""
         return "multi-full" in self.env_id
 
     @property
     def is_polar(self) -> bool:
-        """Whether positions are angles and a distance."""
+        """Whether positions are two angles and a distance."""
         return "full" not in self.env_id
 
 
@@ -79,7 +79,7 @@ class Leaf(NamedTuple):
     """One entry of a nested value.
 
     Attributes:
-        kind: name of its type; for a tuple also that of its entries.
+        kind: name of its type; for a tuple, also the types of its entries.
         values: the value; a tuple's entries are stacked.
     """
 
@@ -88,7 +88,7 @@ class Leaf(NamedTuple):
 
 
 class Moment(NamedTuple):
-    """What ``reset`` (with reward 0 and no end) or ``step`` returned."""
+    """The result of ``step``, or of ``reset`` with reward 0 and no end."""
 
     observation: dict[str, Leaf]
     reward: float
@@ -99,14 +99,14 @@ class Moment(NamedTuple):
 
 @dataclass
 class Recording:
-    """One race as one side saw it.
+    """A race as recorded by one side.
 
     Attributes:
-        moments: reset and every step.
-        observation_space: its leaves by path, as text and shape.
-        action_space: likewise.
-        actions: the actions of the steps, as given.
-        layout: for flattened vectors, the inner entries by vector: name, shape.
+        moments: results of the reset and of each step.
+        observation_space: leaves of the observation space as text, by path.
+        action_space: leaves of the action space as text, by path.
+        actions: action of each step.
+        layout: name and shape of the inner entries of flattened vectors, by vector.
     """
 
     moments: list[Moment]
@@ -117,7 +117,7 @@ class Recording:
 
 
 def flatten(value: Any, path: str = "") -> dict[str, Leaf]:
-    """The entries of nested dicts by their path, ``"a/b"``."""
+    """Returns the entries of nested dicts by path, such as ``"a/b"``."""
     if isinstance(value, Mapping):
         leaves: dict[str, Leaf] = {}
         for key, part in value.items():
@@ -136,7 +136,7 @@ def _kind(value: Any) -> str:
 
 
 def inner_spaces(space: Any, path: str = "") -> dict[str, str]:
-    """The leaves of nested ``Dict`` spaces as text, by their path."""
+    """Returns the leaves of nested ``Dict`` spaces as text, by path."""
     if hasattr(space, "spaces") and isinstance(space.spaces, Mapping):
         leaves: dict[str, str] = {}
         for key, part in space.spaces.items():
@@ -146,10 +146,10 @@ def inner_spaces(space: Any, path: str = "") -> dict[str, str]:
 
 
 class ReferenceProcess:
-    """An interpreter in which pystk2-gymnasium runs recorded races.
+    """An interpreter in which pystk2-gymnasium runs and records races.
 
     Args:
-        data: the game's data, as ``SUPERTUXKART_DATADIR`` names it.
+        data: folder of the game data, for ``SUPERTUXKART_DATADIR``.
     """
 
     def __init__(self, data: Path) -> None:
@@ -177,7 +177,7 @@ class ReferenceProcess:
         """Runs one race with actions drawn from the reference's own action space.
 
         Raises:
-            RuntimeError: the reference failed; the text ends with what it wrote.
+            RuntimeError: the reference failed; the message ends with its output.
         """
         output = Path(self._folder.name, "recording")
         output.unlink(missing_ok=True)
@@ -203,13 +203,13 @@ class ReferenceProcess:
         self.close()
 
 
-# ---------------------------------------------------------- inside the other interpreter
+# ---------------------------------------------------------- in the other interpreter
 
 
 def serve() -> None:
-    """Runs the jobs that come in by lines of JSON; the other interpreter's main function."""
+    """Runs jobs, one line of JSON each; the main function of the other interpreter."""
     replies = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # the engine's chatter
+    os.dup2(2, 1)  # the engine prints to stdout
     _compile_rotations()
     for line in sys.stdin:
         request = json.loads(line)
@@ -221,7 +221,7 @@ def serve() -> None:
 
 
 def _compile_rotations() -> None:
-    """Lets the reference's compiler run here, once for all children."""
+    """Compiles the reference's functions once for all children."""
     from pystk2_gymnasium.utils import rotate, rotate_batch
 
     quaternion = np.zeros(4, np.float32)
@@ -236,7 +236,7 @@ def _run_child(job: Job, output: Path) -> None:
         output.write_bytes(pickle.dumps(_record(env, job)))
         env.close()
         status = 0
-    except BaseException:  # noqa: BLE001 - the child must not go on as the parent
+    except BaseException:  # noqa: BLE001 - the child must not continue as the parent
         import traceback
 
         traceback.print_exc()
@@ -306,7 +306,7 @@ def _make(job: Job) -> Any:
 
 
 def _layout(env: Any) -> dict[str, list[tuple[str, tuple[int, ...]]]]:
-    """The entries of the flattened observation's two vectors, in order."""
+    """Returns the entries of the two vectors of flattened observations, in order."""
     while not hasattr(env, "observation_flattener"):
         if not hasattr(env, "env"):
             return {}
@@ -319,7 +319,7 @@ def _layout(env: Any) -> dict[str, list[tuple[str, tuple[int, ...]]]]:
 
 
 def _draw(env: Any, random: np.random.Generator, is_multi: bool) -> Any:
-    """An action of the space, with the throttle mostly on and the rescue bird mostly off."""
+    """Draws an action from the space, mostly with throttle and without brake and rescue."""
     if is_multi:
         return {key: _accepted(space, [], random) for key, space in env.action_space.items()}
     wrappers = []

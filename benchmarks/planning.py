@@ -8,8 +8,8 @@ One kart races alone, or against the game's AI at its highest level: once driven
     python -m benchmarks.planning --track hacienda lighthouse --seeds 3
     python -m benchmarks.planning --rivals 4
 
-Each race is saved when it ends, and the same command resumes. Races that are already in the file
-are not repeated: use --again, or delete the file, after a change of the planner.
+Each race is saved when it ends, and the same command resumes an interrupted run. Races that are
+already in the file are not repeated: after a change of the planner, use --again or delete the file.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ BASE, PLANNER = DRIVERS = ("pretrained:ace", "planner")
 
 @dataclass(frozen=True)
 class Result:
-    """One race.
+    """Result of a race.
 
     Attributes:
-        track: the track's name.
-        rivals: number of karts that the game's AI drives.
-        seed: of the race.
-        driver: who drove.
-        finish_time: on the game's clock [s]; ``None`` if the kart did not finish.
-        rank: rank at the end.
+        track: name of the track.
+        rivals: number of karts driven by the game's AI.
+        seed: seed of the race.
+        driver: name of the driver.
+        finish_time: finish time on the game's clock [s]; ``None`` if the kart did not finish.
+        rank: final rank.
         rescues: number of rescues.
-        seconds: how long the race took to compute.
+        seconds: computing time [s].
     """
 
     track: str
@@ -64,7 +64,7 @@ class Result:
 
     @property
     def key(self) -> tuple[str, int, int, str]:
-        """What identifies the race."""
+        """Identifies the race."""
         return self.track, self.rivals, self.seed, self.driver
 
     @property
@@ -75,7 +75,7 @@ class Result:
 
 
 def race(track: str, rivals: int, seed: int, driver: str) -> Result:
-    """One race to the finish."""
+    """Runs a race to the finish."""
     start = time.perf_counter()
     drivers = [driver, *["ai"] * rivals]
     result = run_race(drivers, wait_for=[0], track=track, seed=seed, difficulty=DIFFICULTY)

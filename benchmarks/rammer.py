@@ -20,17 +20,17 @@ from stkzoo.agents.planning.driver import PlanDriver
 env_name = "supertuxkart/full-v0"
 player_name = "rammer"
 
-#: How far away a victim can be, and how far behind [m].
+#: Maximum distance of a victim, and maximum distance behind the rammer [m].
 _REACH, _BEHIND = 40.0, 3.0
 
 create_state = heuristic.create_state
 
 
 def drive(planner: PlanDriver, observation: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the action: towards the victim, or that of the heuristic."""
+    """Returns an action toward the victim; without a victim, the action of the heuristic."""
     action = planner.drive(observation)
     victim = _nearest(observation)
-    is_stuck = action["rescue"] or action["brake"]  # the heuristic frees it
+    is_stuck = action["rescue"] or action["brake"]  # the heuristic frees the kart
     if victim is None or is_stuck or observation["phase"] < Phase.GO_PHASE:
         return action
     right, _, forward = victim

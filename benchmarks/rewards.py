@@ -1,14 +1,14 @@
 """Records the rewards of six different drivers on each track and in each direction.
 
-Three karts do nothing useful (one stands still, one presses rescue, one reverses). The game's AI at
-difficulty 0, the pursuit driver and the heuristic driver race. The record has the distance and the
-position of each kart once per second, so that rewards can be recomputed, as in
-``tests/mdp/test_reward_order.py``::
+Three karts do nothing useful: one stands still, one presses rescue, and one reverses. The game's AI
+at difficulty 0, the pursuit driver and the heuristic driver race. The record contains the distance
+and the position of each kart once per second. From these, ``tests/mdp/test_reward_order.py``
+recomputes rewards::
 
-    python -m benchmarks.rewards            # the table, from the record
-    python -m benchmarks.rewards --record   # drive all the races again (about three minutes)
-    python -m benchmarks.rewards --track lighthouse   # drive one, with the built-in rewards
-        compared
+    python -m benchmarks.rewards            # print the table from the record
+    python -m benchmarks.rewards --record   # drive all races again (about three minutes)
+    python -m benchmarks.rewards --track lighthouse   # drive one race and compare all built-in
+        rewards
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from stkzoo.tracks import SPLITS
 FloatArray = npt.NDArray[np.float64]
 
 RECORD = Path(__file__).parent / "results" / "rewards.npz"
-#: The karts of each race, in grid order.
+#: Karts of each race, in grid order.
 KARTS = ("stands", "rescues", "reverses", "AI 0", "pursuit", "heuristic")
 IDLERS = 3
-#: Fields of a kart that the shipped rewards read.
+#: Fields of a kart that the built-in rewards read.
 FIELDS = ("overall_distance", "position", "has_finished_race", "finish_time")
 ACTIONS = (
     {"acceleration": 0.0},
@@ -50,14 +50,14 @@ MAX_STEPS, EVERY = 3000, 10
 
 @dataclass(frozen=True)
 class RecordedRace:
-    """What a race's karts did.
+    """A recorded race.
 
     Attributes:
-        track: its name.
+        track: name of the track.
         reverse: whether it was driven in reverse.
-        length: of the race [m].
-        karts: ``(T, 6)`` structured, with :data:`FIELDS`; the first row is the grid.
-        steps: ``(T,)`` the step of each row.
+        length: length of the race [m].
+        karts: ``(T, 6)`` structured array with :data:`FIELDS`; the first row is the grid.
+        steps: ``(T,)`` step of each row.
     """
 
     track: str
@@ -67,24 +67,24 @@ class RecordedRace:
     steps: npt.NDArray[np.int64]
 
     def returns(self, name: str) -> FloatArray:
-        """``(6,)``: what each kart earns over the race with a shipped reward.
+        """Returns the return of each kart over the race, ``(6,)``, for a built-in reward.
 
-        Potentials and payments at the finish sum to the same in any sampling. The rank of the
-        reference's formula does not: it needs a race that was recorded in every step.
+        The sums of potentials and of rewards at the finish do not depend on the sampling interval.
+        The rank term of the reference's formula does: it needs a recording of every step.
         """
         totals = np.zeros(len(KARTS))
         moments = [self._moment(row) for row in self.karts]
         for row, (before, after) in enumerate(pairwise(moments)):
             count = self.steps[row + 1]
             terms = REWARDS[name](Transition(before, after, self.length))
-            if "time" in terms:  # paid in every step
+            if "time" in terms:  # earned in every step
                 terms["time"] = terms["time"] * (count - self.steps[row])
             is_racing = before.karts["has_finished_race"] == 0
             totals += np.where(is_racing, sum(terms.values()), 0.0)
         return totals
 
     def finishers(self) -> list[int]:
-        """The karts that finished, the winner first."""
+        """Returns the karts that finished, the winner first."""
         times = self.karts["finish_time"].max(axis=0)
         return [int(kart) for kart in np.argsort(times) if times[kart] > 0]
 
@@ -99,7 +99,7 @@ class RecordedRace:
 
 
 def drive(track: str, reverse: bool, seed: int = 1, every: int = EVERY) -> RecordedRace:
-    """A race on the real engine until its drivers have finished, recorded each ``every`` steps."""
+    """Runs a race until its drivers have finished, and records every ``every`` steps."""
     with race_v0.parallel_env(
         agents=[AgentSpec(rank_start=kart) for kart in range(IDLERS)],
         num_kart=len(KARTS),
@@ -127,7 +127,7 @@ def drive(track: str, reverse: bool, seed: int = 1, every: int = EVERY) -> Recor
 
 
 def _action(wanted: Mapping[str, float]) -> dict[str, Any]:
-    """An action that does nothing but what is wanted."""
+    """Returns an action in which all other entries are 0."""
     action = {key: np.zeros_like(value) for key, value in kart_action_space().sample().items()}
     for key, value in wanted.items():
         action[key] = np.full_like(action[key], value)
@@ -151,7 +151,7 @@ def record() -> None:
 
 
 def recorded() -> Iterator[RecordedRace]:
-    """The races of the record."""
+    """Yields the races of the record."""
     with np.load(RECORD) as arrays:
         for name in [key.removesuffix("/length") for key in arrays if key.endswith("/length")]:
             fields = [arrays[f"{name}/{field}"] for field in FIELDS]
@@ -171,7 +171,7 @@ def recorded() -> Iterator[RecordedRace]:
 
 
 def main() -> None:
-    """The command line."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

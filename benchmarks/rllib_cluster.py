@@ -1,10 +1,10 @@
 """Tests self-play with RLlib on a two-node cluster while an env runner and a node are killed.
 
 python -m benchmarks.rllib_cluster                  some minutes, 2 GB of disk for Ray
-python -m benchmarks.rllib_cluster --folder /big    Ray's environment elsewhere, or used again
+python -m benchmarks.rllib_cluster --folder /big    use or reuse Ray's environment elsewhere
 
-Both nodes are on this machine, but the second one has its own home directory without the game's
-data, which must be sent to it. During the run, the second node's env runner is killed with SIGKILL.
+Both nodes are on this machine, but the second one has its own cache folder without the game data,
+which must be sent to it. During the run, the second node's env runner is killed with SIGKILL.
 After it has been restarted, the whole node is killed, and later a third node joins. The run must
 complete all iterations. The result is ``benchmarks/results/rllib_cluster.json``.
 """
@@ -32,12 +32,12 @@ ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "rllib_cluster.json"
 _RUNNER = "ray::RaceEnvRunner"
 _CACHE = "STKZOO_CACHE"
-#: So many iterations go by between what happens.
+#: Number of iterations between two disturbances.
 PAUSE = 2
 
 
 def main() -> int:
-    """Runs the trial; 0 if the run was completed and env runners came back."""
+    """Runs the trial; returns 0 if the run completes and its env runners restart."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def _with_ray(folder: Path) -> int:
-    """Runs this program again where Ray is."""
+    """Runs this program again in the environment with Ray."""
     from benchmarks.ecosystem import SETS, environment
 
     python = environment(folder / "rllib", SETS["rllib"])
@@ -69,7 +69,7 @@ def _with_ray(folder: Path) -> int:
 
 
 class Trial:
-    """One run on one cluster."""
+    """A training run on a cluster."""
 
     def __init__(self, folder: Path, iterations: int, timeout: float, pack: str) -> None:
         self._pack = pack
@@ -81,7 +81,7 @@ class Trial:
 
     def run(self) -> dict[str, Any]:
         """Runs the trial and returns its result."""
-        os.environ["RAY_AUTH_MODE"] = "disabled"  # nobody else is on this cluster
+        os.environ["RAY_AUTH_MODE"] = "disabled"  # the cluster is only for this trial
         from ray.cluster_utils import Cluster
 
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
@@ -104,7 +104,7 @@ class Trial:
         return node
 
     def words(self, address: str) -> list[str]:
-        """The options of the training command."""
+        """Returns the options of the training command."""
         options = {
             "address": address,
             "output": self._run_folder,
@@ -172,7 +172,7 @@ class Trial:
         return len(self._log())
 
     def _runners(self, name: str) -> list[int]:
-        """The processes of a node's env runners."""
+        """Returns the process ids of a node's env runners."""
         import psutil
 
         found = []

@@ -1,8 +1,9 @@
-"""What the sandbox costs: the start of an agent, and one decision.
+"""Measures the cost of the sandbox for the start of an agent and for a decision.
 
     python -m benchmarks.sandbox
 
-Starts an agent with each sandbox in turn, several times, and asks it for actions. Prints medians.
+Starts an agent several times with and without the sandbox, in turn, and requests actions. Prints
+the medians.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _AGENT = Path(__file__).parents[1] / "tests" / "data" / "agents" / "plain"
 
 
 def measure(mode: str, steps: int) -> tuple[float, float]:
-    """Times of one agent [ms]: until it is ready, and of one decision."""
+    """Returns the time until an agent is ready, and the time of a decision [ms]."""
     driver = find_driver(str(_AGENT))
     spaces = kart_observation_space(), kart_action_space()
     request = DriverRequest("kart_0", *spaces, 0, DriverLimits(sandbox=mode))
@@ -40,7 +41,7 @@ def measure(mode: str, steps: int) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Prints the table."""
+    """Runs the command."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
@@ -49,7 +50,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"auto is {sandbox.sandbox_kind('auto')} here")
     times: dict[str, list[tuple[float, float]]] = {"off": [], "auto": []}
-    for _ in range(arguments.starts):  # in turn, so that other load hits both
+    for _ in range(arguments.starts):  # in turn, so that other load affects both
         for mode, rows in times.items():
             rows.append(measure(mode, arguments.steps))
     for mode, rows in times.items():

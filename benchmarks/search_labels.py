@@ -2,9 +2,10 @@
 
 A network can imitate the planner only as far as the state of a race determines its decision. One
 kart races alone, driven by the planner. At each decision, the planner searches twice with
-different candidates and follows the first result. The two results agree in the direction if both
-steer more to the same side than the base policy, or both not, and fully if they also have the same
-manoeuvre. For comparison: how often results of different decisions agree.
+different candidates and follows the first result. The two results agree in direction if both steer
+further than the base policy to the same side, or neither steers further. They agree fully if they
+also have the same maneuver. For comparison, the command prints how often the results of different
+decisions agree.
 
     python -m benchmarks.search_labels          # writes results/search_labels.json
 """
@@ -29,7 +30,7 @@ from stkzoo.tracks import SPLITS
 OUTPUT = Path(__file__).parent / "results" / "search_labels.json"
 TRACKS = ("lighthouse", "hacienda", "snowmountain", "minigolf")
 DIFFICULTY = 3
-#: Direction of the change of the steering, and manoeuvre.
+#: Direction of the steering change, and maneuver.
 Label = tuple[int, int | None]
 
 
@@ -50,14 +51,14 @@ class TwiceSearching(Planner):
 
 
 def label(candidate: Candidate) -> Label:
-    """What a network would learn from a decision."""
+    """Returns what a network would learn from a decision."""
     if not candidate.steps:
         return 0, None
     return int(np.sign(candidate.shift)), candidate.manoeuvre
 
 
 def race(track: str, seed: int) -> list[tuple[Label, Label]]:
-    """One race to the finish; returns the labels of each decision."""
+    """Drives a race to the finish; returns the two labels of each decision."""
     env = race_v0.parallel_env(agents=1, num_kart=1, track=track, difficulty=DIFFICULTY)
     with closing(env), closing(TwiceSearching(seed)) as planner:
         observations, _ = env.reset(seed=seed)
@@ -67,7 +68,7 @@ def race(track: str, seed: int) -> list[tuple[Label, Label]]:
 
 
 def figures(labels: Sequence[tuple[Label, Label]]) -> dict[str, float]:
-    """How often labels repeat, and how often they would by chance."""
+    """Returns how often labels repeat, and how often they would repeat by chance."""
     directions = [(first[0], second[0]) for first, second in labels]
     return {
         "decisions": len(labels),

@@ -1,9 +1,9 @@
 """Drives thousands of races in one program, on all tracks, with random actions and bots.
 
-After each race it checks the game's output, values that are not finite, and the numbers of open
-files, threads and processes, and records the memory. One race in twenty is repeated in another
-environment and must be equal bit for bit. Each result is written immediately, and the same command
-resumes an interrupted run.
+In each race, it checks that all observations and rewards are finite. After the race, it records
+the game's error messages, the memory, and the numbers of open files, threads and processes. One
+race in twenty is repeated in another environment and must be equal bit for bit. Each result is
+written immediately, and the same command resumes an interrupted run.
 
     python -m benchmarks.soak                  # 2,000 races, an hour
     python -m benchmarks.soak --races 100 --output soak.jsonl
@@ -43,19 +43,19 @@ OUTPUT = RESULTS / "robustness" / "soak.jsonl"
 _VIEWS = ("full", "simple", "flattened", "flattened_discrete", "flattened_continuous_actions")
 _AGAIN_EVERY, _WHOLE_EVERY = 20, 50
 _WHOLE_STEPS = 1500
-#: Races after which all that is loaded once is loaded.
+#: Number of races after which everything that is loaded once has been loaded.
 _WARM = 100
-#: What the game writes when something is not as it should be.
+#: Error messages of the game.
 _COMPLAINT = re.compile(r"\[(?:error|fatal)\s*\]\s*(.{0,80})|(Segmentation fault|terminate called)")
 
 
 class NotFiniteError(Exception):
-    """Something that an agent sees or earns is no number."""
+    """An observation or a reward is not finite."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a race is, all of it decided by its number."""
+    """Settings of a race, all determined by its number."""
 
     number: int
     track: str
@@ -69,7 +69,7 @@ class Plan:
 
     @classmethod
     def of(cls, number: int, tracks: Sequence[str]) -> Plan:
-        """The race of a number."""
+        """Returns the race with a number."""
         chance = random.Random(f"soak/{number}")
         num_kart = chance.randint(2, 6)
         return cls(
@@ -86,7 +86,7 @@ class Plan:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the races that are missing and shows the figures."""
+    """Runs the missing races and prints the figures."""
     words = argparse.ArgumentParser(
         prog="python -m benchmarks.soak",
         description=__doc__,
@@ -124,7 +124,7 @@ def _read(file: Path) -> list[dict[str, Any]]:
 
 
 def _race(plan: Plan) -> dict[str, Any]:
-    """Runs a race, some of them twice; what came of it."""
+    """Runs a race, some of them twice; returns the results."""
     begin = time.monotonic()
     row: dict[str, Any] = {**asdict(plan), "again": False, "problem": "", "events": []}
     try:
@@ -142,7 +142,7 @@ def _race(plan: Plan) -> dict[str, Any]:
 
 
 def _drive(plan: Plan) -> tuple[int, str, dict[str, int]]:
-    """Steps driven, a digest of all that was seen, and what the game complained of."""
+    """Drives a race; returns its steps, a digest of all results, and the game's errors by text."""
     with race_v0.parallel_env(
         num_kart=plan.num_kart,
         agents=plan.agents,
@@ -174,13 +174,13 @@ def _is_finite(value: Any) -> bool:
 
 
 def _complaints(env: Any) -> dict[str, int]:
-    """What the game has written that sounds bad, by kind."""
+    """Returns the numbers of the game's error messages, by text without digits."""
     log = env._session._process.log.tail()
     found = (match[1] or match[2] for match in _COMPLAINT.finditer(log))
     return dict(Counter(re.sub(r"\d+", "#", text) for text in found))
 
 
-# ---------------------------------------------------------------------- what it takes up
+# ---------------------------------------------------------------------- resources
 
 
 def _burden() -> dict[str, Any]:
@@ -197,7 +197,7 @@ def _burden() -> dict[str, Any]:
 
 
 def _memory(pid: str) -> float:
-    """Resident memory [MB]."""
+    """Returns the resident memory of a process [MB]; 0 if it does not exist."""
     with contextlib.suppress(OSError):
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
     return 0.0
@@ -240,7 +240,7 @@ def _figures(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
 
 
 def _trend(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    """How what a program takes up has grown since it was warm."""
+    """Yields the growth of a program's resources after the warm-up."""
     warm = rows[_WARM:]
     if len(warm) < 2:
         return

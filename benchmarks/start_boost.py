@@ -4,8 +4,8 @@
 
 Start boost: one kart presses the throttle at different times before and after the start, and with
 random buttons before the start. The speed 1 s after the start shows whether it got the boost. The
-game's AI does the same for comparison. Slipstream: a kart follows another one closely on a
-straight at full throttle. The bonus would raise its top speed.
+game's AI starts for comparison. Slipstream: a kart follows another one closely on a straight at
+full throttle. The bonus would raise its top speed.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ STEP = 0.05
 #: Times of the first throttle after the first step [s]; the race starts at 1.95 s.
 THROTTLE = [round(0.2 * number, 1) for number in range(13)]
 PATTERNS, HORIZON = 30, 90
-#: Distance of the first kart on the straight [m], gaps behind it [m], and steps of 0.1 s.
+#: Position of the follower on the straight [m], gaps to the kart ahead [m], and steps of 0.1 s.
 STRAIGHT_FROM, GAPS, FOLLOWED = 186.0, (4.0, 6.0, 8.0, 10.0, 60.0), 70
-#: Step after which the follower leaves the slipstream sideways, and how far [m].
+#: Step at which the follower moves out of the slipstream, and by how much [m].
 ASIDE_AFTER, ASIDE = 40, 4.0
 
 
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def measure(mode: str) -> dict[str, Any]:
-    """All figures in one mode."""
+    """Returns all figures in a mode."""
     with start_race(mode, is_ai=False) as env:
         throttle = {str(seconds): speed_after_start(env, seconds) for seconds in THROTTLE}
         random = np.random.default_rng(0)
@@ -77,7 +77,7 @@ def start_race(mode: str, *, is_ai: bool) -> Any:
 def speed_after_start(
     env: Any, throttle_at: float, random: np.random.Generator | None = None
 ) -> float:
-    """Speed 1 s after the start [m/s], with random throttle and buttons before it if given."""
+    """Returns the speed 1 s after the start [m/s]; ``random`` presses buttons before the start."""
     env.reset(seed=1)
     pressed = () if random is None else sorted(random.integers(0, 45, 2))
     buttons = {} if random is None else dict(zip(BUTTONS, random.integers(0, 2, 4), strict=True))
@@ -104,7 +104,7 @@ BUTTONS = ("throttle", "brake", "drift", "nitro")
 
 
 def top_speed_behind(mode: str, gap: float) -> float:
-    """Top speed of a kart that starts ``gap`` behind another one and drives like it [m/s]."""
+    """Returns the top speed of a kart that starts ``gap`` meters behind another one [m/s]."""
     starts = {
         "kart_0": Start(distance=STRAIGHT_FROM + gap, speed=25.0),
         "kart_1": Start(distance=STRAIGHT_FROM, speed=25.0),
@@ -128,7 +128,7 @@ def top_speed_behind(mode: str, gap: float) -> float:
 
 
 def steer(env: Any, kart: int, aside: float) -> float:
-    """Steering towards a point of the centre line 10 m ahead, or beside it."""
+    """Returns the steering toward a point 10 m ahead, ``aside`` meters right of the center line."""
     road: TrackMap = env.track_map
     along = road.path_nodes[:, 1] - road.path_nodes[:, 0]
     lengths = np.linalg.norm(along, axis=1)

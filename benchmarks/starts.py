@@ -1,4 +1,4 @@
-"""Checks random starts over all tracks: whether every kart starts and drives where requested.
+"""Checks random starts on all tracks: whether each kart starts and drives as requested.
 
     python -m benchmarks.starts            # 1,000 starts; writes benchmarks/results/starts.json
 
@@ -53,7 +53,7 @@ def main() -> None:
 
 
 def track_starts(track: str, count: int, seed: int, reverse: bool = False) -> dict[str, Any]:
-    """Tries some starts on a track."""
+    """Checks random starts on a track."""
     random = np.random.default_rng(seed)
     row: dict[str, Any] = {
         "track": track,
@@ -93,7 +93,7 @@ def track_starts(track: str, count: int, seed: int, reverse: bool = False) -> di
 
 
 def _finishes(env: Any, seed: int) -> bool:
-    """Whether a kart that starts late in the lap finishes the race when it crosses the line."""
+    """Returns whether a kart that starts late in the lap finishes when it crosses the line."""
     for share in (0.9, 0.88, 0.92, 0.86):
         try:
             observations, _ = env.reset(seed=seed, options={"start": Start(share=share)})
@@ -111,7 +111,7 @@ def _finishes(env: Any, seed: int) -> bool:
 
 
 def _errors(env: Any, start: Start) -> tuple[float, float, int]:
-    """How far from its place the kart is [m], how wrong its speed [m/s], and its lap."""
+    """Returns the errors of position [m] and speed [m/s], and the number of finished laps."""
     road, kart = CentreLine(env.track_map), env.snapshot.karts[0]
     distance = (start.share or 0.0) * road.length
     along = road.direction(distance)
@@ -122,7 +122,7 @@ def _errors(env: Any, start: Start) -> tuple[float, float, int]:
 
 
 def _drive(env: Any, observations: dict[str, Any]) -> float:
-    """How far above or below the road the kart is after some steps [m]."""
+    """Drives some steps; returns how far the kart is above or below the road [m]."""
     driver = heuristic.create_state()
     for _ in range(_DRIVEN_STEPS):
         if not env.agents:

@@ -1,11 +1,11 @@
-"""Measures what a kart can do, and how well ``stkzoo.wrappers.control`` follows requests.
+"""Measures the limits of karts, and how well ``stkzoo.wrappers.control`` follows requests.
 
     python -m benchmarks.step_responses          # writes results/control.json and the plot
 
-The first half measures the kart: thrust, drag, brake and steering range over the speed, the lag of
-its turning, and wheel base and range of every kart model. The constants of
-``stkzoo.wrappers.control`` come from here. The second half gives each kind of action a step and
-records the kart's response.
+The first part measures the kart: throttle, drag, brake and steering range over speed, the steering
+lag, and the wheel base and steering range of each kart model. It is the source of the constants of
+``stkzoo.wrappers.control``. The second part records the kart's response to a step of each kind of
+action.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ RESULTS = HERE / "results" / "control.json"
 PLOT = HERE.parent / "docs" / "images" / "step_responses.png"
 
 TICK = 1 / 120
-#: A flat straight of 220 m, and a place that is 18 m wide.
+#: A flat straight of 220 m, and a place where the road is 18 m wide.
 STRAIGHT, STRAIGHT_NODE = "candela_city", 40
 WIDE, WIDE_NODE = "scotland", 139
 
@@ -74,7 +74,7 @@ def game_action(throttle: float = 0.0, steer: float = 0.0, brake: int = 0) -> di
 
 
 def open_race(track: str, node: int, *, speed: float = 0.0, offset: float = 0.0, **options: Any):
-    """A race of one kart that starts at a node of a track."""
+    """Returns an environment in which one kart starts at a node of a track."""
     env = race_v0.parallel_env(num_kart=1, track=track, **options)
     env.reset(seed=1)
     distance = float(env.track_map.path_distance[node, 0]) + 2.0
@@ -87,7 +87,7 @@ def forward(env: Any) -> float:
 
 
 def kart_facts() -> dict[str, Any]:
-    """Speed over time at full throttle, coasting and braking, and the turning's lag."""
+    """Measures the speed over time at full throttle, coasting and braking, and the steering lag."""
     facts: dict[str, Any] = {}
     with open_race(STRAIGHT, STRAIGHT_NODE, step_size=TICK) as env:
         for name, action, seconds in (
@@ -123,7 +123,7 @@ def _sorted(record: dict[str, list[float]], key: str) -> list[tuple[float, float
 
 
 def kart_models() -> dict[str, dict[str, float]]:
-    """Wheel base and steering range at rest of every model."""
+    """Returns the wheel base and the steering range at rest of each kart model."""
     models = {}
     for name in KARTS:
         with race_v0.parallel_env(
@@ -139,7 +139,7 @@ def kart_models() -> dict[str, dict[str, float]]:
 
 
 def _driven(env: Any, controls: Any, steps: int) -> dict[str, list[float]]:
-    """Drives by a function of the step's number and records."""
+    """Drives with controls that are a function of the step number; returns the recording."""
     rows = []
     for step in range(steps):
         env.step({"kart_0": {"control": np.array(controls(step), np.float32)}})
@@ -151,7 +151,7 @@ def _driven(env: Any, controls: Any, steps: int) -> dict[str, list[float]]:
 
 
 def speed_step(target: float, start: float = 0.0) -> dict[str, Any]:
-    """A step of the asked speed; the error is that of the last second."""
+    """Records the response to a target speed; the error is the largest one of the last second."""
     view = ControlView(observe="full", control_input=("speed", "steering_angle"))
     with open_race(STRAIGHT, STRAIGHT_NODE, speed=start, view=view) as env:
         record = _driven(env, lambda _: (0.0, target), 50)
@@ -160,7 +160,7 @@ def speed_step(target: float, start: float = 0.0) -> dict[str, Any]:
 
 
 def accl_step(target: float, start: float) -> dict[str, Any]:
-    """A step of the asked acceleration; the error is that of the mean over 1.5 s."""
+    """Records the response to an acceleration; the error is that of the mean over 1.5 s."""
     view = ControlView(observe="full", control_input=("accl", "steering_angle"))
     with open_race(STRAIGHT, STRAIGHT_NODE, speed=start, view=view) as env:
         first = forward(env)
@@ -170,7 +170,7 @@ def accl_step(target: float, start: float) -> dict[str, Any]:
 
 
 def circle(radius: float) -> dict[str, Any]:
-    """A circle by its steering angle; the error is a share of the radius."""
+    """Drives a circle with a constant steering angle; the error is a fraction of the radius."""
     angle = CarParameters().steering_angle(radius)
     view = ControlView(observe="full", control_input=("speed", "steering_angle"))
     with open_race(WIDE, WIDE_NODE, speed=5.0, offset=-radius, view=view) as env:
@@ -180,7 +180,7 @@ def circle(radius: float) -> dict[str, Any]:
 
 
 def fitted_radius(x: list[float], z: list[float]) -> float:
-    """The radius of the circle nearest to some points (least squares)."""
+    """Returns the radius of the circle fitted to some points by least squares."""
     points = np.array([x, z])
     left = np.stack([*points, np.ones(len(x))], axis=1)
     solution, *_ = np.linalg.lstsq(left, (points * points).sum(axis=0), rcond=None)
@@ -189,7 +189,7 @@ def fitted_radius(x: list[float], z: list[float]) -> float:
 
 
 def wheel_turn(rate: float) -> dict[str, Any]:
-    """Wheels that turn at a speed, at 8 m/s; their angle is read off the kart's turning."""
+    """Turns the wheels at a constant rate at 8 m/s; computes their angle from the yaw rate."""
     view = ControlView(observe="full", control_input=("speed", "steering_speed"))
     with open_race(WIDE, WIDE_NODE, speed=8.0, offset=-4.0 if rate > 0 else 4.0, view=view) as env:
         record = _driven(env, lambda _: (rate, 8.0), 12)
@@ -201,7 +201,7 @@ def wheel_turn(rate: float) -> dict[str, Any]:
 
 
 def lap(kinds: tuple[str, str], track: str = "lighthouse") -> dict[str, Any]:
-    """A lap of the pursuit driver by one combination."""
+    """Drives a lap with the pursuit driver and a pair of action kinds."""
     view = ControlView(observe="full", control_input=kinds, buttons=("rescue",))
     driver, state, angle = PursuitDriver(), PursuitState(), 0.0
     with race_v0.parallel_env(num_kart=1, track=track, view=view) as env:
@@ -226,14 +226,14 @@ def control_of(
     speed: float,
     step_size: float = 0.1,
 ) -> npt.NDArray[np.float32]:
-    """The same drive through another pair of actions: what a cascade around them would ask for.
+    """Converts the driver's aim to a pair of action kinds, as an outer control loop would.
 
     Args:
         kinds: ``("speed" or "accl", "steering_angle" or "steering_speed")``.
         aim: steering angle [rad] and speed [m/s], from :meth:`PursuitDriver.aim`.
-        angle: the present angle of the wheels [rad].
-        speed: the present speed [m/s].
-        step_size: how long a step lasts [s].
+        angle: current angle of the wheels [rad].
+        speed: current speed [m/s].
+        step_size: duration of a step [s].
 
     Returns:
         ``(2,)`` float32, steering first.
@@ -245,7 +245,7 @@ def control_of(
 
 
 def _wheels(kind: str, angle: float, control: Any, most: float) -> float:
-    """Where the wheels are after an action, as the driver keeps count."""
+    """Returns the estimated angle of the wheels after an action [rad]."""
     wanted = angle + float(control[0]) * 0.1 if kind == "steering_speed" else float(control[0])
     return float(np.clip(wanted, -most, most))
 
@@ -260,7 +260,7 @@ def show(results: dict[str, Any]) -> None:
 
 
 def draw(responses: dict[str, Any], path: Path) -> None:
-    """The step responses as one picture."""
+    """Plots the step responses."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 7), layout="constrained")

@@ -1,10 +1,10 @@
-"""Evaluates the drivers that come with stkzoo in the tasks of the suite, for normalised scores.
+"""Evaluates the built-in drivers in the tasks of the suite, for normalized scores.
 
     python -m benchmarks.suite_baselines               # about an hour; continues if interrupted
     python -m benchmarks.suite_baselines --tasks solo-1
 
 Writes ``stkzoo/suite/baselines.json``: the score of each driver in each task, with its interval.
-The weakest and the strongest of a task are 0 and 1 on the scale of normalised scores.
+The weakest and the strongest driver of a task define the normalized scores 0 and 1.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
     python -m benchmarks.suite_crossplay              # continues if interrupted
 
 Each race has six drivers on a validation track, in both directions, in a random order on the grid.
-The drivers take turns. Those of the game's AI have one difficulty per race, so they do not meet.
+The drivers take turns. All AI karts of a race have the same difficulty, so AI drivers of different
+difficulties never meet.
 Writes ``benchmarks/results/suite_crossplay.json``: for each pair, the share of their races in which
 the first finished ahead of the second, with 95 % intervals over tracks and directions. Karts that
 do not finish are ranked by distance. ``python -m benchmarks.bench_charts`` draws the matrix.
@@ -67,7 +68,7 @@ def plan(rounds: int, seed: int = 0) -> list[RaceOrder]:
 
 
 def matrix(orders: Sequence[RaceOrder], results: dict[int, RaceResult]) -> list[dict[str, Any]]:
-    """Returns how often each driver beats each other one, with intervals.
+    """Returns how often each driver beats each of the others, with intervals.
 
     Args:
         orders: the races.

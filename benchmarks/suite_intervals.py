@@ -2,11 +2,11 @@
 
     python -m benchmarks.suite_intervals    # a minute
 
-Draws scores of runs on twelve tracks and directions from normal distributions with known means: a
-part of the track, a part of the run, and a part of both. Compares the bootstrap of
-``stkzoo.suite.report.statistics`` with two others: one that resamples each column on its own, as
-the stratified bootstrap of rliable does, and one that resamples whole runs only. Writes
-``benchmarks/results/suite_intervals.json``.
+Draws the scores of runs on twelve tracks and directions from normal distributions with known means.
+A score is the sum of a part of the track, a part of the run, and a part of both. The command
+compares the bootstrap of ``stkzoo.suite.report.statistics`` with two others: one resamples each
+column independently, like the stratified bootstrap of rliable, and one resamples whole runs only.
+Writes ``benchmarks/results/suite_intervals.json``.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
 def coverage(
     runs: int, by_track: float, by_run: float, by_both: float, trials: int
 ) -> dict[str, float]:
-    """Returns a case and the share of intervals of each bootstrap that contain the mean.
+    """Returns a case and, for each bootstrap, the fraction of intervals that contain the mean.
 
     Args:
         runs: number of training runs.

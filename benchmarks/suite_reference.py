@@ -4,10 +4,10 @@
     python -m benchmarks.suite_reference --tasks versus --algorithms ippo --seeds 0
     python -m benchmarks.suite_reference --only-evaluate   # runs that are already trained
 
-Each run is trained as by ``stkzoo suite train``, and evaluated on the test tracks and on the
-training tracks of its task. Its result is written to ``benchmarks/results/suite`` as soon as it is
-known; ``stkzoo suite report`` reads it. All tasks and algorithms of a seed come before the next
-seed. Runs that have a result are skipped.
+Each run is trained as with ``stkzoo suite train``, and evaluated on the test tracks and on the
+training tracks of its task. Its result is written to ``benchmarks/results/suite`` immediately, for
+``stkzoo suite report``. All tasks and algorithms of a seed are run before the next seed. Runs that
+have a result are skipped.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def reference_keys(
 ) -> Iterator[RunKey]:
     """Yields task, algorithm and seed of all runs, in the order in which they are trained.
 
-    Tasks that an algorithm cannot learn are left out.
+    Tasks that an algorithm cannot learn are skipped.
     """
     for seed, algorithm, task in itertools.product(seeds, algorithms, tasks):
         if _can_learn(algorithm, task):
@@ -143,19 +143,19 @@ def _module(algorithm: str) -> ModuleType:
 
 
 def _train(folder: Path, key: RunKey, kart_steps: int | None) -> None:
-    """Trains a run, continues it, or does nothing if it is done."""
+    """Trains or continues a run; does nothing if the run is complete."""
     task, algorithm, seed = key
     budget = find_task(task).budget if kart_steps is None else kart_steps
     _module(algorithm).run(folder, task, budget, seed)
 
 
 def measure(folder: Path, key: RunKey, jobs: int | None = None) -> SuiteRun:
-    """Evaluates a trained run, and returns its result.
+    """Evaluates a trained run; returns its result.
 
     Args:
-        folder: the run's.
-        key: its task, algorithm and seed.
-        jobs: number of races at the same time; by default, one per core.
+        folder: folder of the run.
+        key: task, algorithm and seed of the run.
+        jobs: number of parallel races; by default, one per core.
 
     Raises:
         ConfigError: the folder contains another run.

@@ -3,8 +3,8 @@
     python -m benchmarks.suite_tables
     python -m benchmarks.suite_tables --results trial --page trial/page.md --pictures trial
 
-The text of the page is written by hand; this command replaces what is between its marks. Runs
-without a result are listed.
+The text of the page is written by hand; this command replaces the parts between its marks. It
+lists runs without a result.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def replaced(page: str, name: str, text: str) -> str:
-    """Returns a page with another text between two marks.
+    """Returns a page with the text between two marks replaced.
 
     Args:
         page: the page.

@@ -1,16 +1,17 @@
-"""Tampers with an entry of `stkzoo suite` at random, and counts what `verify` refuses.
+"""Tampers with an entry of `stkzoo suite` at random, and counts the refusals of `verify`.
 
     python -m benchmarks.tampering                  # 1,000 tampered entries, about an hour
     python -m benchmarks.tampering --entries 20
 
 Each time, one thing is changed in a copy of an honest entry of six races: an action, a position,
 a time, a seed, a condition, the order or the length of replays, or a number or rule of its card
-(entry.json). Half of the changed replays get their new SHA-256 into the card. What the card says
-about its authors, its software and failures of the agent cannot be verified and is not changed.
+(entry.json). For half of the changed replays, the card is updated with the new SHA-256. Statements
+of the card about authors, software and failures of the agent cannot be verified and are not
+changed.
 
-Some actions have no effect, such as nitro with an empty tank. A replay with another such action
-and its SHA-256 is another recording of the same race, and nothing in the entry is false. It is
-accepted and does not count as a tampered entry; another entry takes its place.
+Some actions have no effect, such as nitro with an empty tank. If such an action and its SHA-256
+change, the replay is another recording of the same race, and nothing in the entry is false. Such an
+entry is accepted and not counted; the benchmark draws another one.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ UNVERIFIED = re.compile(
 
 
 def _leaves(value: Any, place: str = "") -> Iterator[tuple[Any, Any, str]]:
-    """Each number, text and truth value in a JSON value: its container, key and place."""
+    """Yields the container, key and path of each number, text and boolean in a JSON value."""
     pairs = value.items() if isinstance(value, dict) else enumerate(value)
     for key, inner in pairs:
         where = f"{place}.{key}" if isinstance(value, dict) else f"{place}[{key}]"
@@ -67,7 +68,7 @@ def _leaves(value: Any, place: str = "") -> Iterator[tuple[Any, Any, str]]:
 
 
 def _other(value: Any, chance: random.Random) -> Any:
-    """Another value of the same kind."""
+    """Returns another value of the same type."""
     if isinstance(value, bool) or value is None:
         return not value
     if isinstance(value, int):
@@ -103,7 +104,7 @@ def change_action(folder: Path, chance: random.Random) -> str:
 
 
 def change_length(folder: Path, chance: random.Random) -> str:
-    """Cuts a race off, or repeats its last step."""
+    """Truncates a race, or repeats its last step."""
     number, share = chance.randrange(_RACES), chance.random()
     is_longer = chance.random() < 0.3
 
@@ -138,7 +139,7 @@ def change_position(folder: Path, chance: random.Random) -> str:
 
 
 def change_time(folder: Path, chance: random.Random) -> str:
-    """Changes a finish time, rank, distance or number of steps in the result of a replay."""
+    """Changes a finish time, rank or distance in the result of a replay."""
     number, name = chance.randrange(_RACES), chance.choice(("finish_time", "rank", "distance"))
 
     def edit(header: dict[str, Any]) -> None:
@@ -165,7 +166,7 @@ def change_condition(folder: Path, chance: random.Random) -> str:
 
 
 def change_order(folder: Path, chance: random.Random) -> str:
-    """Exchanges two replays, or replaces one by another."""
+    """Swaps two replays, or replaces one with another."""
     one, two = chance.sample(range(_RACES), 2)
     first, second = replay_of(folder, one), replay_of(folder, two)
     if chance.random() < 0.5:
@@ -178,9 +179,9 @@ def change_order(folder: Path, chance: random.Random) -> str:
 
 
 _RACES = 6
-#: A change that may leave the race as it is.
+#: A change that may leave the race unchanged.
 WITHOUT_EFFECT = "change_action with SHA-256"
-#: What is changed, and how often relative to the others.
+#: Changes and their relative frequencies.
 CHANGES: dict[Callable[[Path, random.Random], str], int] = {
     change_card: 4,
     change_action: 3,
@@ -193,7 +194,7 @@ CHANGES: dict[Callable[[Path, random.Random], str], int] = {
 
 
 def tamper(folder: Path, number: int, seed: int) -> str:
-    """Changes an entry; returns what was changed. The number alone decides it, with the seed."""
+    """Makes the change that ``seed`` and ``number`` determine; returns its description."""
     chance = random.Random(f"{seed} {number}")
     (change,) = chance.choices([*CHANGES], [*CHANGES.values()])
     place = change(folder, chance)

@@ -1,4 +1,4 @@
-"""Writes ``docs/reference/tracks.md``: the numbers, the AI's times and two maps of every track.
+"""Writes ``docs/reference/tracks.md``: facts, the AI's times and two maps of each track.
 
 ``python -m benchmarks.track_atlas`` draws the maps and writes the page. With ``--measure FOLDER``
 it first races the game's AI on all tracks (840 races, saved in the folder; an interrupted run
@@ -121,7 +121,7 @@ env.close()
 
 """
 
-#: Colours of the kinds of ground, and of the edges of the driving line.
+#: Colors of the kinds of ground, of the edges of the driving line, and of the background.
 _PAINT = {
     GroundKind.VOID: (60, 90, 200),
     GroundKind.GROUND: (185, 185, 185),
@@ -130,13 +130,13 @@ _PAINT = {
     GroundKind.WALL: (200, 30, 30),
 }
 _EDGE, _PAPER = (0, 0, 0), (255, 255, 255)
-#: Beside the driving line the ground is shown so far [m], and looked at so often [m].
+#: Lateral extent of the ground on the map, and spacing of its samples [m].
 _BESIDE, _SPACING = 12.0, 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What is counted on a track."""
+    """Length of a track [m], and numbers of its nodes, forks and items."""
 
     length: float
     nodes: int
@@ -145,7 +145,7 @@ class Facts:
 
 
 def survey(track: str) -> Facts:
-    """Counts what is on a track and draws its map."""
+    """Returns the facts of a track, and draws its maps."""
     env = race_v0.parallel_env(
         num_kart=1,
         track=track,
@@ -174,7 +174,7 @@ def _save(picture: Image.Image, name: str) -> None:
 
 
 def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
-    """The ground beside the driving line from above, north up."""
+    """Draws the ground along the driving line from above, with the z axis up."""
     starts, ends = road.path_nodes[:, 0], road.path_nodes[:, 1]
     low = road.path_nodes[..., [0, 2]].min((0, 1)) - _BESIDE
     high = road.path_nodes[..., [0, 2]].max((0, 1)) + _BESIDE
@@ -196,7 +196,7 @@ def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
 
 
 def page(facts: dict[str, Facts], times: AiTimes) -> str:
-    """The whole page."""
+    """Returns the whole page."""
     karts = next(iter(times.by_race.values())).karts
     versions = ", ".join(f"{name} {number}" for name, number in times.versions.items())
     return "".join(

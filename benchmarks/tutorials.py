@@ -25,7 +25,7 @@ from stkzoo._os import write_text
 ROOT = Path(__file__).parent.parent
 SOURCES = ROOT / "examples" / "tutorials"
 PAGES = ROOT / "docs" / "tutorials"
-#: What each tutorial needs besides stkzoo itself.
+#: Extras of stkzoo that each tutorial needs.
 EXTRAS = {
     "first_race": "record,tournament",
     "plan_with_saved_states": "tournament",
@@ -65,7 +65,7 @@ if importlib.util.find_spec("stkzoo") is None:
 
 
 def main() -> int:
-    """Runs what is asked for."""
+    """Runs the command; returns its exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -89,7 +89,7 @@ def main() -> int:
 
 
 def executed(name: str, *, short: bool) -> str:
-    """A tutorial as the text of a notebook, after it was run in a folder of its own."""
+    """Runs a tutorial in a temporary folder; returns the text of the notebook."""
     import nbformat
     from nbclient import NotebookClient
 
@@ -103,7 +103,7 @@ def executed(name: str, *, short: bool) -> str:
 
 
 def unexecuted(name: str) -> Any:
-    """A tutorial as a notebook that can install stkzoo."""
+    """Returns a tutorial as a notebook without outputs, with a cell that installs stkzoo."""
     import jupytext
     from nbformat.v4 import new_code_cell, new_markdown_cell
 
@@ -117,7 +117,7 @@ def unexecuted(name: str) -> Any:
 
 
 def _without_traces(notebook: Any) -> Any:
-    """The notebook without what differs from run to run or tells of this machine."""
+    """Removes everything that differs between runs or describes this machine."""
     notebook.metadata.pop("language_info", None)
     for number, cell in enumerate(notebook.cells):
         cell["id"] = f"cell-{number}"

@@ -1,7 +1,7 @@
 """A driver that plans with the game itself, by a two-stage search in copies of the race.
 
 Every few steps it drives candidates, each in a copy of the race. A candidate is a learned driver
-(by default, *ace*) with a change of its steering offset or its manoeuvre that holds for some steps.
+(by default, *ace*) with a change of its steering offset or its maneuver that holds for some steps.
 It drives the best candidates further and follows the best of them.
 
 It needs the environment and not only observations. In a race, it is the driver ``planner``; it must

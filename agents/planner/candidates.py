@@ -1,4 +1,4 @@
-"""Candidates of the search: what to change in a base policy's choices, and for how long."""
+"""Candidates of the search: changes of a base policy's choices for some steps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Choose = Callable[[PolicyInput], IntArray]
 
 #: Number by which a candidate changes the index of the offset.
 _SHIFTS = (-3, -2, -1, 1, 2, 3)
-#: A manoeuvre that the plans do not have at the moment has at most this logit in the prior.
+#: A maneuver without a plan at the moment has at most this logit in the prior.
 _NO_PLAN = LEAST_LOGIT + 1
 _BEGIN, _TURN, _NITRO = range(3)
 
@@ -30,7 +30,7 @@ class Candidate:
         shift: added to the index of the chosen offset in
             :data:`stkzoo.agents.planning.driver.OFFSETS`.
         steps: number of steps for which the change holds.
-        manoeuvre: manoeuvre instead of the chosen one; ``None`` keeps the chosen one.
+        manoeuvre: maneuver instead of the chosen one; ``None`` keeps the chosen one.
         flips_nitro: whether nitro is used if the base policy does not use it, and the reverse.
     """
 
@@ -48,7 +48,7 @@ class Candidate:
 
         Args:
             choices: ``(4,)`` choices of the base policy, which change.
-            begin: ``(4,)`` the prior's logits of the manoeuvres.
+            begin: ``(4,)`` the prior's logits of the maneuvers.
             step: number of steps since the candidate began.
         """
         if step >= self.steps:
@@ -70,7 +70,7 @@ def draw_candidate(
     Args:
         random: source of random numbers.
         holds: numbers of steps for which a candidate may hold.
-        manoeuvre_chance: probability that it has a manoeuvre of its own.
+        manoeuvre_chance: probability that it has a maneuver of its own.
         nitro_chance: probability that it changes the use of nitro.
     """
     shift, steps = int(random.choice(_SHIFTS)), int(random.choice(holds))

@@ -35,11 +35,11 @@ class PlannerSettings:
         final_steps: number of steps for which they are driven further, by the base policy.
         commitment: number of steps until the next decision.
         holds: numbers of steps for which a candidate may hold.
-        manoeuvre_chance: probability that a candidate has a manoeuvre of its own.
+        manoeuvre_chance: probability that a candidate has a maneuver of its own.
         nitro_chance: probability that a candidate changes the use of nitro.
         speed_weight: worth of a speed of 1 m/s at the end [m].
         energy_weight: worth of nitro for 1 s at the end [m].
-        finish_speed: assumed speed after the finish, and of the nitro's use before it [m/s].
+        finish_speed: assumed speed after the finish, and while using nitro before it [m/s].
         rescue_cost: cost of a rescue [m].
     """
 
@@ -168,8 +168,8 @@ class Planner:
     def _worth(self, own: RaceCopy, seconds: float) -> float:
         """Returns the distance that a copy reaches [m], with bonuses for its speed and nitro.
 
-        After the finish, the kart counts as going on at a constant speed. Nitro counts only as far
-        as it can be used before the finish.
+        After the finish, the kart is assumed to continue at a constant speed. Nitro counts only as
+        far as it can be used before the finish.
         """
         settings = self.settings
         if own.seconds_to_finish is not None:

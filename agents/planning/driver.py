@@ -1,7 +1,7 @@
 """Karts driven by a policy over plans: the policy's inputs and the effect of its choices.
 
-In each step a policy makes four choices: which manoeuvre to begin (go on, brake, drift left, drift
-right), a steering offset from the best plan for that manoeuvre, whether to use nitro, and whether
+In each step a policy makes four choices: which maneuver to begin (go on, brake, drift left, drift
+right), a steering offset from the best plan for that maneuver, whether to use nitro, and whether
 to fire. It starts from a *prior*, logits that follow from the worth of the plans; learned logits
 are added to them.
 """
@@ -48,8 +48,7 @@ _TURN = CHOICE_NAMES.index("turn")
 #: Distances at which the road is observed [m].
 ALL_LOOKS = np.concatenate([LOOKS, LINE_MARKS])
 
-#: Logits of the prior: of the offsets, and of a button that the rules do not want and of one that
-#: they want.
+#: Logits of the prior: of the offsets, and of a button that the rules release or press.
 _LOGITS = (
     np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32),
     np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32),
@@ -119,7 +118,7 @@ def mirrored_choices(choices: IntArray) -> IntArray:
 
 
 def plan_turns(inputs: FloatArray) -> FloatArray:
-    """Returns the turn of each manoeuvre's best plan, ``(A, 4)`` [fraction of full lock]."""
+    """Returns the turn of each maneuver's best plan, ``(A, 4)`` [fraction of full lock]."""
     turns: FloatArray = inputs[:, _PLAN_TURNS]
     return turns
 
@@ -187,8 +186,8 @@ class PlanDriver:
         Args:
             drivers: drivers of one kart each, with equal rules.
             observations: their observations, also from different races.
-            choose: returns a policy's choices ``(A, 4)``; those of a kart must not depend on other
-                karts.
+            choose: returns a policy's choices ``(A, 4)``; each row must depend only on its own
+                kart.
         """
         controls = np.eye(1, 7, dtype=np.float32).repeat(len(drivers), 0)  # full throttle
         racing = [n for n, own in enumerate(observations) if own["phase"] >= Phase.GO_PHASE]

@@ -14,7 +14,7 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True, slots=True)
 class DriverParameters:
-    """Parameters of plans and of their worth, which is in metres of distance.
+    """Parameters of plans and of their worth, which is in meters of distance.
 
     Attributes:
         wheel_base: wheel base, which relates the steering angle to the curvature [m].
@@ -23,9 +23,9 @@ class DriverParameters:
         margin: distance to keep from the edge of the road [m].
         lane_changes: number of lanes between which plans change; 0 for none.
         greatest_room: maximum distance from the middle of the road [m].
-        over_cost: cost of each second spent one metre beyond that distance [m].
+        over_cost: cost of each second spent one meter beyond that distance [m].
         late_time: time for which a plan continues straight after its end [s].
-        late_cost: cost per metre beyond the edge of the road at that time [m].
+        late_cost: cost per meter beyond the edge of the road at that time [m].
         angle_cost: cost of ending at an angle of one radian to the road [m].
         drift_speed: minimum speed at which a drift begins [m/s].
         brake_speed: minimum speed at which a plan brakes [m/s]; at lower speeds the brake reverses.
@@ -122,10 +122,10 @@ class DriverParameters:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DriverParameters:
-        """The parameters of a JSON object; those that it leaves out are the default ones.
+        """Returns the parameters in a JSON object; missing ones have their default.
 
         Raises:
-            Unreadable: it is no object, or has other parameters or invalid values.
+            Unreadable: the value is not an object, or a parameter is unknown or invalid.
         """
         parameters = typed(cls, values)
         if unknown := set(values) - {entry.name for entry in fields(cls)}:

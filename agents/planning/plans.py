@@ -1,4 +1,4 @@
-"""Tables of the plans for the next two seconds, by the kart's ongoing manoeuvre.
+"""Tables of the plans for the next two seconds, by the kart's ongoing maneuver.
 
 For each moment, a plan gives the range of turns, whether the kart drifts, and the lane that it
 steers for. All tables have the same number of plans, so that one array holds those of many karts;
@@ -26,7 +26,7 @@ SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)
 ENDS = np.cumsum(SPANS)
 _BEGINS, _MIDDLES = ENDS - SPANS, ENDS - SPANS / 2
 
-#: Manoeuvres with which a plan begins.
+#: Maneuvers with which a plan begins.
 FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
 MANOEUVRES = 4
 

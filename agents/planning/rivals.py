@@ -1,4 +1,4 @@
-"""What the planner observed of nearby karts in the last steps, from which follow their speeds."""
+"""Tracks nearby karts between steps, to compute their speeds."""
 
 from __future__ import annotations
 

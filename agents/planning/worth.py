@@ -1,7 +1,7 @@
 """Computes the worth of plans for the next two seconds, for any number of karts at once.
 
 For each kart, a few dozen plans (:mod:`.plans`) are simulated on the road ahead. The results are
-grouped by the manoeuvre with which a plan begins: go on, brake, drift left, drift right. A policy
+grouped by the maneuver with which a plan begins: go on, brake, drift left, drift right. A policy
 sees the best plan of each and chooses among them.
 """
 
@@ -41,7 +41,7 @@ _BEYOND = 1.0
 #: A miss by this much more than the radius earns nothing [m].
 _BLUR = 0.5
 
-#: Distance between the centres of colliding karts [m].
+#: Distance between the centers of colliding karts [m].
 _LENGTH = 1.8
 #: A rival less far ahead is beside the kart [m]; a lower approach speed is harmless [m/s].
 _BESIDE, _HARMLESS = 0.5, 1.0
@@ -52,10 +52,10 @@ _CROSSING = 0.5
 _SLOWEST = 5.0
 #: Minimum assumed angle of the wheels at full lock [rad].
 _LEAST_LOCK = 0.02
-#: Worth of a manoeuvre without plans.
+#: Worth of a maneuver without plans.
 NEVER = -1e4
 
-#: Logit of the prior per metre of worth, and its smallest logit.
+#: Logit of the prior per meter of worth, and its smallest logit.
 _METRE, LEAST_LOGIT = 2.0, -30.0
 
 
@@ -65,9 +65,9 @@ class OwnState(NamedTuple):
     Attributes:
         velocity: ``(A, 3)`` float32 [m/s].
         energy: ``(A, 1)`` float32 [s].
-        jumping: ``(A,)`` int64; likewise the others.
-        powerup_type: number of :class:`~stkzoo.PowerupType`.
-        powerup_count: number of shots.
+        jumping: ``(A,)`` int64, 1 in the air.
+        powerup_type: ``(A,)`` int64, number of :class:`~stkzoo.PowerupType`.
+        powerup_count: ``(A,)`` int64, number of shots.
     """
 
     velocity: FloatArray
@@ -87,7 +87,7 @@ class OwnState(NamedTuple):
 
 
 class PlanRules:
-    """The parameters of plans, in the forms in which the kernel takes them.
+    """The parameters of plans, in the forms that the kernel expects.
 
     Attributes:
         parameters: the parameters.
@@ -114,13 +114,13 @@ class PlanRules:
 
 @lru_cache(maxsize=64)
 def plan_rules(parameters: DriverParameters) -> PlanRules:
-    """Returns the rules of some parameters."""
+    """Returns the rules for parameters."""
     return PlanRules(parameters)
 
 
 @dataclass(frozen=True, slots=True)
 class PlanOptions:
-    """The best plan of each manoeuvre, and where the karts are.
+    """The best plan of each maneuver, and the karts' positions on the road.
 
     Attributes:
         best: ``(3, A, 4)``: :attr:`worth`, :attr:`turn` and danger, the cost beyond the edge of the
@@ -170,7 +170,7 @@ def weigh(
     around: Surroundings,
     tracker: RivalTracker | None,
 ) -> PlanOptions:
-    """Returns the best plan of each manoeuvre.
+    """Returns the best plan of each maneuver.
 
     Args:
         rules: parameters of the plans.

@@ -38,14 +38,15 @@ _MOVES = 3.0 / 20.0
 
 
 class ActionFilter:
-    """Modifies a policy's choices with a memory that the policy observes, too.
+    """Modifies a policy's choices with a memory that the policy also observes.
 
     - **Drifts last.** A drift earns a boost after one second. A policy that decides randomly in
-    each step whether to continue rarely drifts that long, so the filter holds a drift for a minimum
-    time. The game maps steering differently in a drift; the filter compensates, so that a choice
-    turns the kart as much as without a drift, within the limits of a drift. Steering to the other
-    side ends the drift. - **Nitro is not wasted.** A burst ends before the next one begins. -
-    **Stuck karts free themselves**, as with the planner.
+      each step whether to continue rarely drifts that long, so the filter holds a drift for a
+      minimum time. The game maps steering differently in a drift; the filter compensates, so that a
+      choice turns the kart as much as without a drift, within the limits of a drift. Steering to
+      the other side ends the drift.
+    - **Nitro is not wasted.** A burst ends before the next one begins.
+    - **Stuck karts free themselves**, as with the planner.
 
     Args:
         karts: number of karts.
@@ -79,8 +80,8 @@ class ActionFilter:
         Args:
             filters: filters of one kart each, with equal ``hold``.
             observations: their observations.
-            choose: returns a policy's choices ``(A, 5)``; those of a kart must not depend on other
-                karts.
+            choose: returns a policy's choices ``(A, 5)``; each row must depend only on its own
+                kart.
         """
         joined = filters[0] if len(filters) == 1 else ActionFilter._joined(filters)
         done = joined.apply(choose(joined.look(np.stack(observations))))

@@ -91,9 +91,9 @@ class AgentCard:
 
     Attributes:
         sha256: digest of the weights.
-        ensemble_weight: the weight of networks that choose among plans; anything, as
+        ensemble_weight: weight of the networks in an ensemble, unchecked;
             :class:`~stkzoo.agents.pretrained.ensemble.EnsemblePolicy` checks it.
-        rules: the parameters of its plans.
+        rules: parameters of the plans, unchecked.
     """
 
     sha256: Annotated[str, Matching("[0-9a-f]{64}", "64 hexadecimal digits")]
@@ -102,10 +102,10 @@ class AgentCard:
 
 
 def read_card(folder: str | Path) -> AgentCard:
-    """The card of an agent's folder.
+    """Reads the card of an agent's folder.
 
     Raises:
-        ConfigError: it is missing or broken.
+        ConfigError: the card is missing or damaged.
     """
     with _reading_card(folder):
         values = load_json(Path(folder) / CARD)

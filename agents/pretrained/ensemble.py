@@ -1,7 +1,7 @@
 """An ensemble of plans, policies over plans, and networks.
 
 Networks from self-play know how races develop; plans know the road ahead. Both give probabilities
-of choices, and the ensemble multiplies them (product of experts: Hinton, 2002).
+for the choices, and the ensemble multiplies them (product of experts: Hinton, 2002).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .action_filter import steering
 from .mlp import SPLITS, MlpDriver, log_probabilities
 from .policy import RacingPolicy, check_shapes
 
-#: Pedal, drift and side of each manoeuvre.
+#: Pedal, drift and side of each maneuver.
 _PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
 _SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
@@ -51,10 +51,10 @@ def check_ensemble_weight(weight: object) -> None:
 class EnsemblePolicy:
     """Chooses among plans by their worth and by the probabilities of networks.
 
-    The logit of a manoeuvre with a turn is the prior's logit plus ``weight`` times the networks'
+    The logit of a maneuver with a turn is the prior's logit plus ``weight`` times the networks'
     mean log-probability of the equivalent steering, pedal and drift. The logits of nitro and fire
-    are computed in the same way. The mean of what policies over plans have learned is added to the
-    prior first.
+    are computed in the same way. The mean of the learned logits of policies over plans is added to
+    the prior first.
 
     Args:
         networks: networks on the view ``racing``.
@@ -95,7 +95,7 @@ class EnsemblePolicy:
         return choices
 
     def _plan_logits(self, view: PolicyInput) -> FloatArray:
-        """Returns the prior with what the policies have learned."""
+        """Returns the prior plus the mean of the policies' learned logits."""
         if not self.policies:
             return view.prior
         learned = [policy.learned_logits(view) for policy in self.policies]
@@ -109,7 +109,7 @@ class EnsemblePolicy:
 
 
 def _steering(inputs: FloatArray) -> IntArray:
-    """Returns the steering choice for each manoeuvre and turn, ``(A, 4, 7)``."""
+    """Returns the steering choice for each maneuver and turn, ``(A, 4, 7)``."""
     turn = np.minimum(np.maximum(plan_turns(inputs)[..., None] + OFFSETS, -1.0), 1.0)
     sides = _SIDES[:, None]
     begins = (sides != 0) & ~is_drifting(inputs)[:, None, None]

@@ -79,7 +79,7 @@ class MlpDriver:
         self._mlp = Mlp(turned, True)
 
     def logits(self, observations: FloatArray) -> FloatArray:
-        """Returns the logits of all choices, ``(A, 31)``; a kart's do not depend on other karts.
+        """Returns the logits of all choices, ``(A, 31)``; each row depends only on its own input.
 
         Args:
             observations: ``(A, F)`` float32; the first :attr:`inputs` columns are the input.
@@ -89,11 +89,11 @@ class MlpDriver:
         return logits
 
     def best(self, observations: FloatArray) -> IntArray:
-        """Returns the most likely choices, ``(A, 5)``; a kart's do not depend on other karts."""
+        """Returns the most likely choices, ``(A, 5)``; each row depends only on its own input."""
         return _likeliest(self.logits(observations))
 
     def seat(self) -> NoReturn:
-        """Rejects a call from agents that older versions exported."""
+        """Rejects a call from an agent that an older version exported."""
         raise ConfigError(
             "this agent is of another version of stkzoo; make it again from its "
             "policy.safetensors with python -m stkzoo.agents.training.export"
@@ -123,7 +123,7 @@ def log_probabilities(logits: FloatArray) -> FloatArray:
 
 
 def log_probability_of(choices: IntArray, logits: FloatArray) -> FloatArray:
-    """Returns the log-probability of choices ``(A, 5)`` by their logits ``(A, 31)``, ``(A,)``."""
+    """Returns the log-probabilities ``(A,)`` of choices ``(A, 5)`` with logits ``(A, 31)``."""
     taken = np.take_along_axis(log_probabilities(logits), choices + _BEGINS, axis=1)
     total: FloatArray = taken.sum(axis=1)
     return total
@@ -135,7 +135,7 @@ def _likeliest(logits: FloatArray) -> IntArray:
 
 
 def is_network(weights: Mapping[str, FloatArray]) -> bool:
-    """Whether arrays are a network without plans, not a policy over plans."""
+    """Returns whether arrays are a network without plans, not a policy over plans."""
     return _LAST.format("weight") in weights
 
 

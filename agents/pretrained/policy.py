@@ -37,7 +37,7 @@ class Network:
         self._mlp = Mlp(tuple((weights[f"w{n}"], weights[f"b{n}"]) for n in range(3)), False)
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Returns the outputs ``(A, outputs)`` for inputs ``(A, F)``, each from its row alone."""
+        """Returns outputs ``(A, outputs)`` for inputs ``(A, F)``, row by row."""
         seen = inputs[:, : len(self._mean)]
         seen = np.clip((seen - self._mean) * self._scale, -INPUT_CLIP, INPUT_CLIP)
         outputs = np.empty((len(inputs), self._outputs), np.float32)
@@ -110,16 +110,16 @@ class RacingPolicy:
         return cls({name: np.zeros(shape, np.float32) for name, shape in shapes})
 
     def logits(self, view: PolicyInput) -> FloatArray:
-        """Returns the logits, ``(A, sum(CHOICES))``; a kart's do not depend on other karts."""
+        """Returns the logits, ``(A, sum(CHOICES))``; each row depends only on its own input."""
         logits: FloatArray = view.prior + self.learned_logits(view)
         return logits
 
     def learned_logits(self, view: PolicyInput) -> FloatArray:
-        """Returns what is added to the prior, ``(A, sum(CHOICES))``."""
+        """Returns the learned logits without the prior, ``(A, sum(CHOICES))``."""
         return self._network(view.inputs)
 
     def best(self, view: PolicyInput) -> IntArray:
-        """Returns the most likely choices, ``(A, 4)``; a kart's do not depend on other karts."""
+        """Returns the most likely choices, ``(A, 4)``; each row depends only on its own input."""
         return likeliest(self.logits(view))
 
     def sample(

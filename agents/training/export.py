@@ -6,7 +6,7 @@ r"""Exports learned weights as an agent: a folder that you can race and share.
 The weights come from a run of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``league``. With
 ``--ensemble-weight 1``, one or more networks without plans form an ensemble with the plans: the
 agent chooses a plan by its worth and, with this weight, by its probability under the networks.
-Policies over plans can be members too; what they have learned is added to the plans' logits. The
+Policies over plans can be members too; their learned logits are added to those of the plans. The
 folder of an ensemble adds its members. ``--plans FILE`` gives an ensemble of networks other plans.
 
 The folder contains the weights; ``card.json`` with their digest, the training arguments (from

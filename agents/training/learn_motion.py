@@ -3,13 +3,13 @@
     python -m stkzoo.agents.training.learn_motion --output motion
 
 Karts driven by their plans, with random offsets to the steering, race each other on training
-tracks. From what their drivers remember and do, a small network learns how much each kart turns in
-the next 0.1 s, and how its speeds ahead and to the side change. Steps in which a kart flies,
-crashes or is rescued are left out; each step is also learned mirrored.
+tracks. From the memory and the actions of their drivers, a small network learns how much each kart
+turns in the next 0.1 s, and how its forward and sideways speeds change. Steps in which a kart
+flies, crashes or is rescued are left out. Each step is also learned mirrored.
 
 The folder contains ``motion.safetensors``, which replaces the file in ``agents/planning``. The
-command prints how far forecasts of one second miss on the validation tracks, from which it does not
-learn, next to forecasts of arcs at constant speed.
+command also prints the errors of one-second forecasts on the validation tracks, which are not used
+for training, and those of forecasts with arcs at constant speed.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from .common.fleet import Lineup, RaceFleet
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
-#: First starting point; other programs use other numbers.
+#: Number of the first starting point; other programs use other numbers.
 _FIRST_NUMBER = 9000
-#: Races side by side, karts in each, and steps of a race.
+#: Number of parallel races, karts in each, and steps of a race.
 _RACES, _KARTS, _STEPS = 4, 6, 450
-#: Probability per step of a new steering offset, probability that it is zero, and its size.
+#: Probability per step of a new steering offset, probability that it is zero, and its magnitude.
 _NEW_OFFSET, _NO_OFFSET, _OFFSET = 0.1, 0.5, 0.25
-#: Limits of ordinary steps: turn [rad], change of speed [m/s], way [m], and speed [m/s].
+#: Limits of ordinary steps: turn [rad], change of speed [m/s], distance [m], and speed [m/s].
 _MOST_TURN, _MOST_GAIN, _MOST_WAY, _LEAST_SPEED = 0.4, 3.0, 6.0, 3.0
 #: Units of the outputs: turn [rad], changes of speed [m/s].
 _UNITS = np.array([0.05, 0.3, 0.3], np.float32)
@@ -70,7 +70,7 @@ class MotionArguments(RunArguments):
         n_epochs: passes over all steps.
         batch_size: steps per gradient step.
         learning_rate: highest learning rate of Adam.
-        learned_motion: whether the plans of the karts use the present network already.
+        learned_motion: whether the plans of the karts use the current network.
     """
 
     rounds: int = 30
@@ -86,12 +86,12 @@ class Drive:
     """Logged steps of the karts of some races, ``(T, A)`` each.
 
     Attributes:
-        state: the karts with what their drivers remember after they have acted.
+        state: state of the karts, with the memory of their drivers after they have acted.
         nitro: whether they use nitro.
         heading: direction in the world, positive to the right [rad].
         place: ``(T, A, 2)`` position in the world [m].
         lock: turn at full lock [rad/s].
-        is_ordinary: whether a step and the way to it are ordinary.
+        is_ordinary: whether a step and the motion before it are ordinary.
     """
 
     state: MotionState
@@ -116,7 +116,7 @@ class Drive:
 
 
 class _Noisy(PlanDriver):
-    """Drives by the plans, with an offset to the steering of each kart."""
+    """A policy that follows the plans with an offset to the steering of each kart."""
 
     offset: FloatArray = np.zeros(0, np.float32)
 
@@ -128,7 +128,7 @@ class _Noisy(PlanDriver):
 def drive(
     tracks: Sequence[str], rounds: int, rules: DriverParameters, seed: int
 ) -> Iterator[Drive]:
-    """Drives rounds of races and yields what was logged.
+    """Drives rounds of races; yields the log of each.
 
     Args:
         tracks: tracks, drawn uniformly and in both directions.
@@ -251,10 +251,10 @@ def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> 
 
 
 def misses(log: Drive, layers: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Returns by how much forecasts of one second miss, aside and ahead, ``(N, 2)`` [m].
+    """Returns the errors of one-second forecasts, lateral and forward, ``(N, 2)`` [m].
 
     Returns:
-        The misses of the network, and of arcs at constant speed.
+        Errors of the network, and of arcs at constant speed.
     """
     pairs = zip(layers[::2], layers[1::2], strict=True)
     network = Mlp(tuple((np.ascontiguousarray(w.T), bias) for w, bias in pairs), False)
@@ -299,7 +299,7 @@ def _by_arcs(log: Drive, start: int, kept: BoolArray) -> FloatArray:
 
 
 def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
-    """Trains the network, writes it and prints its misses."""
+    """Trains the network, saves it and prints its errors."""
     rules = DriverParameters(learned_motion=arguments.learned_motion)
     logs = []
     with ProgressBar(arguments.rounds, unit="rounds") as bar:

@@ -80,15 +80,15 @@ _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PolicyRating:
-    """The rating of a policy that a run has kept.
+    """The rating of a saved policy of a run.
 
     Attributes:
-        name: the policy's.
-        kart_steps: that it has learned from.
+        name: name of the policy.
+        kart_steps: kart-steps of its training.
         time_ratio: its mean time over the AI's.
         rating: its rating.
-        rating_low: lower end of the interval.
-        rating_high: upper end.
+        rating_low: lower end of the rating's interval.
+        rating_high: upper end of the rating's interval.
     """
 
     name: str
@@ -108,7 +108,7 @@ class OtherRating:
 
 @dataclass(frozen=True, slots=True)
 class RunRatings:
-    """The ``ratings.json`` of a run: its policies, by kart-steps, other drivers, and a table."""
+    """Content of a run's ``ratings.json``: policies by kart-steps, other drivers, and a table."""
 
     policies: Annotated[tuple[PolicyRating, ...], Within(1)]
     others: dict[str, OtherRating]
@@ -166,10 +166,10 @@ def _x(line: Mapping[str, Any]) -> float:
 
 
 def read_figures(folder: str | Path) -> list[dict[str, Any]]:
-    """The lines of a run's log, whose figures can be drawn.
+    """Returns the lines of a run's log, and checks that their figures can be drawn.
 
     Raises:
-        ConfigError: the folder has no log, or it is damaged.
+        ConfigError: the folder has no log, or the log is damaged.
     """
     log = require_log(folder)
     with reading(f"{str(Path(folder) / LOG)!r} cannot be drawn", "the log of a run"):
@@ -182,7 +182,7 @@ def _check_line(line: Mapping[str, Any], place: str) -> None:
     """Checks the figures of a line of a log.
 
     Raises:
-        Unreadable: one is no number.
+        Unreadable: a figure is not a number.
     """
     if "kart_steps" not in line and "round" not in line:
         raise Unreadable("has neither kart_steps nor round", place)
@@ -242,7 +242,7 @@ def _draw_band(axis: Any, curve: Any, steps: Any, lows: Any, highs: Any) -> None
 
 
 def draw_levels(axis: Any, values: Mapping[str, float]) -> None:
-    """Draws labelled horizontal lines; lines at nearly the same height share a label."""
+    """Draws labeled horizontal lines; lines at nearly the same height share a label."""
     room = 0.04 * float(np.ptp([*axis.get_ylim(), *values.values()]))
     groups: list[list[str]] = []
     for name in sorted(values, key=lambda name: (values[name], name)):

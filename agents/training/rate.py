@@ -11,9 +11,9 @@ a plot of them over kart-steps (``ratings.png``), and how often the policy with 
 finished ahead of one with fewer. ``start`` is the initial policy of the first run.
 
 The second command rates one policy of a run against ``start``, one of its past selves, random
-choices, and a game bot that is easy and hard in turn. It writes its results to the run's folder:
-``evaluations``, and ``ratings.json`` over all of them. ``sb3.selfplay`` runs this command during
-training.
+choices, and a game bot that is alternately easy and hard. It writes its results to the run's
+folder: ``evaluations``, and ``ratings.json`` over all of them. ``sb3.selfplay`` runs this command
+during training.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
     "nitro_wait": (0.8, 4.0),
 }
 
-#: First starting point; training and evaluation use other numbers.
+#: Number of the first starting point; training and evaluation use other numbers.
 _FIRST_NUMBER = 5000
 _BEST = "best.json"
 
@@ -151,13 +151,13 @@ class TuningArguments(RunArguments):
                 raise unknown_name("training track", track, TRAIN_TRACKS)
 
 
-#: As many numbers as are tuned.
+#: One number per tuned parameter.
 _Point = Annotated[list[float], Within(len(BOUNDS), len(BOUNDS))]
 
 
 @dataclass(frozen=True, slots=True)
 class Generation:
-    """A line of the log: what a generation proposed, and how well it drove."""
+    """A line of the log: the proposals of a generation, and their losses."""
 
     asked: list[_Point]
     told: list[float]

@@ -1,7 +1,7 @@
-"""Found by Python at its start when a benchmark puts this folder on ``PYTHONPATH``.
+"""Runs at the start of Python when a benchmark puts this folder on ``PYTHONPATH``.
 
-It brings the benchmark's clock into the engine processes of stkzoo, which are
-interpreters of their own; see ``benchmarks/bench_timing.py``.
+It opens the benchmark's clock in stkzoo's engine processes, which are separate interpreters; see
+``benchmarks/bench_timing.py``.
 """
 
 import os

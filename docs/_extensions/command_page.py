@@ -1,6 +1,6 @@
-"""The reference page of the commands, from their parsers.
+"""Writes the reference page of the commands from their parsers.
 
-``python docs/_extensions/command_page.py`` writes it; a test compares it with the parsers.
+Run it with ``python docs/_extensions/command_page.py``. A test compares the page with the parsers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ completion, see [The command line](cli.md).
 
 
 def page() -> str:
-    """The page's text."""
+    """Returns the text of the page."""
     subparsers = _actions_of(build_parser())
     assert subparsers is not None  # noqa: S101 - each command is one
     parsers = dict(subparsers.choices)

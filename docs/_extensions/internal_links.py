@@ -1,4 +1,4 @@
-"""Warns of links inside the finished site that lead nowhere."""
+"""Warns about broken internal links in the built site."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from urllib.parse import unquote, urlsplit
 
 
 class _Page(HTMLParser):
-    """The names on a page, and where it points to."""
+    """Anchors and link targets of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -28,14 +28,14 @@ class _Page(HTMLParser):
 
 
 def broken_links(site: Path) -> list[str]:
-    """One line for each link of a site's pages to something that is not there."""
+    """Returns a line for each broken internal link of a site."""
     pages = {path: _Page(path.read_text("utf-8")) for path in sorted(site.rglob("*.html"))}
     found = []
     for path, page in pages.items():
         for target in sorted(page.targets):
             parts = urlsplit(target)
             if parts.scheme or parts.netloc:
-                continue  # the world outside
+                continue  # an external link
             to = (path.parent / unquote(parts.path)).resolve() if parts.path else path
             to = to / "index.html" if to.is_dir() else to
             if not to.exists():
@@ -50,7 +50,7 @@ def _has(page: _Page, fragment: str) -> bool:
 
 
 def _check(app: Any, exception: Exception | None) -> None:
-    from sphinx.util import logging  # without it, the rest of this file can be used all the same
+    from sphinx.util import logging  # the rest of this file works without Sphinx
 
     logger = logging.getLogger(__name__)
     if exception is None and app.builder.name == "html":
@@ -59,6 +59,6 @@ def _check(app: Any, exception: Exception | None) -> None:
 
 
 def setup(app: Any) -> dict[str, Any]:
-    """Sphinx's entry point."""
-    app.connect("build-finished", _check, priority=900)  # after all others
+    """Sets up the Sphinx extension."""
+    app.connect("build-finished", _check, priority=900)  # after all other handlers
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,7 +1,7 @@
-"""Links out of ``docs``, which lead somewhere in the repository, as links that the site has.
+"""Adapts links from ``docs`` to other parts of the repository, so that they work on the site.
 
-A file becomes a download, which MyST does by itself; a page that the site shows too, a link to it
-there; a folder, which no site can show, its name.
+A link to a page that the site includes becomes a link to that page. A link to a folder becomes
+plain text. MyST turns links to other files into downloads.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 
-#: Files outside of ``docs`` that are pages of the site.
+#: Files outside ``docs``, and their pages on the site.
 PAGES = {
     ROOT / "README.md": DOCS / "index.md",
     ROOT / "CHANGELOG.md": DOCS / "changelog.md",
@@ -26,7 +26,7 @@ _LINK = re.compile(r"\[(?P<text>[^\]]*)\]\((?P<path>\.\./[^)#\s]*)(?P<place>#[^)
 
 
 def inside(text: str, folder: Path) -> str:
-    """The text of a page in ``folder``, with links out of ``docs`` replaced by ones that work."""
+    """Returns the text of a page in ``folder`` with its links out of ``docs`` adapted."""
 
     def replaced(link: re.Match[str]) -> str:
         path = (folder / link["path"]).resolve()
@@ -42,6 +42,6 @@ def _read(_: Any, name: str, source: list[str]) -> None:
 
 
 def setup(app: Any) -> dict[str, Any]:
-    """Sphinx's entry point."""
+    """Sets up the Sphinx extension."""
     app.connect("source-read", _read)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

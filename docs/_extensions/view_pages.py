@@ -1,7 +1,7 @@
-"""The reference pages of the views, from the layouts in the code.
+"""Writes the reference pages of the views from the layouts in the code.
 
-``python docs/_extensions/view_pages.py`` writes them; a test compares them with the code. Units and
-meanings of the game's own entries come from the tables of ``docs/reference/environment.md``.
+Run it with ``python docs/_extensions/view_pages.py``. A test compares the pages with the code. The
+units and meanings of the game's own entries come from ``docs/reference/environment.md``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FOLDER = Path(__file__).parent.parent / "reference"
 _ENTRIES = (FOLDER / "environment.md").read_text("utf-8")
 _LINES = [line.strip().strip("|") for line in _ENTRIES.splitlines() if line.startswith("| `")]
 _ROWS = [[cell.strip() for cell in line.split("|")] for line in _LINES]
-#: By key, the unit and the meaning of the game's own observations, and the meaning of its actions.
+#: Unit and meaning of the game's own observations, and meaning of its actions, by key.
 _OBSERVED = {row[0].strip("`"): (row[3], row[4]) for row in _ROWS if len(row) == 5}
 _ACTED = {row[0].strip("`"): row[3] for row in _ROWS if len(row) == 4}
 
@@ -35,7 +35,7 @@ Rows = Iterator[tuple[object, ...]]
 
 
 def pages() -> dict[str, str]:
-    """Each page's text by the file's name."""
+    """Returns the text of each page by file name."""
     found = {f"{view.name}.md": _page(view.name, view.description) for view in SHIPPED}
     lines = [
         "# Views entry by entry",
@@ -120,7 +120,7 @@ def _observation(name: str, space: spaces.Space[Any], flat: SpaceFlattener) -> I
             yield from ("### `observation`", "", *_table(columns, _joined(flat)), "")
 
 
-#: What the entries of views with vectors are.
+#: Descriptions of the entries of views with vectors.
 _PARTS = {
     "continuous": "the numbers, in the alphabetical order of their entries",
     "discrete": "the choices, in the alphabetical order of their entries",
@@ -270,7 +270,7 @@ def _values(name: str, count: int) -> str:
 def _table(columns: tuple[str, ...], rows: Any) -> list[str]:
     head = ["| " + " | ".join(columns) + " |", "| " + " | ".join("---" for _ in columns) + " |"]
     lines = ["| " + " | ".join(map(str, row)) + " |" for row in rows]
-    # Links of environment.md are from the folder above.
+    # The links of environment.md are relative to the parent folder.
     there = [re.sub(r"\]\(#", "](../environment.md#", line) for line in lines]
     return head + [re.sub(r"\]\(\.\./how-to", "](../../how-to", line) for line in there]
 

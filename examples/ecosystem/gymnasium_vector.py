@@ -13,7 +13,7 @@ RACE = {"track": "lighthouse", "max_cycles": 60}
 
 
 def many_agents() -> None:
-    """Every agent of two races is a slot; `infos["active"]` marks real steps."""
+    """Steps two races, with one slot per agent; `infos["active"]` marks real steps."""
     envs = stkzoo.RaceVectorEnv(2, num_kart=3, view="box_discrete", **RACE)
     observations, infos = envs.reset(seed=1)
     returns = np.zeros(envs.num_envs)
@@ -26,7 +26,7 @@ def many_agents() -> None:
 
 
 def one_agent_a_race() -> None:
-    """Single-kart ids through `gym.make_vec`."""
+    """Steps single-kart ids through `gym.make_vec`."""
     envs = gym.make_vec(
         "supertuxkart/box_discrete-v0",
         num_envs=2,

@@ -17,7 +17,7 @@ from stkzoo import race_v0
 
 
 def make_env() -> PettingZooEnv:
-    """Returns a race of two agents; Tianshou finds the mask beside the observation itself."""
+    """Returns a race of two agents; Tianshou finds the mask next to the observation by itself."""
     return PettingZooEnv(
         race_v0.env(num_kart=2, track="lighthouse", view="masked_discrete", max_cycles=40)
     )

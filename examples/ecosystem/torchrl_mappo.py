@@ -19,7 +19,7 @@ GROUP = "kart"
 
 
 def make_env() -> PettingZooWrapper:
-    """Returns a race in which no agent is done before the end, as a centralized critic needs it."""
+    """Returns a race in which no agent is done before the end, as a centralized critic requires."""
     race = race_v0.parallel_env(
         num_kart=KARTS, track="lighthouse", view="box_discrete", max_cycles=64
     )

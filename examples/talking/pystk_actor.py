@@ -1,4 +1,4 @@
-"""A team that talks: who meets a rival says so, and its mate uses its item too.
+"""A team that talks: an agent near a rival says so, and its teammate uses its item too.
 
     stkzoo race examples/talking examples/talking heuristic heuristic --track lighthouse
     stkzoo suite evaluate talk-2v2 examples/talking
@@ -16,7 +16,7 @@ player_name = "Talking"
 
 QUIET, RIVAL = 0, 1  # words; the other six have no meaning here
 GO = PEDALS.index("go")
-AHEAD = 4  # the point of the road that the kart steers to, 19 m ahead
+AHEAD = 4  # index of the road point that the kart steers to, 19 m ahead
 FAST_ENOUGH = 0.05  # of 20 m/s
 STUCK_STEPS = 40
 
@@ -31,7 +31,7 @@ create_state = State
 def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
         view = observation["observation"]
-        heard = observation["messages"].sum(axis=0)  # all rows but that of the mate are zeros
+        heard = observation["messages"].sum(axis=0)  # only the teammate's row is not zero
 
         state.slow_steps = state.slow_steps + 1 if view[2] < FAST_ENOUGH else 0
         is_stuck = state.slow_steps > STUCK_STEPS

@@ -23,7 +23,7 @@ class _ActionEnum(Enum):
 
     @classmethod
     def is_valid(cls, name: object) -> bool:
-        """Whether a member of that name exists."""
+        """Returns whether a member with a name exists."""
         return name in [kind.value for kind in cls]
 
     @classmethod

@@ -41,8 +41,10 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
     Args:
         env: an environment with the game's actions, whose observation has ``velocity`` and
             ``max_steer_angle``. Put this wrapper inside wrappers that flatten.
-        control_input: see :class:`CarAction`; likewise ``normalize_act`` and ``params``.
+        control_input: see :class:`CarAction`.
+        normalize_act: see :class:`CarAction`.
         buttons: some of ``drift``, ``fire``, ``nitro`` and ``rescue``.
+        params: see :class:`CarAction`.
         kart: kart model whose limits apply, as in ``AgentSpec.kart``; ``params`` takes precedence.
         step_size: game time of one step of the race [s]; ``reset`` options that change it for an
             episode are respected.
@@ -157,7 +159,7 @@ class ControlView:
         observe: observations of the view ``"full"``, ``"simple"`` or ``"flattened"``. With
             ``"flattened"``, the action is a ``Box(2)`` without buttons, otherwise a dict of
             ``continuous`` and ``discrete``.
-        control_input: see :class:`~stkzoo.wrappers.control.ControlWrapper`, as for the others.
+        control_input: see :class:`~stkzoo.wrappers.control.ControlWrapper`.
         normalize_act: whether to scale both numbers to [-1, 1].
         buttons: additional buttons of the game.
         kart: kart model whose limits apply, as in ``AgentSpec.kart``.

@@ -98,7 +98,7 @@ Flags = npt.NDArray[np.bool_]
 
 
 def _uses(env: gym.Env[Any, Any], flattener: FlattenerWrapper) -> tuple[Flags, Flags]:
-    """Returns, for each action or each value of each choice, whether it presses nitro and fires."""
+    """Returns whether each action, or each value of each choice, presses nitro, and fire."""
     if isinstance(env.action_space, spaces.Discrete):
         action: Any = np.arange(env.action_space.n)
         for wrapper in _inwards(env):

@@ -27,7 +27,7 @@ _HEARD, _SAID = ("messages", "heard"), "message"
 
 @dataclass(frozen=True, slots=True)
 class WordChannel:
-    """The form in which the words of a race reach a kart and leave it.
+    """Spaces of the words that a kart of a race hears and says.
 
     Attributes:
         words: number of words.

@@ -9,10 +9,10 @@ from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.wrappers.racing.road import BEYOND, MARKS, STEP
 
-#: Numbers of nearest other karts, good items ahead and bad items ahead in the view.
+#: Numbers of the nearest other karts, good items ahead and bad items ahead in the view.
 KARTS, GOODS, BADS = 4, 4, 3
 
-#: Items that help and items that harm.
+#: Types of good and of bad items.
 TYPES_GOOD = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
 TYPESBAD = (ItemType.BANANA, ItemType.BUBBLEGUM)
 
@@ -125,7 +125,8 @@ OWN_NUMBERS = (
 )
 OWN_KINDS = ("jumping", "powerup_type", "powerup_count", "attachment")
 
-#: Largest distances, least distance ahead and largest height of what is seen [m].
+#: Maximum distances of karts and items, and minimum distance ahead and maximum height difference
+#: of items [m].
 KART_REACH, ITEM_REACH = 60.0, 60.0
 ITEM_LEAST_AHEAD, ITEM_LEVEL = 0.5, 6.0
 

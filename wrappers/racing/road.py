@@ -2,7 +2,7 @@
 
 The line begins at the start of the kart's own segment and follows consecutive segments. At a fork
 it follows the branch whose segments touch: the main road, or the side road that the kart is on. Its
-points are :data:`STEP` metres apart, independent of the segments' lengths.
+points are :data:`STEP` meters apart, independent of the segments' lengths.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ class _RacingObserver:
 
 
 def _is_short(source: ObservationSource) -> bool:
-    """Whether karts observe fewer segments than the vector needs."""
+    """Returns whether karts observe fewer segments than the vector needs."""
     _, num_paths, _ = source.course
     return bool(num_paths < min(MAX_SEGMENTS, source.track_map.num_nodes))
 
@@ -172,7 +172,7 @@ class BatchedRacingView:
             road: number of its track.
             karts: ``(A,)`` indices of the karts.
             rows: ``(A,)`` row of each kart.
-            views: ``(N, SIZE)`` float32, which this changes.
+            views: ``(N, SIZE)`` float32, modified in place.
         """
         self._observer.observe(snapshot.data, road, karts, views, rows)
 
@@ -224,8 +224,7 @@ def racing_features(
     Args:
         own: entries of the ``full`` view in batch form.
         around: surroundings of the karts, with the road at :data:`~.road.LOOKS` first.
-        out: array ``(A, F)`` in whose first ``SIZE`` columns the view is written; ``None`` for a
-            new one.
+        out: array ``(A, F)`` whose first ``SIZE`` columns receive the view; ``None`` for a new one.
 
     Returns:
         ``(A, SIZE)`` float32, or ``out``.

@@ -25,7 +25,7 @@ _context = multiprocessing.get_context("spawn")
 
 
 class SharedArray:
-    """An array in memory that a process shares with those that it starts; it has no name.
+    """An array in anonymous memory that a process shares with the processes that it starts.
 
     Args:
         shape: shape of the array.
@@ -37,7 +37,7 @@ class SharedArray:
         self._memory = _context.RawArray("b", max(self._dtype.itemsize * int(np.prod(shape)), 1))
 
     def array(self) -> npt.NDArray[Any]:
-        """Returns the array; a change is seen by all processes."""
+        """Returns the array; changes are visible to all processes."""
         flat = np.frombuffer(self._memory, self._dtype, int(np.prod(self._shape)))
         return flat.reshape(self._shape)
 
@@ -92,7 +92,7 @@ class ActorPool:
     def send(self, method: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         """Starts a :meth:`call`; :meth:`receive` returns its results."""
         for connection, own in zip(self._connections, arguments, strict=True):
-            with contextlib.suppress(OSError):  # receive says why
+            with contextlib.suppress(OSError):  # receive reports the error
                 connection.send((method, own))
         self.is_busy = True
 
@@ -143,7 +143,7 @@ class ActorPool:
 
 def _serve(connection: Connection, make: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     """Runs an actor until the learner closes the connection or ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the learner ends, and then this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # this process ends with the learner
     end_with_parent()
     limit_threads()
     is_made, actor = _outcome(make, arguments)

@@ -91,7 +91,7 @@ class PPOArguments(NetworkArguments):
 
 @dataclass(frozen=True, slots=True)
 class OverlappedArguments(PPOArguments):
-    """Arguments of every script whose actors drive on while it learns.
+    """Arguments of every script whose actors keep driving while it learns.
 
     Attributes:
         actors: number of processes that drive the races; 0 is one for each processor core.

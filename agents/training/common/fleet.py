@@ -40,7 +40,7 @@ _PATIENCE = 1.6
 _GRACE = 8.0
 #: Longest distance per step [m]; a longer one is a jump at the start line or at a rescue.
 _LONGEST_STEP = 8.0
-#: Reward per metre.
+#: Reward per meter.
 _METRE = 0.05
 #: Upper limit of an estimated time ratio.
 _WORST_RATIO = 10.0
@@ -294,7 +294,7 @@ class RaceFleet:
     Args:
         lineups: lineup of each race.
         starts: starting points to share with another fleet.
-        place_reward: reward per place; the reward per metre is 0.05.
+        place_reward: reward per place; the reward per meter is 0.05.
 
     Attributes:
         races: the race of each lineup.
@@ -362,7 +362,7 @@ class Fleet(RaceFleet):
         lineups: lineup of each race.
         tracks: tracks, drawn uniformly and in both directions.
         variants: starting points per track, direction and lineup.
-        place_reward: reward per place; the reward per metre is 0.05.
+        place_reward: reward per place; the reward per meter is 0.05.
         starts: starting points to share with another fleet.
         rules: parameters of the learners' plans.
         mirrors: whether half of the karts observe and act with left and right swapped.

@@ -1,7 +1,7 @@
-"""A run that learns while its actors drive on: its iterations, log, checkpoints and policies.
+"""A run that learns while its actors keep driving: iterations, log, checkpoints and policies.
 
 Processes drive races and fill rollouts in shared memory (:mod:`.actors`). They drive the next
-rollout during an update, with the networks before it.
+rollout during an update, with the networks from before the update.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class RunFacts:
     """The facts in the checkpoint of a run. Runs add ``recent``, their latest finishes.
 
     Attributes:
-        history: the arguments, each with the kart-steps from which on they hold.
-        kart_steps: driven by then.
-        iteration: number of iterations by then.
+        history: arguments of each part of the run, with the kart-steps at which it began.
+        kart_steps: number of kart-steps so far.
+        iteration: number of iterations so far.
     """
 
     history: Annotated[list[dict[str, Any]], Within(1)]
@@ -73,7 +73,7 @@ class LearningNetwork(ABC):
 
     @abstractmethod
     def prepare(self, seen: npt.NDArray[np.void]) -> bool:
-        """Uses the rows of the first rollout, such as for the scale of inputs.
+        """Adapts the networks to the rows of the first rollout, such as the scale of the inputs.
 
         Returns:
             Whether the networks changed.
@@ -210,7 +210,7 @@ class OverlappedLearner(ABC):
         return {name: round(value, 6) for name, value in line.items()}
 
     def is_checkpoint(self, iteration: int) -> bool:
-        """Whether a checkpoint follows an iteration; all races restart after it."""
+        """Returns whether a checkpoint follows an iteration; all races restart after it."""
         return iteration % self.arguments.checkpoint_every == 0
 
     def _drive(self, iteration: int) -> None:

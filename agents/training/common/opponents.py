@@ -106,7 +106,7 @@ class RivalPool:
         """Restores a :meth:`state`.
 
         Raises:
-            Unreadable: it is damaged.
+            Unreadable: the state is damaged.
         """
         rivals = typed(tuple[Rival, ...], [dict(kept) for kept in state])
         self._opponents = {rival.name: rival for rival in rivals}

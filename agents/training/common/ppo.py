@@ -1,4 +1,4 @@
-"""Proximal policy optimization (PPO) whose actors drive on while it learns.
+"""Proximal policy optimization (PPO) whose actors keep driving while it learns.
 
 The method is that of Schulman et al. (2017), with generalized advantage estimation (GAE). Rollouts
 are from the networks before the latest update; PPO's probability ratio corrects for that.
@@ -85,7 +85,7 @@ class PPONetwork(LearningNetwork):
 
     @abstractmethod
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
-        """Returns what :meth:`evaluate` needs of the rows of a rollout, as tensors ``(N, ...)``."""
+        """Returns the inputs of :meth:`evaluate` for rows of a rollout, as tensors ``(N, ...)``."""
 
     @abstractmethod
     def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
@@ -170,8 +170,8 @@ def advantages_of(
 class OverlappedPPO(OverlappedLearner):
     """A run of PPO; see :class:`.learner.OverlappedLearner`.
 
-    The actors return for each rollout also ``last_values``, ``(S,)`` values of what follows its
-    last step.
+    For each rollout, the actors also return ``last_values``, the values ``(S,)`` after its last
+    step.
     """
 
     _network: PPONetwork

@@ -34,14 +34,14 @@ T = TypeVar("T")
 
 
 def read_run_file(kind: type[T], file: Path) -> T:
-    """The content of a JSON file in a run's folder.
+    """Returns the content of a JSON file in a run's folder.
 
     Args:
-        kind: its type, see :func:`stkzoo._schema.typed`.
+        kind: type of the content; see :func:`stkzoo._schema.typed`.
         file: the file.
 
     Raises:
-        ConfigError: it is missing or damaged.
+        ConfigError: the file is missing or damaged.
     """
     with reading(f"{str(file)!r} cannot be read", "the file that the run wrote"):
         return typed(kind, load_json(file, _MAX_BYTES))
@@ -116,7 +116,7 @@ def keep_arguments(
     write_json(file, now)
 
 
-# ---------------------------------------------------------------------- parameters of plans
+# ---------------------------------------------------------------------- plan parameters
 
 
 def plan_parameters(file: str | Path) -> DriverParameters:
@@ -173,21 +173,21 @@ def save_checkpoint(folder: Path, facts: Mapping[str, Any], state: Mapping[str, 
 
 
 def load_checkpoint(folder: Path, kind: type[T]) -> tuple[T, dict[str, Any]] | None:
-    """Facts and state of a run's checkpoint; ``None`` if there is none.
+    """Returns facts and state of a run's checkpoint; ``None`` without a checkpoint.
 
     Args:
-        folder: the run's.
-        kind: the type of the facts.
+        folder: folder of the run.
+        kind: type of the facts.
 
     Raises:
-        ConfigError: it is damaged.
+        ConfigError: the checkpoint is damaged.
     """
     file = folder / CHECKPOINT
     if not file.exists():
         return None
     with reading_checkpoint(folder):
         with open_zip(file, 100_000, _MAX_CHECKPOINT):
-            pass  # its list is valid
+            pass  # the list of its members is valid
         state = training_library("torch").load(file, weights_only=True, map_location="cpu")
         return typed(kind, read_json(state["facts"], _MAX_BYTES)), state
 
@@ -202,14 +202,14 @@ def reading_checkpoint(folder: Path) -> AbstractContextManager[None]:
 
 
 def read_json_lines(file: Path, kind: type[T]) -> list[T]:
-    """The lines of a file of JSON lines; none if there is no such file.
+    """Returns the lines of a JSON lines file; empty if the file does not exist.
 
     Args:
         file: the file.
-        kind: the type of a line, see :func:`stkzoo._schema.typed`.
+        kind: type of a line; see :func:`stkzoo._schema.typed`.
 
     Raises:
-        ConfigError: it is damaged.
+        ConfigError: the file is damaged.
     """
     if not file.exists():
         return []
@@ -219,17 +219,17 @@ def read_json_lines(file: Path, kind: type[T]) -> list[T]:
 
 @dataclass(frozen=True, slots=True)
 class _Iteration:
-    """What a line of a training log has at least."""
+    """Fields that every line of a training log has."""
 
     iteration: Count
     kart_steps: Count = 0
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The lines of a run's log; none if there is no log.
+    """Returns the lines of a run's log; empty if there is no log.
 
     Raises:
-        ConfigError: it is damaged.
+        ConfigError: the log is damaged.
     """
     return read_json_lines(folder / LOG, dict[str, Any])
 

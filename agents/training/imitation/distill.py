@@ -163,7 +163,7 @@ def _drive(
     finally:
         fleet.close()
     finished = sum(finish.ratio is not None for finish in finishes)
-    ratios = _ratios(finishes) or (_UNFINISHED,)  # no race may have finished
+    ratios = _ratios(finishes) or (_UNFINISHED,)  # perhaps no race has finished
     return Lesson(np.concatenate(seen), np.concatenate(answers), ratios, finished)
 
 

@@ -1,4 +1,4 @@
-r"""Imitates a driver: behaviour cloning, followed by DAgger.
+r"""Imitates a driver: behavior cloning, followed by DAgger.
 
     python -m stkzoo.agents.training.imitation.imitate --output runs/imitate
     python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.npz --rounds 0
@@ -6,7 +6,7 @@ r"""Imitates a driver: behaviour cloning, followed by DAgger.
         --init runs/imitate/policy.safetensors
 
 First, a network learns the teacher's actions from demonstrations (from `stkzoo demos`, or recorded
-by this script): behaviour cloning. Its errors lead it to states that the teacher never visited.
+by this script): behavior cloning. Its errors lead it to states that the teacher never visited.
 Therefore, in each round of DAgger (Ross, Gordon and Bagnell, 2011) the learner drives, the teacher
 labels these states with its own action, and the network learns from all data so far. The last round
 only evaluates the result.
@@ -64,7 +64,7 @@ class TeacherArguments(ImitationArguments):
     Attributes:
         teacher: driver to imitate: a driver of stkzoo, or a path.
         demos: demonstration file of stkzoo demos to learn from first; empty records one.
-        rounds: rounds of DAgger; 0 is behaviour cloning only.
+        rounds: rounds of DAgger; 0 is behavior cloning only.
         tracks: names of tracks or of splits, such as train_only.
         races: races on each track per round.
         karts: karts of the learner in each race.

@@ -19,7 +19,7 @@ from ..common.command import training_library, training_torch
 
 Numbers = npt.NDArray[Any]
 
-#: Standard deviation of the label smoothing over neighbouring steering choices [choices].
+#: Standard deviation of the label smoothing over neighboring steering choices [choices].
 _BLUR = 0.7
 
 

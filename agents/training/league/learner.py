@@ -48,7 +48,7 @@ class LeagueActor(RaceActor):
 
     Args:
         arguments: see :class:`~stkzoo.agents.training.ppo.rollouts.RaceActor`.
-        memory: likewise.
+        memory: see :class:`~stkzoo.agents.training.ppo.rollouts.RaceActor`.
         matchmaker: draws the rivals.
         seed: seed of the matchmaking from now on.
     """
@@ -119,7 +119,7 @@ class LeagueLearner(PPOLearner):
     """A run of :mod:`~stkzoo.agents.training.ppo.selfplay` with rivals in some races.
 
     A rival drives half of the karts in such a race; the learner does not train on those. Each actor
-    draws its races' rivals from what it knew of the duels when it started, and from its own.
+    draws the rivals by the results of the duels before it started, and of its own duels.
 
     Args:
         folder: folder of the run.

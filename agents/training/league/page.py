@@ -107,7 +107,7 @@ def _chart(
     players: Sequence[str],
     ratings: Mapping[str, Sequence[float]],
 ) -> str:
-    """Returns an SVG of the ratings over kart-steps in the page's colours."""
+    """Returns an SVG of the ratings over kart-steps in the page's colors."""
     curves: dict[str, list[tuple[float, Sequence[float]]]] = {player: [] for player in players}
     for member in members:
         if member["player"] and member["name"] in ratings:

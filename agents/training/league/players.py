@@ -64,7 +64,7 @@ class Player:
         return f"{self.name}-g{self.generation}"
 
     def is_done(self, beaten: float, patience: int) -> bool:
-        """Whether the player starts over; a main player never does.
+        """Returns whether the player starts over; a main player never does.
 
         Args:
             beaten: fraction of duels won in the last turn.
@@ -82,7 +82,7 @@ class Player:
 
 @dataclass(frozen=True, slots=True)
 class DuelResults:
-    """How the duels of a turn went, as its file has them; see :meth:`PlayerMatchmaker.state`."""
+    """Results of the duels of a turn, as in its file; see :meth:`PlayerMatchmaker.state`."""
 
     pool: list[Rival]
     reported: list[Share]

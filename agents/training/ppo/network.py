@@ -28,7 +28,7 @@ class ActorCritic(PPONetwork):
         seed: seed of the initial weights.
         learns: names of the choices to train.
         init: file with initial weights; empty for new weights.
-        penalty_coef: coefficient of the KL penalty towards the plans' prior.
+        penalty_coef: coefficient of the KL penalty toward the plans' prior.
 
     Attributes:
         columns: columns of the trained choices.

@@ -1,4 +1,4 @@
-"""Rollouts of PPO: the actors that drive them in processes of their own, and their advantages."""
+"""Rollouts of PPO, and the actors that drive them in separate processes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class ActorArguments:
     Attributes:
         lineups: lineup of each of its races.
         tracks: tracks of the races.
-        place_reward: reward per place; the reward per metre is 0.05.
+        place_reward: reward per place; the reward per meter is 0.05.
         rules: parameters of the plans.
         learns: names of the choices to sample; the others are the most likely ones.
     """
@@ -75,7 +75,7 @@ class ActorArguments:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """What a rollout's array does not include.
+    """Results of a rollout that are not in its array.
 
     Attributes:
         last_values: ``(S,)`` values of the inputs after its last step.

@@ -5,7 +5,7 @@
 One policy drives all karts of many races, against itself and against the game's AI, and is trained
 with proximal policy optimization (Schulman et al., 2017). A small network sees the racing view
 (:mod:`stkzoo.wrappers.racing`), the driver's memory, and the worth of plans for the next two
-seconds (:mod:`stkzoo.agents.planning`). It chooses which manoeuvre to begin, nitro and fire, and
+seconds (:mod:`stkzoo.agents.planning`). It chooses which maneuver to begin, nitro and fire, and
 optionally a steering offset from the plan. Training starts from the driver that takes the best
 plan. Half of the karts, drawn for each race, drive mirrored left to right. The reward is the
 distance driven along the track plus places gained. The return does not end at the finish, so that
@@ -59,9 +59,9 @@ class SelfPlayArguments(OverlappedArguments):
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
         turn_hold: steps for which a steering offset holds; with 1, the policy chooses it in every
             step. None is as in plans.
-        kl_coef: coefficient of the KL penalty towards the plans' prior.
+        kl_coef: coefficient of the KL penalty toward the plans' prior.
         learns: choices to train; the others stay those of the plans, or of --init.
-        place_reward: reward per place; the reward per metre is 0.05.
+        place_reward: reward per place; the reward per meter is 0.05.
         init: policy file to start from; empty starts from the plans.
     """
 

@@ -30,7 +30,7 @@ class SelfPlay(RLlibCallback):
         self._races_then = 0.0
 
     def remember(self, promotions: int, races: float) -> None:
-        """Continues a run with a number of snapshots, the last one made after ``races`` races."""
+        """Restores the progress of a run; its last snapshot was made after ``races`` races."""
         self.promotions, self._races_then = promotions, races
 
     def on_algorithm_init(self, *, algorithm: Any, **_: Any) -> None:
@@ -68,5 +68,5 @@ def copy_main(algorithm: Any, module: str) -> None:
     path = f"{COMPONENT_LEARNER}/{COMPONENT_RL_MODULE}/{module}"
     state = algorithm.learner_group.get_state(components=path, inference_only=True)
     weights = {COMPONENT_RL_MODULE: state[COMPONENT_LEARNER][COMPONENT_RL_MODULE]}
-    # Env runners skip weights whose number they already have; these have none.
+    # Env runners skip weights with a number that they already have; these weights have none.
     algorithm.env_runner_group.foreach_env_runner(lambda runner: runner.set_state(weights))

@@ -1,4 +1,4 @@
-"""What RLlib's env runners need on any node: the run's arguments, the game's data, and races.
+"""Parts that RLlib's env runners need on every node: arguments, game data and races.
 
 Only the methods of :class:`PackSender` need Ray.
 """

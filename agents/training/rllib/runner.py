@@ -135,10 +135,10 @@ def _networks(module: Any) -> dict[str, MlpDriver]:
 
 
 def _episode(fragment: Fragment) -> SingleAgentEpisode:
-    """Returns a fragment as RLlib's learner takes it.
+    """Converts a fragment to the form that RLlib's learner expects.
 
-    Two chunks of one kart may be in the same batch, and RLlib joins what has the same id of an
-    episode, agent and module. So each chunk has an id of its own.
+    A batch may contain several chunks of one kart, and RLlib joins chunks with the same ids of
+    episode, agent and module. Therefore, each chunk has its own episode id.
     """
     return SingleAgentEpisode(
         multi_agent_episode_id=uuid.uuid4().hex,

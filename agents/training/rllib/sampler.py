@@ -1,4 +1,4 @@
-"""Drives the races of an env runner, and records what the learner's karts do. Needs no Ray."""
+"""Drives the races of an env runner, and records the steps of the learner's karts. Needs no Ray."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ class RaceSampler:
         logits = self._logits()
         actions = sample_choices(logits, self._random)
         self._races.step_async(actions)
-        log_probabilities = log_probability_of(actions, logits)  # the races run meanwhile
+        log_probabilities = log_probability_of(actions, logits)  # while the races run
         steps = self._races.wait_slots()
         record.add(
             active=steps.active,

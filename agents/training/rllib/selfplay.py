@@ -5,10 +5,10 @@ r"""Trains a policy by self-play with Ray RLlib, on one machine or a cluster.
         --address auto --env-runners 30
 
 The script uses PPO on RLlib's new API stack. Its env runners drive all their races in one batch
-(``RaceVectorEnv``) and evaluate the networks in stkzoo's kernel. In every race, the
-policy that learns (``main``) drives some karts, frozen snapshots of it drive others, and the game's
-AI drives the rest. When ``main`` finishes ahead of its past selves often enough, a snapshot of it
-replaces the oldest one. All policies see the view ``racing``.
+(``RaceVectorEnv``) and evaluate the networks in stkzoo's kernel. In every race, the policy that
+learns (``main``) drives some karts, frozen snapshots of it drive others, and the game's AI drives
+the rest. When ``main`` finishes ahead of its past selves often enough, a snapshot of it replaces
+the oldest one. All policies see the view ``racing``.
 
 Env runners may be on many nodes. A node without the game's data receives the headless pack (39 MB)
 before its first race. If env runners or nodes die, RLlib restarts them, there or elsewhere, and
@@ -78,7 +78,7 @@ def build_config(arguments: RLlibArguments) -> Any:
         )
         .multi_agent(
             policies=set(arguments.modules),
-            policy_mapping_fn=lambda *_, **__: MAIN,  # for the learner, which gets no other karts
+            policy_mapping_fn=lambda *_, **__: MAIN,  # the learner gets only karts of main
             policies_to_train=[MAIN],
         )
         .rl_module(

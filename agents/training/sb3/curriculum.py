@@ -99,7 +99,7 @@ class Curriculum:
         """Restores a :meth:`state`.
 
         Raises:
-            Unreadable: it is damaged.
+            Unreadable: the state is damaged.
         """
         known = typed(_CurriculumState, state)
         self.stage = min(known.stage, len(self.tracks))
@@ -109,7 +109,7 @@ class Curriculum:
 
 @dataclass(frozen=True, slots=True)
 class _CurriculumState:
-    """A state of a curriculum, as its file has it."""
+    """State of a curriculum, as in its file."""
 
     stage: Count
     paces: Annotated[tuple[float, ...], Within(0, 100_000)]

@@ -67,7 +67,7 @@ class RaceEnd:
 
 
 def way_and_places() -> Reward:
-    """Returns the reward: 0.1 per metre driven, and 0.3 per place gained."""
+    """Returns the reward: 0.1 per meter driven, and 0.3 per place gained."""
 
     def metres(step: Any) -> Any:
         driven = step.distance - step.distance_before

@@ -208,7 +208,7 @@ class BackgroundEvaluation:
 
 @dataclass(frozen=True, slots=True)
 class SB3Facts:
-    """The facts in a checkpoint; the parts check their own."""
+    """The facts in a checkpoint; each component checks its own part."""
 
     kart_steps: Count
     iteration: Count
@@ -295,7 +295,7 @@ class SB3Run:
         return self.evaluation.poll(due, wait)
 
     def _is_judged(self, before: int, now: int) -> bool:
-        """Whether an evaluation is due between two numbers of kart-steps."""
+        """Returns whether an evaluation is due between two numbers of kart-steps."""
         every = self.arguments.evaluate_every
         is_due = before // every < now // every and now <= self.kart_steps
         return is_due and self.arguments.evaluation_races > 0

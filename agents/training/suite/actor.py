@@ -54,7 +54,7 @@ class KartRace:
 
 @dataclass(frozen=True, slots=True)
 class TaskRollout:
-    """What a rollout's array does not include.
+    """Results of a rollout that are not in its array.
 
     Attributes:
         last_values: ``(S,)`` values of the observations after its last step.
@@ -111,7 +111,7 @@ class TaskActor:
             logits = network.logits(seen)
             choices = self._choose(logits)
             self._races.step_async(choices)
-            step["inputs"], step["choices"] = seen, choices  # the races run meanwhile
+            step["inputs"], step["choices"] = seen, choices  # while the races run
             step["log_probability"] = log_probability_of(choices, logits)
             step["values"] = values_of(critic_inputs(step))[:, 0] * VALUE_UNIT
             steps = self._races.wait_slots()
@@ -142,7 +142,7 @@ class TaskActor:
         return sample_choices(logits, self._random)
 
     def _look_at(self, finals: Mapping[int, tuple[Any, dict[str, Any]]]) -> None:
-        """Is called after each step with the slots that ended."""
+        """Called after each step with the slots that ended."""
 
     def _states(self) -> FloatArray:
         """Returns the state of each slot's race, ``(S, state_size)``."""

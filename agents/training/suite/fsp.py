@@ -2,9 +2,9 @@
 
     stkzoo suite train selfplay-5 fsp
 
-As independent PPO (:mod:`.ippo`). In half of the races a past policy drives some of the karts. Each
-of 40 past policies is equally likely, so that the learner answers to the mean of its past (Heinrich
-et al., 2015).
+Like independent PPO (:mod:`.ippo`), but in half of the races a past policy drives some of the
+karts. Each of 40 past policies is equally likely, so that the learner finds a response to the mean
+of its past policies (Heinrich et al., 2015).
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     stkzoo suite train versus impala
 
-As independent PPO (:mod:`.ippo`), with another update: one pass over the rollouts, and no limit to
-how far it moves the policy. Rollouts are from older policies. Importance weights, clipped at 1,
-correct the value targets and the gradient of the policy for that (Espeholt et al., 2018).
+Like independent PPO (:mod:`.ippo`), but with another update: one pass over the rollouts, without a
+limit on the change of the policy. Older policies drove the rollouts. Importance weights, clipped at
+1, correct the value targets and the policy gradient for that (Espeholt et al., 2018).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .learner import TaskArguments, TaskLearner, run_task
 class IMPALA(TaskLearner):
     """A run of V-trace; see :class:`.learner.TaskLearner`.
 
-    A batch has whole rollouts of some learners. ``gae_lambda`` is the lambda of V-trace.
+    A batch contains whole rollouts of some learners. ``gae_lambda`` is the lambda of V-trace.
     """
 
     @classmethod
@@ -97,7 +97,7 @@ def vtrace(
     Args:
         rollout: ``(T, S)`` of :func:`.actor.rollout_type`; ended races are bootstrapped.
         values: ``(T, S)`` values.
-        ratios: ``(T, S)`` probability of each action, over that of the policy that chose it.
+        ratios: ``(T, S)`` probability of each action over its probability when it was chosen.
         last_values: ``(S,)`` values after the last step.
         gamma: discount factor per step.
         trace: factor of the traces, from 0 to 1.

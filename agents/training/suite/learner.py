@@ -1,4 +1,4 @@
-"""What the reference algorithms share: arguments, actors, figures and files of a run.
+"""Shared parts of the reference algorithms: arguments, actors, figures and files of a run.
 
 The folder of a run contains `checkpoint.pt`, `log.jsonl` (one line per iteration), TensorBoard
 files, `arguments.json`, the kept policies, and at the end `agent`, the trained agent.
@@ -38,7 +38,7 @@ class TaskArguments(OverlappedArguments):
     Attributes:
         algorithm: name of the algorithm.
         task: name of the task.
-        num_races: number of parallel races; 0 is as many as have 64 learners.
+        num_races: number of parallel races; 0 for as many as give 64 learners.
         num_starts: number of different starts in each process between two checkpoints.
     """
 
@@ -76,13 +76,13 @@ class TaskLearner(OverlappedPPO):
         arguments: arguments of the run.
 
     Attributes:
-        sees_state: whether the value network sees the state of the whole race besides the
-            learner's observation.
+        sees_state: whether the value network also sees the state of the whole race, in addition to
+            the learner's observation.
         facts: type of the facts in a checkpoint.
         shown: figures of the log to show.
 
     Raises:
-        ConfigError: the task cannot be learned by this, or the folder contains another run.
+        ConfigError: this algorithm cannot learn the task, or the folder contains another run.
     """
 
     sees_state: ClassVar[bool] = False

@@ -23,8 +23,8 @@ _LEAST_SCALE = np.float32(0.1)
 class TaskNetwork(PPONetwork):
     """A policy and a value network on the view ``racing``, with their optimizer.
 
-    See :class:`..common.ppo.PPONetwork`. The policy's layers have Stable-Baselines3's names in
-    files, so that every command that reads those reads these.
+    See :class:`..common.ppo.PPONetwork`. In files, the policy's layers have the names of
+    Stable-Baselines3, so that commands that read its policies can read these.
 
     Args:
         hidden: units of the hidden layers of both.
@@ -79,7 +79,7 @@ class TaskNetwork(PPONetwork):
         return policy, self.arrays(self.value)
 
     def copy(self, weights: Weights) -> None:
-        """Copies the weights of another policy, the first of :meth:`weights`."""
+        """Copies weights of another policy, in the form of the first result of :meth:`weights`."""
         with self.torch.no_grad():
             for name, array in self._named().items():
                 array.copy_(self.torch.from_numpy(weights[name]))

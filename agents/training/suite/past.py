@@ -1,4 +1,4 @@
-"""Self-play against past policies: what fictitious and prioritized self-play share.
+"""Self-play against past policies: shared parts of fictitious and prioritized self-play.
 
 In half of the races, a past policy drives some of the karts: one of the teams or, without teams,
 half of the karts, rounded down. The learner does not train on those.
@@ -108,7 +108,7 @@ class PastActor(TaskActor):
                 self._end_race(race)
 
     def _end_race(self, race: int) -> None:
-        """Notes the result of a race against a past policy, and draws the next one."""
+        """Records the result of a race against a past policy, and draws the next one."""
         if self._rivals[race]:
             is_own = self._is_own.reshape(self._positions.shape)[race]
             own, others = self._positions[race, is_own], self._positions[race, ~is_own]

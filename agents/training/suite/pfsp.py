@@ -2,8 +2,8 @@
 
     stkzoo suite train selfplay-5 pfsp
 
-As fictitious self-play (:mod:`.fsp`), but a past policy that is beaten with probability p is met
-with weight (1 - p)^2 (Vinyals et al., 2019).
+Like fictitious self-play (:mod:`.fsp`), but a past policy that is beaten with probability p is
+drawn with weight (1 - p)^2 (Vinyals et al., 2019).
 """
 
 from __future__ import annotations
