@@ -241,7 +241,7 @@ def test_a_failing_driver_costs_only_its_own_race():
     ],
 )
 def test_why_a_race_was_over_is_said(settings, status):
-    """D26: a race that was stopped early can be told from one that has finished."""
+    """D26: a race that was stopped early has another status than a finished one."""
     result = run_race(["ai", "ai", "ai"], track="olivermath", seed=1, **settings)
     assert result.status == status
     assert result.is_finished == (status == "finished")
