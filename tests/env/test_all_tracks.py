@@ -1,4 +1,4 @@
-"""Every track of the game can be raced on, both ways round."""
+"""All of the game's tracks can be raced on in both directions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NUM_STEPS = 60
 @pytest.mark.parametrize("reverse", [False, True], ids=["forward", "reverse"])
 @pytest.mark.parametrize("track", SPLITS["all"])
 def test_a_track_can_be_raced_on(track, reverse):
-    # max_paths: on the longest track the full view of everything ahead is large.
+    # max_paths: without a limit, the full view of the longest track is large.
     make = functools.partial(race_v0.parallel_env, track=track, reverse=reverse, max_paths=50)
     top_speed = 0.0
     with make(num_kart=2) as env:
@@ -31,7 +31,7 @@ def test_a_track_can_be_raced_on(track, reverse):
     assert top_speed > 5.0
 
 
-def test_the_split_names_all_tracks_of_the_game():
+def test_the_split_contains_all_tracks_of_the_game():
     assert set(SPLITS["all"]) == set(find_assets().tracks)
 
 

@@ -1,4 +1,4 @@
-"""One seed is one race, to the finish, bots included, wherever and whenever it is run."""
+"""A seed determines the whole race, including the bots, in every process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stkzoo.checks import first_difference, play, trace
 from stkzoo.checks.processes import descendants, run_fresh
 from tests.support.paths import ROOT
 
-# Functions of a test module cannot be imported by a fresh process.
+# A new process cannot import functions from a test module.
 cloudpickle.register_pickle_by_value(sys.modules[__name__])
 
 SHORT_TRACKS = ("olivermath",)
@@ -33,27 +33,27 @@ def report(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("track", SHORT_TRACKS)
-def test_all_agents_finish_the_race_that_is_compared(report, track):
+def test_all_agents_finish_the_compared_race(report, track):
     assert report[track]["finished"] == 3
 
 
 @pytest.mark.parametrize("track", SHORT_TRACKS)
-def test_a_seed_repeats_bit_by_bit_in_one_environment(report, track):
+def test_a_seed_repeats_bit_for_bit_in_one_environment(report, track):
     assert report[track]["same_env"] == ""
 
 
 @pytest.mark.parametrize("track", SHORT_TRACKS)
-def test_a_seed_repeats_bit_by_bit_in_another_environment(report, track):
+def test_a_seed_repeats_bit_for_bit_in_another_environment(report, track):
     assert report[track]["other_env"] == ""
 
 
 @pytest.mark.parametrize("track", SHORT_TRACKS)
-def test_a_seed_repeats_bit_by_bit_in_a_fresh_program(report, track):
+def test_a_seed_repeats_bit_for_bit_in_a_new_program(report, track):
     assert report[track]["fresh_program"] == ""
 
 
 @pytest.mark.parametrize("track", SHORT_TRACKS)
-def test_another_seed_is_another_race(report, track):
+def test_another_seed_gives_another_race(report, track):
     assert report[track]["other_seed_differs"]
 
 
@@ -68,7 +68,7 @@ def race(env, seed=5, max_steps=None):
 
 
 @pytest.mark.slow
-def test_a_seed_repeats_after_the_worker_was_killed_in_mid_race():
+def test_a_seed_repeats_after_the_game_was_killed_during_a_race():
     with make() as env:
         expected = race(env)
         others = descendants()
@@ -103,7 +103,7 @@ def first_race_in_this_process():
 
 
 @pytest.mark.slow
-def test_an_episode_of_other_options_leaves_no_trace():
+def test_an_episode_with_other_options_does_not_affect_the_next():
     with make() as env:
         expected = race(env, max_steps=60)
         trace(play(env, 5, max_steps=20, options={"track": "zengarden", "laps": 2}))

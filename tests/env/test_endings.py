@@ -1,4 +1,4 @@
-"""Ends of an episode by choice, and why it has ended."""
+"""Options that end an episode early, and the reason that infos give."""
 
 import gymnasium as gym
 import numpy as np
@@ -18,7 +18,7 @@ def drive(acceleration, **others):
 
 
 def race_to_the_end(env, actions, **reset):
-    """Every agent's last step: its number, terminated, truncated, info."""
+    """Returns the number, flags and info of each agent's last step."""
     env.reset(seed=1, **reset)
     ends, number = {}, 0
     while env.agents:
@@ -32,21 +32,21 @@ def race_to_the_end(env, actions, **reset):
     return ends
 
 
-def test_an_agent_that_stands_is_stuck_and_one_that_drives_is_not():
+def test_a_standing_agent_is_stuck_and_a_driving_one_is_not():
     with race_v0.parallel_env(
         num_kart=2, track="lighthouse", end_when_stuck=2.0, max_cycles=80
     ) as env:
         ends = race_to_the_end(env, {"kart_0": drive(0.0), "kart_1": drive(0.6)})
         stood, terminated, truncated, info = ends["kart_0"]
         assert (terminated, truncated, info["ended_by"]) == (True, False, "stuck")
-        # Two seconds from GO on, which comes after nineteen steps.
+        # Two seconds after GO, which comes after 19 steps.
         assert 38 <= stood <= 41
         assert ends["kart_1"][1:3] == (False, True)
         assert ends["kart_1"][3]["ended_by"] == "max_cycles"
         assert env.infos(["kart_0"])["kart_0"]["ended_by"] == "stuck"
 
 
-def test_agents_that_turn_around_or_leave_the_road_are_ended():
+def test_agents_that_turn_around_or_leave_the_road_are_terminated():
     starts = {
         "kart_0": Start(distance=60.0, heading=np.pi, speed=8.0),
         "kart_1": Start(distance=90.0, heading=np.pi / 2, speed=8.0),
@@ -66,7 +66,7 @@ def test_agents_that_turn_around_or_leave_the_road_are_ended():
     assert back < off < 60
 
 
-def test_a_race_is_cut_some_steps_after_the_first_finish():
+def test_a_race_is_truncated_some_steps_after_the_first_finish():
     starts = {"kart_0": Start(share=0.97, speed=20.0), "kart_1": Start(distance=50.0)}
     options = {"start": starts}
     with race_v0.parallel_env(num_kart=2, track="lighthouse", max_cycles=400) as env:
@@ -80,7 +80,7 @@ def test_a_race_is_cut_some_steps_after_the_first_finish():
             assert last[0] - first[0] == steps
 
 
-def test_every_form_of_environment_takes_the_options():
+def test_every_kind_of_environment_accepts_the_options():
     chosen = {"num_kart": 2, "track": "lighthouse", "end_when_stuck": 0.5, "events": True}
     env = gym.make("supertuxkart/simple-v0", **chosen)
     _, info = env.reset(seed=1)
@@ -101,7 +101,7 @@ def test_every_form_of_environment_takes_the_options():
     envs.close()
 
 
-def test_nothing_stands_in_infos_that_was_not_asked_for():
+def test_infos_contain_nothing_that_was_not_requested():
     with race_v0.parallel_env(num_kart=1, track="lighthouse", max_cycles=2) as env:
         (_, terminated, truncated, info) = race_to_the_end(env, {"kart_0": drive(0.0)})["kart_0"]
     assert (terminated, truncated) == (False, True)
@@ -120,12 +120,12 @@ def test_nothing_stands_in_infos_that_was_not_asked_for():
         ("events", 1),
     ],
 )
-def test_a_wrong_value_is_refused_by_name(name, value):
+def test_an_invalid_value_is_refused_by_name(name, value):
     with pytest.raises(ConfigError, match=f"{name} is {value!r}, expected"):
         RaceOptions(**{name: value})
 
 
-def test_a_saved_state_keeps_for_how_long_a_kart_is_stuck():
+def test_a_saved_state_keeps_how_long_a_kart_has_been_stuck():
     with race_v0.parallel_env(num_kart=2, track="lighthouse", end_when_stuck=2.0) as env:
         actions = {"kart_0": drive(0.0), "kart_1": drive(0.6)}
 

@@ -1,4 +1,4 @@
-"""Events in infos: steps, episodes, saved states, races side by side, opponents."""
+"""Events in infos: steps, episodes, saved states, vector environments and opponents."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ ACTIONS = {"kart_0": drive(0.0), "kart_1": drive(1.0)}
 
 
 def run(env, steps):
-    """The last infos, and the sums of the steps' events by agent."""
+    """Returns the last infos and the sums of the events over all steps, by agent."""
     sums = {agent: dict.fromkeys(EVENTS, 0.0) for agent in env.possible_agents}
     infos = {}
     for _ in range(steps):
@@ -51,7 +51,7 @@ def test_an_episodes_events_are_the_sums_of_its_steps():
         assert episode_events(env.infos(env.agents)) == found
 
 
-def test_a_saved_state_keeps_the_counts_and_an_episode_from_it_starts_at_zero():
+def test_a_saved_state_keeps_the_counts_but_an_episode_from_it_starts_at_zero():
     with race_v0.parallel_env(**SETTINGS, start=RAM) as env:
         env.reset(seed=1)
         contacts = run(env, 10)[1]["kart_1"]["kart_contact"]
@@ -70,7 +70,7 @@ def test_a_saved_state_keeps_the_counts_and_an_episode_from_it_starts_at_zero():
             assert later == expected["kart_1"]["kart_contact"] - contacts
 
 
-def test_an_agent_that_has_left_counts_no_more():
+def test_events_of_agents_that_have_left_do_not_count():
     settings = {**SETTINGS, "start": RAM, "end_when_stuck": 0.5, "max_cycles": 60}
     with race_v0.parallel_env(**settings) as env:
         env.reset(seed=1)
@@ -83,7 +83,7 @@ def test_an_agent_that_has_left_counts_no_more():
         assert episode_events(env.infos(["kart_0"])) == left
 
 
-def test_races_side_by_side_give_totals_at_the_end_and_begin_at_zero():
+def test_vector_environments_report_totals_at_the_end_and_restart_at_zero():
     settings = {**SETTINGS, "view": "box_continuous", "num_kart": 2}
     envs = stkzoo.RaceVectorEnv(1, **settings, start=RAM, max_cycles=45)
     envs.reset(seed=1)

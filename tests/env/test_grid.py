@@ -1,4 +1,4 @@
-"""Where agents start and which of them the game's window follows."""
+"""Where agents start, and which agents the game's window follows."""
 
 import numpy as np
 import pytest
@@ -38,12 +38,12 @@ def test_the_window_follows_the_agents_that_the_ai_does_not_drive():
     assert cameras(agents, has_window=True) == [CameraMode.AUTO, CameraMode.ON, CameraMode.ON]
 
 
-def test_the_window_shows_at_most_eight_of_many_like_agents():
+def test_the_window_shows_at_most_eight_agents():
     shown = cameras([AgentSpec() for _ in range(12)], num_kart=12, has_window=True)
     assert shown.count(CameraMode.ON) == 8
 
 
-def test_the_window_follows_somebody_when_the_ai_drives_all():
+def test_the_window_follows_an_agent_even_if_the_ai_drives_all():
     agents = [AgentSpec(use_ai=True), AgentSpec(use_ai=True)]
     assert cameras(agents, has_window=True) == [CameraMode.ON, CameraMode.AUTO]
 
@@ -55,7 +55,7 @@ def test_the_window_follows_somebody_when_the_ai_drives_all():
         ([AgentSpec(), AgentSpec()], {"num_cameras": 1}),
     ],
 )
-def test_cameras_that_are_asked_for_are_left_alone(agents, options):
+def test_explicit_camera_choices_are_kept(agents, options):
     expected = [agent.camera_mode for agent in agents]
     assert cameras(agents, has_window=True, **options) == expected
 
@@ -71,7 +71,7 @@ def test_agent_specs_may_be_changed_until_the_next_reset():
             env.reset()
 
 
-def test_without_a_choice_every_reset_draws_a_direction():
+def test_without_a_choice_each_reset_draws_a_direction():
     def draw_direction(reverse, seed):
         options, random = RaceOptions(num_kart=2, reverse=reverse), np.random.default_rng(seed)
         return draw_race(options, [AgentSpec()], ["lighthouse"], 0, False, random)[0]
@@ -83,7 +83,7 @@ def test_without_a_choice_every_reset_draws_a_direction():
     assert (one.seed, one.reverse, other.reverse) == (other.seed, False, True)
 
 
-def test_the_direction_of_a_race_is_told():
+def test_the_direction_of_a_race_is_reported():
     with race_v0.parallel_env(num_kart=2, track="lighthouse", reverse=None, max_paths=1) as env:
         env.reset(seed=1)
         directions = [env.race.reverse]

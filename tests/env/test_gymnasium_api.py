@@ -1,4 +1,4 @@
-"""Gymnasium's and Stable-Baselines3's own checkers, vectors, specs and copies of all ids."""
+"""All ids pass the checkers of Gymnasium and Stable-Baselines3; vectors, specs and copies work."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ SINGLE_IDS = [
     )
 ]
 IDS = [*SINGLE_IDS, "supertuxkart/multi-full-v0"]
-# Stable-Baselines3 takes no Dict actions.
+# Stable-Baselines3 does not support Dict action spaces.
 SB3_IDS = SINGLE_IDS[3:]
 VECTOR_IDS = ["supertuxkart/full-v0", "supertuxkart/flattened_discrete-v0"]
-# Distances in metres and speeds have no natural bounds.
+# Distances and speeds have no natural bounds.
 UNBOUNDED = "ignore:.*A Box observation space (minimum|maximum) value is -?infinity:UserWarning"
-# Acceleration goes from 0 to 1; braking is another control.
+# Acceleration ranges from 0 to 1; braking is a separate control.
 ASYMMETRIC = "ignore:We recommend you to use a symmetric and normalized Box action:UserWarning"
 OPTIONS = {"track": "olivermath", "num_kart": 3}
 
 
 def race(env, steps=30, seed=7):
-    """Fingerprints of a few steps with actions of a fixed seed."""
+    """Returns fingerprints of a few steps with seeded random actions."""
     observation, info = env.reset(seed=seed)
     prints = [fingerprint([observation, info])]
     space = copy.deepcopy(env.action_space)
@@ -53,15 +53,15 @@ def race(env, steps=30, seed=7):
 @pytest.mark.slow
 @pytest.mark.filterwarnings(UNBOUNDED)
 @pytest.mark.parametrize("env_id", IDS)
-def test_check_env_passes_without_another_warning(env_id):
+def test_check_env_passes_without_other_warnings(env_id):
     with gym.make(env_id, **OPTIONS) as env:
-        # test_render.py has the check with pictures.
+        # test_render.py runs the check with rendering.
         check_env(env.unwrapped, skip_render_check=True)
 
 
 @pytest.mark.filterwarnings(ASYMMETRIC)
 @pytest.mark.parametrize("env_id", SB3_IDS)
-def test_sb3_check_env_passes_without_another_warning(env_id):
+def test_sb3_check_env_passes_without_other_warnings(env_id):
     with gym.make(env_id, **OPTIONS) as env:
         sb3_check_env(env)
 
@@ -79,13 +79,13 @@ def test_a_whole_race_passes_the_passive_checker(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_the_episode_is_cut_at_1500_steps(env_id):
+def test_the_episode_is_truncated_after_1500_steps(env_id):
     assert gym.spec(env_id).max_episode_steps == 1500
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
-def test_a_spec_goes_through_json_and_makes_the_same_race(env_id):
+def test_a_spec_restored_from_json_makes_the_same_race(env_id):
     with gym.make(env_id, **OPTIONS) as env:
         spec = gym.envs.registration.EnvSpec.from_json(env.spec.to_json())
         with gym.make(spec) as again:
@@ -146,7 +146,7 @@ def test_sync_and_async_vectors_drive_the_same_races():
         ("multi-full-v0", {"agents": [AgentSpec(kart="gnu"), AgentSpec(use_ai=True)]}),
     ],
 )
-def test_a_spec_comes_back_from_json_with_its_agents(env_id, agents):
+def test_a_spec_restored_from_json_keeps_its_agents(env_id, agents):
     with gym.make(f"supertuxkart/{env_id}", **agents, **OPTIONS) as env:
         text = env.spec.to_json()
         with gym.make(EnvSpec.from_json(text)) as again:
@@ -154,7 +154,7 @@ def test_a_spec_comes_back_from_json_with_its_agents(env_id, agents):
             assert race(again, 3) == race(env, 3)
 
 
-def test_an_agent_may_be_a_mapping_as_in_yaml():
+def test_an_agent_can_be_a_mapping_as_in_yaml():
     fields = {"name": "Ann", "camera_mode": "ON", "rank_start": 0}
     with race_v0.parallel_env(agents=[fields, {}], **OPTIONS) as env:
         env.reset(seed=1)
@@ -163,14 +163,14 @@ def test_an_agent_may_be_a_mapping_as_in_yaml():
     assert stkzoo.STKRaceEnv(agent=fields).agent == AgentSpec(**fields)
 
 
-def test_an_unknown_field_of_an_agent_names_the_nearest():
+def test_an_error_for_an_unknown_agent_field_suggests_the_nearest_name():
     with pytest.raises(ConfigError, match=r"unknown field of agent 1 'nam'. Did you mean 'name'"):
         race_v0.parallel_env(agents=[{}, {"nam": "Ann"}])
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium logs the worker's traceback so
-def test_a_bad_action_in_one_of_the_worker_processes_is_an_action_error():
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium logs the traceback as one
+def test_an_invalid_action_in_a_worker_process_is_an_action_error():
     envs = make_stkrace_vec(2, "supertuxkart/flattened_discrete-v0", env_kwargs=OPTIONS)
     envs.reset(seed=3)
     with pytest.raises(ActionError, match=r"action of agent 'kart_0' is .*100000"):

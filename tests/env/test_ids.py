@@ -1,4 +1,4 @@
-"""Ids of a user's own views."""
+"""Ids of views that users register."""
 
 import gymnasium as gym
 import pytest
@@ -25,19 +25,19 @@ def forget_own_view():
 
 
 def run_cell(key="velocity"):
-    """What a notebook's cell defines, anew at each call."""
+    """Runs a notebook cell and returns the names that it defines, new objects in each call."""
     names = {"gym": gym, "__name__": "__main__"}
     exec(CELL.format(key=key), names)
     return names
 
 
 @pytest.mark.parametrize("name", ["own_view", "OwnView"])
-def test_a_cell_that_registers_a_view_may_run_twice(name):
+def test_a_notebook_cell_that_registers_a_view_can_run_twice(name):
     for _ in range(2):
         stkzoo.register_view("own", run_cell()[name])
 
 
-def test_a_function_without_a_name_is_known_again_by_its_code():
+def test_an_anonymous_function_is_recognized_by_its_code():
     for _ in range(2):
         stkzoo.register_view("own", own_lambda(3))
     with pytest.raises(stkzoo.ConfigError, match="'own' exists already"):
@@ -48,7 +48,7 @@ def own_lambda(items):
     return lambda env: stkzoo.ConstantSizedObservations(env, state_items=items)
 
 
-def test_the_view_of_the_last_run_counts():
+def test_the_view_of_the_last_run_is_used():
     for key in ("velocity", "front"):
         stkzoo.register_view("own", run_cell(key)["own_view"])
     with gym.make("supertuxkart/own-v0", track="lighthouse", num_kart=1) as env:
@@ -57,7 +57,7 @@ def test_the_view_of_the_last_run_counts():
 
 
 @pytest.mark.parametrize("other", [lambda env: env, run_cell()["OwnView"], VIEWS["simple"]])
-def test_another_view_of_the_same_name_needs_replace(other):
+def test_another_view_with_the_same_name_needs_replace(other):
     stkzoo.register_view("own", run_cell()["own_view"])
     with pytest.raises(stkzoo.ConfigError, match=r"'own' exists already.*replace=True"):
         stkzoo.register_view("own", other)

@@ -1,4 +1,4 @@
-"""Karts that are no agents, but driven by drivers of any kind."""
+"""Opponents: karts that are not agents and have drivers of any kind."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ FORWARD = np.array([1.0, 0.0], np.float32)
 
 
 def forward(observation):
-    """Full throttle, in the view of the agents."""
+    """Drives at full throttle; checks that observations come in the agents' view."""
     assert observation["continuous"].shape == (92,)
     return FORWARD
 
 
 class Fails:
-    """A policy that raises in its third step."""
+    """A policy that raises an exception in its third step."""
 
     def __init__(self):
         self.steps = 0
@@ -46,7 +46,7 @@ class Fails:
 
 
 class Batches:
-    """A policy in the form of Stable-Baselines3; keeps the sizes of its batches."""
+    """A policy with the interface of Stable-Baselines3 that records its batch sizes."""
 
     def __init__(self):
         self.sizes = []
@@ -63,7 +63,7 @@ def against(opponents, **options):
 
 
 def drive(env, steps):
-    """Where all karts are after so many steps of full throttle."""
+    """Returns the locations of all karts after some steps at full throttle."""
     for _ in range(steps):
         env.step(dict.fromkeys(env.agents, FORWARD))
     return env.snapshot.karts["location"].copy()
@@ -86,7 +86,7 @@ def test_opponents_of_all_kinds_drive():
         assert (drive(env, 60) == end).all()
 
 
-def test_the_games_ai_is_simply_a_kart_of_the_game():
+def test_the_games_ai_runs_inside_the_game():
     with against(["ai", "ai:1"], num_kart=4) as env:
         env.reset(seed=1)
         assert env.race.difficulty == 1
@@ -94,14 +94,14 @@ def test_the_games_ai_is_simply_a_kart_of_the_game():
         assert all(kart.is_bot and not kart.reports_control for kart in karts)
 
 
-def test_without_agents_given_the_other_karts_are_agents():
+def test_by_default_the_other_karts_are_agents():
     with race_v0.parallel_env(num_kart=4, track="lighthouse", opponents=["ai"]) as env:
         assert env.num_agents == 0
         assert env.possible_agents == ["kart_0", "kart_1", "kart_2"]
 
 
 @pytest.mark.slow
-def test_a_pool_draws_for_each_race_from_the_environments_stream():
+def test_a_pool_draws_each_race_from_the_environments_random_stream():
     pool = OpponentPool(["random", "ai:0", "heuristic"])
 
     def races(env, count=12):
@@ -121,7 +121,7 @@ def test_a_pool_draws_for_each_race_from_the_environments_stream():
         assert env.race.opponents == ("forward", "ai")
 
 
-def test_a_pool_alone_drives_all_karts_that_are_no_agents():
+def test_a_single_pool_drives_all_karts_that_are_not_agents():
     pool = OpponentPool(["ai:1", "ai:3"])
     with race_v0.parallel_env(**RACE, num_kart=4, opponents=pool) as env:
         env.reset(seed=1, options={"difficulty": 1})
@@ -130,7 +130,7 @@ def test_a_pool_alone_drives_all_karts_that_are_no_agents():
         assert len({*env.race.opponents}) == 1
 
 
-def test_an_opponent_that_fails_is_out_and_the_race_goes_on(caplog):
+def test_an_opponent_that_fails_drops_out_and_the_race_continues(caplog):
     hostile = str(AGENTS / "hostile" / "exits.py")
     with against([Fails(), hostile, lambda _: [9.0, 0.0]]) as env:
         env.reset(seed=1)
@@ -153,7 +153,7 @@ def test_an_opponent_that_fails_is_out_and_the_race_goes_on(caplog):
         ("ConstantSizedObservations, ConstantSizedObservations", "ConstantSizedObservations needs"),
     ],
 )
-def test_an_opponent_whose_wrapper_fails_is_out(wrapper, why, tmp_path, caplog):
+def test_an_opponent_whose_wrapper_fails_drops_out(wrapper, why, tmp_path, caplog):
     (tmp_path / "bad.py").write_text(
         "from stkzoo import ConstantSizedObservations\n"
         f"def get_wrappers(): return [{wrapper}]\n"
@@ -167,7 +167,7 @@ def test_an_opponent_whose_wrapper_fails_is_out(wrapper, why, tmp_path, caplog):
         assert why in caplog.text
 
 
-def test_policies_have_no_pictures():
+def test_policies_of_opponents_get_no_images():
     with (
         against([forward], view="camera") as env,
         pytest.raises(ConfigError, match=r"'forward' cannot have the agents' view .*no camera"),
@@ -201,7 +201,7 @@ def test_opponents_finish_while_the_agents_still_race():
 
 
 @pytest.mark.slow
-def test_a_saved_state_has_what_opponents_remember():
+def test_a_saved_state_includes_the_memory_of_opponents():
     opponents = [
         "pretrained:ace",
         "heuristic",
@@ -223,7 +223,7 @@ def test_a_saved_state_has_what_opponents_remember():
                 other.reset(options={"state": state})
 
 
-def test_a_scenario_starts_the_opponents_at_its_moment(tmp_path):
+def test_a_scenario_starts_opponents_at_its_step(tmp_path):
     with against([forward, "ai"]) as env:
         env.reset(seed=3)
         drive(env, 20)
@@ -247,7 +247,7 @@ def keeps(_, __, ___):
         (Driver.of_actor("keeps", keeps), "give an object with __call__"),
     ],
 )
-def test_opponents_whose_memory_cannot_be_copied_say_so(opponent, why):
+def test_an_opponent_whose_memory_cannot_be_copied_is_an_error(opponent, why):
     with against([opponent]) as env:
         env.reset(seed=1)
         with pytest.raises(AgentException, match=rf"of kart_1 cannot be saved: .*{why}"):
@@ -270,8 +270,8 @@ def test_the_karts_of_one_driver_in_many_races_are_driven_together():
 
 
 @pytest.mark.parametrize("name", ["heuristic", "pretrained:ace", "pretrained:scout", "network"])
-def test_a_shipped_driver_drives_its_karts_together_as_one_by_one(name, tmp_path):
-    """To the bit, on tracks with other numbers of segments and items."""
+def test_a_shipped_driver_acts_the_same_for_a_batch_as_for_single_karts(name, tmp_path):
+    """Bit for bit, on tracks with different numbers of segments and items."""
     if name == "network":
         save_weights(tmp_path / "policy-000000001.safetensors", small_network())
         (tmp_path / "arguments.json").write_text('{"seed": 7, "tracks": ["lighthouse"]}')
@@ -293,14 +293,14 @@ def test_a_shipped_driver_drives_its_karts_together_as_one_by_one(name, tmp_path
 
 
 def test_equal_names_are_one_driver():
-    names = ["heuristic", "".join(["heuri", "stic"])]  # as from a file: equal, but not the same
+    names = ["heuristic", "".join(["heuri", "stic"])]  # equal, but not the same object
     with against(names) as env:
         env.reset(seed=1)
         assert len({own.group for own, _ in env._opponents.ask(env._episode)}) == 1
 
 
 @pytest.mark.slow
-def test_races_started_ahead_have_the_same_opponents():
+def test_prefetched_races_have_the_same_opponents():
     ends = []
     for prefetch in (True, False):
         pool = OpponentPool(["random", "ai:3", forward])
@@ -331,7 +331,7 @@ def test_environments_with_opponents_pass_the_checkers():
     env.close()
 
 
-def test_without_opponents_nothing_is_loaded():
+def test_without_opponents_no_drivers_are_created():
     with race_v0.parallel_env(**RACE, num_kart=2) as env:
         assert env._opponents is None
 
@@ -348,12 +348,12 @@ def test_without_opponents_nothing_is_loaded():
         ({"opponents": ["ai:1", "ai:3"], "num_kart": 3}, r"the difficulties \[1, 3\]"),
     ],
 )
-def test_what_is_no_choice_of_opponents_is_refused(options, message):
+def test_invalid_choices_of_opponents_are_refused(options, message):
     with pytest.raises(ConfigError, match=message):
         race_v0.parallel_env(**{**RACE, "num_kart": 2, **options})
 
 
-def test_reset_may_not_ask_for_another_difficulty():
+def test_reset_refuses_another_difficulty():
     with against(["ai:3"]) as env, pytest.raises(ConfigError, match=r"difficulties \[1, 3\]"):
         env.reset(options={"difficulty": 1})
 

@@ -1,4 +1,4 @@
-"""Options of a race: the mode, on the real engine and in all forms of the environment."""
+"""The race mode, on the real engine and in all kinds of environments."""
 
 import gymnasium as gym
 import numpy as np
@@ -38,7 +38,7 @@ def test_a_time_trial_has_no_item_boxes_and_a_zipper_per_lap():
         assert karts["powerup_num"].tolist() == [3, 3]
 
 
-def test_the_normal_race_is_the_default():
+def test_a_normal_race_is_the_default():
     with race() as env:
         env.reset(seed=1)
         assert env.race.mode == "normal"
@@ -47,7 +47,7 @@ def test_the_normal_race_is_the_default():
 
 
 @pytest.mark.parametrize("mode", ["timetrial", "TIME_TRIAL", 1, None, True])
-def test_an_unknown_mode_is_refused_with_the_known_ones(mode):
+def test_an_unknown_mode_is_refused_and_the_error_lists_the_known_ones(mode):
     with pytest.raises(
         ConfigError, match=r"mode is .*expected 'normal' or 'time_trial'; "
     ) as error:
@@ -55,7 +55,7 @@ def test_an_unknown_mode_is_refused_with_the_known_ones(mode):
     assert "\n" not in str(error.value)
 
 
-def test_a_misspelt_mode_gets_the_nearest_one():
+def test_a_misspelled_mode_gets_a_suggestion():
     with pytest.raises(ConfigError, match="did you mean 'time_trial'"):
         race(mode="timetrial")
 
@@ -111,14 +111,14 @@ def test_a_scenario_keeps_the_mode(tmp_path):
         assert env.snapshot.karts["location"].tobytes() == here
 
 
-def test_gymnasium_ids_take_the_mode():
+def test_gymnasium_ids_accept_the_mode():
     env = gym.make("supertuxkart/full-v0", disable_env_checker=True, mode="time_trial", **SMALL)
     observation, _ = env.reset(seed=1)
     env.close()
     assert observation["powerup_type"] == PowerupType.ZIPPER
 
 
-def test_vectors_take_the_mode():
+def test_vector_environments_accept_the_mode():
     envs = stkzoo.RaceVectorEnv(2, mode="time_trial", view="simple", **SMALL)
     observations, _ = envs.reset(seed=1)
     envs.close()

@@ -1,4 +1,4 @@
-"""The phases of a step: their order, and that none calls back into another."""
+"""The phases of a step run in order, and no phase calls another one."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PHASES = [
 
 @pytest.fixture
 def phases(monkeypatch):
-    """What begins and ends in a step, in order."""
+    """Records in order which phases of a step begin and end."""
     seen = []
 
     def recorded(name, method):
@@ -51,7 +51,7 @@ def actions_of(env):
 
 
 @pytest.mark.parametrize("view", ["full", "masked_discrete", "flattened_control"])
-def test_a_step_is_its_phases_one_after_another(phases, view):
+def test_a_step_runs_its_phases_one_after_another(phases, view):
     with race_v0.parallel_env(num_kart=2, track="lighthouse", view=view) as env:
         env.reset(seed=1)
         actions = actions_of(env)
@@ -61,7 +61,7 @@ def test_a_step_is_its_phases_one_after_another(phases, view):
 
 
 def modules_of_a_step(env):
-    """The package's files that a step passes through."""
+    """Returns the package's modules that a step runs."""
     root, seen = stkzoo.__path__[0], set()
     home = root.removesuffix("stkzoo")
     actions = actions_of(env)
@@ -79,15 +79,15 @@ def modules_of_a_step(env):
     return {name for name in seen if not name.startswith("tests")}
 
 
-def test_a_default_step_passes_at_most_six_modules():
+def test_a_default_step_runs_at_most_six_modules():
     with race_v0.parallel_env(num_kart=2, track="lighthouse") as env:
         env.reset(seed=1)
         env.step(actions_of(env))
         assert len(modules_of_a_step(env)) <= 6
 
 
-def test_the_parallel_step_is_its_two_halves():
-    """Vector environments call these by themselves, for all races before any waits."""
+def test_a_parallel_step_equals_its_two_halves():
+    """Vector environments call the halves separately: first for all races, then they wait."""
     with race_v0.parallel_env(num_kart=2, track="lighthouse") as env:
         env.reset(seed=1)
         actions = actions_of(env)
@@ -112,7 +112,7 @@ def test_an_error_in_a_reward_term_names_the_term(reward):
             env.step(actions_of(env))
 
 
-def test_the_dict_of_agents_names_them_by_its_keys():
+def test_the_keys_of_the_agents_dict_are_the_agents_names():
     with stkzoo.STKRaceMultiEnv(agents=3, num_kart=3, track="lighthouse") as env:
         env.reset(seed=1)
         good = env.action_space.sample()

@@ -1,4 +1,4 @@
-"""PettingZoo's own tests, with every warning of theirs that is not answered here an error."""
+"""PettingZoo's own tests pass; warnings that are not explained here are errors."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from stkzoo.views import VIEWS
 
 BUILT_IN_VIEWS = tuple(VIEWS)
 
-# PettingZoo's tests would rather have no Dict spaces: ours have parts of several kinds.
+# PettingZoo's tests prefer arrays, but these Dict spaces have parts of several kinds.
 NOT_AN_ARRAY = "ignore:Observation is not a NumPy array:UserWarning"
 DICT_OBSERVATIONS = "ignore:Observation space for each agent probably should be:UserWarning"
 DICT_ACTIONS = "ignore:Action space for each agent probably should be:UserWarning"
-# Metres and seconds have no natural bounds.
+# Distances and times have no natural bounds.
 UNBOUNDED = "ignore:Agent's (minimum|maximum) observation space value is:UserWarning"
-# The state has metres and seconds in it, which have no natural bounds.
+# The state contains distances and times, which have no natural bounds.
 UNBOUNDED_STATE = "ignore:Environment's (minimum|maximum) state space value is:UserWarning"
 
 make = functools.partial(race_v0.parallel_env, num_kart=3, track="olivermath")
@@ -66,19 +66,19 @@ def test_aec_seeds(factory):
     seed_test(make_short, num_cycles=100)
 
 
-def test_max_cycles_holds_in_both_forms():
+def test_max_cycles_applies_to_both_apis():
     max_cycles_test(race_v0)
 
 
 @pytest.mark.filterwarnings(UNBOUNDED_STATE)
-def test_state_of_both_forms():
+def test_both_apis_have_a_state():
     with make() as parallel:
         aec = make_aec()
         state_test(aec, parallel)
         aec.close()
 
 
-def test_render_of_the_aec_form_warns_without_a_mode():
+def test_rendering_an_aec_env_without_a_mode_warns():
     env = make_aec()
     env.reset(seed=1)
     with pytest.warns(UserWarning, match="render"):
@@ -86,11 +86,11 @@ def test_render_of_the_aec_form_warns_without_a_mode():
     env.close()
 
 
-def test_the_aec_form_keeps_the_order_of_calls():
+def test_an_aec_env_checks_the_order_of_calls():
     assert isinstance(make_aec(), OrderEnforcingWrapper)
 
 
-def test_the_aec_form_is_the_same_race():
+def test_an_aec_env_drives_the_same_race():
     with make(view="simple", max_cycles=30) as parallel:
         observations, _ = parallel.reset(seed=5)
         actions = {a: parallel.action_space(a).sample() for a in parallel.agents}
@@ -108,14 +108,14 @@ def test_the_aec_form_is_the_same_race():
         assert (observation["velocity"] == last[agent]["velocity"]).all()
 
 
-def test_the_registry_makes_the_parallel_form():
+def test_the_registry_makes_parallel_envs():
     env = pettingzoo.make("parallel", "supertuxkart/race-v0", num_kart=2)
     assert isinstance(env.unwrapped, RaceParallelEnv)
     assert env.possible_agents == ["kart_0", "kart_1"]
     env.close()
 
 
-def test_the_registry_makes_the_aec_form_and_forwards_max_cycles():
+def test_the_registry_makes_aec_envs_and_forwards_max_cycles():
     env = pettingzoo.make("aec", "supertuxkart/race_v0", num_kart=2, max_cycles=3)
     env.reset(seed=1)
     steps = [agent for agent in env.agent_iter() if env.step(_action(env, agent)) is None]
@@ -128,12 +128,12 @@ def _action(env, agent):
     return None if is_over else env.action_space(agent).sample()
 
 
-def test_the_module_exports_the_three_forms():
+def test_the_module_exports_its_three_factories():
     assert race_v0.__all__ == ["env", "parallel_env", "raw_env"]
 
 
 @pytest.mark.parametrize("factory", [race_v0.parallel_env, race_v0.env])
-def test_metadata_says_what_pettingzoo_asks_for(factory):
+def test_metadata_has_the_keys_that_pettingzoo_requires(factory):
     env = factory(num_kart=1)
     assert env.metadata["name"] == "race_v0"
     assert env.metadata["is_parallelizable"] is True

@@ -1,4 +1,4 @@
-"""Copies and specs of every id and wrapper stack play the same race."""
+"""Copies and specs of all ids and wrapper stacks play the same race."""
 
 import copy
 import functools
@@ -53,7 +53,7 @@ def stacked(*layers, base="full"):
 
 
 FLAT = [(ConstantSizedObservations, {"state_items": 3}), (PolarObservations, {})]
-#: Stacks of our wrappers and Gymnasium's.
+#: Stacks of stkzoo's and Gymnasium's wrappers.
 STACKS = {
     "polar lists": stacked((PolarObservations, {})),
     "one number": stacked(
@@ -78,13 +78,13 @@ STACKS = {
         base="flattened_discrete",
     ),
 }
-#: Plain pickle cannot take functions inside Gymnasium's own FlattenObservation.
+#: Plain pickle does not support the functions inside Gymnasium's FlattenObservation.
 NOT_PICKLED = ("numbers only",)
 ALL = {**{env_id: of_id(env_id) for env_id in IDS}, **STACKS}
 
 
 def race(env, steps=15, seed=7):
-    """Fingerprints of a few steps with actions of a fixed seed."""
+    """Returns fingerprints of a few steps with seeded random actions."""
     observation, info = env.reset(seed=seed)
     prints = [fingerprint([observation, without_times(info)])]
     space = copy.deepcopy(env.action_space)
@@ -124,7 +124,7 @@ def test_a_copy_plays_the_same_race(name, library, moment):
 
 
 @pytest.mark.parametrize("name", NOT_PICKLED)
-def test_it_is_gymnasiums_wrapper_that_plain_pickle_cannot_take(name):
+def test_plain_pickle_fails_because_of_gymnasiums_wrapper(name):
     with ALL[name]() as env, pytest.raises((AttributeError, pickle.PicklingError), match="Flatten"):
         pickle.dumps(env)
 
@@ -155,7 +155,7 @@ def discrete_polar(env):
 
 
 @pytest.mark.parametrize("library", COPIES)
-def test_the_adapter_of_many_agents_is_copied_with_its_wrappers(library):
+def test_the_multi_agent_adapter_is_copied_with_its_wrappers(library):
     def make():
         env = gym.make("supertuxkart/multi-full-v0", **RACE, agents=[stkzoo.AgentSpec()] * 2)
         return MonoAgentWrapperAdapter(env, wrapper_factories={"0": discrete_polar, "1": None})
@@ -186,7 +186,7 @@ def test_the_parallel_environment_is_copied(library, moment):
 
 
 @pytest.mark.parametrize("library", COPIES)
-def test_the_turn_by_turn_form_is_copied(library):
+def test_the_aec_environment_is_copied(library):
     env = race_v0.env(**RACE, view="flattened_discrete")
     again = COPIES[library](env)
     results = []
@@ -203,7 +203,7 @@ def test_the_turn_by_turn_form_is_copied(library):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("library", COPIES)
-def test_many_races_are_copied(library):
+def test_the_vector_environment_is_copied(library):
     envs = stkzoo.RaceVectorEnv(2, **RACE, view="flattened_discrete")
     again = COPIES[library](envs)
     results = []
@@ -215,7 +215,7 @@ def test_many_races_are_copied(library):
     assert results[0] == results[1]
 
 
-def test_a_registered_view_of_ones_own_is_copied_and_rebuilt():
+def test_a_registered_user_view_is_copied_and_rebuilt():
     stkzoo.register_view("pickled_polar", discrete_polar)
     try:
         with gym.make("supertuxkart/pickled_polar-v0", **RACE) as env:

@@ -1,4 +1,4 @@
-"""Several environments in one program, and what happens when the game dies under one."""
+"""Several environments in one program, and crashes of the game in one of them."""
 
 import hashlib
 import os
@@ -20,7 +20,7 @@ def make_env(**options):
 
 
 def play(env, seed, steps=60):
-    """What an environment answers to always the same action."""
+    """Returns a trace of an environment in which every step has the same action."""
     trace = [env.reset(seed=seed)]
     trace.extend(env.step({"kart_0": 700}) for _ in range(steps))
     return repr(trace)
@@ -31,7 +31,7 @@ def pid_of(env):
 
 
 @pytest.mark.slow
-def test_three_environments_stepped_in_turn_race_as_if_alone():
+def test_three_environments_stepped_in_turn_race_as_they_do_alone():
     with make_env() as env:
         alone = [play(env, seed) for seed in (1, 2, 3)]
     envs = [make_env() for _ in range(3)]
@@ -45,7 +45,7 @@ def test_three_environments_stepped_in_turn_race_as_if_alone():
 
 
 @pytest.mark.slow
-def test_a_killed_game_concerns_its_own_environment_only():
+def test_a_killed_game_affects_only_its_own_environment():
     with make_env() as broken, make_env() as other, make_env() as third:
         expected = play(third, 2)
         broken.reset(seed=1)
@@ -92,7 +92,7 @@ def test_calls_in_the_wrong_order_are_named():
 
 
 @pytest.mark.slow
-def test_in_this_process_the_first_race_is_that_of_a_worker():
+def test_the_first_race_in_this_process_equals_that_of_a_separate_process():
     code = """
         import hashlib, sys
         sys.path.insert(0, sys.argv[1])

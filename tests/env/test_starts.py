@@ -1,4 +1,4 @@
-"""Races that start anywhere on the track, and moments of races kept as files."""
+"""Races that start anywhere on the track, and scenario files."""
 
 import gymnasium as gym
 import numpy as np
@@ -27,7 +27,7 @@ def race(num_kart=1, track="lighthouse", **options):
 
 
 def expected_point(env, start):
-    """The place that was asked for, from the track's own arrays."""
+    """Returns the point of a start, computed from the track's arrays."""
     track = env.track_map
     distance = (start.share or 0) * track.length if start.distance is None else start.distance
     distance -= start.behind
@@ -53,7 +53,7 @@ def coast(env, steps, throttle=0.0):
     return np.array(states)
 
 
-# ------------------------------------------------------------------ on the engine
+# ------------------------------------------------------------------ on the real engine
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def coast(env, steps, throttle=0.0):
         ("lighthouse", Start(distance=-10.0)),
     ],
 )
-def test_a_kart_stands_where_it_was_asked_to_and_as_fast(track, start):
+def test_a_kart_starts_at_the_requested_place_and_speed(track, start):
     with race(track=track) as env:
         observations, _ = env.reset(seed=1, options={"start": start})
         assert env.observation_space("kart_0").contains(observations["kart_0"])
@@ -85,7 +85,7 @@ def test_a_kart_stands_where_it_was_asked_to_and_as_fast(track, start):
         assert abs(float(env.snapshot.karts[0]["location"][1]) - height) < 2.0
 
 
-def test_the_distance_is_that_of_the_place():
+def test_the_distance_matches_the_start():
     with race() as env:
         for distance in (5.0, 200.0, 700.0):
             _, infos = env.reset(seed=1, options={"start": distance})
@@ -120,7 +120,7 @@ def test_a_kart_that_starts_late_in_the_lap_finishes():
         assert infos["kart_0"]["finish_time"] < 20.0
 
 
-def test_two_laps_are_two_laps():
+def test_a_race_of_two_laps_does_not_end_after_one():
     with race(track="zengarden", laps=2) as env:
         env.reset(seed=1, options={"start": Start(share=0.95, speed=15.0)})
         assert env.snapshot.karts[0]["finished_laps"] == 0
@@ -128,7 +128,7 @@ def test_two_laps_are_two_laps():
         assert env.agents == ["kart_0"]
 
 
-def test_bots_and_agents_start_in_rows_behind_the_first():
+def test_the_other_karts_start_in_rows_behind_the_first():
     agents = [AgentSpec(rank_start=1), AgentSpec(rank_start=2)]
     with race(num_kart=4, agents=agents, track="hacienda") as env:
         env.reset(seed=1, options={"start": Start(distance=400.0, speed=10.0)})
@@ -139,7 +139,7 @@ def test_bots_and_agents_start_in_rows_behind_the_first():
         assert len({tuple(place) for place in karts["location"].round(1).tolist()}) == 4
 
 
-def test_agents_start_where_they_are_asked_to_each():
+def test_each_agent_has_its_own_start():
     with race(num_kart=3, agents=3, track="hacienda") as env:
         starts = {"kart_0": 700.0, 1: Start(distance=300.0, speed=8.0)}
         env.reset(seed=1, options={"start": starts})
@@ -149,7 +149,7 @@ def test_agents_start_where_they_are_asked_to_each():
         assert rows["velocity_lc"][0, 2] == pytest.approx(0.0, abs=0.5)
 
 
-def test_tracks_can_be_driven_the_other_way_round():
+def test_tracks_can_be_driven_in_reverse():
     with race(reverse=True) as env:
         _, infos = env.reset(seed=1, options={"start": Start(distance=300.0, speed=10.0)})
         assert infos["kart_0"]["distance"] == pytest.approx(300.0, abs=3.0)
@@ -158,7 +158,7 @@ def test_tracks_can_be_driven_the_other_way_round():
 
 
 @pytest.mark.slow
-def test_the_same_seed_and_start_are_the_same_race():
+def test_the_same_seed_and_start_give_the_same_race():
     def play(env, seed):
         env.reset(seed=seed, options={"start": RandomStart(speed=(5.0, 15.0))})
         first = env.state()
@@ -171,7 +171,7 @@ def test_the_same_seed_and_start_are_the_same_race():
         assert not np.array_equal(play(env, 8), first)
 
 
-def test_a_race_on_the_grid_is_as_if_there_were_no_starts():
+def test_a_race_from_the_grid_is_not_affected_by_starts():
     with race(num_kart=2, agents=1) as env:
         env.reset(seed=3)
         before = coast(env, 30, throttle=1.0)
@@ -192,7 +192,7 @@ def test_a_place_without_ground_is_refused_and_the_next_race_starts():
         coast(env, 2)
 
 
-def test_a_speed_that_karts_do_not_reach_is_refused():
+def test_a_speed_above_the_top_speed_is_refused():
     with (
         race(difficulty=0) as env,
         pytest.raises(ConfigError, match="karts reach 15 m/s at difficulty 0"),
@@ -200,7 +200,7 @@ def test_a_speed_that_karts_do_not_reach_is_refused():
         env.reset(seed=1, options={"start": Start(distance=300.0, speed=25.0)})
 
 
-def test_starts_work_without_a_process_and_through_gymnasium():
+def test_starts_work_in_this_process_and_with_gymnasium():
     with race(use_subprocess=False) as env:
         env.reset(seed=1, options={"start": 300.0})
         assert env.snapshot.karts[0]["overall_distance"] == pytest.approx(300.0, abs=3.0)
@@ -212,7 +212,7 @@ def test_starts_work_without_a_process_and_through_gymnasium():
     env.close()
 
 
-def test_many_races_start_anywhere():
+def test_vector_environments_accept_starts():
     envs = stkzoo.RaceVectorEnv(2, num_kart=1, track="lighthouse", start="random", view="flattened")
     envs.reset(seed=4)
     for _ in range(3):
@@ -221,7 +221,7 @@ def test_many_races_start_anywhere():
     envs.close()
 
 
-# ------------------------------------------------------------------ what can be asked for
+# ------------------------------------------------------------------ arguments
 
 
 @pytest.mark.parametrize(
@@ -235,12 +235,12 @@ def test_many_races_start_anywhere():
         ([3.0], "start is \\[3.0\\]"),
     ],
 )
-def test_wrong_starts_are_refused_before_the_race(start, message):
+def test_invalid_starts_are_refused_before_the_race(start, message):
     with pytest.raises(ConfigError, match=message):
         race(start=start)
 
 
-def test_an_agent_that_is_not_there_cannot_start():
+def test_a_start_of_an_unknown_agent_is_refused():
     with race() as env, pytest.raises(ConfigError, match="kart_7"):
         env.reset(options={"start": {"kart_7": 3.0}})
 
@@ -257,7 +257,7 @@ def test_an_agent_that_is_not_there_cannot_start():
         ({"distance": "5"}, "distance of a start is '5'"),
     ],
 )
-def test_wrong_numbers_of_a_start_are_refused(arguments, message):
+def test_invalid_numbers_of_a_start_are_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
         Start(**arguments)
 
@@ -270,7 +270,7 @@ def test_wrong_numbers_of_a_start_are_refused(arguments, message):
         ({"speed": (0.0, 50.0)}, "speed of a start is 50"),
     ],
 )
-def test_wrong_bounds_are_refused(arguments, message):
+def test_invalid_bounds_are_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
         RandomStart(**arguments)
 
@@ -287,7 +287,7 @@ def test_wrong_bounds_are_refused(arguments, message):
         {0: {"distance": 50.0}, 1: {"share": [0.1, 0.2]}},
     ],
 )
-def test_a_start_comes_back_from_json(start):
+def test_a_start_survives_json(start):
     make = {"num_kart": 2, "track": "lighthouse", "start": start, "agents": 2}
     with gym.make("supertuxkart/multi-full-v0", **make) as env:
         again = gym.make(EnvSpec.from_json(env.spec.to_json()))
@@ -318,7 +318,7 @@ def dict_of(start):
         ({"distance": [1.0, 2.0]}, "unknown field of a start 'distance'"),
     ],
 )
-def test_wrong_fields_of_a_start_are_refused(start, message):
+def test_invalid_fields_of_a_start_are_refused(start, message):
     with pytest.raises(ConfigError, match=message):
         race(start=start)
 
@@ -344,7 +344,7 @@ def test_a_curriculum_moves_back_with_success():
         StartCurriculum(promote_at=2)
 
 
-def test_a_curriculum_takes_the_fields_of_its_start():
+def test_a_curriculum_accepts_the_fields_of_its_start():
     curriculum = StartCurriculum(start={"speed": [3.0, 5.0]})
     assert curriculum.start() == RandomStart(share=(0.9, 1.0), speed=(3.0, 5.0))
     with pytest.raises(ConfigError, match="expected a RandomStart or its fields"):
@@ -354,7 +354,7 @@ def test_a_curriculum_takes_the_fields_of_its_start():
 # ------------------------------------------------------------------ scenarios
 
 
-def test_a_scenario_file_goes_on_as_the_race_did(tmp_path):
+def test_a_scenario_file_continues_as_the_race_did(tmp_path):
     path = tmp_path / "hairpin.stkscene"
     options = {"num_kart": 3, "agents": 2}
     with race(**options) as env:
@@ -373,7 +373,7 @@ def test_a_scenario_file_goes_on_as_the_race_did(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["hairpin.stkscene"]
 
 
-def test_a_scenario_knows_the_way_through_saved_states():
+def test_a_scenario_includes_the_steps_before_a_restored_state():
     with race() as env:
         env.reset(seed=5)
         coast(env, 25, throttle=1.0)
@@ -388,7 +388,7 @@ def test_a_scenario_knows_the_way_through_saved_states():
         assert np.array_equal(coast(env, 5, throttle=1.0), after)
 
 
-def test_wrong_scenarios_are_refused(tmp_path):
+def test_invalid_scenarios_are_refused(tmp_path):
     bad = tmp_path / "bad.stkscene"
     bad.write_bytes(b"nothing")
     with race() as env:
@@ -410,7 +410,7 @@ def test_wrong_scenarios_are_refused(tmp_path):
         env.reset(options={"scenario": scenario})
 
 
-def test_a_scenario_that_comes_out_otherwise_is_told():
+def test_a_scenario_that_does_not_reproduce_its_race_is_an_error():
     with race() as env:
         env.reset(seed=1)
         coast(env, 30, throttle=1.0)
@@ -443,7 +443,7 @@ def test_a_damaged_file_is_one_clear_error(tmp_path):
     assert refused > 150
 
 
-def test_the_benchmark_of_starts_counts_what_it_tries():
+def test_the_benchmark_of_starts_counts_its_starts():
     row = track_starts("lighthouse", 2, seed=0)
     assert (row["starts"], row["fallen"], row["bad"], row["finishes"]) == (2, 0, [], True)
     assert summary([row, row])["starts"] == 4

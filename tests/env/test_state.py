@@ -1,4 +1,4 @@
-"""A race's state as a value: saved, restored and cloned to the bit, and never left behind."""
+"""States of races are saved, restored and cloned bit for bit, and leave no processes behind."""
 
 import gc
 import os
@@ -42,7 +42,7 @@ def env():
 
 
 def actions_at(env, number):
-    """Actions that depend on nothing but the step's number, so that all may repeat them."""
+    """Returns actions that depend only on the step's number, so that any race can repeat them."""
     random = np.random.default_rng(number)
     return {
         agent: {
@@ -57,7 +57,7 @@ def actions_at(env, number):
 
 
 def drive(env, start=30, stop=60):
-    """Steps ``start`` to ``stop``, or to the end, as fingerprints of all that is returned."""
+    """Runs steps ``start`` to ``stop``; returns fingerprints of everything the env returns."""
     prints = []
     for number in range(start, stop):
         if not env.agents:
@@ -79,7 +79,7 @@ def fork_server_pid():
 @pytest.mark.slow
 @pytest.mark.parametrize("track", ["olivermath", "zengarden"])
 @pytest.mark.parametrize("agents", [2, SPECS], ids=["bots", "ai-agents"])
-def test_a_restored_race_is_the_original_to_its_end(track, agents):
+def test_a_restored_race_equals_the_original_to_its_end(track, agents):
     with (
         make(track, agents=agents, num_kart=4, max_cycles=350) as env,
         make(track, agents=agents, num_kart=4, max_cycles=350) as other,
@@ -92,7 +92,7 @@ def test_a_restored_race_is_the_original_to_its_end(track, agents):
         assert drive(env, 60, 350) == original
 
 
-def test_saving_changes_nothing_in_the_race_that_goes_on(env):
+def test_saving_does_not_change_the_race(env):
     expected = drive(started(env), 30, 90)
     started(env)
     saved = []
@@ -101,7 +101,7 @@ def test_saving_changes_nothing_in_the_race_that_goes_on(env):
         assert drive(env, number, number + 10) == expected[number - 30 : number - 20]
 
 
-def test_a_state_restored_ten_times_goes_on_ten_times_alike(env):
+def test_a_state_restored_ten_times_continues_the_same_ten_times(env):
     state = started(env).save_state()
     races = []
     for _ in range(10):
@@ -110,7 +110,7 @@ def test_a_state_restored_ten_times_goes_on_ten_times_alike(env):
     assert races == [races[0]] * 10
 
 
-def test_states_of_states_are_the_same(env):
+def test_states_of_restored_states_are_the_same(env):
     first = started(env).save_state()
     expected = drive(env)
     for _ in range(3):
@@ -120,7 +120,7 @@ def test_states_of_states_are_the_same(env):
     assert drive(env) == expected
 
 
-def test_other_actions_lead_elsewhere_from_the_same_state(env):
+def test_other_actions_from_the_same_state_give_another_race(env):
     state = started(env).save_state()
     expected = drive(env)
     env.restore_state(state)
@@ -136,7 +136,7 @@ def test_restoring_repeats_the_unseeded_resets_that_follow(env):
     assert env.race.seed == expected
 
 
-def test_the_counts_of_the_episode_are_part_of_the_state():
+def test_the_step_count_of_the_episode_is_part_of_the_state():
     with make(max_cycles=40) as env:
         state = started(env).save_state()
         drive(env)
@@ -145,7 +145,7 @@ def test_the_counts_of_the_episode_are_part_of_the_state():
         assert len(drive(env, 30, 100)) == 10
 
 
-def test_agents_that_have_left_are_gone_in_the_state_too():
+def test_agents_that_have_left_are_not_in_the_state():
     specs = [AgentSpec(use_ai=True), AgentSpec()]
     with make("olivermath", agents=specs, num_kart=2) as env:
         env.reset(seed=1)
@@ -160,7 +160,7 @@ def test_agents_that_have_left_are_gone_in_the_state_too():
 # ---------------------------------------------------------------------- clones
 
 
-def test_a_clone_goes_on_by_itself(env):
+def test_a_clone_continues_independently(env):
     started(env)
     with env.clone() as clone:
         expected = drive(clone)
@@ -176,7 +176,7 @@ def test_a_clone_outlives_its_original(env):
     clone.close()
 
 
-def test_lookahead_leaves_the_environment_where_it_was(env):
+def test_lookahead_does_not_change_the_environment(env):
     expected = drive(started(env))
     started(env)
     with env.lookahead() as branch:
@@ -186,7 +186,7 @@ def test_lookahead_leaves_the_environment_where_it_was(env):
     assert drive(env) == expected
 
 
-def test_the_branch_of_a_lookahead_is_closed_at_its_end(env):
+def test_the_branch_of_a_lookahead_is_closed_when_it_ends(env):
     started(env)
     with env.lookahead() as branch:
         pid = branch._session.pid
@@ -196,7 +196,7 @@ def test_the_branch_of_a_lookahead_is_closed_at_its_end(env):
 # ---------------------------------------------------------------------- resets
 
 
-def test_a_reset_to_a_parked_start_is_the_start(env):
+def test_a_reset_to_a_saved_start_repeats_the_start(env):
     first = env.reset(seed=5)
     state = env.save_state()
     expected = drive(env)
@@ -204,7 +204,7 @@ def test_a_reset_to_a_parked_start_is_the_start(env):
     assert drive(env) == expected
 
 
-def test_a_reset_in_the_middle_of_a_race_counts_from_zero(env):
+def test_a_reset_to_a_state_starts_its_counts_at_zero(env):
     state = started(env).save_state()
     _, infos = env.reset(options={"state": state})
     assert infos["kart_0"]["episode/length"] == infos["kart_0"]["episode/return"] == 0
@@ -214,7 +214,7 @@ def test_a_reset_in_the_middle_of_a_race_counts_from_zero(env):
     )
 
 
-def test_a_reset_to_a_state_takes_its_seed_for_the_races_after_it(env):
+def test_a_seed_given_with_a_state_determines_the_races_after_it(env):
     state = started(env).save_state()
     seeds = []
     for _ in range(2):
@@ -224,7 +224,7 @@ def test_a_reset_to_a_state_takes_its_seed_for_the_races_after_it(env):
     assert seeds[0] == seeds[1]
 
 
-def test_a_reset_to_a_state_takes_a_new_limit_of_steps(env):
+def test_a_reset_to_a_state_accepts_a_new_step_limit(env):
     state = started(env).save_state()
     env.reset(options={"state": state, "max_cycles": 5})
     assert len(drive(env)) == 5
@@ -244,7 +244,7 @@ def test_a_reset_to_a_race_that_is_over_is_refused():
 
 
 @pytest.mark.parametrize("state", [7, "state", {}])
-def test_what_is_no_state_is_refused(env, state):
+def test_anything_but_a_state_is_refused(env, state):
     with pytest.raises(ConfigError, match="save_state"):
         env.reset(options={"state": state})
     with pytest.raises(ConfigError, match="save_state"):
@@ -255,7 +255,7 @@ def test_what_is_no_state_is_refused(env, state):
 
 
 @pytest.mark.parametrize("name", ["simple", "flattened_discrete"])
-def test_the_gymnasium_ids_restore_and_clone_to_the_bit(name):
+def test_the_gymnasium_ids_restore_and_clone_bit_for_bit(name):
     env = gym.make(f"supertuxkart/{name}-v0", track="olivermath").unwrapped
 
     def race(env):
@@ -274,7 +274,7 @@ def test_the_gymnasium_ids_restore_and_clone_to_the_bit(name):
     env.close()
 
 
-def test_the_dict_of_agents_keeps_who_has_finished():
+def test_the_multi_agent_env_keeps_which_agents_have_finished():
     agents = [AgentSpec(use_ai=True), AgentSpec()]
     env = gym.make(
         "supertuxkart/multi-full-v0", agents=agents, num_kart=2, track="olivermath", max_paths=5
@@ -298,7 +298,7 @@ def test_the_dict_of_agents_keeps_who_has_finished():
 
 
 class Remembering(gym.Wrapper):
-    """Shows how often it was stepped, and noise of its own."""
+    """Adds its number of steps and random noise to infos."""
 
     def __init__(self, env):
         super().__init__(env)
@@ -323,7 +323,7 @@ class Uncopyable(gym.Wrapper):
         self.lock = threading.Lock()
 
 
-def test_what_wrappers_remember_is_part_of_the_state():
+def test_the_memory_of_wrappers_is_part_of_the_state():
     with make(view=Remembering, agents=2) as env:
         state = started(env).save_state()
         with env.clone() as clone:
@@ -333,7 +333,7 @@ def test_what_wrappers_remember_is_part_of_the_state():
         assert drive(env) == expected
 
 
-def test_a_clone_shares_nothing_that_wrappers_remember():
+def test_a_clone_does_not_share_the_memory_of_wrappers():
     with make(view=Remembering) as env, started(env).clone() as clone:
         drive(clone)
         assert env.step(actions_at(env, 30))[4]["kart_0"]["seen"] == 32
@@ -346,7 +346,7 @@ def test_a_wrapper_that_cannot_be_copied_is_named():
             env.save_state()
 
 
-def test_a_state_of_other_wrappers_is_refused_and_the_race_goes_on(env):
+def test_a_state_of_other_wrappers_is_refused_and_the_race_continues(env):
     with make(view=Remembering, agents=2) as other:
         state = started(other).save_state()
         expected = drive(started(env))
@@ -399,7 +399,7 @@ def test_a_race_in_this_process_cannot_be_saved():
     assert run_program(code).stdout.split() == ["True", "True"]
 
 
-def test_a_race_of_a_spawned_process_cannot_be_saved_and_goes_on(env, monkeypatch):
+def test_a_race_of_a_spawned_process_cannot_be_saved_but_continues(env, monkeypatch):
     monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
     started(env)
     with pytest.raises(EngineError, match="STKZOO_START_METHOD"):
@@ -407,7 +407,7 @@ def test_a_race_of_a_spawned_process_cannot_be_saved_and_goes_on(env, monkeypatc
     assert len(drive(env)) == 30
 
 
-def test_a_step_under_way_is_waited_for_before_a_state_is_saved(env):
+def test_saving_a_state_waits_for_a_step_in_progress(env):
     expected = drive(started(env))
     started(env)
     env.step_async(actions_at(env, 30))
@@ -419,7 +419,7 @@ def test_a_step_under_way_is_waited_for_before_a_state_is_saved(env):
     assert fingerprint([result, env.agents, env.state()]) == expected[0]
 
 
-def test_restoring_drops_a_step_under_way(env):
+def test_restoring_discards_a_step_in_progress(env):
     state = started(env).save_state()
     expected = drive(env)
     env.restore_state(state)
@@ -428,7 +428,7 @@ def test_restoring_drops_a_step_under_way(env):
     assert drive(env) == expected
 
 
-def test_as_many_states_as_allowed_and_no_more():
+def test_more_states_than_max_snapshots_are_refused():
     with make(max_snapshots=2) as env:
         states = [started(env).save_state(), env.save_state()]
         with pytest.raises(ApiOrderError, match="max_snapshots"):
@@ -438,7 +438,7 @@ def test_as_many_states_as_allowed_and_no_more():
 
 
 @pytest.mark.slow
-def test_states_that_nobody_refers_to_do_not_count():
+def test_unreferenced_states_do_not_count():
     with make(max_snapshots=2) as env:
         started(env)
         for _ in range(5):
@@ -447,7 +447,7 @@ def test_states_that_nobody_refers_to_do_not_count():
         assert env.num_snapshots == 0
 
 
-def test_a_closed_state_says_so(env):
+def test_a_closed_state_cannot_be_restored(env):
     state = started(env).save_state()
     with state:
         pass
@@ -462,7 +462,7 @@ def test_a_state_cannot_be_pickled(env):
 
 
 @pytest.mark.parametrize("value", [-1, 1.5, True, None])
-def test_a_limit_that_cannot_be_is_refused(value):
+def test_an_invalid_limit_of_states_is_refused(value):
     with pytest.raises(ConfigError, match="max_snapshots"):
         make(max_snapshots=value)
 
@@ -480,7 +480,7 @@ def test_a_state_outlives_its_environment():
         assert drive(other) == expected
 
 
-def test_a_killed_state_is_an_error_that_names_it_and_the_race_goes_on(env):
+def test_a_killed_state_is_an_error_and_the_race_continues(env):
     expected = drive(started(env))
     state = started(env).save_state()
     os.kill(state.pid, signal.SIGKILL)
@@ -509,7 +509,7 @@ def test_a_killed_race_does_not_harm_its_states(env):
     assert drive(env) == expected
 
 
-def test_states_are_lost_with_a_killed_fork_server_and_say_so(env):
+def test_states_lost_with_a_killed_fork_server_are_an_error(env):
     state = started(env).save_state()
     pid = state.pid
     os.kill(fork_server_pid(), signal.SIGKILL)
@@ -532,7 +532,7 @@ def test_many_states_leave_no_process_and_no_open_file_behind(env):
     assert len(os.listdir("/proc/self/fd")) == files
 
 
-def test_a_long_line_of_copies_gathers_no_open_files(env):
+def test_a_long_chain_of_copies_does_not_leak_open_files(env):
     started(env)
     files = []
     for _ in range(5):
@@ -542,7 +542,7 @@ def test_a_long_line_of_copies_gathers_no_open_files(env):
     assert files == [files[0]] * 5
 
 
-def test_forgotten_states_and_clones_end(env):
+def test_unreferenced_states_and_clones_end(env):
     started(env)
     state, clone = env.save_state(), env.clone()
     pids = [state.pid, clone._session.pid]
@@ -551,7 +551,7 @@ def test_forgotten_states_and_clones_end(env):
     assert wait_until(lambda: not any(map(process_exists, pids)))
 
 
-def test_a_process_out_of_open_files_refuses_a_copy_and_races_on(env):
+def test_a_game_out_of_file_descriptors_refuses_a_copy_and_continues(env):
     expected = drive(started(env))
     started(env)
     resource.prlimit(env._session.pid, resource.RLIMIT_NOFILE, (5, 5))
@@ -560,7 +560,7 @@ def test_a_process_out_of_open_files_refuses_a_copy_and_races_on(env):
     assert drive(env) == expected
 
 
-def test_a_program_out_of_open_files_keeps_its_race():
+def test_a_program_out_of_file_descriptors_keeps_its_race():
     code = """
         import resource
         from stkzoo import race_v0
@@ -621,7 +621,7 @@ def test_no_state_outlives_the_program(ending):
     assert wait_until(lambda: not any(map(process_exists, pids)))
 
 
-def test_a_forked_copy_of_the_program_leaves_states_alone():
+def test_a_forked_copy_of_the_program_does_not_end_states():
     code = """
         import os
         from stkzoo import race_v0
@@ -643,7 +643,7 @@ def test_a_forked_copy_of_the_program_leaves_states_alone():
     assert run_program(code).stdout.split() == ["True", "3"]
 
 
-def test_environments_in_threads_restore_one_state(env):
+def test_environments_in_threads_can_restore_the_same_state(env):
     state = started(env).save_state()
     expected = drive(env)
     results = []

@@ -1,4 +1,4 @@
-"""Calls that come while another thread's call runs, and while a signal interrupts one."""
+"""Calls during another thread's call, and calls from signal handlers."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ OPTIONS = {"num_kart": 2, "track": "lighthouse", "view": "flattened_discrete"}
 
 
 class Parallel:
-    """The parallel environment, with the calls that all forms have."""
+    """The parallel environment, with the calls that all environments have."""
 
     def __init__(self):
         self.env = self.core = race_v0.parallel_env(**OPTIONS)
@@ -46,7 +46,7 @@ class Single(Parallel):
 
 
 class Multi(Single):
-    """The dictionary of agents."""
+    """The multi-agent Gymnasium environment."""
 
     def __init__(self):
         self.env = stkzoo.STKRaceMultiEnv(**{**OPTIONS, "view": "full"})
@@ -58,7 +58,7 @@ class Multi(Single):
 
 
 class Vector(Single):
-    """Many races as one Gymnasium vector environment."""
+    """The Gymnasium vector environment."""
 
     def __init__(self):
         self.env = stkzoo.RaceVectorEnv(2, **OPTIONS)
@@ -72,7 +72,7 @@ class Vector(Single):
 
 
 class StableBaselines(Vector):
-    """The same for Stable-Baselines3."""
+    """The vector environment for Stable-Baselines3."""
 
     def __init__(self):
         self.env = pytest.importorskip("stkzoo.sb3").RaceVecEnv(2, **OPTIONS)
@@ -86,7 +86,7 @@ FORMS = [Parallel, Single, Multi, Vector, StableBaselines]
 
 
 def is_stepping(turn):
-    """Whether another thread has taken the turn for a step."""
+    """Returns whether another thread holds the turn for a step."""
     if turn.lock.acquire(blocking=False):
         turn.lock.release()
         return False
@@ -95,7 +95,7 @@ def is_stepping(turn):
 
 @contextmanager
 def stepping(form):
-    """A thread that is in the middle of a step, whose game stands still meanwhile."""
+    """Holds another thread in the middle of a step by stopping its game."""
     pid, results = form.core._session.pid, []
     os.kill(pid, signal.SIGSTOP)
     thread = threading.Thread(target=lambda: results.append(form.step()))
@@ -117,7 +117,7 @@ def form(request):
 
 
 @pytest.mark.parametrize("form", FORMS, indirect=True, ids=lambda form: form.__name__)
-def test_a_call_while_another_threads_step_runs_is_refused_at_once(form):
+def test_a_call_during_another_threads_step_is_refused_immediately(form):
     with stepping(form) as results:
         for call in form.calls():
             with pytest.raises(ApiOrderError, match=r"\(\) was called while .*step.*\(\) runs"):
@@ -164,13 +164,13 @@ SIGNALS = """
     ],
     ids=["close-and-exit", "close", "reset"],
 )
-def test_a_signals_handler_may_end_the_step_that_it_interrupts(handler, then, error):
+def test_a_signal_handler_can_end_the_step_that_it_interrupts(handler, then, error):
     program = run_program(SIGNALS.format(handler=handler, then=then))
     assert program.stdout.split("\n")[:2] == [error, "goes on"], program.stderr
 
 
 @pytest.mark.slow
-def test_a_process_forked_while_another_threads_step_runs_can_reset():
+def test_a_process_forked_during_another_threads_step_can_reset():
     program = run_program("""
         import os, signal, threading, time
         from stkzoo import race_v0

@@ -1,4 +1,4 @@
-"""Gymnasium's stock wrappers and utilities on our ids; docs/how-to/tool-belt.md has the table."""
+"""Gymnasium's wrappers and utilities with stkzoo's ids, as listed in docs/how-to/tool-belt.md."""
 
 import argparse
 import warnings
@@ -56,7 +56,7 @@ def first_key(env):
     return wrappers.FilterObservation(env, [next(iter(env.observation_space.spaces))])
 
 
-#: How each wrapper goes around an environment, and around which ids.
+#: For each wrapper, a function that wraps an environment, and the ids it works with.
 WORKING = {
     "AddRenderObservation": (pixels, EVERY),
     "AddWhiteNoise": (lambda env: wrappers.AddWhiteNoise(env, 0.2), EVERY),
@@ -99,9 +99,9 @@ WORKING = {
     "TransformObservation": (same_observation, EVERY),
     "TransformReward": (lambda env: wrappers.TransformReward(env, lambda r: 2 * r), EVERY),
 }
-#: Those with tests of their own below, or in test_render.py.
+#: Wrappers with their own tests below or in test_render.py.
 ELSEWHERE = {"RecordVideo", "DiscretizeObservation"}
-#: Those that are for other environments: Atari's, and ones written in JAX.
+#: Wrappers for other environments: Atari, and environments written in JAX.
 FOREIGN = {"AtariPreprocessing", "JaxToNumpy", "JaxToTorch"}
 PAIRS = [
     pytest.param(make, view, id=f"{name}-{view}")
@@ -135,7 +135,7 @@ def layers(env):
         env = env.env
 
 
-def test_every_wrapper_of_gymnasium_is_tried():
+def test_all_wrappers_of_gymnasium_are_covered():
     known = {*WORKING, *ELSEWHERE, *FOREIGN, "vector"}
     assert {name for name in wrappers.__all__ if name not in known} == set()
 
@@ -143,7 +143,7 @@ def test_every_wrapper_of_gymnasium_is_tried():
 @pytest.mark.slow
 @pytest.mark.parametrize(("wrap", "view"), PAIRS)
 @pytest.mark.filterwarnings("ignore:.*The obs returned by the .* method:UserWarning")
-def test_a_stock_wrapper_goes_around_the_id(wrap, view):
+def test_a_gymnasium_wrapper_works_with_the_id(wrap, view):
     with wrap(make(view, **DRAWN)) as env:
         observation, _ = env.reset(seed=1)
         for _ in range(3):
@@ -155,7 +155,7 @@ def test_a_stock_wrapper_goes_around_the_id(wrap, view):
             assert observation in env.observation_space
 
 
-def test_discretize_observation_takes_what_has_bounds():
+def test_discretize_observation_works_with_bounded_observations():
     def speed_class(env):
         bounded = Box(-60.0, 60.0, (3,), np.float32)
         env = wrappers.TransformObservation(
@@ -168,7 +168,7 @@ def test_discretize_observation_takes_what_has_bounds():
         assert observation in env.observation_space
 
 
-def test_normalize_observation_tames_the_flat_vector():
+def test_normalize_observation_works_with_the_flat_vector():
     with wrappers.NormalizeObservation(flat(make("flattened_discrete"))) as env:
         env.reset(seed=1)
         seen = [env.step(env.action_space.sample())[0] for _ in range(200)]
@@ -235,7 +235,7 @@ VECTORS = {
         env, wrappers.TransformReward, func=lambda reward: reward
     ),
 }
-#: Gymnasium refuses these where races start again in the step that ends them.
+#: Gymnasium does not support these wrappers with ``AutoresetMode.SAME_STEP``.
 NEXT_STEP_ONLY = {
     "DtypeObservation": lambda env: vector.DtypeObservation(
         vector.FlattenObservation(env), np.float64
@@ -246,7 +246,7 @@ NEXT_STEP_ONLY = {
     "ReshapeObservation": lambda env: vector_reshaped(vector.FlattenObservation(env)),
     "TransformObservation": lambda env: vector.TransformObservation(env, lambda seen: seen),
 }
-#: Those for pictures, for windows and films, and for environments in JAX.
+#: Wrappers for images, windows and videos, and for environments written in JAX.
 NOT_HERE = {
     "GrayscaleObservation",
     "HumanRendering",
@@ -265,13 +265,13 @@ def make_vec(view="flattened_continuous_actions", mode="vector_entry_point", num
     )
 
 
-def test_every_vector_wrapper_of_gymnasium_is_tried():
+def test_all_vector_wrappers_of_gymnasium_are_covered():
     assert set(vector.__all__) == {*VECTORS, *NEXT_STEP_ONLY, *NOT_HERE}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", VECTORS)
-def test_a_stock_vector_wrapper_goes_around_many_races(name):
+def test_a_gymnasium_vector_wrapper_works_with_many_races(name):
     envs = VECTORS[name](make_vec())
     envs.reset(seed=1)
     actions = envs.action_space.sample()
@@ -287,7 +287,7 @@ def test_a_stock_vector_wrapper_goes_around_many_races(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NEXT_STEP_ONLY)
-def test_vector_wrappers_of_observations_go_around_the_sync_form(name):
+def test_vector_observation_wrappers_work_with_sync_vectors(name):
     envs = NEXT_STEP_ONLY[name](make_vec(mode="sync"))
     envs.reset(seed=1)
     observations, *_ = envs.step(envs.action_space.sample())
@@ -299,7 +299,7 @@ def test_vector_wrappers_of_observations_go_around_the_sync_form(name):
     quick.close()
 
 
-def test_in_a_view_an_observation_wrapper_goes_into_the_quick_form_too():
+def test_an_observation_wrapper_in_a_view_works_with_race_vectors_too():
     envs = stkzoo.RaceVectorEnv(
         2, **RACE, view=lambda env: wrappers.FlattenObservation(VIEWS["flattened_discrete"](env))
     )
@@ -309,7 +309,7 @@ def test_in_a_view_an_observation_wrapper_goes_into_the_quick_form_too():
 
 
 @pytest.mark.parametrize("view", [*FLAT, "flattened_multidiscrete"])
-def test_make_vec_gives_our_vector_of_single_agents_with_the_ids_spaces(view):
+def test_make_vec_returns_a_race_vector_with_the_spaces_of_the_id(view):
     envs = make_vec(view, num=3)
     assert isinstance(envs.unwrapped, stkzoo.RaceVectorEnv)
     assert (envs.num_envs, envs.unwrapped.num_agents) == (3, 1)
@@ -340,7 +340,7 @@ def test_make_vec_drives_the_races_of_the_id():
         env.close()
 
 
-def test_make_vec_takes_the_ids_keywords():
+def test_make_vec_accepts_the_keywords_of_the_id():
     agent = stkzoo.AgentSpec(name="me", kart="gnu", rank_start=0)
     envs = make_vec("flattened", num=1, agent=agent, track="hacienda", num_kart=4)
     envs.reset(seed=1)
@@ -353,14 +353,14 @@ def test_make_vec_takes_the_ids_keywords():
     envs.close()
 
 
-def test_make_vec_of_lists_of_varying_length_says_what_to_choose():
+def test_make_vec_with_lists_of_varying_length_suggests_another_id():
     with pytest.raises(ConfigError, match=r'differ in size.*choose view="simple"'):
         make_vec("full")
     with pytest.raises(ConfigError, match="expected an AgentSpec"):
         make_vec("flattened", agent=3)
 
 
-def test_the_id_of_many_agents_has_no_vector_of_its_own():
+def test_the_multi_agent_id_has_no_vector_entry_point():
     with pytest.raises(gym.error.Error):
         gym.make_vec(
             "supertuxkart/multi-full-v0", num_envs=2, vectorization_mode="vector_entry_point"
@@ -370,7 +370,7 @@ def test_the_id_of_many_agents_has_no_vector_of_its_own():
 # ------------------------------------------------------------------ utilities
 
 
-def test_steps_convert_to_the_old_form_and_back():
+def test_steps_convert_to_the_old_api_and_back():
     with make("flattened_discrete", max_episode_steps=3) as env:
         env.reset(seed=1)
         old = [
@@ -386,7 +386,7 @@ def test_steps_convert_to_the_old_form_and_back():
 
 
 @pytest.mark.parametrize("view", ["flattened_discrete", "multi-full"])
-def test_the_random_stream_is_gymnasiums(view):
+def test_the_random_generator_is_gymnasiums(view):
     with make(view, track=None) as env:
         env.reset(seed=11)
         expected, used = seeding.np_random(11)
@@ -403,12 +403,12 @@ def test_the_random_stream_is_gymnasiums(view):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("view", EVERY)
-def test_check_env_remarks_on_nothing_but_endless_bounds(view):
+def test_check_env_warns_only_about_infinite_bounds(view):
     with make(view, **DRAWN) as env, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         env_checker.check_env(env.unwrapped, skip_render_check=True)
     texts = {str(warning.message) for warning in caught}
-    # Gymnasium's own tests leave out these two remarks, for its own environments.
+    # Gymnasium's own tests ignore these two warnings for its own environments.
     endless = ("minimum value is -infinity", "maximum value is infinity")
     assert all(any(remark in text for remark in endless) for text in texts), texts
 
@@ -428,7 +428,7 @@ def test_gymnasiums_benchmark_functions_run():
         env.close()
 
 
-def test_the_benchmark_of_this_page_measures():
+def test_the_benchmark_of_the_tool_belt_page_runs():
     from benchmarks import bench_tool_belt
 
     for spec in (

@@ -1,4 +1,4 @@
-"""Many races as one vector environment: the same races, side by side, in slots."""
+"""The vector environment drives the same races as single environments, in slots."""
 
 import logging
 import os
@@ -29,7 +29,7 @@ from stkzoo import (
 from stkzoo.views import VIEWS
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
-NUM_STEPS = 70  # two ends and a piece of a third race
+NUM_STEPS = 70  # two whole races and part of a third one
 
 
 def make(num_races=2, **options):
@@ -42,7 +42,7 @@ def random_actions(envs, num_steps=NUM_STEPS):
 
 
 def play(envs, actions, seed=1):
-    """What an environment gives, as values that can be compared."""
+    """Returns everything that the environment returns, for comparisons."""
     trace = [envs.reset(seed=seed)]
     trace.extend(envs.step(action) for action in actions)
     return trace
@@ -53,7 +53,7 @@ def row(batch, slot):
 
 
 def same(one, other):
-    """Whether two results are equal to the bit."""
+    """Returns whether two results are equal bit for bit."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
     if isinstance(one, (list, tuple)):
@@ -70,7 +70,7 @@ def pids(envs):
 
 
 def next_pids(envs):
-    """The processes of races that were started ahead."""
+    """Returns the process ids of prefetched races."""
     return [race._next[1].pid for race in envs.races if race._next]
 
 
@@ -82,7 +82,7 @@ def is_gone(pid, patience=5.0):
 
 
 def info_of(infos, slot):
-    """One slot's own info out of the arrays."""
+    """Returns the info of one slot from the arrays."""
     return {
         key: values[slot].item()
         for key, values in infos.items()
@@ -98,7 +98,7 @@ def info_of(infos, slot):
 @pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [False, True])
 @pytest.mark.parametrize("view", ["flattened_discrete", "simple"])
-def test_slots_are_the_agents_of_races_driven_alone(view, prefetch):
+def test_slots_equal_the_agents_of_single_races(view, prefetch):
     with_all = make(view=view, prefetch=prefetch)
     actions = random_actions(with_all)
     trace = play(with_all, actions)
@@ -128,7 +128,7 @@ def test_slots_are_the_agents_of_races_driven_alone(view, prefetch):
                     assert info_of(all_infos, slot) == result[4][agent]
 
 
-def test_prefetch_changes_no_bit():
+def test_prefetch_does_not_change_results():
     traces = []
     for prefetch in (False, True):
         envs = make(prefetch=prefetch, track=["olivermath", "zengarden"])
@@ -137,7 +137,7 @@ def test_prefetch_changes_no_bit():
     assert same(traces[0], traces[1])
 
 
-def test_with_prefetch_the_next_race_is_the_one_that_was_started_ahead():
+def test_with_prefetch_the_next_race_is_the_prefetched_one():
     envs = make(1, prefetch=True)
     envs.reset(seed=1)
     ahead = next_pids(envs)
@@ -156,7 +156,7 @@ def test_without_prefetch_no_race_waits():
     envs.close()
 
 
-def test_a_race_that_was_started_ahead_and_died_is_started_again():
+def test_a_prefetched_race_that_died_is_started_again():
     envs = make(1, prefetch=True)
     actions = random_actions(envs)
     expected = play(envs, actions)
@@ -168,7 +168,7 @@ def test_a_race_that_was_started_ahead_and_died_is_started_again():
     envs.close()
 
 
-def test_a_seeded_reset_throws_away_what_was_started_ahead():
+def test_a_seeded_reset_discards_prefetched_races():
     envs = make(1, prefetch=True)
     actions = random_actions(envs, 5)
     expected = play(envs, actions, seed=9)
@@ -179,7 +179,7 @@ def test_a_seeded_reset_throws_away_what_was_started_ahead():
     envs.close()
 
 
-def test_all_races_are_asked_before_one_is_waited_for():
+def test_all_races_start_a_step_before_any_is_waited_for():
     envs = make(2)
     envs.reset(seed=1)
     os.kill(pids(envs)[0], signal.SIGSTOP)
@@ -208,14 +208,14 @@ def test_another_seed_gives_other_races():
     envs.close()
 
 
-def test_every_race_of_a_seed_is_another():
+def test_the_races_of_one_seed_differ():
     envs = make(4)
     envs.reset(seed=4)
     assert len({race.race.seed for race in envs.races}) == 4
     envs.close()
 
 
-def test_a_list_seeds_race_by_race():
+def test_a_list_of_seeds_has_one_for_each_race():
     envs = make()
     envs.reset(seed=[8, 3])
     by_list = [race.race for race in envs.races]
@@ -225,7 +225,7 @@ def test_a_list_seeds_race_by_race():
     envs.close()
 
 
-def test_an_unseeded_reset_goes_on_with_the_streams():
+def test_an_unseeded_reset_continues_the_random_streams():
     envs = make()
     seeds = []
     for _ in range(2):
@@ -237,7 +237,7 @@ def test_an_unseeded_reset_goes_on_with_the_streams():
 
 
 @pytest.mark.parametrize("prefetch", [True, False])
-def test_set_options_holds_from_the_next_race_until_it_is_changed(prefetch):
+def test_set_options_applies_from_the_next_race_until_it_is_changed(prefetch):
     envs = make(max_cycles=2, prefetch=prefetch)
     _, infos = envs.reset(seed=1, options={"max_cycles": 3})
     actions = envs.action_space.sample()
@@ -252,12 +252,12 @@ def test_set_options_holds_from_the_next_race_until_it_is_changed(prefetch):
         if "final_info" in infos:
             assert [envs.tracks[number] for number in infos["final_info"]["track"]] == tracks[-2]
     plain, changed = ["olivermath"] * 4, ["zengarden"] * 2 + ["olivermath"] * 2
-    # The first race takes three steps. The second and third have the options.
+    # The first race takes three steps. The second and third races have the options.
     assert tracks == [plain] * 3 + [changed] * 4 + [plain] * 3
     envs.close()
 
 
-def test_options_of_reset_come_before_those_that_hold():
+def test_options_of_reset_override_those_of_set_options():
     envs = make(num_races=1, max_cycles=2)
     envs.set_options({"track": "zengarden", "laps": 2})
     _, infos = envs.reset(seed=1, options={"track": "lighthouse"})
@@ -293,7 +293,7 @@ def two_races():
     envs.close()
 
 
-def test_options_are_for_the_first_episode_alone():
+def test_options_of_reset_apply_to_the_first_episode_only():
     envs = make(1, prefetch=True)
     envs.reset(seed=1, options={"track": "zengarden", "max_cycles": 3})
     assert envs.races[0].race.track == "zengarden"
@@ -304,10 +304,10 @@ def test_options_are_for_the_first_episode_alone():
     envs.close()
 
 
-# ---------------------------------------------------------------------- ends
+# ---------------------------------------------------------------------- ends of episodes
 
 
-def test_the_last_observation_and_the_sums_of_an_episode_are_told():
+def test_infos_have_the_last_observation_and_sums_of_an_episode():
     envs = make()
     trace = play(envs, random_actions(envs, 30))
     _, _, ends, cuts, infos = trace[-1]
@@ -324,7 +324,7 @@ def test_the_last_observation_and_the_sums_of_an_episode_are_told():
 
 
 class Finishes:
-    """A race of three bots as agents, who finish one after another, and the next one."""
+    """A race in which three bots are agents and finish at different times, and the next race."""
 
     def __init__(self):
         envs = RaceVectorEnv(
@@ -355,14 +355,14 @@ def test_an_agent_that_finishes_is_terminated_once(finishes):
     assert len(set(finishes.ends)) > 1
 
 
-def test_an_idle_slot_sees_zeros_until_its_race_starts_again(finishes):
+def test_an_idle_slot_observes_zeros_until_its_race_restarts(finishes):
     for step in (min(finishes.ends), *finishes.idle[:-1]):
         observation = row(finishes.results[step][0], finishes.early)
         assert not any(np.any(part) for part in observation.values())
     assert finishes.results[finishes.idle[-1]][0]["continuous"][finishes.early].any()
 
 
-def test_an_idle_slot_is_paid_nothing_and_raises_no_flag(finishes):
+def test_an_idle_slot_has_no_rewards_and_no_flags(finishes):
     for step in finishes.idle:
         _, rewards, ends, cuts, _, _ = finishes.results[step]
         assert (rewards[finishes.early], ends[finishes.early], cuts[finishes.early]) == (0, 0, 0)
@@ -375,19 +375,19 @@ def test_only_transitions_of_racing_agents_are_active(finishes):
         assert result[4]["active"].tolist() == expected
 
 
-def test_racing_says_who_will_be_active(finishes):
+def test_racing_tells_which_slots_will_be_active(finishes):
     for now, later in zip(finishes.results, finishes.results[1:], strict=False):
         assert np.array_equal(now[5], later[4]["active"])
 
 
-def test_all_slots_of_a_race_start_again_when_its_last_agent_ends(finishes):
+def test_all_slots_of_a_race_restart_when_its_last_agent_ends(finishes):
     infos = finishes.results[max(finishes.ends)][4]
     assert infos["episode/length"].tolist() == [0, 0, 0]
     assert infos["_episode/length"].all()
     assert finishes.results[-1][4]["episode/length"].tolist() == [1, 1, 1]
 
 
-def test_the_length_of_an_episode_is_its_agents_own(finishes):
+def test_each_agent_has_its_own_episode_length(finishes):
     for slot, end in enumerate(finishes.ends):
         infos = finishes.results[end][4]
         assert infos["final_info"]["episode"]["l"][slot] == end + 1
@@ -398,7 +398,7 @@ def test_the_length_of_an_episode_is_its_agents_own(finishes):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [False, True])
-def test_a_killed_game_is_replaced_and_the_others_go_on(prefetch, caplog):
+def test_a_killed_game_is_replaced_and_the_others_continue(prefetch, caplog):
     envs = make(prefetch=prefetch)
     actions = random_actions(envs)
     expected = play(envs, actions)
@@ -449,10 +449,10 @@ def test_a_killed_fork_server_is_replaced(prefetch):
     envs.close()
 
 
-# ---------------------------------------------------------------------- Gymnasium's ways
+# ---------------------------------------------------------------------- Gymnasium's API
 
 
-def test_it_is_a_vector_environment():
+def test_it_follows_the_vector_environment_api():
     envs = make()
     assert isinstance(envs, VectorEnv)
     assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
@@ -471,7 +471,7 @@ def test_observations_are_in_the_space_in_every_view(view):
     envs.close()
 
 
-def test_what_was_given_is_not_written_over():
+def test_returned_arrays_are_not_overwritten():
     envs = make()
     observations, _ = envs.reset(seed=1)
     copies = {key: column.copy() for key, column in observations.items()}
@@ -481,7 +481,7 @@ def test_what_was_given_is_not_written_over():
     envs.close()
 
 
-def test_a_view_of_ones_own_is_taken():
+def test_a_user_defined_view_works():
     def view(env):
         env = FilterObservation(VIEWS["flattened_discrete"](env), ["continuous"])
         return FlattenObservation(env)
@@ -493,7 +493,7 @@ def test_a_view_of_ones_own_is_taken():
     envs.close()
 
 
-def test_the_statistics_of_gymnasium_agree():
+def test_gymnasiums_episode_statistics_agree():
     envs = RecordEpisodeStatistics(make())
     play(envs, random_actions(envs))
     assert list(envs.length_queue) == [30] * 8
@@ -542,7 +542,7 @@ def test_a_list_of_seeds_of_another_length_is_refused():
 
 
 @pytest.mark.parametrize("actions", [[0, 0, 0], [0, 0, 0, 0, 0], None, 3])
-def test_another_number_of_actions_is_refused(actions):
+def test_a_wrong_number_of_actions_is_refused(actions):
     envs = make()
     envs.reset(seed=1)
     with pytest.raises(ActionError, match="4 slots"):
@@ -550,7 +550,7 @@ def test_another_number_of_actions_is_refused(actions):
     envs.close()
 
 
-def test_after_a_bad_action_no_race_has_moved():
+def test_an_invalid_action_advances_no_race():
     envs = make()
     expected = play(envs, [[700] * 4])
     trace = [envs.reset(seed=1)]
@@ -578,7 +578,7 @@ def test_calls_in_the_wrong_order_are_named():
             call()
 
 
-def test_a_reset_may_come_between_asking_and_waiting():
+def test_reset_can_be_called_between_step_async_and_step_wait():
     envs = make()
     actions = random_actions(envs, 5)
     expected = play(envs, actions)
@@ -587,7 +587,7 @@ def test_a_reset_may_come_between_asking_and_waiting():
     envs.close()
 
 
-def test_a_race_that_will_not_start_is_an_error(monkeypatch):
+def test_a_race_that_does_not_start_is_an_error(monkeypatch):
     envs = make(1, prefetch=False)
     envs.reset(seed=1)
     (race,) = envs.races
@@ -621,7 +621,7 @@ def test_closing_leaves_no_process(prefetch):
     assert all(map(is_gone, everybody))
 
 
-def test_what_is_dropped_leaves_no_process():
+def test_an_unreferenced_environment_leaves_no_process():
     envs = make(prefetch=True)
     envs.reset(seed=1)
     everybody = [*pids(envs), *next_pids(envs)]
@@ -651,7 +651,7 @@ def test_a_program_that_is_killed_leaves_no_process():
 # ---------------------------------------------------------------------- one race
 
 
-def test_a_race_can_be_asked_now_and_waited_for_later():
+def test_a_step_of_a_race_can_be_requested_now_and_awaited_later():
     with race_v0.parallel_env(**OPTIONS, view="flattened_discrete") as race:
         traces = []
         for in_halves in (False, True):
@@ -665,7 +665,7 @@ def test_a_race_can_be_asked_now_and_waited_for_later():
     assert traces[0] == traces[1]
 
 
-def test_asking_a_race_twice_or_waiting_for_nothing_is_named():
+def test_requesting_twice_or_waiting_without_a_request_is_an_error():
     with race_v0.parallel_env(**OPTIONS, view="flattened_discrete") as race:
         race.reset(seed=1)
         with pytest.raises(ApiOrderError, match="step_async"):

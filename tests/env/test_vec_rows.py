@@ -1,4 +1,4 @@
-"""The kernel writes into the arrays of all slots what it makes for single agents."""
+"""The kernel writes the same values into slot arrays as it returns for single agents."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from stkzoo.env.vec.batch_race import BatchRace
 from stkzoo.views import VIEWS
 from tests.env.test_vec import pids, same
 
-#: The first kart finishes after a few steps. The second one is cut short, so the first slot idles.
+#: The first kart finishes after a few steps. The second is truncated later, so slot 0 idles.
 STARTS = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "lighthouse", "max_cycles": 9, "prefetch": False}
 OPTIONS["start"] = STARTS
@@ -28,7 +28,7 @@ VARIED = [
 
 
 def agent_by_agent(monkeypatch):
-    """Makes new environments collect the values of single agents, as for wrappers in Python."""
+    """Makes new environments collect values agent by agent, as for wrappers in Python."""
     monkeypatch.setattr(BatchRace, "has_rows", False)
 
 
@@ -39,7 +39,7 @@ def _each_form(request, monkeypatch):
 
 
 def play(num_steps=NUM_STEPS, kill_at=None, options_later=None, **options):
-    """What an environment returns, and whether it uses rows."""
+    """Returns everything that an environment returns, and whether it uses rows."""
     envs = RaceVectorEnv(2, **{**OPTIONS, **options})
     try:
         trace = [envs.reset(seed=1)]
@@ -55,7 +55,7 @@ def play(num_steps=NUM_STEPS, kill_at=None, options_later=None, **options):
 
 
 def both(monkeypatch, **options):
-    """The results with rows, after a comparison with those agent by agent."""
+    """Returns the results with rows, after comparing them with those collected by agent."""
     trace, has_rows = play(**options)
     agent_by_agent(monkeypatch)
     expected, has_none = play(**options)
@@ -69,7 +69,7 @@ def both(monkeypatch, **options):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("view", [*FIXED, *VARIED], ids=str)
-def test_rows_are_what_agents_get(view, monkeypatch):
+def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
     trace = both(monkeypatch, view=view)
     active = np.array([step[4]["active"] for step in trace[1:]])
     ends, cuts = (np.array([step[number] for step in trace[1:]]) for number in (2, 3))
@@ -89,7 +89,7 @@ def test_rows_are_what_agents_get(view, monkeypatch):
     ],
     ids=lambda options: next(iter(options)),
 )
-def test_rows_hold_with_every_option(options, monkeypatch):
+def test_rows_are_used_with_every_option(options, monkeypatch):
     both(monkeypatch, **{"num_steps": 12, **options})
 
 
@@ -111,7 +111,7 @@ def test_a_crash_ends_slots_at_their_last_observation(monkeypatch):
 
 
 @pytest.mark.usefixtures("_each_form")
-def test_whole_numbers_in_infos_are_integers():
+def test_whole_numbers_in_infos_have_integer_dtypes():
     infos = play(2)[0][-1][4]
     whole = {key for key, value in infos.items() if value.dtype == np.int64 and key[0] != "_"}
     assert whole == {"position", "lap", "episode/length", "track"}
@@ -131,7 +131,7 @@ def test_arrays_of_a_step_are_not_changed_by_later_steps():
     assert all(map(same, kept, copies))
 
 
-# ---------------------------------------------------------------------- which form
+# ---------------------------------------------------------------------- rows or agents
 
 
 def rescaled(env):
@@ -153,7 +153,7 @@ def test_other_views_are_collected_agent_by_agent(options):
     assert trace[-1][4]["active"].all()
 
 
-def test_agents_may_have_views_of_their_own_with_equal_spaces(monkeypatch):
+def test_agents_can_have_different_views_with_equal_spaces(monkeypatch):
     view = {"kart_0": "box_discrete", "kart_1": ("box_discrete", {"state_items": 5})}
     both(monkeypatch, view=view, num_steps=4)
 
@@ -162,7 +162,7 @@ def test_agents_may_have_views_of_their_own_with_equal_spaces(monkeypatch):
 
 
 def unusual(actions):
-    """The same actions in other forms that are taken."""
+    """Yields the same actions in other valid forms."""
     yield {key: value.tolist() for key, value in actions.items()}
     yield {key: np.repeat(value, 2, axis=-1)[..., ::2] for key, value in actions.items()}
     yield actions | {"discrete": actions["discrete"].astype(np.float64)}
@@ -171,7 +171,7 @@ def unusual(actions):
 
 
 @pytest.mark.usefixtures("_each_form")
-def test_all_forms_of_actions_do_the_same():
+def test_all_forms_of_an_action_have_the_same_effect():
     envs = RaceVectorEnv(2, **OPTIONS, view="flattened")
     envs.action_space.seed(3)
     actions = envs.action_space.sample()
@@ -184,7 +184,7 @@ def test_all_forms_of_actions_do_the_same():
 
 
 def wrong(actions):
-    """Pairs of actions that are refused, and of what the error names."""
+    """Yields invalid actions, each with a text that the error contains."""
     for bad in (np.nan, 2.0, -np.inf):
         continuous = actions["continuous"].copy()
         continuous[3, 1] = bad
@@ -201,7 +201,7 @@ def wrong(actions):
 
 
 @pytest.mark.usefixtures("_each_form")
-def test_a_wrong_action_is_named_before_any_race_advances():
+def test_an_invalid_action_is_an_error_before_any_race_advances():
     envs = RaceVectorEnv(2, **OPTIONS | {"start": None}, view="flattened")
     actions = envs.action_space.sample()
     envs.reset(seed=1)

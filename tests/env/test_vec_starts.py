@@ -18,7 +18,7 @@ def make(num_starts=2, **options):
 
 
 def drive(envs, seed, steps=30):
-    """Returns all observations and rewards of a run that goes through several races."""
+    """Returns all observations and rewards of a run over several races."""
     observations, _ = envs.reset(seed=seed)
     envs.action_space.seed(0)
     seen = [observations]
@@ -36,7 +36,7 @@ def engine_seeds(envs):
     return [race.race.seed for race in envs.races]
 
 
-def test_few_starts_are_kept_and_return():
+def test_a_few_starts_are_kept_and_repeated():
     envs = make(num_starts=3)
     try:
         envs.reset(seed=1)
@@ -51,11 +51,11 @@ def test_few_starts_are_kept_and_return():
         envs.close()
 
 
-def test_a_copied_start_is_the_race_that_a_new_start_gives():
+def test_a_copied_start_gives_the_same_race_as_a_new_one():
     copied, started = make(), make()
     try:
         for race in started.races:
-            race.starts = None  # the same seeds, but each race is started
+            race.starts = None  # the same seeds, but the game starts each race
         for ours, theirs in zip(drive(copied, 3), drive(started, 3), strict=True):
             np.testing.assert_array_equal(ours, theirs)
     finally:
@@ -73,7 +73,7 @@ def test_the_seed_determines_the_starts():
         envs.close()
 
 
-def test_new_options_hold_for_the_next_races_and_old_starts_end():
+def test_new_options_apply_to_the_next_races_and_old_starts_end():
     envs = make(num_starts=2)
     try:
         drive(envs, 1)
@@ -112,7 +112,7 @@ def test_closing_ends_the_starts():
     assert wait_until(lambda: not any(map(process_exists, pids)))
 
 
-def test_random_places_repeat_too():
+def test_random_starts_repeat_too():
     envs = make(num_starts=1, start="random")
     try:
         drive(envs, 1)
@@ -123,12 +123,12 @@ def test_random_places_repeat_too():
 
 
 @pytest.mark.parametrize("number", [0, -1, 1.5, "many"])
-def test_wrong_numbers_are_refused(number):
+def test_invalid_numbers_of_starts_are_refused(number):
     with pytest.raises(ConfigError, match="num_starts"):
         make(num_starts=number)
 
 
-def test_where_races_cannot_be_copied_it_says_so(monkeypatch):
+def test_num_starts_is_an_error_where_races_cannot_be_copied(monkeypatch):
     monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
     with pytest.raises(ConfigError, match="only on Linux without STKZOO_START_METHOD=spawn"):
         make()

@@ -1,4 +1,4 @@
-"""Options of views, wherever a view can be chosen."""
+"""Options of views, in all places where a view can be chosen."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ID = "supertuxkart/flattened_discrete-v0"
 
 
 def first(env):
-    """What the first agent sees first, and how many actions it has."""
+    """Returns the first agent's first observation and its number of actions."""
     with env:
         observation, _ = env.reset(seed=3)
         observation = observation.get("kart_0", observation)
@@ -41,7 +41,7 @@ def same(ours, expected, tolerance=0.0):
     np.testing.assert_allclose(ours[0], expected[0], rtol=tolerance, atol=10 * tolerance)
 
 
-def test_an_id_takes_the_options_of_its_view_as_keywords(expected):
+def test_an_id_accepts_the_options_of_its_view_as_keywords(expected):
     with gym.make(ID, **RACE, **OPTIONS) as env:
         copies = pickle.loads(pickle.dumps(env)), gym.make(EnvSpec.from_json(env.spec.to_json()))
         assert env.unwrapped.get_keys_to_action()[""] in env.action_space
@@ -49,21 +49,21 @@ def test_an_id_takes_the_options_of_its_view_as_keywords(expected):
             same(first(each), expected)
 
 
-def test_a_configuration_of_text_takes_them(expected):
+def test_a_text_configuration_accepts_view_options(expected):
     config = json.loads(json.dumps({**RACE, "agents": [{}], "view": {"kart_0": VIEW}}))
     same(first(race_v0.parallel_env(**config)), expected)
 
 
-def test_the_adapter_takes_them(expected):
+def test_the_adapter_accepts_view_options(expected):
     env = race_v0.parallel_env(**RACE, agents=1)
     env = MonoAgentWrapperAdapter(env, {"0": VIEW})
     observations, _ = env.reset(seed=3)
     ours = observations["kart_0"]["continuous"], env.action_space("kart_0").n
-    same(ours, expected, tolerance=2e-6)  # made by numpy, not by the kernel
+    same(ours, expected, tolerance=2e-6)  # computed by NumPy, not by the kernel
     env.close()
 
 
-def test_the_adapter_with_names_comes_back_from_json():
+def test_the_adapter_with_named_views_survives_json():
     base = gym.make("supertuxkart/multi-full-v0", **RACE)
     env = MonoAgentWrapperAdapter(base, {"0": VIEW, "1": "simple"})
     with env, gym.make(EnvSpec.from_json(env.spec.to_json())) as again:
@@ -80,14 +80,14 @@ def test_the_adapter_with_names_comes_back_from_json():
         ),
     ],
 )
-def test_many_races_take_them(make, expected):
+def test_vector_environments_accept_view_options(make, expected):
     envs = make()
     observations, _ = envs.reset(seed=3)
     same((observations["continuous"][0], envs.single_action_space.n), expected)
     envs.close()
 
 
-def test_stable_baselines_takes_them(expected):
+def test_stable_baselines_environments_accept_view_options(expected):
     envs = RaceVecEnv(1, **RACE, agents=1, view=VIEW)
     envs.seed(3)
     same((envs.reset()["continuous"][0], envs.action_space.n), expected)
@@ -95,14 +95,14 @@ def test_stable_baselines_takes_them(expected):
 
 
 @pytest.mark.slow
-def test_races_in_workers_take_them(expected):
+def test_races_in_worker_processes_accept_view_options(expected):
     envs = make_stkrace_vec(1, ID, {**RACE, **OPTIONS})
     observations, _ = envs.reset(seed=3)
     same((observations["continuous"][0], envs.single_action_space.n), expected)
     envs.close()
 
 
-def test_an_opponents_policy_sees_by_them():
+def test_view_options_apply_to_the_policy_of_an_opponent():
     seen = []
 
     def policy(observation):
@@ -116,7 +116,7 @@ def test_an_opponents_policy_sees_by_them():
     assert seen == [(83,)]
 
 
-def test_the_race_and_its_view_hear_of_a_keyword_of_both():
+def test_a_keyword_of_both_the_race_and_its_view_reaches_both():
     with gym.make("supertuxkart/control-v0", **RACE, step_size=0.05) as env:
         chain = env.unwrapped.core._chains
         assert chain._plans["kart_0"].car.step_size == 0.05
@@ -136,7 +136,7 @@ def test_the_race_and_its_view_hear_of_a_keyword_of_both():
         ("multi-full-v0", {"state_items": 5}, "unknown argument 'state_items'"),
     ],
 )
-def test_a_wrong_option_of_an_id_names_the_right_one(make, env_id, keywords, message):
+def test_an_error_for_an_unknown_option_suggests_the_right_one(make, env_id, keywords, message):
     with pytest.raises(ConfigError, match=message) as caught:
         make(f"supertuxkart/{env_id}", **keywords)
     assert len(str(caught.value).splitlines()[0]) <= 200

@@ -1,4 +1,4 @@
-"""The benchmark: the same races for everybody, and figures that say what they say."""
+"""The benchmark: the same races for all agents, and correct figures with intervals."""
 
 import json
 import math
@@ -28,17 +28,17 @@ RESULTS = ROOT / "benchmarks" / "results" / "benchmark"
 FORMS = [BenchmarkForm.of(name) for name in ("PAAAA", "PPAAA", "P")]
 
 
-# ------------------------------------------------------------------ which races
+# ------------------------------------------------------------------ races
 
 
-def test_the_test_split_is_three_hundred_races_with_seeds_of_their_own():
+def test_the_test_split_has_three_hundred_races_with_different_seeds():
     races = make_races(TEST_TRACKS, (False, True), FORMS, 5)
     assert len(races) == 6 * 2 * (2 + 2 + 1) * 5
     assert [race.number for race in races] == list(range(300))
     assert len({race.seed for race in races}) == 300
 
 
-def test_a_seed_depends_on_the_race_alone():
+def test_a_seed_depends_only_on_the_race():
     few = {(race.kind, race.index): race.seed for race in make_races(["abyss"], [True], FORMS, 2)}
     many = make_races(["zengarden", "abyss"], [False, True], FORMS[::-1], 3)
     seeds = {(race.kind, race.index): race.seed for race in many}
@@ -50,7 +50,7 @@ def test_seeds_are_those_of_all_published_results():
     assert race_seed("xr591", True, "P", "front", 4) == 1370257659
 
 
-def test_the_first_races_have_each_kind_once():
+def test_the_first_races_include_each_kind_once():
     races = make_races(["abyss", "mines"], (False, True), FORMS, 3)
     first = races[: len(races) // 3]
     assert len({race.kind for race in first}) == len(first) == 20
@@ -70,12 +70,12 @@ def test_both_ends_of_the_grid(name, ends):
 
 
 @pytest.mark.parametrize("name", ["", "A", "AP", "PAP", "pa", "P" * 21, 3])
-def test_a_form_that_cannot_be_is_told(name):
+def test_invalid_race_forms_are_refused(name):
     with pytest.raises(ConfigError, match="expected P for each kart of the agent"):
         BenchmarkForm.of(name)
 
 
-def test_orders_put_the_agent_where_the_form_says():
+def test_orders_follow_the_race_form():
     plan = plan_benchmark("random@:dice", split="lighthouse", seeds=1, reverse=[True])
     by_race = dict(zip(plan.races(), plan.orders(), strict=True))
     found = {(race.form, race.end): order for race, order in by_race.items()}
@@ -105,21 +105,21 @@ def test_orders_put_the_agent_where_the_form_says():
         ({"ai_times": "nowhere.json"}, "nowhere.json has no ai times"),
     ],
 )
-def test_a_benchmark_that_cannot_be_is_told(options, message):
+def test_invalid_benchmarks_are_refused(options, message):
     with pytest.raises(ConfigError, match=message):
         plan_benchmark("heuristic", **options)
 
 
-def test_an_unknown_agent_is_told():
+def test_an_unknown_agent_is_refused():
     with pytest.raises(ConfigError, match="unknown driver 'nobody'"):
         plan_benchmark("nobody")
 
 
-# ------------------------------------------------------------------ one race's values
+# ------------------------------------------------------------------ values of one race
 
 
 def result_of(*rows):
-    """A race's result; each row is start position, finish time, rank, and status."""
+    """Makes a race's result from rows of start position, finish time, rank and status."""
     agents = [
         AgentResult(
             agent=f"kart_{place - 1}",
@@ -156,7 +156,7 @@ def outcome_of(form, end, *rows, ai_time=40.0):
     return RaceOutcome.of(race, result_of(*rows), ai_time, limit=3.0)
 
 
-def test_two_karts_of_the_agent_make_one_value_each():
+def test_two_karts_of_the_agent_count_with_their_mean():
     outcome = outcome_of(
         "PPAA",
         "back",
@@ -171,13 +171,13 @@ def test_two_karts_of_the_agent_make_one_value_each():
     assert [kart.time for kart in outcome.karts] == [36.0, 48.0]
 
 
-def test_a_kart_that_does_not_finish_counts_with_the_whole_limit():
+def test_an_unfinished_kart_counts_with_the_time_limit():
     outcome = outcome_of("PA", "front", (1, None, 2, "racing"), (2, 40.0, 1, "finished"))
     assert (outcome.time_ratio, outcome.is_won, outcome.rank) == (3.0, 0.0, 2.0)
     assert outcome.unfinished == 1.0
 
 
-def test_an_agent_that_fails_in_the_lead_is_last():
+def test_an_agent_that_fails_while_leading_is_last():
     rows = [(1, None, 1, "retired"), (2, None, 2, "racing"), (3, None, 3, "racing")]
     outcome = outcome_of("PAA", "front", *rows)
     assert (outcome.rank, outcome.is_won, outcome.time_ratio) == (3.0, 0.0, 3.0)
@@ -186,7 +186,7 @@ def test_an_agent_that_fails_in_the_lead_is_last():
     assert [kart.rank for kart in both.karts] == [2, 3]
 
 
-def test_alone_there_is_nothing_to_win():
+def test_a_race_without_rivals_has_no_win_and_no_rank():
     outcome = outcome_of("P", "front", (1, 38.0, 1, "finished"))
     assert outcome.time_ratio == pytest.approx(0.95)
     assert (outcome.is_won, outcome.rank) == (None, None)
@@ -201,13 +201,13 @@ def test_the_mean_is_over_races():
     assert found.low < 3.0 < found.high
 
 
-def test_what_differs_between_strata_is_no_doubt():
-    """Tracks are fixed: that one is slower than another says nothing about chance."""
+def test_differences_between_strata_do_not_widen_the_interval():
+    """Tracks are fixed, so a difference between them is not a random error."""
     found = estimate_mean([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
     assert (found.value, found.low, found.high) == (5.0, 5.0, 5.0)
 
 
-def test_the_interval_is_as_wide_as_the_mean_varies():
+def test_the_width_of_the_interval_matches_the_standard_error():
     values = np.random.default_rng(1).normal(size=(40, 5))
     strata = [row for row in range(40) for _ in range(5)]
     found = estimate_mean(values.ravel().tolist(), strata)
@@ -215,7 +215,7 @@ def test_the_interval_is_as_wide_as_the_mean_varies():
     assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.06)
 
 
-def test_the_true_mean_is_in_the_interval_as_often_as_is_said():
+def test_the_interval_contains_the_true_mean_at_the_stated_rate():
     chance = np.random.default_rng(2)
     strata = [row for row in range(12) for _ in range(5)]
     hits = 0
@@ -225,12 +225,12 @@ def test_the_true_mean_is_in_the_interval_as_often_as_is_said():
     assert 273 <= hits <= 296  # 91 to 98.7 %
 
 
-def test_one_race_of_a_kind_says_nothing_about_chance():
+def test_a_kind_with_one_race_gives_no_interval():
     found = estimate_mean([1.0, 2.0, 3.0], ["a", "a", "b"])
     assert (found.value, found.low, found.high) == (2.0, None, None)
 
 
-def test_what_never_happened_may_happen_all_the_same():
+def test_a_rate_of_zero_has_an_upper_bound():
     found = estimate_mean([0.0] * 30, ["a"] * 15 + ["b"] * 15, (0.0, 1.0))
     assert (found.value, found.low) == (0.0, 0.0)
     assert (1 - found.high) ** 30 == pytest.approx(0.025)
@@ -242,7 +242,7 @@ def test_what_never_happened_may_happen_all_the_same():
 
 
 def made_up(ratio, won, *, seeds=5, **changes):
-    """A result in which the agent's ratio and win depend on the race as two functions say."""
+    """Makes a result in which two functions give the agent's time ratio and win of each race."""
     options = {"split": "lighthouse", "forms": ["PA"], "seeds": seeds, **changes}
     plan = plan_benchmark("random", **options)
     outcomes = []
@@ -279,7 +279,7 @@ def test_an_agent_that_never_finishes_can_be_drawn(tmp_path):
     assert (tmp_path / "lost.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_a_result_survives_its_json():
+def test_a_result_survives_json():
     result = made_up(lambda race: 1 + race.index / 10, lambda race: race.index == 0)
     again = BenchmarkResult.from_json(result.to_json())
     assert again.plan == result.plan
@@ -288,8 +288,8 @@ def test_a_result_survives_its_json():
         BenchmarkResult.from_json("{}")
 
 
-def test_a_paired_difference_is_surer_than_two_figures():
-    """Luck that both agents share falls out."""
+def test_a_paired_difference_has_a_narrower_interval_than_its_figures():
+    """Luck that both agents share cancels out."""
     luck = dict(enumerate(np.random.default_rng(3).normal(1, 0.2, 20)))
     slow = made_up(lambda race: luck[race.number] + 0.05, lambda _: False)
     fast = made_up(lambda race: luck[race.number] + race.index / 1000, lambda _: True)
@@ -302,7 +302,7 @@ def test_a_paired_difference_is_surer_than_two_figures():
     assert found["mean_rank"].value == 1.0
 
 
-def test_only_races_that_both_have_driven_are_compared():
+def test_only_races_that_both_agents_have_driven_are_compared():
     one = made_up(lambda _: 1.0, lambda _: True, seeds=2, reverse=[False])
     other = made_up(lambda race: 2.0 if race.reverse else 1.2, lambda _: True, seeds=4)
     found = compare(one, other).difference()
@@ -312,7 +312,7 @@ def test_only_races_that_both_have_driven_are_compared():
         compare(one, made_up(lambda _: 1.0, lambda _: True, reverse=[True]))
 
 
-def test_other_conditions_are_not_compared():
+def test_results_under_different_conditions_are_not_compared():
     one = made_up(lambda _: 1.0, lambda _: True)
     other = made_up(lambda _: 1.0, lambda _: True, difficulty=2)
     with pytest.raises(ConfigError, match=r"different conditions: .*difficulty is 2 and was 3"):
@@ -320,11 +320,11 @@ def test_other_conditions_are_not_compared():
 
 
 def of_all_tracks(ratio, **changes):
-    """A result on the test tracks in which the time ratio of a race is as a function says."""
+    """Makes a result on the test tracks in which a function gives the time ratio of a race."""
     return made_up(ratio, lambda _: False, split="test", **changes)
 
 
-def test_intervals_over_tracks_are_wider_than_those_for_the_same_tracks():
+def test_intervals_over_tracks_are_wider_than_those_for_fixed_tracks():
     ratios = {track: 0.8 + 0.05 * number for number, track in enumerate(TEST_TRACKS)}
     group = of_all_tracks(lambda race: ratios[race.track] + race.index / 1000).group()
     own, clustered = group.figures["time_ratio"], group.clustered["time_ratio"]
@@ -333,7 +333,7 @@ def test_intervals_over_tracks_are_wider_than_those_for_the_same_tracks():
     assert group.clustered["win_rate"].low is None  # no race was won on any track
 
 
-def test_the_error_of_the_baseline_is_in_the_interval_over_tracks():
+def test_intervals_over_tracks_include_the_error_of_the_ai_times():
     result = of_all_tracks(lambda race: 0.9 + race.index / 1000)
     exact = BenchmarkResult(replace(result.plan, ai_races={}), result.races)
     found, narrow = (r.group().clustered["time_ratio"] for r in (result, exact))
@@ -355,7 +355,7 @@ def test_differences_have_intervals_over_tracks():
     assert 0.012 < found.low < 0.02 < 0.03 < found.high < 0.04
 
 
-def test_an_unfinished_race_keeps_the_limit_for_every_time_of_the_ai():
+def test_an_unfinished_race_has_the_limit_as_ratio_for_all_ai_times():
     outcome = outcome_of("PA", "front", (1, None, 2, "racing"), (2, 40.0, 1, "finished"))
     assert outcome.time_ratios(np.array([30.0, 50.0]), 3.0).tolist() == [3.0, 3.0]
     outcome = outcome_of("PA", "front", (1, 60.0, 2, "finished"), (2, 40.0, 1, "finished"))
@@ -363,7 +363,7 @@ def test_an_unfinished_race_keeps_the_limit_for_every_time_of_the_ai():
 
 
 @pytest.mark.parametrize("name", ["ai", "heuristic", "random"])
-def test_published_results_are_of_the_protocol(name):
+def test_published_results_follow_the_protocol(name):
     result = load_benchmark(RESULTS / f"{name}.json")
     plan = plan_benchmark(name, seeds=result.plan.seeds)
     assert result.is_complete
@@ -377,7 +377,7 @@ def test_published_results_are_of_the_protocol(name):
 
 
 @pytest.mark.parametrize("name", ["ace", "ace-without-networks"])
-def test_published_results_on_the_validation_tracks_can_be_computed_again(name):
+def test_published_results_on_the_validation_tracks_can_be_recomputed(name):
     file = RESULTS / "validation" / f"{name}.json"
     result = load_benchmark(file)
     assert result.is_complete
@@ -387,8 +387,8 @@ def test_published_results_on_the_validation_tracks_can_be_computed_again(name):
     assert [written["low"], written["high"]] == pytest.approx([found.low, found.high], abs=1e-6)
 
 
-def test_the_ai_is_as_good_as_the_ai():
-    """What the figures must say of the one agent whose figures are known."""
+def test_the_ai_ties_with_itself():
+    """The AI is the one agent whose true figures are known."""
     result = load_benchmark(RESULTS / "ai.json")
     for form, chance in (("PAAAA", 0.2), ("PPAAA", 0.4)):
         figures = result.group("form", form).figures
@@ -400,7 +400,7 @@ def test_the_ai_is_as_good_as_the_ai():
     ("races", "message"),
     [(((30.0, 31.0), (30.0,)), r"\[1, 2\] karts"), (((None,), (None,)), "no kart")],
 )
-def test_times_of_races_that_do_not_belong_together_are_refused(races, message):
+def test_inconsistent_times_of_races_are_refused(races, message):
     plan = plan_benchmark("ai", split="lighthouse", forms=["P"])
     with pytest.raises(ConfigError, match=message):
         replace(plan, ai_races={"lighthouse": {"forward": races}})

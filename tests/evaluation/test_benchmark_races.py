@@ -1,4 +1,4 @@
-"""The benchmark on the real engine: short races, interruptions, the command."""
+"""The benchmark on the real engine: short races, interruptions and the command."""
 
 import json
 import shutil
@@ -46,7 +46,7 @@ def small(tmp_path_factory):
     return folder, result, heard
 
 
-# ------------------------------------------------------------------ what comes out
+# ------------------------------------------------------------------ results
 
 
 @pytest.mark.slow
@@ -62,7 +62,7 @@ def test_the_agent_drives_the_planned_races(small):
         assert kept.status in ("awaited_finished", "finished")
 
 
-def test_figures_are_those_of_the_races(small):
+def test_figures_match_the_races(small):
     folder, result, _ = small
     files = sorted((folder / "races").glob("*.json"))
     rows = [row for file in files for row in RaceResult.from_json(file.read_text()).agents]
@@ -75,7 +75,7 @@ def test_figures_are_those_of_the_races(small):
     assert result.group("form", "PA").chance == 0.5
 
 
-def test_the_result_follows_its_schema_and_is_read_again(small):
+def test_the_result_follows_its_schema_and_can_be_loaded(small):
     folder, result, _ = small
     written = json.loads((folder / "result.json").read_text())
     jsonschema.validate(written, schema("benchmark-result"))
@@ -85,7 +85,7 @@ def test_the_result_follows_its_schema_and_is_read_again(small):
     assert from_file.groups == result.groups
 
 
-def test_a_finished_benchmark_runs_nothing_again(small):
+def test_a_finished_benchmark_repeats_no_races(small):
     folder, result, _ = small
     stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
     assert run_benchmark("heuristic", output=folder, **SMALL) == result
@@ -110,8 +110,8 @@ def test_the_plot_is_a_picture(small, tmp_path):
 
 
 @pytest.mark.slow
-def test_two_agents_meet_the_same_conditions(small, tmp_path):
-    """The AI under another name does what the AI does: all differences are exactly none."""
+def test_two_agents_race_under_the_same_conditions(small, tmp_path):
+    """The AI under another name drives the same races, so all differences are exactly 0."""
     _, heuristic, _ = small
     one = run_benchmark("ai", output=tmp_path / "ai", plot=False, **SMALL)
     two = run_benchmark("ai@:again", output=tmp_path / "again", plot=False, jobs=1, **SMALL)
@@ -122,7 +122,7 @@ def test_two_agents_meet_the_same_conditions(small, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_agent_that_fails_is_last_and_told(tmp_path):
+def test_an_agent_that_fails_is_last_and_reported(tmp_path):
     agent = str(AGENTS / "hostile" / "once.py")
     options = {**SMALL, "forms": ["PA"], "seeds": 1}
     result = run_benchmark(agent, output=tmp_path / "once", plot=False, **options)
@@ -138,7 +138,7 @@ def test_an_agent_that_fails_is_last_and_told(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_killed_benchmark_goes_on_to_the_same_result(small, tmp_path):
+def test_a_killed_benchmark_resumes_to_the_same_result(small, tmp_path):
     _, whole, _ = small
     folder = tmp_path / "heuristic"
     words = [
@@ -169,11 +169,11 @@ def test_a_killed_benchmark_goes_on_to_the_same_result(small, tmp_path):
     assert load_benchmark(folder).races == whole.races
 
 
-# ------------------------------------------------------------------ the race's end, rescues
+# ------------------------------------------------------------------ race ends and rescues
 
 
 @pytest.mark.slow
-def test_a_race_is_over_when_those_who_are_awaited_have_finished():
+def test_a_race_ends_when_all_awaited_karts_have_finished():
     options = {"track": "olivermath", "difficulty": 3, "start_positions": [1, 2, 3]}
     result = run_race(["ai", "random", "ai"], wait_for=[2], **options)
     assert result.status == "awaited_finished"
@@ -183,20 +183,20 @@ def test_a_race_is_over_when_those_who_are_awaited_have_finished():
 
 
 @pytest.mark.slow
-def test_nobody_waits_for_those_who_have_failed():
+def test_failed_karts_are_not_awaited():
     drivers = [str(AGENTS / "hostile" / "unloadable.py"), "ai"]
     result = run_race(drivers, wait_for=[0], track="lighthouse")
     assert (result.status, result.steps) == ("awaited_finished", 0)
 
 
 @pytest.mark.parametrize("numbers", [[], [2], [-1], [0, 5]])
-def test_who_cannot_be_awaited_is_told(numbers):
+def test_invalid_awaited_karts_are_refused(numbers):
     with pytest.raises(ConfigError, match="expected some of the drivers' numbers, 0 to 1"):
         run_race(["ai", "random"], wait_for=numbers, track="lighthouse")
 
 
 def asks_for_rescues_at(*steps):
-    """A driver that stands still and calls the rescue bird at some steps."""
+    """Returns a driver that stands still and requests a rescue in the given steps."""
     buttons = dict.fromkeys(("brake", "drift", "fire", "nitro"), 0)
     still = {name: np.zeros(1, np.float32) for name in ("acceleration", "steer")}
 
@@ -217,7 +217,7 @@ def test_rescues_are_counted():
 
 
 def flight(heights, speed=0.0):
-    """Moments of one kart whose body is out of the world, one a tenth of a second."""
+    """Yields snapshots of a kart whose body is out of the world, one per 0.1 s."""
     for height in heights:
         karts = np.zeros(1, KART_DTYPE)
         karts["location"][0] = (1.0, height, 2.0)
@@ -225,7 +225,7 @@ def flight(heights, speed=0.0):
         yield karts
 
 
-def test_what_an_explosion_does_is_no_rescue():
+def test_an_explosion_does_not_count_as_a_rescue():
     thrown = [max(0.0, 7.0 * t - 4.9 * t * t) for t in np.arange(0, 1.5, 0.1)]
     let_down = [0.0, 0.17, 0.33, 0.5, 1.5, 1.33, 1.17, 1.0, 0.83, 0.67, 0.5]
     for heights, speed, rescues in ((thrown, 0.0, 0), (let_down, 0.0, 1), (let_down, 3.0, 0)):
@@ -238,7 +238,7 @@ def test_what_an_explosion_does_is_no_rescue():
 # ------------------------------------------------------------------ the AI's times
 
 
-def test_the_shipped_times_are_of_every_track_both_ways_at_every_difficulty():
+def test_the_shipped_times_cover_all_tracks_directions_and_difficulties():
     times = load_ai_times()
     keys = {(t, way, d) for t in SPLITS["all"] for way in (False, True) for d in range(4)}
     assert set(times.by_race) == keys
@@ -250,12 +250,12 @@ def test_the_shipped_times_are_of_every_track_both_ways_at_every_difficulty():
 
 
 @pytest.mark.slow
-def test_measuring_again_finds_the_shipped_times(tmp_path):
+def test_new_measurements_reproduce_the_shipped_times(tmp_path):
     options = {"tracks": "olivermath", "seeds": 1, "difficulties": (2,), "jobs": 1}
     times = measure_ai_times(tmp_path / "ai", **options)
     assert set(times.by_race) == {("olivermath", False, 2), ("olivermath", True, 2)}
     for key, time in times.by_race.items():
-        shipped = load_ai_times().by_race[key]  # the same race, perhaps of another processor
+        shipped = load_ai_times().by_race[key]  # the same race, possibly from another processor
         assert time.median == pytest.approx(shipped.median, rel=0.2)
     assert load_ai_times(tmp_path / "ai" / "ai_times.json") == times
     with pytest.raises(ConfigError, match=r"has no time on lighthouse .* at difficulty 3"):
@@ -316,7 +316,7 @@ def test_bad_usage_exits_with_2(words, message, capsys):
 # ------------------------------------------------------------------ the track atlas
 
 
-def test_the_atlas_has_every_track_as_it_is():
+def test_the_atlas_describes_every_track():
     page = (DOCS / "reference" / "tracks.md").read_text()
     times = load_ai_times()
     for track in SPLITS["all"]:
@@ -334,7 +334,7 @@ def test_the_atlas_has_every_track_as_it_is():
     assert sum(picture.stat().st_size for picture in pictures) < 600_000
 
 
-def test_the_atlas_counts_what_is_there():
+def test_the_atlas_matches_the_track():
     env = race_v0.parallel_env(num_kart=1, track="xr591", max_paths=1)
     try:
         env.reset(seed=0)

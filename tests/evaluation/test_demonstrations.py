@@ -1,4 +1,4 @@
-"""Demonstrations: what was seen, and what was done then."""
+"""Demonstrations: recorded observations and actions."""
 
 import json
 import os
@@ -34,14 +34,14 @@ SHORT = {"tracks": "lighthouse", "karts": 2, "max_steps": 60, "jobs": 1}
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
-    """Two short races of an agent beside the game's AI."""
+    """Records two short races of an agent against the game's AI."""
     file = tmp_path_factory.mktemp("demos") / "driven.npz"
     return file, record_demonstrations("pursuit", output=file, seeds=(3, 4), rivals=["ai"], **SHORT)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A whole race of the game's AI."""
+    """Records a whole race of the game's AI."""
     file = tmp_path_factory.mktemp("demos") / "whole.npz"
     return record_demonstrations(
         "ai", output=file, tracks="lighthouse", karts=2, difficulty=3, jobs=1
@@ -49,7 +49,7 @@ def whole(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_data_set_has_what_was_seen_and_done(driven):
+def test_a_data_set_has_observations_and_actions(driven):
     _, demos = driven
     assert len(demos) == 4
     assert demos.lengths.tolist() == [60] * 4
@@ -67,7 +67,7 @@ def test_a_data_set_has_what_was_seen_and_done(driven):
     assert not episode.is_finished
 
 
-def test_a_data_set_knows_how_it_was_made(driven):
+def test_a_data_set_records_how_it_was_made(driven):
     file, _ = driven
     plan = load_demonstrations(file).plan
     assert plan["agent"]["source"] == "pursuit"
@@ -76,7 +76,7 @@ def test_a_data_set_knows_how_it_was_made(driven):
     assert plan["versions"]["pystk2"]
 
 
-def test_a_file_has_no_pickles_and_is_read_as_it_was(driven):
+def test_a_file_contains_no_pickles_and_survives_loading(driven):
     file, demos = driven
     with np.load(file, allow_pickle=False) as arrays:
         assert {"observations", "actions", "controls", "rewards", "lengths", "about"} == set(arrays)
@@ -87,7 +87,7 @@ def test_a_file_has_no_pickles_and_is_read_as_it_was(driven):
 
 
 @pytest.mark.slow
-def test_what_was_recorded_drives_the_same_race_again(driven):
+def test_recorded_controls_reproduce_the_race(driven):
     _, demos = driven
     for race in (0, 1):
         found = check_demonstrations(demos, race)
@@ -96,7 +96,7 @@ def test_what_was_recorded_drives_the_same_race_again(driven):
 
 
 @pytest.mark.slow
-def test_actions_one_step_late_do_not_drive_the_same_race(driven):
+def test_controls_one_step_late_do_not_reproduce_the_race(driven):
     _, demos = driven
     late = {**demos.columns, "controls": np.roll(demos.columns["controls"], 1, axis=0)}
     found = check_demonstrations(replace(demos, columns=late))
@@ -104,7 +104,7 @@ def test_actions_one_step_late_do_not_drive_the_same_race(driven):
     assert found.first_difference > 0
 
 
-def test_the_views_action_is_the_nearest_to_what_was_done(driven):
+def test_recorded_actions_are_the_nearest_to_the_controls(driven):
     _, demos = driven
     as_told = controls_of_choices(demos.columns["actions"])
     controls = demos.columns["controls"]
@@ -114,8 +114,8 @@ def test_the_views_action_is_the_nearest_to_what_was_done(driven):
 
 
 @pytest.mark.slow
-def test_the_ais_action_is_what_it_did_until_the_next_observation():
-    """Against the environment, stepped by quarters of a step."""
+def test_the_ais_action_covers_its_controls_until_the_next_observation():
+    """Compares with an environment that takes steps of a quarter of the length."""
     recorder = DemoRecorder(1, DemoView("racing"), substeps=4)
     run_race(["ai", "ai"], listeners=[recorder], track="lighthouse", seed=5, max_steps=240)
     episode = recorder.episodes({"view": "racing"})[0]
@@ -127,13 +127,13 @@ def test_the_ais_action_is_what_it_did_until_the_next_observation():
     quarters = np.array(controls[1:]).reshape(60, 4, 7)
     np.testing.assert_allclose(episode.controls[:, :2], quarters.mean(axis=1)[:, :2], atol=1e-6)
     np.testing.assert_array_equal(episode.controls[:, 4], quarters[:, :, 4].any(axis=1))
-    assert np.ptp(quarters[:, :, 1], axis=1).max() > 0.1  # it decides more often than we look
+    assert np.ptp(quarters[:, :, 1], axis=1).max() > 0.1  # it acts more often than observed
     seen = [DemoView("racing").observe(observation) for observation in observations[::4]]
     np.testing.assert_array_equal(episode.observations, np.array(seen))
 
 
 def ai_race(step_size, steps):
-    """What an agent sees that the game's AI drives."""
+    """Returns the observations of an agent that the game's AI drives."""
     with race_v0.parallel_env(
         agents=[AgentSpec(use_ai=True, color=number / 2) for number in range(2)],
         num_kart=2,
@@ -183,7 +183,7 @@ def _as_in(space, value):
     return value if value.ndim else int(value)
 
 
-def test_the_same_call_again_records_nothing_anew(driven):
+def test_repeating_a_call_records_nothing_again(driven):
     file, demos = driven
     told = []
     again = record_demonstrations(
@@ -203,7 +203,7 @@ COMMAND = ["pursuit", "--track", "lighthouse", "--karts", "1", "--max-steps", "4
 
 
 @pytest.mark.slow
-def test_recording_goes_on_after_a_kill(tmp_path):
+def test_recording_resumes_after_a_kill(tmp_path):
     file = tmp_path / "d.npz"
     words = ["demos", *COMMAND, "--seeds", "4", "--output", str(file)]
     first = subprocess.Popen([sys.executable, "-m", "stkzoo", *words])
@@ -278,7 +278,7 @@ def test_an_agent_that_fails_makes_no_demonstrations(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("damage", ["cut", "text", "other", "short", "pickle"])
-def test_a_bad_file_is_told(driven, tmp_path, damage):
+def test_invalid_files_are_refused(driven, tmp_path, damage):
     file, demos = driven
     bad = tmp_path / "bad.npz"
     if damage == "cut":
@@ -298,7 +298,7 @@ def test_a_bad_file_is_told(driven, tmp_path, damage):
         load_demonstrations(tmp_path / "none.npz")
 
 
-def test_a_plan_is_the_same_after_json():
+def test_a_plan_survives_json():
     plan = plan_demonstrations("ai", tracks=["lighthouse"], reverse=(False, True), seeds=2)
     assert type(plan).from_json(plan.to_json()).differences(plan) == []
     assert len(plan.orders()) == 4
@@ -317,7 +317,7 @@ def test_all_views_of_fixed_size_can_be_recorded():
     assert "full" not in recorded
 
 
-def test_minari_reads_the_same(driven, tmp_path, monkeypatch):
+def test_minari_loads_the_same_data(driven, tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari = pytest.importorskip("minari")
     _, demos = driven

@@ -14,7 +14,7 @@ from stkzoo.evaluation.statistics import (
 
 
 def clusters_of(values):
-    """Totals and counts of values ``(C, n)``."""
+    """Returns the totals and counts of values ``(C, n)``, with a cluster in each row."""
     return values.sum(axis=1), np.full(len(values), float(values.shape[1]))
 
 
@@ -24,14 +24,14 @@ def test_the_mean_is_over_values_not_over_clusters():
     assert found.low < 2.0 < found.high
 
 
-def test_the_interval_is_as_wide_as_the_means_of_clusters_vary():
+def test_the_width_of_the_interval_matches_the_error_of_cluster_means():
     values = np.random.default_rng(1).normal(size=(40, 3))
     found = estimate_clustered(*clusters_of(values))
     error = values.mean(axis=1).std(ddof=1) / math.sqrt(40)
     assert found.high - found.low == pytest.approx(2 * 2.023 * error, rel=0.06)
 
 
-def test_the_true_mean_over_tracks_is_in_the_interval_as_often_as_is_said():
+def test_the_interval_contains_the_true_mean_over_tracks_at_the_stated_rate():
     chance = np.random.default_rng(2)
     hits = 0
     for _ in range(300):
@@ -42,18 +42,18 @@ def test_the_true_mean_over_tracks_is_in_the_interval_as_often_as_is_said():
 
 
 @pytest.mark.parametrize(("freedom", "quantile"), [(3, 3.182), (7, 2.365), (11, 2.201)])
-def test_few_clusters_have_the_tails_of_student_s_t(freedom, quantile):
+def test_few_clusters_give_the_tails_of_students_t(freedom, quantile):
     assert _student_t(freedom) == pytest.approx(quantile, rel=0.01)
 
 
-def test_a_resampled_baseline_widens_the_interval_by_its_own_error():
-    values = np.ones((16, 1)) + np.linspace(-1e-6, 1e-6, 16)[:, None]  # the tracks are the same
+def test_a_resampled_baseline_adds_its_error_to_the_interval():
+    values = np.ones((16, 1)) + np.linspace(-1e-6, 1e-6, 16)[:, None]  # all tracks are almost equal
     noise = np.random.default_rng(3).normal(0, 0.02, (DRAWS, 16))
     totals, counts = clusters_of(values)
     exact = estimate_clustered(totals, counts)
     found = estimate_clustered(totals, counts, values[:, 0] / (1 + noise))
     assert exact.high - exact.low < 1e-6
-    # Of 16 clusters 15 are drawn, some of them several times.
+    # A resample draws 15 of the 16 clusters, with replacement.
     error = 0.02 * math.sqrt((2 - 1 / 16) / 15)
     assert found.high - found.low == pytest.approx(2 * 2.131 * error, rel=0.08)
 
@@ -79,16 +79,16 @@ def test_the_same_values_give_the_same_interval():
 def test_medians_resample_whole_races():
     medians = resampled_medians([[1.0] * 3, [5.0] * 3], np.random.default_rng(0))
     assert medians.shape == (DRAWS,)
-    assert set(medians) == {1.0, 5.0}  # one race of two is drawn
+    assert set(medians) == {1.0, 5.0}  # one of two races is drawn
     assert np.mean(medians == 1.0) == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_kart_that_did_not_finish_is_the_slowest():
+def test_an_unfinished_kart_is_the_slowest():
     medians = resampled_medians([[1.0, None, None, 2.0, 3.0]] * 2, np.random.default_rng(0))
     assert set(medians) == {3.0}
 
 
-def test_medians_vary_as_much_as_those_of_other_races():
+def test_medians_vary_as_much_as_those_of_new_races():
     chance = np.random.default_rng(6)
     truth = np.median(chance.normal(50, 2, (4000, 25)), axis=1).std()
     errors = [

@@ -1,4 +1,4 @@
-"""Time trials against the human records: plan, figures, a run that resumes, the command."""
+"""Time trials against human records: plans, figures, resumed runs and the command."""
 
 import json
 from dataclasses import replace
@@ -107,7 +107,7 @@ def result_of(order, time):
 
 
 def outcome(multiples, **options):
-    """The result of races with these multiples of the record; ``None`` for unfinished ones."""
+    """Makes a result with times in multiples of the record; ``None`` for unfinished races."""
     plan = plan_time_trial("heuristic", **options)
     results = {}
     for order, multiple in zip(plan.orders(), multiples, strict=False):
@@ -132,7 +132,7 @@ def test_several_races_on_a_track_count_with_their_mean():
     assert track.time == pytest.approx(1.2 * HUMAN_RECORDS["mines"].seconds)
 
 
-def test_a_part_of_the_races_has_a_result():
+def test_an_incomplete_time_trial_has_a_result():
     result = outcome([1.3], split=["lighthouse", "hacienda"])
     assert (result.is_complete, result.mean_ratio) == (False, 1.3)
     assert outcome([], split="mines").mean_ratio is None
@@ -151,13 +151,13 @@ def test_a_result_with_races_of_another_plan_is_refused():
         TimeTrialResult.from_json(json.dumps(values))
 
 
-def test_a_time_trial_is_no_benchmark(tmp_path):
+def test_a_time_trial_is_not_a_benchmark(tmp_path):
     (tmp_path / "result.json").write_text(outcome([1.3], split="mines").to_json())
     with pytest.raises(ConfigError, match="is a time-trial-result"):
         load_benchmark(tmp_path)
 
 
-def test_the_shipped_result_is_complete_and_in_form():
+def test_the_shipped_result_is_complete_and_valid():
     jsonschema.validate(json.loads(SHIPPED.read_text()), json.loads(SCHEMA.read_text()))
     result = load_time_trial(SHIPPED)
     assert result.is_complete

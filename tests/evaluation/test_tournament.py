@@ -1,4 +1,4 @@
-"""Tournaments: every race once, whatever interrupts them."""
+"""Tournaments run every race exactly once, even after interruptions."""
 
 import json
 import os
@@ -59,11 +59,11 @@ def races_in(folder):
     return sorted(file.name for file in (folder / "races").glob("[0-9]*.json"))
 
 
-# ------------------------------------------------------------------ what comes out
+# ------------------------------------------------------------------ results
 
 
 @pytest.mark.slow
-def test_all_races_are_run_with_the_planned_grids(small):
+def test_all_races_have_the_planned_grids(small):
     folder, result, _ = small
     plan = result.plan
     assert races_in(folder) == [f"{number:05d}.json" for number in range(8)]
@@ -74,7 +74,7 @@ def test_all_races_are_run_with_the_planned_grids(small):
         assert grid == [plan.entrants[number].label for number in race.grid]
 
 
-def test_the_agent_that_fails_loses_its_races_only(small):
+def test_an_agent_that_fails_loses_only_its_own_races(small):
     _, result, _ = small
     last = result.standings[-1]
     assert (last.label, last.retired, last.races) == ("exits", 6, 6)
@@ -103,7 +103,7 @@ def test_the_matrix_counts_meetings(small):
     assert result.payoff(0, 0) is None
 
 
-def test_progress_is_told_of_every_race(small):
+def test_progress_is_reported_after_every_race(small):
     _, _, heard = small
     assert [progress.done for progress in heard] == list(range(9))
     assert {progress.total for progress in heard} == {8}
@@ -111,7 +111,7 @@ def test_progress_is_told_of_every_race(small):
 
 
 @pytest.mark.slow
-def test_a_finished_tournament_runs_nothing_again(small):
+def test_a_finished_tournament_repeats_no_races(small):
     folder, result, _ = small
     stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
     assert resume_tournament(folder) == result
@@ -143,7 +143,7 @@ def test_the_plot_is_a_picture(small, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_number_of_jobs_changes_nothing(tmp_path):
+def test_the_number_of_jobs_does_not_change_results(tmp_path):
     one = run_tournament(THREE, output=tmp_path / "one", jobs=1, **SMALL)
     two = run_tournament(THREE, output=tmp_path / "two", jobs=3, **SMALL)
     assert one == two
@@ -166,14 +166,14 @@ def test_more_races_make_the_interval_narrower():
     assert many.low > rate(races * 25, 2)[1].high
 
 
-def test_who_never_raced_has_the_rating_of_a_stranger():
+def test_an_agent_without_races_has_the_default_rating():
     rating = rate([[0, 1]], 3)[2]
     assert rating.value == 25
     assert rating.low < 23 < 27 < rating.high
 
 
 @pytest.mark.slow
-def test_an_agent_that_always_wins_is_not_rated_without_doubt():
+def test_an_agent_that_always_wins_still_has_a_rating_interval():
     few, many = rate([[0, 1]] * 4, 2), rate([[0, 1]] * 100, 2)
     assert few[0].low < few[0].value - 3
     assert few[1].high > few[1].value + 3
@@ -181,7 +181,7 @@ def test_an_agent_that_always_wins_is_not_rated_without_doubt():
 
 
 @pytest.mark.slow
-def test_a_missing_library_is_told_before_the_first_race(tmp_path):
+def test_a_missing_library_is_an_error_before_the_first_race(tmp_path):
     code = """
         import sys
         sys.modules[{library!r}] = None
@@ -206,7 +206,7 @@ SIX = ("heuristic", "ai", "random", "heuristic@:second", "ai@:rival", "random@:d
 
 
 @pytest.mark.slow
-def test_races_killed_at_half_and_resumed_are_all_races(tmp_path):
+def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
     folder = tmp_path / "league"
     command = [sys.executable, "-m", "stkzoo", "tournament", *SIX, "--output", str(folder)]
     words = ["--races", "24", "--max-steps", "10", "--track", "lighthouse", "olivermath"]
@@ -258,7 +258,7 @@ def test_a_resumed_tournament_comes_to_the_same(tmp_path):
 
 
 @pytest.mark.slow
-def test_ctrl_c_says_how_to_go_on(tmp_path):
+def test_ctrl_c_shows_how_to_resume(tmp_path):
     folder = tmp_path / "cup"
     command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]
     words = ["--output", str(folder), "--races", "50", "--track", "lighthouse"]
@@ -273,7 +273,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_race_whose_process_is_killed_is_run_again(tmp_path):
+def test_a_race_whose_process_is_killed_runs_again(tmp_path):
     plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=2, max_steps=300)
     outcomes = run_in_parallel(plan.orders(), tmp_path, 1, 100)
     first = next(outcomes)
@@ -303,7 +303,7 @@ def get_actor(module_dir, observation_space, action_space):
 @pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"inline": True}, {"sandbox": "off"}, {}])
 def test_an_agent_that_ends_the_process_of_its_races_loses_them(tmp_path, settings):
-    """A race that it voids would not count against it."""
+    """If the race were void, it would not count against the agent."""
     killer = AGENTS / "hostile" / "exits.py"
     if not settings.get("inline"):
         killer = tmp_path / "killer.py"
@@ -338,7 +338,7 @@ def get_actor(module_dir, observation_space, action_space):
 
 @pytest.mark.slow
 def test_an_agent_cannot_put_the_blame_on_another(tmp_path):
-    """It ends the process of a race only if its rival takes part."""
+    """The agent ends the process of a race only if its rival takes part."""
     framer = tmp_path / "framer.py"
     framer.write_text(FRAMER)
     settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 40, "sandbox": "off"}
@@ -352,7 +352,7 @@ def test_an_agent_cannot_put_the_blame_on_another(tmp_path):
 @pytest.mark.slow
 @pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
 def test_an_agent_that_attacks_whenever_it_is_behind_voids_nothing_and_is_last(tmp_path):
-    """100 races: ``python -m benchmarks.adversaries --cup 100``."""
+    """To run 100 races: ``python -m benchmarks.adversaries --cup 100``."""
     result = attacks.cup(tmp_path, races=3, action_timeout=2.0)
     assert result.is_complete
     assert result.standings[-1].label == "sore loser"
@@ -370,7 +370,7 @@ def test_a_race_that_never_ends_is_ended(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_programs_do_not_run_one_tournament(tmp_path):
+def test_two_programs_cannot_run_the_same_tournament(tmp_path):
     folder = tmp_path / "cup"
 
     def again(progress):
@@ -410,7 +410,7 @@ def test_an_agent_that_was_changed_meanwhile_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["module_home/bare_module_agent.py", "alpha", "weights"])
-def test_all_files_of_an_agent_count(source):
+def test_the_fingerprint_of_an_agent_covers_all_its_files(source):
     files = fingerprint(str(AGENTS / source))
     home = (AGENTS / source).parent
     on_disk = (AGENTS / source).rglob("*") if (AGENTS / source).is_dir() else [AGENTS / source]
@@ -419,13 +419,13 @@ def test_all_files_of_an_agent_count(source):
     assert fingerprint("heuristic") == {}
 
 
-def test_files_of_a_module_count_too():
+def test_the_fingerprint_of_a_module_covers_its_files():
     assert "http/server.py" in fingerprint("http.server")
     assert list(fingerprint("this")) == ["this.py"]
 
 
 @pytest.mark.slow
-def test_a_damaged_race_is_told(tmp_path):
+def test_a_damaged_race_file_is_an_error(tmp_path):
     folder = tmp_path / "cup"
     run_tournament(THREE, output=folder, **SMALL)
     first, second = folder / "races" / "00000.json", folder / "races" / "00001.json"
@@ -459,12 +459,12 @@ def test_a_damaged_race_is_told(tmp_path):
         (THREE, {"laps": 0}, "laps is 0"),
     ],
 )
-def test_a_plan_that_cannot_be_is_told(agents, plan, message):
+def test_invalid_plans_are_refused(agents, plan, message):
     with pytest.raises(ConfigError, match=message):
         plan_tournament(agents, **plan)
 
 
-def test_agents_of_one_file_name_are_called_by_their_player_names():
+def test_agents_with_the_same_file_name_are_labeled_by_player_name():
     paths = [str(AGENTS / name / "stk_actor") for name in ("alpha", "beta")]
     labels = [entrant.label for entrant in plan_tournament(paths).entrants]
     assert labels == ["Alpha", "Beta"]

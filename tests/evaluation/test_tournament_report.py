@@ -1,4 +1,4 @@
-"""The report of a tournament: a page and tables, safe to publish."""
+"""The report of a tournament: a page and tables that are safe to publish."""
 
 import csv
 import json
@@ -17,7 +17,7 @@ SECRET = "</td><script>alert(2)</script> the key is 4711"
 
 
 class PageParser(HTMLParser):
-    """Collects the tags, the links and the text of a page."""
+    """Collects the tags, links and text of a page."""
 
     def __init__(self, text):
         super().__init__()
@@ -34,7 +34,7 @@ class PageParser(HTMLParser):
 
 @pytest.fixture(scope="module")
 def cup(tmp_path_factory):
-    """A tournament with an agent whose name and error are HTML, and its published page."""
+    """Runs a tournament with an agent whose name and error are HTML, and publishes its page."""
     home = tmp_path_factory.mktemp("report")
     module = home / "hidden_folder"
     module.mkdir()
@@ -66,14 +66,14 @@ def test_a_tournament_writes_its_report(cup):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", ["cup/report.html", "public/index.html"])
-def test_what_agents_write_is_never_markup(cup, file):
+def test_text_from_agents_is_never_markup(cup, file):
     page = PageParser((cup / file).read_text())
     assert "script" not in page.tags
     assert NAME in page.text
 
 
 @pytest.mark.slow
-def test_the_private_page_says_why_an_agent_failed_and_links_replays(cup):
+def test_the_private_page_shows_why_an_agent_failed_and_links_replays(cup):
     page = PageParser((cup / "cup" / "report.html").read_text())
     assert SECRET in page.text
     replays = [link for link in page.links if link.endswith(".stkz")]
@@ -92,14 +92,14 @@ def test_the_published_files_leave_private_details_out(cup, file):
 
 
 @pytest.mark.slow
-def test_the_page_loads_nothing(cup):
+def test_the_page_loads_no_other_files(cup):
     text = (cup / "public" / "index.html").read_text()
     assert "default-src 'none'" in text
     assert all(link.startswith("#") for link in PageParser(text).links)
 
 
 @pytest.mark.slow
-def test_the_tables_have_a_line_for_each_agent_and_no_formulas(cup):
+def test_the_tables_have_a_row_for_each_agent_and_no_formulas(cup):
     with (cup / "cup" / "standings.csv").open() as file:
         standings = list(csv.DictReader(file))
     with (cup / "cup" / "races.csv").open() as file:
@@ -112,14 +112,14 @@ def test_the_tables_have_a_line_for_each_agent_and_no_formulas(cup):
 
 
 @pytest.mark.slow
-def test_a_film_has_each_kart_at_each_moment(cup):
+def test_an_animation_has_each_kart_at_each_step(cup):
     film = json.loads((cup / "cup" / "films" / "00000.json").read_text())
     assert sorted(film["karts"]) == sorted(["ai", "heuristic", NAME])
     assert {len(way) for way in film["karts"].values()} == {2 * (1 + 12 // 5)}
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_report_with_chosen_films(cup, capsys):
+def test_the_command_writes_a_report_with_the_chosen_animations(cup, capsys):
     folder = str(cup / "cup")
     assert main(["report", folder, "--films", "1", "--title", "The <cup>"]) == 0
     page = PageParser((cup / "cup" / "report.html").read_text())

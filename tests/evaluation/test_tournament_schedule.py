@@ -1,4 +1,4 @@
-"""The schedule of a tournament favours nobody."""
+"""The schedule of a tournament is fair."""
 
 from collections import Counter
 from itertools import combinations
@@ -11,7 +11,7 @@ from stkzoo.evaluation.tournament.schedule import make_schedule
 
 
 def spread(counts, keys):
-    """By how much the counts of some keys differ at most."""
+    """Returns the largest difference between the counts of the keys."""
     values = [counts[key] for key in keys]
     return max(values) - min(values)
 
@@ -26,7 +26,7 @@ def shapes(draw):
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(shapes(), st.integers(0, 1000))
-def test_nobody_is_favoured(shape, seed):
+def test_the_schedule_is_balanced(shape, seed):
     num_agents, tracks, num_races, per_race = shape
     races = make_schedule(*shape, seed)
     agents, places = range(num_agents), range(per_race)
@@ -43,23 +43,23 @@ def test_nobody_is_favoured(shape, seed):
 
 
 @pytest.mark.parametrize(("num_agents", "per_race"), [(6, 4), (6, 2), (5, 3), (4, 4)])
-def test_everybody_meets_everybody_equally_often(num_agents, per_race):
+def test_all_pairs_of_agents_meet_equally_often(num_agents, per_race):
     races = make_schedule(num_agents, ["a", "b", "c"], 60, per_race, 1)
     met = Counter(frozenset(pair) for race in races for pair in combinations(race.grid, 2))
     pairs = [frozenset(pair) for pair in combinations(range(num_agents), 2)]
     assert spread(met, pairs) <= 1
 
 
-def test_every_part_of_a_tournament_has_all_tracks():
+def test_each_part_of_a_tournament_has_all_tracks():
     races = make_schedule(4, ["a", "b", "c"], 30, 3, 1)
     for first in range(0, 30, 3):
         assert {race.track for race in races[first : first + 3]} == {"a", "b", "c"}
 
 
-def test_races_have_seeds_of_their_own():
+def test_each_race_has_its_own_seed():
     assert [race.seed for race in make_schedule(3, ["a"], 4, 2, 10)] == [10, 11, 12, 13]
 
 
-def test_same_seed_is_the_same_schedule():
+def test_the_same_seed_gives_the_same_schedule():
     assert make_schedule(6, ["a", "b"], 20, 4, 1) == make_schedule(6, ["a", "b"], 20, 4, 1)
     assert make_schedule(6, ["a", "b"], 20, 4, 1) != make_schedule(6, ["a", "b"], 20, 4, 2)

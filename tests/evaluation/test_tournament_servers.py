@@ -1,4 +1,4 @@
-"""Tournaments with agents of servers, and with agents that join later."""
+"""Tournaments with agents on servers, and with agents that join later."""
 
 import json
 from collections import Counter
@@ -18,7 +18,7 @@ RACES = ("--races", "2", "--max-steps", "12", "--track", "lighthouse", "--no-plo
 
 @pytest.fixture(scope="module")
 def course(tmp_path_factory):
-    """A tournament of two servers with keys, then one more agent; and what the command printed."""
+    """Runs a tournament with two agents of a server with keys, then adds another agent."""
     home = tmp_path_factory.mktemp("course")
     agents = [write_agent(home, "ada"), write_agent(home, "bad", act="raise KeyError('oops')")]
     bad = home / "bad" / "pystk_actor.py"
@@ -37,7 +37,7 @@ def course(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_agents_of_servers_race_under_their_own_names(course):
+def test_agents_on_servers_race_under_their_own_names(course):
     folder, code, _ = course
     result = load_tournament(folder)
     assert {row.label for row in result.standings} == {"heuristic", "ada", NAME, "late"}
@@ -46,7 +46,7 @@ def test_agents_of_servers_race_under_their_own_names(course):
 
 
 @pytest.mark.slow
-def test_the_standings_say_why_an_agent_failed(course):
+def test_the_standings_show_why_an_agent_failed(course):
     rows = {row.label: row for row in load_tournament(course[0]).standings}
     assert "oops" in rows[NAME].reason
     assert rows["ada"].reason == ""
@@ -62,7 +62,7 @@ def test_an_agent_that_joins_later_repeats_no_race(course):
     assert json.loads((folder / "plan.json").read_text())["additions"] == [1]
 
 
-def test_newcomers_start_as_often_as_each_other_and_from_all_places():
+def test_new_agents_start_equally_often_and_from_all_places():
     first = make_schedule(6, ["a", "b"], 12, 4, seed=3)
     more = extend_schedule(first, 6, 2, 8, seed=3)
     assert [race.number for race in more] == list(range(12, 20))
@@ -89,7 +89,7 @@ def test_an_invalid_list_of_servers_is_refused(tmp_path, text, message):
         read_servers(tmp_path / "servers.txt")
 
 
-def test_agents_are_called_by_their_player_name_and_numbered(tmp_path):
+def test_agents_are_labeled_by_player_name_and_number(tmp_path):
     (tmp_path / "two").mkdir()
     paths = [write_agent(tmp_path, "Ada"), write_agent(tmp_path / "two", "Ada")]
     plan = plan_tournament([*paths, "heuristic"])

@@ -1,4 +1,4 @@
-"""What counts as an event, moment by moment; benchmarks.events compares with whole races."""
+"""Events on snapshots made by hand. ``benchmarks.events`` checks them on whole races."""
 
 import copy
 from itertools import pairwise
@@ -12,7 +12,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.mdp.events import EVENTS, RaceEvents
 from stkzoo.mdp.transition import Transition
 
-#: A road of 1 km along z.
+#: A straight road of 1 km along z.
 ROAD = TrackMap(
     1000.0,
     np.array([[[0, 0, 0], [0, 0, 1000]]], np.float32),
@@ -24,7 +24,7 @@ FAR = [[10.0 * kart, 0.0, 0.0] for kart in range(3)]
 
 
 def moment(time, **fields):
-    """Three karts 10 m apart, at 20 m/s."""
+    """Returns a snapshot of three karts, 10 m apart and at 20 m/s by default."""
     header = np.zeros((), HEADER_DTYPE)
     header["time"] = time
     karts = np.zeros(3, KART_DTYPE)
@@ -39,7 +39,7 @@ def moment(time, **fields):
 
 
 def count(*moments, events=None):
-    """``(K,)`` of each event that happens in some steps."""
+    """Returns the counts ``(K,)`` of each event that occurs in the steps."""
     events = RaceEvents(ROAD, 0.1, 3) if events is None else events
     sums = np.zeros_like(events.counts)
     for time, (before, after) in enumerate(pairwise(moments)):
@@ -48,7 +48,7 @@ def count(*moments, events=None):
     return {name: row.tolist() for name, row in zip(EVENTS, sums.T, strict=True) if row.any()}
 
 
-def test_a_swap_past_a_third_kart_is_every_pair_that_changed():
+def test_each_pair_that_swaps_ranks_counts_as_an_overtake():
     assert count({}, {"position": (3, 1, 2)}) == {"overtake": [0, 1, 1], "overtaken": [2, 0, 0]}
     assert count({}, {"position": (2, 1, 3)}, {}) == {"overtake": [1, 1, 0], "overtaken": [1, 1, 0]}
 
@@ -64,7 +64,7 @@ def test_nothing_counts_before_go():
     assert not events.seconds.any()
 
 
-def test_a_long_touch_is_one_contact_and_a_later_one_another():
+def test_a_long_touch_is_one_contact_and_a_later_touch_is_another():
     together = {"location": [[0, 0, 0], [0.5, 0, 0], [20, 0, 0]]}
     assert count({}, *[together] * 9) == {"kart_contact": [1, 1, 0]}
     assert count({}, together, {}, together) == {"kart_contact": [1, 1, 0]}
@@ -73,7 +73,7 @@ def test_a_long_touch_is_one_contact_and_a_later_one_another():
     assert count({}, above) == {}
 
 
-def test_karts_that_meet_between_two_moments_touch():
+def test_karts_that_collide_between_two_snapshots_touch():
     before = {"location": [[0, 0, 0], [0, 0, 3.4], [20, 0, 0]]}
     closing = {"velocity": [[0, 0, 20], [0, 0, -20], [0, 0, 0]]}
     parting = {"velocity": [[0, 0, -20], [0, 0, 20], [0, 0, 0]]}
@@ -87,20 +87,20 @@ def test_karts_that_meet_between_two_moments_touch():
     [
         ((0, 0, 10), {}, True),
         ((0, 0, -5), {}, True),
-        ((0, 0, 16), {}, False),  # brakes
-        ((0, 15, 12), {}, False),  # lands
-        ((0, 0, 14), {"attachment_type": 0}, False),  # drags a parachute
+        ((0, 0, 16), {}, False),  # braking
+        ((0, 15, 12), {}, False),  # landing
+        ((0, 0, 14), {"attachment_type": 0}, False),  # dragging a parachute
         ((0, 0, 10), {"attachment_type": 0}, True),
     ],
 )
-def test_a_wall_takes_more_speed_than_anything_else(velocity, others, is_contact):
+def test_a_loss_of_speed_is_a_wall_contact_only_without_another_cause(velocity, others, is_contact):
     after = np.array([[0, 0, 20]] * 3)
     after[1] = velocity
     counted = count(others, {"velocity": after} | others)
     assert counted.get("wall_contact") == ([0, 1, 0] if is_contact else None)
 
 
-def test_a_rescue_is_one_event_and_no_other():
+def test_a_rescue_counts_only_as_a_rescue():
     carried = {"speed": (0, 20, 20), "velocity": [[0, 0, -9], [0, 0, 20], [0, 0, 20]]}
     places = [(0, 0), (1, 0), (2, 0), (5, 40), (4, 40), (3, 40)]  # up, elsewhere, down
     ride = [{**carried, "location": [[0, y, z], *FAR[1:]]} for y, z in places]
@@ -108,7 +108,7 @@ def test_a_rescue_is_one_event_and_no_other():
     assert count(*ride, set_down) == {"rescue": [1, 0, 0]}
 
 
-def test_items_are_taken_used_and_suffered():
+def test_items_that_are_taken_used_or_hit_are_counted():
     empty, one = {"powerup_type": 0}, {"powerup_type": (3, 0, 0), "powerup_num": (1, 0, 0)}
     other = {"powerup_type": (2, 0, 0), "powerup_num": (1, 0, 0)}
     assert count(empty, one, other, empty) == {"item_taken": [2, 0, 0], "item_used": [1, 0, 0]}
@@ -117,14 +117,14 @@ def test_items_are_taken_used_and_suffered():
     assert count({}, shield, anvil, {}) == {"hit": [0, 0, 1]}
 
 
-def test_time_is_lost_off_the_road_and_the_wrong_way():
+def test_time_off_the_road_and_in_the_wrong_direction_is_counted():
     lost = {"is_on_road": (0, 1, 1), "velocity": [[0, 0, 20], [9, 0, -2], [9, 0, -0.5]]}
     counted = count(lost, lost, lost)
     assert counted["off_road"] == pytest.approx([0.2, 0, 0])
     assert counted["wrong_way"] == pytest.approx([0, 0.2, 0])
 
 
-def test_a_copy_counts_by_itself():
+def test_a_copy_counts_independently():
     together = {"location": [[0, 0, 0], [0.5, 0, 0], [20, 0, 0]]}
     first = RaceEvents(ROAD, 0.1, 3)
     count({}, together, events=first)
@@ -133,7 +133,7 @@ def test_a_copy_counts_by_itself():
     assert count({}, together, events=twin) == {}
 
 
-def test_a_term_reads_events_by_name():
+def test_a_reward_term_reads_events_by_name():
     counts = np.arange(20.0).reshape(2, 10)
     step = Transition(moment(0), moment(1), 100.0, counts)
     assert step.event("hit").tolist() == [2, 12]

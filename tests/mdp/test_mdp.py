@@ -1,4 +1,4 @@
-"""Observations, rewards and the track's order, on snapshots made by hand and by the game."""
+"""Observations, rewards and the order of track segments, on made-up and real snapshots."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def make_snapshot(num_kart=2, num_items=0, **fields):
 
 
 def forked_track():
-    """Node 0 forks into 1 and into 2, 3; both join in 4, which leads back to 0."""
+    """Returns a track where node 0 forks into 1 and into 2, 3; both join in 4, before 0."""
     begin = np.array([0, 10, 10, 15, 30], np.float32)
     return decode_track(
         encode_track(
@@ -42,7 +42,7 @@ def forked_track():
     )
 
 
-def test_a_snapshot_survives_its_bytes():
+def test_a_snapshot_survives_serialization():
     snapshot = make_snapshot(3, 2, speed=[1, 2, 3])
     again = Snapshot(snapshot.data)
     assert again == snapshot
@@ -50,12 +50,12 @@ def test_a_snapshot_survives_its_bytes():
     assert len(again.items) == 2
 
 
-def test_nodes_ahead_come_by_driving_distance():
+def test_nodes_ahead_are_sorted_by_driving_distance():
     ahead = forked_track().nodes_ahead(np.array([0, 1]))
     assert ahead.tolist() == [[0, 1, 2, 3, 4], [1, 4, 0, 2, 3]]
 
 
-def test_a_branch_that_was_not_taken_comes_a_lap_later():
+def test_a_branch_that_was_not_taken_is_a_lap_away():
     assert forked_track().nodes_ahead(np.array([2])).tolist() == [[2, 3, 4, 0, 1]]
 
 
@@ -63,7 +63,7 @@ def test_nodes_ahead_stop_at_max_paths():
     assert forked_track().nodes_ahead(np.array([4]), 2).tolist() == [[4, 0]]
 
 
-def test_equal_tracks_share_one_map():
+def test_equal_tracks_share_a_map():
     assert forked_track() is forked_track()
 
 
@@ -72,7 +72,7 @@ def test_a_tracks_arrays_cannot_be_changed():
         forked_track().path_distance[:] = 0
 
 
-def test_a_node_that_cannot_be_reached_still_stands_at_the_end():
+def test_unreachable_nodes_are_last():
     track = TrackMap(
         length=20,
         path_nodes=np.zeros((3, 2, 3), np.float32),
@@ -91,8 +91,8 @@ def test_rotation_matrices_are_rotations():
     assert np.allclose(np.linalg.det(matrices), 1)
 
 
-def test_after_steering_right_a_point_that_was_ahead_lies_to_the_left():
-    """Pins the sign of x on the real game: +x is right."""
+def test_after_steering_right_a_point_ahead_is_on_the_left():
+    """Tests the sign of x in the real game: +x is to the right."""
     with race_v0.parallel_env(num_kart=1, track="lighthouse") as env:
         env.reset(seed=0)
         drive = {"brake": 0, "drift": 0, "fire": 0, "nitro": 0, "rescue": 0}
@@ -108,7 +108,7 @@ def test_after_steering_right_a_point_that_was_ahead_lies_to_the_left():
         assert seen[0] < -1
 
 
-def test_what_lies_in_front_comes_first_and_then_what_lies_behind():
+def test_karts_in_front_come_first_then_those_behind():
     snapshot = make_snapshot(5, location=[[0, 0, z] for z in (0, -2, 7, -9, 3)])
     batch = observe_karts(forked_track(), ["tux"] * 5, snapshot, np.array([0]))
     assert batch["karts_position"][0, :, 2].tolist() == [3, 7, -2, -9]
@@ -129,7 +129,7 @@ def transition(before, after, race_length=100.0):
     )
 
 
-def test_the_reference_reward_is_the_documented_formula():
+def test_the_reference_reward_follows_the_documented_formula():
     before = {"position": [1, 2], "overall_distance": [50.0, -100.0], "has_finished_race": [0, 0]}
     after = {"position": [1, 2], "overall_distance": [60.0, 2.0], "has_finished_race": [1, 0]}
     terms = REWARDS["reference"](transition(before, after))
@@ -137,19 +137,19 @@ def test_the_reference_reward_is_the_documented_formula():
     assert np.allclose(totals, [10 / 10 + 0.5 * 10 - 0.1 + 10, 2 / 10 + 0 - 0.1])
 
 
-def test_the_jump_at_the_start_line_is_no_progress():
+def test_the_jump_at_the_start_line_is_not_progress():
     before = {"position": [1], "overall_distance": [-880.0]}
     after = {"position": [1], "overall_distance": [3.0]}
     assert REWARDS["reference"](transition(before, after))["progress"].tolist() == [0.3]
 
 
-def test_a_finish_is_paid_in_one_step_only():
+def test_a_finish_is_rewarded_in_one_step_only():
     moment = {"position": [1], "overall_distance": [100.0], "has_finished_race": [1]}
     terms = REWARDS["reference"](transition(moment, moment))
     assert terms["finish"].tolist() == [0]
 
 
-def test_terms_can_be_reweighed_dropped_and_added():
+def test_terms_can_be_reweighted_dropped_and_added():
     reward = as_reward(
         {"time": 2.0, "rank": 0, "bonus": lambda step: np.ones(step.num_kart)}, "reference"
     )
@@ -174,7 +174,7 @@ def test_terms_can_be_reweighed_dropped_and_added():
         ({"time": float("nan")}, "nan"),
     ],
 )
-def test_a_reward_that_cannot_be_is_refused(choice, message):
+def test_invalid_rewards_are_refused(choice, message):
     with pytest.raises(ConfigError, match=message):
         as_reward(choice)
 
@@ -186,7 +186,7 @@ def test_a_term_of_the_wrong_shape_is_refused():
         reward(transition(moment, moment))
 
 
-def test_agents_may_have_rewards_of_their_own():
+def test_each_agent_can_have_its_own_reward():
     with race_v0.parallel_env(
         num_kart=2,
         track="olivermath",
@@ -220,7 +220,7 @@ def test_episode_sums_add_up_over_a_whole_race():
             assert last[agent]["finish_time"] > 10
 
 
-def test_the_state_is_as_long_as_its_space_says_and_tells_agents_first():
+def test_the_state_fits_its_space_and_starts_with_the_agents():
     with race_v0.parallel_env(agents=1, num_kart=3, track="olivermath") as env:
         env.reset(seed=1)
         state = env.state()

@@ -1,4 +1,4 @@
-"""The default reward pays a better drive more, on all tracks.
+"""On all tracks, the default reward is higher for better driving.
 
 The races were recorded by ``python -m benchmarks.rewards --record``.
 """
@@ -15,7 +15,7 @@ RACES = {f"{race.track}-{race.reverse}": race for race in recorded()}
 
 
 def check_order(race: RecordedRace) -> None:
-    """Idlers earn nothing, drivers earn more the sooner they finish."""
+    """Checks that idle karts have negative returns, and that earlier finishers earn more."""
     returns, finishers = race.returns("race"), race.finishers()
     assert sorted(finishers) == list(range(IDLERS, len(KARTS)))
     assert (returns[:IDLERS] < 0).all()
@@ -29,12 +29,12 @@ def test_every_track_is_recorded_in_both_directions():
 
 
 @pytest.mark.parametrize("name", RACES)
-def test_idlers_earn_nothing_and_faster_drivers_earn_more(name):
+def test_idle_karts_lose_and_faster_drivers_earn_more(name):
     check_order(RACES[name])
 
 
 @pytest.mark.parametrize("name", RACES)
-def test_a_return_is_what_the_formula_says(name):
+def test_a_return_follows_the_formula(name):
     race = RACES[name]
     returns = race.returns("race")
     for place, kart in enumerate(race.finishers(), start=1):
@@ -57,13 +57,13 @@ def test_half_a_race_earns_less_than_a_whole_one(name):
     assert (half.returns("race")[drivers] > 0).all()
 
 
-def test_the_engine_gives_what_was_recorded():
+def test_the_engine_reproduces_the_recorded_returns():
     live, kept = drive("olivermath", reverse=False), RACES["olivermath-False"]
     check_order(live)
     assert live.returns("race") == pytest.approx(kept.returns("race"))
 
 
-def test_the_formula_of_the_reference_pays_a_kart_that_stands_still():
+def test_the_reference_formula_rewards_a_kart_that_stands_still():
     assert drive("olivermath", reverse=False, every=1).returns("reference")[0] > 0
 
 
@@ -87,7 +87,7 @@ RACE = {"track": "olivermath", "num_kart": 2}
         ),
     ],
 )
-def test_the_ids_of_the_reference_keep_its_formula_and_the_others_have_the_default(make, term):
+def test_ids_of_the_reference_keep_its_formula_and_others_use_the_default(make, term):
     env = make()
     _, infos = env.reset(seed=1)
     env.close()

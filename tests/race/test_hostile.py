@@ -1,4 +1,4 @@
-"""Agents that attack the machine, the race and each other, in each sandbox and without one."""
+"""Agents that attack the machine, the race and each other, with and without a sandbox."""
 
 import os
 import re
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 SECRET = "the key of the house"
 
-#: Each attack is an expression that is true if it succeeds; what it raises is a failure.
+#: An attack succeeds if its expression is true, and fails if it is false or raises.
 PROBES = {
     "signal the race": "os.kill(RACE, 0) is None",
     "stop the race": "os.kill(RACE, signal.SIGCONT) is None",
@@ -71,16 +71,16 @@ PROBES = {
     "dump its memory": "resource.getrlimit(resource.RLIMIT_CORE)[1] != 0",
 }
 
-#: Where these succeed although the agent is in the weaker sandbox, with a kernel of version 6.12.
+#: Attacks that succeed in the weaker sandbox with kernel 6.12.
 LANDLOCK_ALLOWS = {"reach a local socket", "fill the disk"}
-#: What succeeds inside of bubblewrap's sandbox, and is gone with it.
+#: Attacks that succeed inside bubblewrap's sandbox, but whose effects end with it.
 INSIDE = {"leave a temporary file", "leave shared memory", "write a file", "send a packet"}
-#: What would stop the test or outlive it without a sandbox.
+#: Attacks that, without a sandbox, would stop the test or have effects after it.
 HARMFUL = {
     *("trace the race", "trace itself"),
     *("hide memory in System V segments", "hide memory in message queues"),
 }
-#: What an agent without a sandbox can always do.
+#: Attacks that always succeed without a sandbox.
 ALWAYS = {
     *("signal the race", "read a file", "read a rival's file", "write a file", "change itself"),
     *("connect", "read its own environment", "leave shared memory", "see other processes"),
@@ -193,7 +193,7 @@ def get_actor(module_dir, observation_space, action_space):
 
 @pytest.fixture
 def bench(tmp_path, monkeypatch):
-    """A folder with secrets, a rival and sockets; writes agents into folders of their own."""
+    """Makes a folder with secrets, a rival and sockets, and a function that writes agents."""
     shutil.copytree(AGENTS / "plain", tmp_path / "rival")
     for name in ("secret", "rival/notes.txt", "secrets/one"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -291,7 +291,10 @@ def test_an_agent_without_a_sandbox_reaches_what_the_user_can(bench):
 
 @needs_bubblewrap
 def test_assaults_cost_only_their_own_karts(tmp_path):
-    """27 at once, beside two who drive. All 54, 200 times: ``python -m benchmarks.adversaries``."""
+    """Runs 27 attacks at once beside two drivers.
+
+    ``python -m benchmarks.adversaries`` runs all 54 attacks 200 times.
+    """
     names, mark = [*adversaries.ADVERSARIES][::2], f"stkzoo-test-{os.getpid()}"
     quiet = attacks.race([adversaries.write_quitter(tmp_path, name) for name in names])
     before = attacks.left_behind(mark)
@@ -302,7 +305,7 @@ def test_assaults_cost_only_their_own_karts(tmp_path):
 
 @needs_bubblewrap
 def test_a_fork_bomb_is_ended(bench):
-    """It starves everyone until then, so it races alone."""
+    """It slows down all karts until it is ended, so no other attack races beside it."""
     home, mark, write, _ = bench
     bomb = write("bomb", FORK_BOMB)
     result = race(str(home / "rival"), bomb, sandbox="on", action_timeout=30.0)
@@ -313,7 +316,7 @@ def test_a_fork_bomb_is_ended(bench):
 
 
 def named(mark):
-    """Processes with a mark in their command line."""
+    """Returns the processes that have the mark in their command line."""
     lines = [folder / "cmdline" for folder in Path("/proc").glob("[0-9]*")]
     return [line for line in lines if mark in _text(line)]
 
@@ -329,10 +332,10 @@ def test_a_sandbox_that_is_not_there_is_refused_before_the_race(monkeypatch):
     monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "bubblewrap is not installed")
     with pytest.raises(ConfigError, match="no sandbox for agents: bubblewrap is not installed"):
         race(str(AGENTS / "plain"), sandbox="on")
-    assert race("ai", sandbox="on").sandbox is None  # nobody needs one
+    assert race("ai", sandbox="on").sandbox is None  # the game's AI needs none
 
 
-def test_what_is_missing_is_told_once(monkeypatch, caplog):
+def test_a_missing_sandbox_is_logged_once(monkeypatch, caplog):
     monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "bubblewrap is not installed")
     monkeypatch.setattr(landlock, "version", lambda: 0)
     sandbox.say_what_is_missing.cache_clear()
@@ -350,7 +353,7 @@ def test_what_is_missing_is_told_once(monkeypatch, caplog):
         ({"sandbox": "on", "inline": True}, "agents run inline; leave out one of the two"),
     ],
 )
-def test_a_wrong_sandbox_is_told(settings, message):
+def test_an_invalid_sandbox_is_refused(settings, message):
     with pytest.raises(ConfigError, match=message):
         race("ai", **settings)
 
@@ -369,7 +372,7 @@ def get_actor(module_dir, observation_space, action_space):
 """
 
 
-def test_each_agent_has_cores_of_its_own_where_there_are_enough(monkeypatch):
+def test_each_agent_has_its_own_cores_if_there_are_enough(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {*range(8)})
     assert [sandbox.own_cores(number, 3) for number in range(3)] == [(1, 2), (3, 4), (5, 6)]
     assert sandbox.own_cores(0, 8) == ()

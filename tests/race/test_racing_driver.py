@@ -1,4 +1,4 @@
-"""The time budget of drivers: all their decisions together."""
+"""The time budget of a driver for all its decisions together."""
 
 import time
 
@@ -58,7 +58,7 @@ def test_raise_ends_the_race_when_a_time_budget_is_used_up():
         race(driver, time_budget=0.1, error_handling="raise")
 
 
-def test_a_time_budget_of_0_is_no_limit():
+def test_a_time_budget_of_0_means_no_limit():
     assert race("heuristic", time_budget=0, max_steps=2).time_budget is None
 
 

@@ -1,4 +1,4 @@
-"""The result as JSON, whatever is in it."""
+"""Results become valid JSON, whatever they contain."""
 
 import json
 import math
@@ -24,7 +24,7 @@ def result():
 
 
 def read_strictly(text):
-    """The JSON value of a text, as a reader sees it that knows only standard JSON."""
+    """Parses a text as standard JSON, without Python's extensions."""
 
     def refuse(word):
         raise AssertionError(f"{word} is no JSON")
@@ -52,7 +52,7 @@ def with_agent(result, **changes):
     return replace(result, agents=(replace(first, **changes), *others))
 
 
-def test_json_comes_back_as_the_same_result(result):
+def test_a_result_survives_json_unchanged(result):
     assert RaceResult.from_json(result.to_json()) == result
 
 
@@ -76,13 +76,13 @@ def test_any_count_becomes_valid_json(result, count):
     assert read_strictly(changed.to_json())["steps"] == 3
 
 
-def test_an_agents_error_of_any_text_becomes_valid_json(result):
+def test_any_error_text_of_an_agent_becomes_valid_json(result):
     failure = AgentFailure(np.int64(0), "error", "\udcff", "\ud83d")
     value = read_strictly(with_agent(result, errors=(failure,), num_errors=1).to_json())
     jsonschema.validate(value, SCHEMA)
 
 
-def test_an_object_that_no_json_knows_becomes_text(result):
+def test_an_object_without_a_json_form_becomes_text(result):
     class Odd:
         def __str__(self):
             raise RuntimeError
@@ -91,6 +91,6 @@ def test_an_object_that_no_json_knows_becomes_text(result):
     assert {value["agents"][0][name] for name in ("source", "driver")} == {"a Odd", "\ufffd"}
 
 
-def test_numbers_without_end_become_the_largest(result):
+def test_infinite_numbers_become_the_largest_number(result):
     row = json.loads(with_agent(result, reward=math.inf).to_json())["agents"][0]
     assert row["reward"] == sys.float_info.max

@@ -1,4 +1,4 @@
-"""The race runner: from the grid to the result (D26, D27)."""
+"""The race runner, from the grid to the result (D26, D27)."""
 
 import json
 
@@ -42,46 +42,46 @@ def failing_driver(step):
 
 
 @pytest.mark.slow
-def test_ranks_are_given_once_each(result):
+def test_each_rank_is_given_once(result):
     assert [row.rank for row in result.agents] == [1, 2, 3, 4]
 
 
-def test_whoever_finishes_earlier_ranks_better(result):
+def test_earlier_finishers_rank_better(result):
     finish_times = [row.finish_time for row in result.agents if row.finish_time is not None]
     assert len(finish_times) == 3
     assert finish_times == sorted(finish_times)
 
 
-def test_whoever_does_not_finish_is_said_to_be_unfinished(result):
+def test_karts_that_do_not_finish_are_reported_as_unfinished(result):
     assert result.agents[-1].driver == "random"
     assert result.agents[-1].finish_time is None
     assert not result.is_finished
 
 
-def test_result_survives_json(result):
+def test_the_result_survives_json(result):
     assert RaceResult.from_json(result.to_json()) == result
 
 
 @pytest.mark.slow
-def test_same_seed_is_the_same_race(result):
+def test_the_same_seed_gives_the_same_race(result):
     again = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=3, max_steps=400)
     assert again == result
 
 
 @pytest.mark.slow
-def test_other_seed_is_another_race(result):
+def test_another_seed_gives_a_different_race(result):
     other = run_race(["heuristic", "ai", "ai", "random"], track="olivermath", seed=4, max_steps=400)
     assert [row.reward for row in other.agents] != [row.reward for row in result.agents]
 
 
 @pytest.mark.slow
-def test_everybody_drives_all_laps():
+def test_all_karts_drive_all_laps():
     result = run_race(["ai", "ai"], track="olivermath", laps=2, seed=1)
     assert [row.laps for row in result.agents] == [2, 2]
 
 
 @pytest.mark.slow
-def test_whoever_never_moves_does_not_hang_the_race():
+def test_a_kart_that_never_moves_does_not_hang_the_race():
     def stand(_, action_space, __):
         action = {key: space.sample() * 0 for key, space in action_space.items()}
         return lambda _: action
@@ -91,7 +91,7 @@ def test_whoever_never_moves_does_not_hang_the_race():
 
 
 class Ear(RaceListener):
-    """Writes down what it hears."""
+    """Records all its calls."""
 
     def __init__(self, stop_at=None):
         self.calls, self.heard, self.result = [], [], None
@@ -115,7 +115,7 @@ class Ear(RaceListener):
         self.calls.append("closed")
 
 
-def test_listener_hears_of_every_step():
+def test_a_listener_is_called_for_every_step():
     ear = Ear()
     result = run_race(["heuristic"], track="olivermath", max_steps=30, listeners=[ear])
     assert [race.steps for race in ear.heard] == list(range(result.steps + 1))
@@ -123,13 +123,13 @@ def test_listener_hears_of_every_step():
     assert ear.result == result
 
 
-def test_listener_hears_of_the_whole_way():
+def test_a_listener_is_called_from_start_to_end():
     ear = Ear()
     result = run_race(["ai"], track="olivermath", listeners=[ear])
     assert ear.heard[-1].leader_distance == result.race_length
 
 
-def test_listener_sees_what_the_agents_see_do_and_get():
+def test_a_listener_gets_observations_actions_and_rewards():
     ear = Ear()
     run_race(["heuristic", "ai@:Bot"], track="olivermath", max_steps=30, seed=2, listeners=[ear])
     last = ear.heard[-1]
@@ -156,7 +156,7 @@ def test_listeners_are_closed_after_an_error():
     assert ear.calls == ["closed"]
 
 
-def test_the_actions_that_listeners_hear_replay_the_race():
+def test_the_actions_that_listeners_get_reproduce_the_race():
     ear = Ear()
     run_race(["heuristic"], track="olivermath", max_steps=60, seed=2, listeners=[ear])
     actions = iter([race.actions["kart_0"] for race in ear.heard[1:]])
@@ -170,18 +170,18 @@ def test_the_actions_that_listeners_hear_replay_the_race():
         )
 
 
-def test_unknown_driver_is_refused_with_the_nearest_name():
+def test_an_unknown_driver_is_refused_with_a_suggestion():
     with pytest.raises(ConfigError, match="Did you mean 'heuristic'"):
         find_driver("heuristik")
 
 
-def test_race_without_drivers_is_refused():
+def test_a_race_without_drivers_is_refused():
     with pytest.raises(ConfigError, match="name at least one"):
         run_race([])
 
 
 @pytest.mark.parametrize("max_steps", [0, -1, 2.5, True])
-def test_impossible_step_limit_is_refused(max_steps):
+def test_an_invalid_step_limit_is_refused(max_steps):
     with pytest.raises(ConfigError, match="max_steps"):
         run_race(["ai"], track="olivermath", max_steps=max_steps)
 
@@ -199,12 +199,12 @@ def test_impossible_step_limit_is_refused(max_steps):
         ({"adapter": "nowhere.py"}, "there is no adapter .*nowhere.py"),
     ],
 )
-def test_impossible_settings_are_refused(settings, message):
+def test_invalid_settings_are_refused(settings, message):
     with pytest.raises(ConfigError, match=message):
         run_race(["tests/data/agents/plain"], track="olivermath", **settings)
 
 
-def test_adapter_without_an_agent_from_files_is_refused():
+def test_an_adapter_without_an_agent_from_files_is_refused():
     with pytest.raises(ConfigError, match="adapter does nothing without an agent from files"):
         run_race(["ai", "heuristic"], track="olivermath", adapter=__file__)
 
@@ -214,7 +214,7 @@ def test_settings_can_be_kept_and_changed():
     assert run_race(["ai"], settings=settings, seed=4).seed == 4
 
 
-def test_failing_driver_is_named():
+def test_a_failing_driver_is_named():
     drivers = ["ai", failing_driver(5)]
     with pytest.raises(AgentError, match=r"'clumsy' of kart_1 failed: ZeroDivisionError") as caught:
         run_race(drivers, track="olivermath", error_handling="raise")
@@ -241,7 +241,7 @@ def test_a_failing_driver_costs_only_its_own_race():
     ],
 )
 def test_why_a_race_was_over_is_said(settings, status):
-    """D26: a race that was cut short does not look like one that has finished."""
+    """D26: a race that was stopped early has another status than a finished one."""
     result = run_race(["ai", "ai", "ai"], track="olivermath", seed=1, **settings)
     assert result.status == status
     assert result.is_finished == (status == "finished")
@@ -249,7 +249,7 @@ def test_why_a_race_was_over_is_said(settings, status):
 
 @pytest.mark.slow
 def test_a_race_of_many_laps_is_not_cut_short():
-    """D26: it takes longer than the 1500 steps after which the reference stops."""
+    """D26: the race takes longer than 1500 steps, after which the reference stops."""
     result = run_race(["ai"], track="candela_city", laps=4, seed=1)
     assert result.steps > 1500
     assert (result.status, result.agents[0].laps) == ("finished", 4)
@@ -265,7 +265,7 @@ def test_the_reward_is_the_sum_over_the_race():
 
 
 def test_the_result_keeps_to_the_published_schema(result):
-    """D27: seed, grid, finish time, ends and errors stand in it."""
+    """D27: the result includes the seed, grid, finish times, ends and errors."""
     schema = json.loads(SCHEMA.read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     failed = run_race(["ai", failing_driver(5)], track="olivermath", max_steps=9)
@@ -278,7 +278,7 @@ def test_the_result_keeps_to_the_published_schema(result):
     "text",
     ["", "[]", "{}", "null", '{"type": "race-result", "schema_version": 1, "agents": 3}'],
 )
-def test_what_is_no_result_is_refused(text):
+def test_an_invalid_result_is_refused(text):
     with pytest.raises(ConfigError, match="the text has no race result"):
         RaceResult.from_json(text)
 
@@ -295,7 +295,7 @@ def test_a_result_of_another_version_is_refused(result):
         RaceResult.from_json(text)
 
 
-def test_thinking_time_is_told(result):
+def test_action_times_are_reported(result):
     times = {row.driver: row.action_time for row in result.agents}
     assert times["ai"] is None
     for part in (times["heuristic"].mean, times["heuristic"].p99):

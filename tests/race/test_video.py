@@ -1,4 +1,4 @@
-"""Videos: every format, whole files or none, and a race's film."""
+"""Videos: all formats, no partial files, and videos of races."""
 
 import os
 import re
@@ -26,10 +26,10 @@ FFMPEG = imageio_ffmpeg.get_ffmpeg_exe()
 
 
 def read(path):
-    """All pictures of a video and how many a second it says it has.
+    """Returns all frames of a video and its frame rate.
 
-    In one thread: ffmpeg's Theora decoder gives other pictures of the same file now and then
-    when it has several.
+    Decodes in one thread, because ffmpeg's Theora decoder with several threads sometimes returns
+    different frames for the same file.
     """
     said = subprocess.run([FFMPEG, "-i", path], capture_output=True, text=True).stderr
     width, height = map(int, re.search(r", (\d+)x(\d+)", said).groups())
@@ -42,7 +42,7 @@ def read(path):
 
 @contextmanager
 def video_writer(path):
-    """A video of 10 pictures a second: whole at the end, or discarded after an error."""
+    """Opens a video with 10 frames per second; discards it after an error."""
     writer = VideoWriter(path, 10)
     try:
         yield writer
@@ -53,13 +53,13 @@ def video_writer(path):
 
 
 def overfill(writer, times=1000):
-    """Gives more pictures than the pipe to ffmpeg holds."""
+    """Adds more frames than fit in the pipe to ffmpeg."""
     for _ in range(times):
         writer.add(colour(1))
 
 
 def interrupted(path):
-    """A video that ends by an error in the midst of it."""
+    """Writes a video and raises an error before its end."""
     with video_writer(path) as writer:
         writer.add(colour(1))
         assert path.read_bytes() == b"an older video"
@@ -74,7 +74,7 @@ def colour(number, size=(64, 48)):
 
 
 @pytest.mark.parametrize("ending", sorted(FORMATS))
-def test_every_format_holds_what_was_put_in(tmp_path, ending):
+def test_every_format_keeps_its_frames(tmp_path, ending):
     path = tmp_path / f"race{ending}"
     with video_writer(path) as writer:
         for number in range(0, 200, 10):
@@ -86,7 +86,7 @@ def test_every_format_holds_what_was_put_in(tmp_path, ending):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_there_is_no_file_before_the_end_and_none_after_an_error(tmp_path):
+def test_no_file_appears_before_the_end_or_after_an_error(tmp_path):
     path = tmp_path / "race.mp4"
     path.write_bytes(b"an older video")
     with pytest.raises(ZeroDivisionError):
@@ -95,7 +95,7 @@ def test_there_is_no_file_before_the_end_and_none_after_an_error(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_dead_ffmpeg_is_told_and_leaves_nothing(tmp_path):
+def test_an_ffmpeg_that_died_is_an_error_and_leaves_no_file(tmp_path):
     writer = VideoWriter(tmp_path / "race.mp4", 10)
     writer.add(colour(1))
     os.kill(writer._process.pid, signal.SIGKILL)
@@ -106,7 +106,7 @@ def test_a_dead_ffmpeg_is_told_and_leaves_nothing(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_ffmpeg_that_hangs_is_ended(tmp_path, monkeypatch):
+def test_an_ffmpeg_that_hangs_is_killed(tmp_path, monkeypatch):
     monkeypatch.setattr(encoder, "_STALL_LIMIT", 0.3)
     writer = VideoWriter(tmp_path / "race.mp4", 10)
     writer.add(colour(1))
@@ -117,7 +117,7 @@ def test_an_ffmpeg_that_hangs_is_ended(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path):
+def test_a_full_disk_is_an_error_and_leaves_no_file(tmp_path):
     code = """
 import resource, signal, sys
 import numpy as np
@@ -144,12 +144,12 @@ except VideoError as error:
     ("name", "match"),
     [("race.mp5", "expected one that ends with"), ("no/such/race.mp4", "there is no folder")],
 )
-def test_a_path_that_cannot_be_is_refused_before_the_race(tmp_path, name, match):
+def test_an_invalid_path_is_refused_before_the_race(tmp_path, name, match):
     with pytest.raises(ConfigError, match=match):
         RaceVideo(tmp_path / name)
 
 
-def test_pictures_of_another_size_or_kind_are_refused(tmp_path):
+def test_frames_with_another_size_or_dtype_are_refused(tmp_path):
     with video_writer(tmp_path / "a.mp4") as video:
         video.add(colour(1))
         with pytest.raises(ConfigError, match="resize it"):
@@ -169,7 +169,7 @@ def moments():
         return [now.snapshot for now in drive(env, 60)]
 
 
-def test_the_ends_of_a_way_are_the_steps_themselves(moments):
+def test_interpolation_ends_at_the_steps_themselves(moments):
     before, after = moments[-2:]
     poses = poses_between(before, after, [0.0, 0.5, 1.0])
     np.testing.assert_allclose(poses[0, :, :3], before.karts["location"], atol=1e-4)
@@ -177,14 +177,14 @@ def test_the_ends_of_a_way_are_the_steps_themselves(moments):
     np.testing.assert_allclose(np.linalg.norm(poses[1, :, 3:7], axis=1), 1, atol=1e-5)
 
 
-def test_a_kart_in_between_is_near_where_the_race_had_it(moments):
-    """Every other step is left out and put back from its neighbours."""
+def test_an_interpolated_kart_is_near_its_true_place(moments):
+    """Interpolates every other step from its neighbors."""
     for before, between, after in zip(moments[40:-2], moments[41:-1], moments[42:], strict=True):
         guess = poses_between(before, after, [0.5])[0, :, :3]
         assert np.abs(guess - between.karts["location"]).max() < 0.3
 
 
-def test_a_kart_that_is_put_elsewhere_does_not_glide(moments):
+def test_a_kart_that_is_moved_elsewhere_is_not_interpolated(moments):
     after = moments[-1]
     karts = after.karts.copy()
     karts["location"][0] += [50, 0, 0]
@@ -201,7 +201,7 @@ def test_moments_between_steps_end_with_the_step(moments):
     assert game_time(moments[-1]) - game_time(moments[-2]) == pytest.approx(0.1, abs=0.01)
 
 
-# ------------------------------------------------------------------ a race's film
+# ------------------------------------------------------------------ videos of races
 
 
 @pytest.mark.parametrize(("number", "grid"), [(1, (1, 1)), (2, (2, 1)), (3, (2, 2)), (8, (3, 3))])
@@ -213,7 +213,7 @@ def test_tiles_fill_a_grid(number, grid):
 
 
 class ListenedVideo(RaceVideo):
-    """Keeps the clock of the last picture and the line below the results' title."""
+    """Records the clock of the last frame and the line below the title of the results."""
 
     def add(self, snapshot):
         self.clock = clock(float(snapshot.header["time"]))
@@ -224,20 +224,20 @@ class ListenedVideo(RaceVideo):
         super().finish(rows, subtitle)
 
 
-def test_the_results_have_the_clock_of_the_pictures(tmp_path):
+def test_the_results_show_the_clock_of_the_last_frame(tmp_path):
     video = ListenedVideo(tmp_path / "race.mp4", backend="map", size=(160, 120), card_seconds=0.1)
     run_race(["ai", "ai"], track="olivermath", max_steps=45, listeners=[video])
     assert video.subtitle == f"results after {video.clock}, cut short"
 
 
 @pytest.mark.parametrize("size", [(160, 120), (854, 480), (1920, 1080)])
-def test_an_end_card_holds_many_results(size):
+def test_the_results_page_has_room_for_many_results(size):
     rows = [(rank, f"driver {rank}", "#e69f00", "1:02.3") for rank in range(1, 31)]
     assert end_card("lighthouse", "results", rows, None, size).shape == (size[1], size[0], 3)
 
 
 @pytest.mark.slow
-def test_a_film_lasts_as_long_as_the_race(tmp_path):
+def test_a_video_is_as_long_as_the_race(tmp_path):
     path = tmp_path / "race.mp4"
     video = RaceVideo(path, backend="map", size=(160, 120), sub_steps=3, card_seconds=1.0)
     result = run_race(["ai", "ai"], track="lighthouse", seed=1, max_steps=20, listeners=[video])
@@ -255,7 +255,7 @@ def test_filming_changes_no_race(tmp_path):
     )
 
 
-def test_a_race_that_fails_leaves_no_film(tmp_path):
+def test_a_race_that_fails_leaves_no_video(tmp_path):
     video = RaceVideo(tmp_path / "race.mp4", backend="map", size=(160, 120))
     video.stepped = lambda _: 1 / 0
     with pytest.raises(ZeroDivisionError):
@@ -270,7 +270,7 @@ def test_numbers_out_of_range_are_refused(tmp_path, name, value):
 
 
 @pytest.mark.slow
-def test_the_game_films_where_it_can(tmp_path):
+def test_the_game_renders_the_video_where_it_can(tmp_path):
     path = tmp_path / "race.mp4"
     video = RaceVideo(path, cameras=3, size=(320, 240), sub_steps=1, card_seconds=0.5)
     settings = {"track": "lighthouse", "seed": 1, "max_steps": 12}

@@ -1,4 +1,4 @@
-"""Words in races reach the karts of the same agent, and nobody else."""
+"""Words in races reach the karts of the same agent, and no others."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ STRAIGHT = np.array([10, 0, 0, 0, 0])
 
 
 def speaker(name, said, heard):
-    """A driver that says what ``said`` returns for a step, and records what it hears."""
+    """Returns a driver that says ``said(step)`` in each step and records what it hears."""
 
     def make(*_):
         log = []
@@ -37,7 +37,7 @@ def saying(word):
 
 
 def words(log):
-    """The words heard in each step, by row; -1 for nothing."""
+    """Returns the words heard in each step, by row; -1 for none."""
     return [
         [int(row.argmax()) if one else -1 for row, one in zip(rows, heard, strict=True)]
         for rows, heard in log
@@ -58,7 +58,7 @@ def test_a_word_is_heard_one_step_later_by_the_own_team_only():
 
 
 class NearTheFinish(RaceListener):
-    """Starts the first kart just before the line."""
+    """Starts the first kart shortly before the finish line."""
 
     def env_options(self):
         return {"start": {"kart_0": 475.0, "kart_1": 48.0}}
@@ -92,7 +92,7 @@ def test_an_invalid_word_is_an_invalid_action(action, text):
     row = next(row for row in result.agents if row.agent == "kart_0")
     assert (row.num_errors, row.errors[0].kind, row.errors[0].step) == (1, "error", 1)
     assert text in row.errors[0].message
-    assert words(heard[1]) == [[-1], [4], [-1], [4]]  # nothing in the step after the failure
+    assert words(heard[1]) == [[-1], [4], [-1], [4]]  # no word in the step after the failure
 
 
 def test_a_driver_that_has_retired_is_not_heard():
@@ -140,7 +140,7 @@ def test_an_agent_must_name_its_task_as_a_literal(tmp_path):
     assert "must assign env_name as a literal" in row.errors[0].message
 
 
-def test_words_are_refused_where_nothing_carries_them():
+def test_agents_that_talk_are_refused_where_words_are_not_supported():
     driver = find_driver(EXAMPLE)
     with pytest.raises(ConfigError, match="talks, but servers do not carry words"):
         RaceServer([driver])

@@ -1,4 +1,4 @@
-"""Pictures and depths of cameras in observations."""
+"""Camera images and depths in observations."""
 
 from functools import partial
 
@@ -27,7 +27,7 @@ def race(**options):
 
 
 def drive(env, steps, seed=1):
-    """All observations of a race at full throttle, by agent."""
+    """Yields the observations of a race at full throttle, by agent."""
     observations, _ = env.reset(seed=seed)
     yield observations
     for _ in range(steps):
@@ -37,7 +37,7 @@ def drive(env, steps, seed=1):
 
 @pytest.fixture
 def drawings(monkeypatch):
-    """The moments that were drawn."""
+    """Records the snapshots that are drawn."""
     drawn = []
     pictures = RaceRenderer.pictures
 
@@ -50,7 +50,7 @@ def drawings(monkeypatch):
 
 
 @pytest.mark.slow
-def test_every_agent_sees_its_own_camera_and_one_drawing_serves_all(drawings):
+def test_each_agent_gets_its_own_camera_from_one_drawing(drawings):
     with race(**ON_MAP) as env:
         steps = list(drive(env, 20))
         assert all(obs[a] in env.observation_space(a) for obs in steps for a in obs)
@@ -61,21 +61,21 @@ def test_every_agent_sees_its_own_camera_and_one_drawing_serves_all(drawings):
 
 
 @pytest.mark.slow
-def test_the_picture_is_that_of_the_present_moment():
+def test_the_image_shows_the_current_step():
     with race(**ON_MAP) as env:
         for number, observations in enumerate(drive(env, 30)):
             if number % 10 == 0:
                 view = RaceRenderer("map", (64, 48))
                 view.begin(env.scene)
                 karts = env.race.kart_indices
-                # Trails are the only thing in a picture that comes from moments before.
+                # Only the trails of the karts depend on earlier snapshots.
                 alike = observations["kart_0"]["image"] == view.pictures(env.snapshot)[karts[0]]
                 assert alike.mean() > 0.97
                 view.close()
 
 
 @pytest.mark.parametrize("every", [1, 3])
-def test_the_rate_is_chosen(drawings, every):
+def test_the_frame_rate_can_be_chosen(drawings, every):
     with race(**ON_MAP, every=every) as env:
         steps = list(drive(env, 12))
     assert len(drawings) == 12 // every + 1
@@ -86,18 +86,18 @@ def test_the_rate_is_chosen(drawings, every):
 
 
 @pytest.mark.slow
-def test_cameras_change_no_race_and_nothing_else_in_an_observation():
+def test_cameras_change_neither_the_race_nor_other_observations():
     with race(**ON_MAP) as env, race_v0.parallel_env(**RACE, view="flattened_discrete") as plain:
         for seen, bare in zip(drive(env, 20), drive(plain, 20), strict=True):
             for agent in bare:
                 assert set(seen[agent]) == {*bare[agent], "image"}
                 for key, value in bare[agent].items():
-                    # The compiled kernel differs in the last places.
+                    # The compiled kernel differs by rounding errors.
                     np.testing.assert_allclose(seen[agent][key], value, rtol=1e-5, atol=1e-5)
             assert env.snapshot.data == plain.snapshot.data
 
 
-def test_what_was_handed_out_is_the_agents_own():
+def test_returned_images_are_not_shared():
     with race(**ON_MAP, every=2) as env:
         steps = drive(env, 2)
         first = next(steps)["kart_0"]["image"]
@@ -109,7 +109,7 @@ def test_what_was_handed_out_is_the_agents_own():
         assert third.any()
 
 
-def test_some_agents_may_have_cameras_and_of_different_kinds():
+def test_agents_can_have_different_cameras_or_none():
     views = {
         "kart_0": partial(filmed, **ON_MAP),
         "kart_1": partial(filmed, size=(32, 32), backend="map"),
@@ -122,7 +122,7 @@ def test_some_agents_may_have_cameras_and_of_different_kinds():
     assert "image" not in observations["kart_2"]
 
 
-def test_it_goes_around_an_id_of_one_kart_and_its_spec_rebuilds_it():
+def test_it_wraps_a_single_agent_id_and_its_spec_rebuilds_it():
     with CameraObservations(
         gym.make("supertuxkart/flattened_discrete-v0", **RACE), **ON_MAP
     ) as env:
@@ -136,7 +136,7 @@ def test_it_goes_around_an_id_of_one_kart_and_its_spec_rebuilds_it():
             np.testing.assert_array_equal(again.reset(seed=1)[0]["image"], first["image"])
 
 
-def test_observations_that_are_no_dict_get_a_name():
+def test_observations_that_are_not_a_dict_get_a_key():
     def view(env):
         return CameraObservations(
             gym.wrappers.FlattenObservation(VIEWS["flattened_discrete"](env)), **ON_MAP
@@ -147,7 +147,7 @@ def test_observations_that_are_no_dict_get_a_name():
     assert set(observations["kart_0"]) == {"observation", "image"}
 
 
-def test_gymnasiums_picture_wrappers_go_around_it_in_a_view():
+def test_gymnasiums_image_wrappers_work_around_it_in_a_view():
     def view(env):
         filtered = gym.wrappers.FilterObservation(filmed(env, **ON_MAP), ["image"])
         box = env_image = filtered.observation_space["image"]
@@ -162,7 +162,7 @@ def test_gymnasiums_picture_wrappers_go_around_it_in_a_view():
 
 
 @pytest.mark.slow
-def test_saved_states_come_back_with_their_pictures():
+def test_restored_states_have_their_images():
     with race(**ON_MAP, every=3) as env:
         for _ in drive(env, 10):
             pass
@@ -175,11 +175,11 @@ def test_saved_states_come_back_with_their_pictures():
         real = env.step(dict.fromkeys(env.agents, 484))[0]
         for first, second in zip([*ahead, real], [*again, seen], strict=True):
             alike = first["kart_1"]["image"] == second["kart_1"]["image"]
-            assert alike.mean() > 0.97  # trails begin anew
+            assert alike.mean() > 0.97  # trails start again
 
 
 @pytest.mark.slow
-def test_many_races_have_cameras():
+def test_vector_environments_can_have_cameras():
     envs = stkzoo.RaceVectorEnv(2, num_kart=2, track="lighthouse", view=partial(filmed, **ON_MAP))
     observations, _ = envs.reset(seed=1)
     observations, *_ = envs.step(envs.action_space.sample())
@@ -190,7 +190,7 @@ def test_many_races_have_cameras():
 
 @pytest.mark.skipif(who_draws() != "engine", reason="the game cannot draw on this machine")
 @pytest.mark.slow
-def test_the_games_pictures_and_depths_are_seen():
+def test_the_games_images_and_depths_are_observed():
     with race(size=(96, 64), depth=True) as env:
         steps = list(drive(env, 25))
     last = steps[-1]
@@ -198,7 +198,7 @@ def test_the_games_pictures_and_depths_are_seen():
         assert seen in env.observation_space(agent)
         assert seen["depth"].shape == (64, 96, 1)
         depth = seen["depth"][..., 0]
-        # What is lower in the picture is nearer, on the whole: the road.
+        # The lower part of the image shows the road, which is nearer on average.
         assert depth[-16:].mean() < depth[:16].mean()
         assert seen["image"].std() > 10
     assert len({seen["image"].tobytes() for seen in last.values()}) == 3
@@ -208,7 +208,7 @@ def test_the_games_pictures_and_depths_are_seen():
 
 @pytest.mark.skipif(who_draws() != "engine", reason="the game cannot draw on this machine")
 @pytest.mark.slow
-def test_the_named_view_is_an_id_too():
+def test_the_camera_view_is_also_an_id():
     with gym.make("supertuxkart/camera-v0", **RACE) as env:
         observation, _ = env.reset(seed=1)
         assert observation in env.observation_space
@@ -242,18 +242,18 @@ def test_an_environment_without_a_camera_is_refused():
         CameraObservations(gym.make("CartPole-v1"))
 
 
-def test_two_cameras_of_one_agent_are_refused():
+def test_two_cameras_for_one_agent_are_refused():
     env = CameraObservations(gym.make("supertuxkart/flattened-v0", **RACE), **ON_MAP)
     with pytest.raises(ConfigError, match="have image already"):
         CameraObservations(env, **ON_MAP)
 
 
-def test_more_cameras_than_the_game_has_are_refused():
+def test_more_cameras_than_the_game_supports_are_refused():
     with pytest.raises(stkzoo.errors.StkzooError, match="9 agents want a camera"):
         race_v0.parallel_env(num_kart=9, view=partial(filmed, **ON_MAP))
 
 
-def test_closing_ends_the_drawing_and_a_reset_begins_anew():
+def test_after_close_a_reset_draws_again():
     with race(**ON_MAP) as env:
         first = next(drive(env, 0))["kart_0"]["image"]
         env.close()

@@ -1,4 +1,4 @@
-"""The map: a race from above."""
+"""The map shows a race from above."""
 
 from dataclasses import replace
 
@@ -13,27 +13,27 @@ from tests.support.rendering import drive, small_race
 
 @pytest.fixture(scope="module")
 def race():
-    """A scene and the moments of a short race."""
+    """Returns the scene and the snapshots of a short race."""
     with small_race() as env:
         snapshots = [now.snapshot for now in drive(env, 70)]
         return env.scene, snapshots
 
 
 def count(picture, colour, near=30):
-    """Pixels of about a colour."""
+    """Returns the number of pixels with approximately the given color."""
     away = np.abs(picture.astype(int) - np.array(rgb(colour))).max(axis=2)
     return int((away < near).sum())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(640, 480), (84, 84), (333, 127), (1280, 720), (200, 600)])
-def test_a_picture_has_the_size_that_was_asked_for(race, size):
+def test_a_picture_has_the_requested_size(race, size):
     scene, snapshots = race
     picture = MapView(scene, size).draw(snapshots[-1])
     assert (picture.shape, picture.dtype) == ((size[1], size[0], 3), np.uint8)
 
 
-def test_every_kart_is_there_in_its_colour(race):
+def test_every_kart_is_drawn_in_its_color(race):
     scene, snapshots = race
     moved = replace_places(snapshots[-1], scene)
     picture = MapView(scene, (640, 480), panel=False).draw(moved)
@@ -41,7 +41,7 @@ def test_every_kart_is_there_in_its_colour(race):
 
 
 def replace_places(snapshot, scene):
-    """The karts spread over the track, where none hides another."""
+    """Returns a snapshot with the karts spread over the track, so that none hides another."""
     karts = snapshot.karts.copy()
     nodes = scene.track_map.path_nodes[:, 0]
     for kart in range(len(karts)):
@@ -71,7 +71,7 @@ def test_the_map_is_not_mirrored(race):
     assert count(picture[80:140, 180:220], scene.colours[2]) > 60
 
 
-def test_moving_karts_change_the_picture_and_the_ground_stays(race):
+def test_moving_karts_change_the_picture_but_not_the_ground(race):
     scene, snapshots = race
     view = MapView(scene)
     first, again, last = (view.draw(snapshots[i]) for i in (0, 0, -1))
@@ -80,7 +80,7 @@ def test_moving_karts_change_the_picture_and_the_ground_stays(race):
     assert 0 < changed < 0.2
 
 
-def test_trails_are_left(race):
+def test_karts_leave_trails(race):
     scene, snapshots = race
     without, with_trail = MapView(scene), MapView(scene)
     for snapshot in snapshots:
@@ -96,7 +96,7 @@ def test_the_road_is_as_wide_as_the_track_says(race):
     assert road_outline(scene.track_map) is road
 
 
-def test_standings_are_in_the_games_order(race):
+def test_the_standings_have_the_games_order(race):
     scene, snapshots = race
     lines = standings(scene, snapshots[-1])
     assert [line.rank for line in lines] == [1, 2, 3]
@@ -104,7 +104,7 @@ def test_standings_are_in_the_games_order(race):
     assert [positions[line.kart] for line in lines] == [1, 2, 3]
 
 
-def test_colours_are_distinct_and_stay():
+def test_colors_are_distinct_and_stable():
     for number in (1, 8, 40):
         colours = race_palette(number)
         assert len(set(colours)) == number
@@ -112,7 +112,7 @@ def test_colours_are_distinct_and_stay():
     assert readable_on("#f0e442") != readable_on("#0072b2")
 
 
-def test_agents_have_the_first_colours_in_their_own_order(race):
+def test_agents_have_the_first_colors_in_their_own_order(race):
     scene, _ = race
     other = replace(scene, kart_indices=(2, 0))
     assert [other.colours[kart] for kart in (2, 0, 1)] == list(race_palette(3))

@@ -1,4 +1,4 @@
-"""Render modes, cameras and who draws."""
+"""Render modes, cameras and render backends."""
 
 import functools
 import os
@@ -43,19 +43,19 @@ def is_picture(picture, size=SMALL):
 # ------------------------------------------------------------------ modes
 
 
-def test_rgb_array_gives_the_present_picture():
+def test_rgb_array_returns_the_current_frame():
     with small_race(render_mode="rgb_array", **MAP) as env:
         pictures = [now.render() for now in drive(env, 50)]
     assert all(map(is_picture, pictures))
     assert (pictures[0] != pictures[-1]).any()
 
 
-def test_rgb_array_list_gives_the_pictures_since_the_last_call():
+def test_rgb_array_list_returns_the_frames_since_the_last_call():
     with small_race(render_mode="rgb_array_list", **MAP) as env:
         steps = drive(env, 5)
         for _ in range(3):
             next(steps)
-        assert len(env.render()) == 3  # the reset's and two steps'
+        assert len(env.render()) == 3  # of the reset and two steps
         next(steps)
         pictures = env.render()
         assert len(pictures) == 1
@@ -64,7 +64,7 @@ def test_rgb_array_list_gives_the_pictures_since_the_last_call():
         assert len(env.render()) == 1
 
 
-def test_the_aec_form_renders_too():
+def test_aec_envs_render_too():
     env = race_v0.env(num_kart=2, track="lighthouse", render_mode="rgb_array", **MAP)
     env.reset(seed=1)
     assert is_picture(env.render())
@@ -96,13 +96,13 @@ def test_gymnasiums_checker_passes_without_a_display():
     env.close()
 
 
-def test_pictures_a_second_follow_the_step_size():
+def test_render_fps_follows_the_step_size():
     with small_race(step_size=0.05) as env:
         assert env.metadata["render_fps"] == 20
     env = gym.make("supertuxkart/full-v0", step_size=0.3, disable_env_checker=True)
     assert env.metadata["render_fps"] == pytest.approx(10 / 3)
     env.close()
-    assert race_v0.parallel_env.__module__  # the class itself keeps 10
+    assert race_v0.parallel_env.__module__  # the default of the class stays 10
     with small_race() as env:
         assert env.metadata["render_fps"] == 10
 
@@ -136,14 +136,14 @@ def test_a_window_without_a_display_is_refused_at_reset():
             env.reset()
 
 
-def test_a_window_is_among_the_modes_where_there_is_a_display(monkeypatch):
+def test_human_is_a_render_mode_where_there_is_a_display(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")
     with small_race() as env:
         assert env.metadata["render_modes"] == ["human", "rgb_array", "rgb_array_list"]
 
 
 @pytest.mark.slow
-def test_a_window_on_a_display_that_is_not_there_is_told(monkeypatch):
+def test_a_window_on_a_missing_display_is_an_error(monkeypatch):
     if who_draws() == "map":
         pytest.skip("no graphics libraries here; missing ones have a test of their own")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -157,7 +157,7 @@ def test_a_window_on_a_display_that_is_not_there_is_told(monkeypatch):
 
 
 class Display:
-    """An X server without a screen, and pictures of it."""
+    """A virtual X server that can take screenshots."""
 
     def __init__(self):
         self.pictures = []
@@ -208,7 +208,7 @@ def test_the_window_follows_the_race(display):
     assert moments == history(25)
 
 
-def test_a_window_has_no_dials_of_the_drawn_karts(tmp_path):
+def test_a_window_does_not_show_the_dial_of_drawn_karts(tmp_path):
     if who_draws() == "map":
         pytest.skip("needs the game's full data")
     link_without_dial(find_assets(graphics=True).root, tmp_path)
@@ -219,7 +219,7 @@ def test_a_window_has_no_dials_of_the_drawn_karts(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_name_of_a_kart_is_above_it():
+def test_the_name_of_a_kart_is_drawn_above_it():
     if who_draws() == "map":
         pytest.skip("the map has names in its panel only")
     pictures = []
@@ -237,7 +237,7 @@ def test_the_name_of_a_kart_is_above_it():
 # ------------------------------------------------------------------ cameras
 
 
-def test_frames_are_by_agent_and_in_any_mode():
+def test_frames_are_returned_by_agent_in_all_modes():
     agents = [AgentSpec(), AgentSpec(), AgentSpec()]
     with small_race(agents=agents, num_cameras=2, **MAP) as env:
         for now in drive(env, 3):
@@ -246,7 +246,7 @@ def test_frames_are_by_agent_and_in_any_mode():
     assert all(map(is_picture, frames.values()))
 
 
-def test_agents_may_ask_for_a_camera():
+def test_agents_can_request_a_camera():
     agents = [AgentSpec(), AgentSpec(camera_mode=CameraMode.ON), AgentSpec()]
     with small_race(agents=agents, **MAP) as env:
         env.reset(seed=1)
@@ -257,14 +257,14 @@ def test_a_camera_in_a_race_without_graphics_is_harmless():
     assert history(5, num_cameras=3) == history(5)
 
 
-# ------------------------------------------------------------------ nothing changes a race
+# ------------------------------------------------------------------ effects on the race
 
 
-def test_the_map_changes_no_race():
+def test_the_map_does_not_change_the_race():
     assert history(render_mode="rgb_array_list", **MAP) == history()
 
 
-def test_a_state_can_be_saved_and_gone_back_to_while_drawing():
+def test_a_state_can_be_saved_and_restored_while_rendering():
     with small_race(render_mode="rgb_array", **MAP) as env:
         steps = drive(env, 10)
         for _ in range(4):
@@ -277,11 +277,11 @@ def test_a_state_can_be_saved_and_gone_back_to_while_drawing():
         state.close()
 
 
-# ------------------------------------------------------------------ the game's own pictures
+# ------------------------------------------------------------------ the game's renderer
 
 
 @pytest.mark.slow
-def test_the_game_draws_where_it_can_and_else_the_map_and_changes_no_race(caplog):
+def test_the_game_or_else_the_map_draws_without_changing_the_race(caplog):
     options = {"render_mode": "rgb_array", "render_size": (160, 120), "num_cameras": 2}
     moments = []
     with small_race(**options) as env:
@@ -301,12 +301,12 @@ def test_the_game_draws_where_it_can_and_else_the_map_and_changes_no_race(caplog
 
 @functools.cache
 def drawn_by_the_game(size, cameras):
-    """The first pictures of a race of five karts, of which that of kart_0 alone is red."""
+    """Returns the first frames of a race of five karts, of which only kart_0 is red."""
     agents = [AgentSpec(kart="tux"), *[AgentSpec(kart="puffy")] * 4]
     options = {"num_cameras": cameras, "render_mode": "rgb_array", "render_size": size}
     with race_v0.parallel_env(num_kart=5, agents=agents, track="hacienda", **options) as env:
         env.reset(seed=2)
-        assert env.scene.kart_indices[0] != 0  # agents and karts are numbered otherwise
+        assert env.scene.kart_indices[0] != 0  # agents and karts have different numbers
         return env.frames()
 
 
@@ -330,15 +330,15 @@ def test_a_camera_is_behind_its_own_kart():
 @pytest.mark.parametrize(
     ("size", "cameras"), [((320, 240), 5), ((1920, 1440), 1), ((1024, 768), 2)]
 )
-def test_a_kart_has_its_shape_whatever_the_screen(size, cameras):
-    """The game splits its screen, and has none larger than 1024 x 768 where there is none."""
+def test_a_kart_has_the_same_shape_on_all_screens(size, cameras):
+    """The game splits its screen; without a display, the screen is at most 1024 x 768."""
     one = shape_of_a_kart(drawn_by_the_game((320, 240), 1)["kart_0"])
     frame = drawn_by_the_game(size, cameras)["kart_0"]
     assert shape_of_a_kart(frame) == pytest.approx(one, rel=0.12)
 
 
 def shape_of_a_kart(frame):
-    """Width by height of the red kart in its own camera's picture."""
+    """Returns the aspect ratio of the red kart in the frame of its own camera."""
     height, width, _ = frame.shape
     middle = frame[height // 2 :, width // 5 : -width // 5]
     rows, columns = np.nonzero(is_red(middle))
@@ -347,7 +347,7 @@ def shape_of_a_kart(frame):
 
 
 @pytest.mark.slow
-def test_the_drawn_karts_stand_where_the_real_ones_do():
+def test_drawn_karts_are_where_the_real_karts_are():
     if who_draws() == "map":
         with pytest.raises((AssetError, ConfigError), match=r"stkzoo assets install|sudo apt"):
             film_errors()
@@ -358,7 +358,7 @@ def test_the_drawn_karts_stand_where_the_real_ones_do():
 
 
 def film_errors():
-    """How far drawn karts are from the real ones, at 20 steps of a race [m]."""
+    """Returns the distances between drawn and real karts over 20 steps of a race [m]."""
     from stkzoo.render.game import GameView
 
     game, errors = GameView([0], SMALL), []
@@ -375,7 +375,7 @@ def film_errors():
 
 
 @pytest.mark.slow
-def test_a_dead_drawing_process_says_so_and_the_race_lives():
+def test_a_render_process_that_died_is_an_error_and_the_race_continues():
     if who_draws() == "map":
         return_of_map = small_race(render_mode="rgb_array", render_size=SMALL)
         with return_of_map as env:
@@ -396,7 +396,7 @@ def test_a_dead_drawing_process_says_so_and_the_race_lives():
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere it ends when it has drawn")
-def test_a_program_that_dies_while_the_game_draws_takes_it_along():
+def test_a_program_that_dies_ends_its_render_process():
     code = """
 import os, signal, threading, time
 from stkzoo import race_v0
@@ -424,7 +424,7 @@ while True:
 
 
 def wait_until(condition, seconds=5.0):
-    """Waits until something is so; far sooner than the picture that is being drawn."""
+    """Waits until a condition is true, for much less time than drawing the frame takes."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline
@@ -445,7 +445,7 @@ def test_missing_libraries_are_named_and_the_map_is_drawn(monkeypatch, caplog):
             env.render()
 
 
-def test_missing_pictures_are_named(monkeypatch):
+def test_missing_game_data_is_named(monkeypatch):
     def find_nothing(**_):
         raise AssetError("the game's full data is not on this machine")
 
@@ -471,7 +471,7 @@ def test_drawing_without_pillow_names_the_extra():
 
 
 @pytest.mark.slow
-def test_record_video_makes_a_file(tmp_path):
+def test_record_video_writes_a_file(tmp_path):
     env = gym.make(
         "supertuxkart/flattened_discrete-v0",
         num_kart=2,
@@ -481,7 +481,7 @@ def test_record_video_makes_a_file(tmp_path):
         **MAP,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # moviepy's and RecordVideo's own
+        warnings.simplefilter("ignore")  # warnings of moviepy and RecordVideo
         env = gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)
         env.reset(seed=1)
         for _ in range(8):
@@ -492,7 +492,7 @@ def test_record_video_makes_a_file(tmp_path):
 
 
 @pytest.mark.slow
-def test_save_video_makes_a_file(tmp_path):
+def test_save_video_writes_a_file(tmp_path):
     env = gym.make(
         "supertuxkart/flattened_discrete-v0",
         num_kart=2,
@@ -506,7 +506,7 @@ def test_save_video_makes_a_file(tmp_path):
     frames = env.render()
     assert len(frames) == 7
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # moviepy's own
+        warnings.simplefilter("ignore")  # warnings of moviepy
         save_video(
             frames, str(tmp_path), fps=env.metadata["render_fps"], episode_trigger=lambda _: True
         )

@@ -1,4 +1,4 @@
-"""Policies of Stable-Baselines3 as agents in folders."""
+"""Policies of Stable-Baselines3 saved as agent folders."""
 
 import runpy
 from pathlib import Path
@@ -50,12 +50,12 @@ def test_the_agent_races(make, tmp_path):
     assert not any(row.errors for row in result.agents)
 
 
-def test_a_policy_of_another_kind_is_refused(make, tmp_path):
+def test_an_unsupported_policy_is_refused(make, tmp_path):
     model = make("flattened_discrete", "MultiInputPolicy")
     with pytest.raises(ConfigError, match=r"MultiInput.*expected .MlpPolicy."):
         save_agent(model, tmp_path / "agent", view="flattened_discrete", name="Refused")
 
 
-def test_a_misspelt_view_is_refused(make, tmp_path):
+def test_a_misspelled_view_is_refused(make, tmp_path):
     with pytest.raises(ConfigError, match="Did you mean 'racing'"):
         save_agent(make("racing"), tmp_path / "agent", view="racign", name="Refused")

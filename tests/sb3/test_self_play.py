@@ -1,4 +1,4 @@
-"""Self-play against past selves: the program of docs/how-to/opponents.md, and a pool of models."""
+"""Self-play against past versions: the program in docs/how-to/opponents.md, and model pools."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from tests.support.paths import ROOT
 PROGRAM = ROOT / "examples" / "self_play.py"
 
 
-def test_the_program_is_short_and_shown_as_it_stands():
+def test_the_program_is_short_and_the_docs_show_all_of_it():
     assert len(PROGRAM.read_text().splitlines()) <= 40
     page = (ROOT / "docs" / "how-to" / "opponents.md").read_text("utf-8")
     assert "```{literalinclude} ../../examples/self_play.py\n" in page
 
 
 @pytest.mark.slow
-def test_what_learned_for_a_moment_beats_its_first_self():
+def test_a_policy_beats_its_first_version_after_a_short_training():
     done = subprocess.run(
         [sys.executable, PROGRAM, "1", "16384", "6"],
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
@@ -40,7 +40,7 @@ def test_what_learned_for_a_moment_beats_its_first_self():
 
 
 @pytest.mark.parametrize("algorithm", [PPO, A2C])
-def test_a_pool_keeps_a_model_as_it_was_while_it_goes_on_learning(algorithm):
+def test_a_pool_keeps_a_copy_of_a_model_that_continues_to_learn(algorithm):
     pool = OpponentPool(["random"])
     envs = RaceVecEnv(
         2, agents=1, num_kart=2, track="lighthouse", view="racing", max_cycles=8, opponents=pool

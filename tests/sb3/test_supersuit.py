@@ -1,4 +1,4 @@
-"""Stable-Baselines3 learns: from single ids, and from a whole race through SuperSuit."""
+"""Stable-Baselines3 learns from single-agent ids, and from whole races through SuperSuit."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ LEARNING = {"n_steps": 64, "batch_size": 32, "n_epochs": 1, "device": "cpu", "se
 
 
 def box_view(env):
-    """A view with Box observations, as SuperSuit wants them, and Box actions."""
+    """A view with Box observations, which SuperSuit needs, and Box actions."""
     return FlatActions(FlattenObservation(VIEWS["flattened_continuous_actions"](env)))
 
 
 class FlatActions(gym.ActionWrapper):
-    """The one array that is left of the actions, without its dict."""
+    """Flattens a Dict of continuous actions to one Box."""
 
     def __init__(self, env):
         super().__init__(env)
@@ -93,7 +93,7 @@ def test_ppo_learns_by_self_play_through_supersuit(view, num_cpus):
     envs.close()
 
 
-def test_a_kart_that_finishes_early_is_black_until_the_race_ends():
+def test_a_kart_that_finishes_early_is_masked_until_the_race_ends():
     env = race_v0.parallel_env(
         agents=[AgentSpec(), AgentSpec(use_ai=True)],
         num_kart=2,
@@ -111,6 +111,6 @@ def test_a_kart_that_finishes_early_is_black_until_the_race_ends():
         is_over = [bool(t) or bool(u) for t, u in zip(terminated, truncated, strict=True)]
         num_steps += 1
     assert 0 < black < num_steps
-    assert num_steps == 331  # SuperSuit notices the end one step late
+    assert num_steps == 331  # SuperSuit detects the end one step late
     assert all(is_over)
     envs.close()

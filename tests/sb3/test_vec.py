@@ -1,4 +1,4 @@
-"""Stable-Baselines3 on many races at once, one policy driving all agents."""
+"""Stable-Baselines3 with many races at once; one policy controls all agents."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def changed(before, model):
 
 
 def idle_start(envs):
-    """Drives until the first agent has finished; what that step and the next one give."""
+    """Drives until the first agent finishes; returns the results of that step and the next."""
     envs.seed(2)
     envs.reset()
     actions = np.zeros(envs.num_envs, np.int64)
@@ -96,7 +96,7 @@ def test_dqn_learns_by_self_play():
 
 
 @pytest.mark.slow
-def test_ppo_learns_from_normalised_races_of_which_some_die():
+def test_ppo_learns_from_normalized_races_although_one_crashes():
     envs = make()
     normalised = VecNormalize(envs, norm_obs_keys=["continuous"])
     model = PPO(
@@ -121,7 +121,7 @@ def test_it_is_a_vec_env():
 
 
 @pytest.mark.slow
-def test_it_gives_what_the_gymnasium_form_gives():
+def test_it_returns_the_same_as_the_gymnasium_vector():
     envs, races = make(), RaceVectorEnv(2, **OPTIONS)
     envs.seed(7)
     assert same(envs.reset(), races.reset(seed=7)[0])
@@ -138,7 +138,7 @@ def test_it_gives_what_the_gymnasium_form_gives():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True])
-def test_infos_tell_the_end(flat):
+def test_infos_describe_the_end_of_an_episode(flat):
     envs = make(flat_observations=flat)
     envs.reset()
     returns = np.zeros(4)
@@ -169,7 +169,7 @@ def test_an_agent_that_finishes_is_done_and_not_truncated():
 
 
 @pytest.mark.slow
-def test_idle_steps_are_episodes_of_nothing():
+def test_idle_steps_are_empty_episodes():
     envs = RaceVecEnv(1, **BOTS)
     (_, _, ended, _), (observations, rewards, done, infos) = idle_start(envs)
     first = int(np.argmax(ended))
@@ -183,7 +183,7 @@ def test_idle_steps_are_episodes_of_nothing():
 
 
 @pytest.mark.slow
-def test_evaluation_counts_races_and_not_idle_steps():
+def test_evaluation_counts_races_but_not_idle_steps():
     envs = RaceVecEnv(1, **BOTS)
     model = PPO("MultiInputPolicy", envs, device="cpu")
     _, lengths = evaluate_policy(model, envs, n_eval_episodes=2, return_episode_rewards=True)
@@ -220,13 +220,13 @@ def test_the_same_seed_gives_the_same_races():
     envs.close()
 
 
-def test_slots_have_the_seed_of_their_race():
+def test_each_slot_has_the_seed_of_its_race():
     envs = make()
     assert envs.seed(4) == [4, 4, 5, 5]
     envs.close()
 
 
-def test_a_seed_is_for_one_reset():
+def test_a_seed_applies_to_one_reset():
     envs = make()
     envs.seed(4)
     first = envs.reset()
@@ -235,7 +235,7 @@ def test_a_seed_is_for_one_reset():
 
 
 @pytest.mark.slow
-def test_options_of_the_races_hold_and_infos_name_the_track():
+def test_options_of_the_races_persist_and_infos_name_the_track():
     envs = make(num_races=1, max_cycles=2)
     envs.reset()
     envs.races.set_options({"track": "zengarden"})
@@ -248,7 +248,7 @@ def test_options_of_the_races_hold_and_infos_name_the_track():
     envs.close()
 
 
-def test_set_options_are_for_one_reset():
+def test_set_options_applies_to_one_reset():
     envs = make()
     envs.set_options({"track": "zengarden"})
     envs.reset()
@@ -277,7 +277,7 @@ def test_a_method_is_called_once_for_each_race():
     envs.close()
 
 
-def test_it_counts_as_monitored_and_as_nothing_else():
+def test_it_counts_as_monitored_and_not_otherwise_wrapped():
     envs = make()
     assert envs.env_is_wrapped(Monitor) == [True] * 4
     assert envs.env_is_wrapped(gym.wrappers.TimeLimit, indices=[0]) == [False]
@@ -285,22 +285,22 @@ def test_it_counts_as_monitored_and_as_nothing_else():
 
 
 @pytest.mark.parametrize("view", ["simple", "flattened"])
-def test_a_view_with_actions_of_several_parts_is_refused(view):
+def test_a_view_with_dict_actions_is_refused(view):
     with pytest.raises(ConfigError, match="flattened_discrete"):
         make(view=view)
 
 
 # ---------------------------------------------------------------------- the rollout buffer
 
-#: Three slots over four steps. The first races throughout, the second has finished in the
-#: first step and idles until the third, the third starts anew in the third.
+#: Three slots over four steps. Slot 0 races throughout. Slot 1 finishes in the first step and
+#: idles until the third. Slot 2 starts a new race in the third step.
 STARTS = np.array([[1, 0, 0], [0, 1, 0], [0, 1, 1], [0, 1, 0]])
 LAST_DONES = np.array([0, 0, 1])
-REAL = {0, 1, 2, 3, 4, 7, 8, 9, 10, 11}  # slot after slot
+REAL = {0, 1, 2, 3, 4, 7, 8, 9, 10, 11}  # slot by slot
 
 
 def filled_buffer(kind, starts=STARTS, last_dones=LAST_DONES):
-    """A buffer whose actions number its steps, slot after slot."""
+    """Returns a buffer whose actions are the numbers of its steps, slot by slot."""
     box = spaces.Box(-1, 1, (2,))
     space = spaces.Dict({"x": box}) if kind is ActiveDictRolloutBuffer else box
     num_steps, num_slots = starts.shape
@@ -320,28 +320,28 @@ def actions_of(batches):
 
 
 @pytest.mark.parametrize("kind", [ActiveRolloutBuffer, ActiveDictRolloutBuffer])
-def test_the_buffer_gives_real_steps_only(kind):
+def test_the_buffer_returns_only_real_steps(kind):
     buffer = filled_buffer(kind)
-    for _ in range(2):  # as for two epochs
+    for _ in range(2):  # two epochs
         actions = actions_of(buffer.get(3))
         assert len(actions) == len(REAL)
         assert set(actions) == REAL
 
 
-def test_the_buffer_gives_batches_of_the_size_asked_for():
+def test_the_buffer_returns_batches_of_the_requested_size():
     buffer = filled_buffer(ActiveRolloutBuffer)
     assert [len(batch.actions) for batch in buffer.get(4)] == [4, 4, 2]
     assert [len(batch.actions) for batch in buffer.get()] == [10]
 
 
-def test_a_buffer_without_idle_steps_gives_all():
+def test_a_buffer_without_idle_steps_returns_all():
     starts = np.array([[1, 1], [0, 0], [0, 0]])
     buffer = filled_buffer(ActiveRolloutBuffer, starts, np.array([1, 0]))
     assert sorted(actions_of(buffer.get(2))) == list(range(6))
 
 
 @pytest.mark.slow
-def test_no_idle_step_of_a_race_is_learnt_from():
+def test_idle_steps_of_races_are_not_learned_from():
     envs = RaceVecEnv(1, **BOTS)
     learning = {**LEARNING, "n_steps": 340, "batch_size": 680}
     model = PPO("MultiInputPolicy", envs, rollout_buffer_class=ActiveDictRolloutBuffer, **learning)
@@ -357,7 +357,7 @@ def test_no_idle_step_of_a_race_is_learnt_from():
 
 
 @pytest.mark.slow
-def test_nothing_but_this_module_imports_stable_baselines3():
+def test_importing_stkzoo_does_not_import_stable_baselines3():
     code = "import stkzoo, stkzoo.env.vec.env, sys; print(*sys.modules)"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
@@ -369,7 +369,7 @@ def test_nothing_but_this_module_imports_stable_baselines3():
 
 
 def play_both(envs, num_steps):
-    """The results of some steps; infos as dicts, without the time since construction."""
+    """Returns the results of some steps; infos are dicts without the elapsed time."""
     envs.seed(1)
     envs.action_space.seed(5)
     trace = [(envs.reset(), [dict(info) for info in envs.reset_infos])]
@@ -389,7 +389,7 @@ def play_both(envs, num_steps):
 @pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True])
 @pytest.mark.parametrize("view", ["racing", "masked_discrete", "flattened_multidiscrete"])
-def test_it_gives_what_agents_get(view, flat, monkeypatch):
+def test_it_returns_what_single_agents_get(view, flat, monkeypatch):
     starts = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
     options = {"track": "lighthouse", "max_cycles": 9, "start": starts, "view": view}
     with_rows = play_both(make(**options, flat_observations=flat), 22)
@@ -401,7 +401,7 @@ def test_it_gives_what_agents_get(view, flat, monkeypatch):
 
 
 def identical(one, other):
-    """Whether two results are equal in types and to the bit."""
+    """Returns whether two results are equal in types and bit for bit."""
     if type(one) is not type(other):
         return False
     if isinstance(one, dict):

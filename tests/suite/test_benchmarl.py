@@ -1,4 +1,4 @@
-"""BenchMARL's algorithms in the tasks of the suite. Without BenchMARL, most are skipped."""
+"""BenchMARL's algorithms on the tasks of the suite. Most tests need BenchMARL."""
 
 import importlib.util
 import pickle
@@ -17,7 +17,7 @@ from stkzoo.suite.flat import ALL_CHOICES, FEW_CHOICES
 
 HAS_LIBRARY = importlib.util.find_spec("benchmarl") is not None
 needs_library = pytest.mark.skipif(not HAS_LIBRARY, reason="extra benchmarl")
-#: TorchRL and BenchMARL warn about their own versions and names.
+#: TorchRL and BenchMARL emit warnings about their own versions and names.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 DISCRETE = ("ippo", "mappo", "isac", "masac", "iql", "vdn", "qmix")
@@ -74,7 +74,7 @@ def test_every_task_of_the_suite_is_a_task_of_benchmarl():
 
 
 @needs_library
-def test_the_common_reward_counts_agents_that_race_only():
+def test_the_common_reward_counts_only_agents_that_still_race():
     import torch
     from tensordict import TensorDict
 
@@ -166,7 +166,7 @@ def test_a_written_agent_races(tmp_path):
     ("task", "algorithm", "text"),
     [("SOLO_1", "iddpg", "only policies with discrete"), ("TALK_2V2", "ippo", "cannot send words")],
 )
-def test_other_policies_are_not_written(task, algorithm, text, tmp_path):
+def test_unsupported_policies_are_not_written(task, algorithm, text, tmp_path):
     from stkzoo.suite.benchmarl import save_agent
 
     experiment = make_experiment(algorithm, tmp_path, task)

@@ -31,7 +31,7 @@ def record(file, drivers, **settings):
 
 @pytest.fixture(scope="module")
 def rammed(tmp_path_factory):
-    """A race in which a rammer hits two karts of the heuristic; karts of the game's AI touch."""
+    """Records a race in which a rammer hits two heuristic karts and karts of the AI touch."""
     file = tmp_path_factory.mktemp("conduct") / "rammed.stkz"
     return record(file, DRIVERS, track="minigolf", seed=1, max_steps=50)
 
@@ -48,7 +48,7 @@ def alone(tmp_path_factory):
 
 
 class EventReader(RaceListener):
-    """Keeps the environment's own counts."""
+    """Records the environment's own event counts."""
 
     def env_options(self):
         return {"events": True}
@@ -70,7 +70,7 @@ def test_the_games_ai_is_not_judged(judged):
     assert judged.karts[3].at_fault is None
 
 
-def test_counts_are_those_of_the_environment(rammed, judged):
+def test_counts_equal_those_of_the_environment(rammed, judged):
     reader = EventReader()
     play_replay(load_replay(rammed), listeners=[reader])
     for number, kart in enumerate(judged.karts):
@@ -82,7 +82,7 @@ def test_counts_are_those_of_the_environment(rammed, judged):
     assert sum(kart.contacts for kart in judged.karts) > 0
 
 
-def test_each_contact_of_a_kart_belongs_to_a_judged_contact(judged):
+def test_each_counted_contact_belongs_to_a_judged_contact(judged):
     for number, kart in enumerate(judged.karts):
         own = [contact for contact in judged.contacts if number in contact.karts]
         assert sum(c.counts[c.karts.index(number)] for c in own) == kart.contacts
@@ -110,9 +110,7 @@ def test_a_race_without_contacts_has_only_counts(alone):
         ((0.5, 0.5), (1.0, 2.0), 5),
     ],
 )
-def test_the_later_start_is_at_fault_and_between_close_ones_the_kart_that_closes_the_gap(
-    latest, closing, at_fault
-):
+def test_the_kart_that_started_later_or_else_closes_the_gap_is_at_fault(latest, closing, at_fault):
     assert JudgedContact(10, (3, 5), (1, 1), latest, closing).at_fault == at_fault
 
 
@@ -155,7 +153,7 @@ def test_touches_within_a_second_are_one_contact():
     ]
 
 
-def test_a_folder_stands_for_its_replays(alone, tmp_path):
+def test_a_folder_is_read_as_its_replays(alone, tmp_path):
     replays = tmp_path / "entry" / "replays"
     replays.mkdir(parents=True)
     for name in ("00001.stkz", "00000.stkz"):

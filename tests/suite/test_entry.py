@@ -1,4 +1,4 @@
-"""Evaluations on the training tracks show overfitting, and are no entries."""
+"""Evaluations on the training tracks show overfitting and are not entries."""
 
 import pytest
 
@@ -18,14 +18,14 @@ def test_the_training_tracks_have_one_race_of_each_kind(name, races):
     assert {race.form for race in plan.races()} == set(TASKS[name].forms)
 
 
-def test_an_entry_is_on_the_test_tracks():
+def test_an_entry_uses_the_test_tracks():
     plan = plan_entry("versus", "random")
     assert not plan.is_on_training_tracks
     assert plan == plan_entry("versus", "random", split="test")
     assert plan.tracks == TASKS["versus"].test_tracks
 
 
-def test_another_split_is_refused(capsys):
+def test_an_unknown_split_is_refused(capsys):
     with pytest.raises(ConfigError, match=r"unknown split 'trian'\. Did you mean 'train'"):
         plan_entry("versus", "random", split="trian")
     assert main(["suite", "evaluate", "versus", "random", "--split", "validation"]) == 2
@@ -33,7 +33,7 @@ def test_another_split_is_refused(capsys):
 
 
 @pytest.mark.parametrize("name", ["solo-1", "versus"])
-def test_an_evaluation_on_the_training_tracks_is_no_entry(name, tmp_path):
+def test_an_evaluation_on_the_training_tracks_is_not_an_entry(name, tmp_path):
     evaluation = Entry(plan_entry(name, "random", split="train"), ())
     (tmp_path / ENTRY_FILE).write_text(evaluation.to_json())
     with pytest.raises(EntryRefused, match="an evaluation on the training tracks; an entry needs"):

@@ -1,4 +1,4 @@
-"""Tasks with flat spaces drive the same races as the tasks themselves."""
+"""Tasks with flat spaces drive the same races as the original tasks."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_the_tables_have_valid_and_different_choices():
     assert not (FEW_CHOICES[:, 1] == RESCUE).any()
 
 
-def test_the_few_actions_are_symmetric():
+def test_the_small_action_table_is_symmetric():
     mirrored = FEW_CHOICES.copy()
     mirrored[:, 0] = len(STEERS) - 1 - mirrored[:, 0]
     assert {tuple(row) for row in mirrored} == {tuple(row) for row in FEW_CHOICES}
@@ -47,7 +47,7 @@ def test_the_few_actions_are_symmetric():
         ("continuous", np.array([-1, -0.6, 1, 0, 0], np.float32), [0, BRAKE, 1, 0, 0]),
     ],
 )
-def test_an_action_drives_as_its_choices_do(actions, action, choices):
+def test_an_action_drives_like_its_choices(actions, action, choices):
     flat = FlatTask(find_task("solo-1").make(), actions=actions)
     own = find_task("solo-1").make()
     flat.reset(seed=2)
@@ -68,7 +68,7 @@ def test_an_action_drives_as_its_choices_do(actions, action, choices):
         ("continuous", np.eye(13, dtype=np.float32)[10], np.zeros(13, np.float32)),
     ],
 )
-def test_a_word_is_part_of_the_action_and_of_the_mate_s_observation(actions, action, silent):
+def test_a_word_is_part_of_the_action_and_of_the_teammates_observation(actions, action, silent):
     env = FlatTask(find_task("talk-2v2").make(), actions=actions)
     env.reset(seed=1)
     for said, word in ((action, 5), (silent, 0)):

@@ -1,4 +1,4 @@
-"""Reports of runs: numbers, figures and files, and bad results that are refused."""
+"""Reports of runs: numbers, files and invalid results."""
 
 import json
 import sys
@@ -23,7 +23,7 @@ def constant(value):
 
 @pytest.fixture
 def two_runs(tmp_path):
-    """The files of two runs."""
+    """Writes the files of two runs."""
     return [write_run(tmp_path, suite_run("versus", "ippo", seed)) for seed in (0, 1)]
 
 
@@ -69,7 +69,7 @@ def test_a_task_without_baselines_has_the_metric_as_its_scale(monkeypatch):
     assert "`solo-1`, `selfplay-5`: the baselines have not been measured" in text
 
 
-def test_the_gap_is_positive_if_training_tracks_went_better():
+def test_the_gap_is_positive_if_training_tracks_have_better_scores():
     tracks = set(TASKS["versus"].test_tracks)
     runs = [
         suite_run("versus", "ippo", seed, lambda track, *_: 0.25 if track in tracks else 0.5)
@@ -82,7 +82,7 @@ def test_the_gap_is_positive_if_training_tracks_went_better():
     assert (own.score.value, own.train_score.value) == (0.25, 0.5)
 
 
-def test_all_tasks_together_count_only_if_all_algorithms_have_runs():
+def test_the_mean_over_tasks_needs_runs_of_all_algorithms():
     runs = [
         suite_run(task, name, seed)
         for task in ("solo-general", "versus")
@@ -109,13 +109,13 @@ def test_missing_runs_are_listed():
 
 
 @pytest.mark.slow
-def test_a_report_has_its_files_and_is_the_same_again(two_runs, tmp_path, capsys):
+def test_a_report_has_all_its_files_and_is_reproducible(two_runs, tmp_path, capsys):
     one, two = tmp_path / "one", tmp_path / "two"
     assert main(["suite", "report", *map(str, two_runs), "--output", str(one)]) == 0
     assert f"Wrote the report of 2 runs to {one / 'report.md'}" in capsys.readouterr().out
     write_suite_report([tmp_path], two)
     names = {file.name for file in one.iterdir()}
-    assert names == FILES | {"learning_curves.svg"}  # nothing to compare with a single algorithm
+    assert names == FILES | {"learning_curves.svg"}  # a single algorithm has no comparison
     for name in names:
         assert (one / name).read_bytes() == (two / name).read_bytes(), name
     report = SuiteReport.load(one / "report.json")
@@ -132,7 +132,7 @@ def test_two_algorithms_are_compared(tmp_path):
     assert "| versus | ippo | mappo |" in (tmp_path / "report" / "report.md").read_text()
 
 
-def test_a_run_without_an_ended_race_has_no_learning_curve(tmp_path):
+def test_a_run_without_completed_races_has_no_learning_curve(tmp_path):
     run = suite_run("versus", "ippo", 0)
     nothing = (None,) * len(run.curve.kart_steps)
     curve = replace(run.curve, returns=nothing, finished=nothing, position=nothing)
@@ -168,7 +168,7 @@ def test_a_missing_library_names_the_extra(two_runs, tmp_path, monkeypatch, caps
     assert "the report needs scipy" in capsys.readouterr().err
 
 
-# ------------------------------------------------------------------ bad results
+# ------------------------------------------------------------------ invalid results
 
 
 def changed(file, **changes):
@@ -189,7 +189,7 @@ def changed(file, **changes):
         ({"train": None}, "train is None"),
     ],
 )
-def test_a_bad_field_is_one_error_that_names_the_file(two_runs, changes, text):
+def test_an_invalid_field_is_an_error_that_names_the_file(two_runs, changes, text):
     changed(two_runs[0], **changes)
     with pytest.raises(ConfigError) as caught:
         load_runs(two_runs)
@@ -241,7 +241,7 @@ def test_runs_with_different_budgets_are_refused(two_runs):
         load_runs(two_runs)
 
 
-def test_nothing_to_report_is_one_error(tmp_path, capsys):
+def test_a_report_without_results_is_an_error(tmp_path, capsys):
     assert main(["suite", "report", str(tmp_path)]) == 2
     assert f"{tmp_path} has no results" in capsys.readouterr().err
     assert main(["suite", "report", str(tmp_path / "no.json")]) == 2

@@ -1,4 +1,4 @@
-"""Normalised scores lie between the weakest and the strongest baseline."""
+"""Normalized scores are relative to the weakest and the strongest baseline."""
 
 import json
 from dataclasses import asdict
@@ -17,7 +17,7 @@ def baselines(task, values, digest=None, suite=SUITE, population=None):
     return Baselines(suite, {task: digest or TASKS[task].digest}, met, scores)
 
 
-def test_more_is_better_where_karts_are_beaten():
+def test_a_larger_share_of_beaten_karts_is_better():
     found = baselines("versus", [0.4, 0.2, 0.8])
     assert normalised("versus", 0.2, found) == 0.0
     assert normalised("versus", 0.8, found) == 1.0
@@ -25,7 +25,7 @@ def test_more_is_better_where_karts_are_beaten():
     assert normalised("versus", 0.95, found) == pytest.approx(1.25)
 
 
-def test_less_is_better_for_time_ratios():
+def test_a_smaller_time_ratio_is_better():
     found = baselines("solo-1", [0.9, 0.8, 1.4])
     assert normalised("solo-1", 1.4, found) == 0.0
     assert normalised("solo-1", 0.8, found) == 1.0
@@ -34,21 +34,21 @@ def test_less_is_better_for_time_ratios():
 
 
 @pytest.mark.parametrize("changes", [{"digest": "0" * 64}, {"suite": "stkzoo-suite-2"}])
-def test_scores_of_another_definition_are_no_baselines(changes):
+def test_scores_of_another_definition_are_not_baselines(changes):
     with pytest.raises(ConfigError, match="solo-1 has no baselines yet"):
         normalised("solo-1", 0.9, baselines("solo-1", [0.9, 0.8], **changes))
     with pytest.raises(ConfigError, match="versus has no baselines yet"):
         normalised("versus", 0.9, baselines("solo-1", [0.9, 0.8]))
 
 
-def test_scores_against_another_population_are_no_baselines():
+def test_scores_against_another_population_are_not_baselines():
     other = {**population_digests(), "heuristic": "0" * 16}
     assert not baselines("team-2v2", [0.1, 0.9], population=other).has("team-2v2")
     assert baselines("team-2v2", [0.1, 0.9]).has("team-2v2")
     assert baselines("versus", [0.1, 0.9], population=other).has("versus")
 
 
-def test_the_shipped_baselines_are_of_these_tasks():
+def test_the_shipped_baselines_match_the_tasks():
     found = load_baselines()
     for task, scores in found.scores.items():
         weakest, strongest = found.ends(task)

@@ -1,4 +1,4 @@
-"""Statistics over runs: known values, and what is resampled together."""
+"""Statistics over runs: known values and resampling."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
 
 def test_the_interquartile_mean_over_tasks_takes_one_score_per_run_and_task():
     first, second = np.array([[0.0, 2.0], [1.0, 3.0]]), np.array([[10.0], [1000.0]])
-    assert interquartile_mean(first, second) == pytest.approx(6.0)  # of 1, 2, 10 and 1000
+    assert interquartile_mean(first, second) == pytest.approx(6.0)  # scores 1, 2, 10 and 1000
 
 
 def test_the_profile_is_the_share_of_scores_above_each_threshold():
@@ -69,19 +69,19 @@ def test_equal_scores_have_no_interval():
 
 
 def test_runs_are_resampled_as_a_whole():
-    """Runs that differ in all columns alike have the spread of the runs, not of the cells."""
+    """If runs differ equally in all columns, the interval has the spread of the runs."""
     skill = np.array([[0.0], [0.5], [1.0]])
     found = estimate(mean, table(skill + np.zeros(12)))
     assert (found.low, found.high) == (0.0, 1.0)
 
 
 def test_columns_are_resampled_as_a_whole():
-    """Tracks that differ for all runs alike leave the intervals as wide as the tracks need."""
+    """If tracks differ equally for all runs, the interval has the spread of the tracks."""
     found = estimate(mean, table(np.zeros((10, 1)) + np.array([0.0, 0.0, 1.0, 1.0])))
     assert (found.low, found.high) == (0.0, 1.0)
 
 
-def test_what_tables_share_cancels_out():
+def test_effects_that_tables_share_cancel_out():
     difficulty = np.arange(12.0)
     noise = np.random.default_rng(1).normal(0, 0.01, (2, 3, 12))
     easy, hard = table(noise[0] + 1 + difficulty, "a"), table(noise[1] + difficulty, "b")
@@ -97,8 +97,8 @@ def test_the_same_scores_have_the_same_interval():
     )
 
 
-def test_intervals_of_a_simulation_cover_the_truth():
-    """Of 95 % intervals from four runs and twelve tracks, most contain the mean behind them."""
+def test_simulated_intervals_contain_the_true_mean():
+    """Most 95 % intervals from four runs and twelve tracks contain the true mean."""
     random, hits = np.random.default_rng(0), 0
     for _ in range(100):
         tracks, runs = random.normal(0, 0.15, 12), random.normal(0, 0.05, (4, 1))

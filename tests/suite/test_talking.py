@@ -1,4 +1,4 @@
-"""Agents of talk-2v2 see and hear in races what they see and hear while they learn."""
+"""In races, agents of talk-2v2 see and hear the same as during training."""
 
 import importlib.util
 from contextlib import closing
@@ -16,7 +16,7 @@ TASK = find_task("talk-2v2")
 EXAMPLE = str(ROOT / "examples" / "talking")
 CHECKSUMS = str(AGENTS / "talking")
 RACE = {"track": "lighthouse", "seed": 5}
-#: The lineup and the grid of the task's learners.
+#: The teams and the start positions of the task's learners.
 TEAMS, GRID = ("@:Red", "@:Blue", "@:Blue", "@:Red"), (1, 2, 3, 4)
 
 #: Two races with two karts of the agent and one of the population.
@@ -56,7 +56,7 @@ def karts(env):
 
 
 def actors():
-    """One actor of the agent that acts by a checksum for each learner, with the spaces."""
+    """Returns a function that makes an actor of the checksum agent for given spaces."""
     file = AGENTS / "talking" / "pystk_actor.py"
     spec = importlib.util.spec_from_file_location("checksums", file)
     module = importlib.util.module_from_spec(spec)
@@ -70,8 +70,8 @@ def actors():
 
 
 @pytest.mark.parametrize("inline", [False, True])
-def test_a_race_of_two_teams_is_that_of_the_tasks_environment(inline):
-    """Each action depends on each bit that its kart has observed and heard."""
+def test_a_race_of_two_teams_equals_that_of_the_tasks_environment(inline):
+    """Each action depends on every bit that its kart has observed and heard."""
     motion, steps = Motion(), 150
     drivers = [CHECKSUMS + team for team in TEAMS]
     changes = {"difficulty": 3, "max_steps": steps, "inline": inline, "error_handling": "raise"}
@@ -133,7 +133,7 @@ def test_an_entry_of_an_agent_that_talks_is_verified(tmp_path, monkeypatch):
     assert verify_entry(tmp_path / "entry").races == entry.races
 
 
-def test_agents_that_do_not_talk_race_in_the_task_too():
+def test_agents_that_do_not_talk_can_race_in_the_task():
     assert find_driver(EXAMPLE).words == find_driver(EXAMPLE, inline=True).words == 8
     assert find_driver("heuristic").words == find_driver(str(AGENTS / "plain")).words == 0
     for agent in (EXAMPLE, "heuristic", str(AGENTS / "plain")):
@@ -147,7 +147,7 @@ def test_an_agent_does_not_talk_in_tasks_without_words(task):
         plan_entry(task, EXAMPLE)
 
 
-def test_each_task_is_the_view_of_an_agent(tmp_path):
+def test_an_agent_can_name_each_task_as_its_view(tmp_path):
     versus = tmp_path / "versus.py"
     versus.write_text(
         f"env_name = {id_of(find_task('versus'))!r}\n"

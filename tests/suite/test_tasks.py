@@ -1,4 +1,4 @@
-"""The tasks are frozen, can be made, and have the races that they promise."""
+"""The tasks are frozen, can be created and have the documented races."""
 
 import json
 
@@ -14,7 +14,7 @@ from stkzoo.suite import POPULATION, TASKS, behaviour, find_task, id_of, plan_en
 from stkzoo.suite.population import draw_rivals
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
 
-#: The definitions of stkzoo-suite-1. Another digest is another suite.
+#: Digests of the definitions of stkzoo-suite-1. A changed digest needs another suite.
 DIGESTS = {
     "solo-1": "db21f9f21f815c4f",
     "solo-general": "b15aa5e36d1dbaed",
@@ -95,12 +95,12 @@ def test_a_team_shares_its_rewards_and_hears_only_its_words():
 
 
 @pytest.mark.parametrize("member", POPULATION, ids=lambda member: member.driver)
-def test_a_member_of_the_population_drives_as_ever(member):
+def test_a_member_of_the_population_still_drives_the_same(member):
     assert behaviour(member.driver) == member.digest
 
 
 @pytest.mark.parametrize("name", DIGESTS)
-def test_the_evaluation_has_balanced_races_that_depend_on_nothing_else(name):
+def test_the_evaluation_has_balanced_and_reproducible_races(name):
     task, plan = find_task(name), plan_entry(name, "random")
     orders = plan.orders()
     assert len(orders) == task.num_races

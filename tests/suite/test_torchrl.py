@@ -1,4 +1,4 @@
-"""Races of the suite's tasks as batched environments of TorchRL. Skipped without TorchRL."""
+"""Races of the suite's tasks as batched TorchRL environments. These tests need TorchRL."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,13 @@ from stkzoo.suite import FlatTask, find_task
 from stkzoo.wrappers.racing import CHOICES
 
 pytest.importorskip("torchrl", reason="extra benchmarl")
-#: TorchRL warns about its own names.
+#: TorchRL emits warnings about its own names.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 @pytest.fixture
 def races():
-    """Makes races of a task; all are closed at the end."""
+    """Returns a function that makes races of a task and closes them at the end."""
     from stkzoo.suite.torchrl import SuiteRaces, TaskOptions
 
     made = []
@@ -29,7 +29,7 @@ def races():
 
 
 def drive(env, actions, steps=1):
-    """Steps races without new starts; every agent takes the same action, by race and row."""
+    """Steps races without resets, with the same ``actions`` each time; returns all data."""
     import torch
 
     data = env.reset()
@@ -55,7 +55,7 @@ def test_races_follow_the_specs_of_torchrl(races, name, is_continuous):
     assert env.reset()["state"].shape == (2, find_task(name).state_size)
 
 
-def test_a_race_of_the_batch_is_the_race_of_the_task(races):
+def test_a_race_of_the_batch_equals_the_race_of_the_task(races):
     env, own = races("team-2v2", seed=4), FlatTask(find_task("team-2v2").make())
     seen, _ = own.reset(seed=5)
     first = env.reset()
@@ -89,7 +89,7 @@ def test_a_seed_determines_the_races(races):
     assert (env.reset()["karts", "observation"] == other[:, 0]["karts", "observation"]).all()
 
 
-def test_agents_that_left_are_masked_and_the_race_goes_on(races):
+def test_agents_that_left_are_masked_and_the_race_continues(races):
     """A kart that stands still leaves after a second; the others race on until the limit."""
     import torch
 
@@ -118,7 +118,7 @@ def test_agents_that_left_are_masked_and_the_race_goes_on(races):
     assert not last["terminated"].any()
 
 
-def test_only_the_races_that_ended_start_again(races):
+def test_only_races_that_ended_restart(races):
     import torch
 
     env = races("solo-1", 2)
@@ -130,7 +130,7 @@ def test_only_the_races_that_ended_start_again(races):
     assert (again["karts", "observation"][0] != data["karts", "observation"][0]).any()
 
 
-def test_teams_are_groups_unless_one_group_is_asked_for(races):
+def test_teams_are_groups_unless_one_group_is_requested(races):
     assert races("team-2v2", 1).group_map == {
         "team_0": ["kart_0", "kart_3"],
         "team_1": ["kart_1", "kart_2"],

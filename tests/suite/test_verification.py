@@ -1,4 +1,4 @@
-"""Honest entries are verified, tampered ones are refused with the race and the step."""
+"""Honest entries are verified; tampered ones are refused, naming the race and the step."""
 
 import re
 import shutil
@@ -24,7 +24,7 @@ ALONE, WITH_RIVAL, WITH_DRIVER = 0, 1, 2
 
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory):
-    """The folder of an entry with six races."""
+    """Creates an entry with six races; returns its folder."""
     folder = tmp_path_factory.mktemp("entry") / "honest"
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(TASKS, SMALL.name, SMALL)
@@ -34,7 +34,7 @@ def honest(tmp_path_factory):
 
 @pytest.fixture
 def entry(honest, tmp_path):
-    """A copy of that folder."""
+    """Returns a copy of that folder."""
     return shutil.copytree(honest, tmp_path / "entry")
 
 
@@ -45,7 +45,7 @@ def refusal(folder):
 
 
 @pytest.mark.slow
-def test_an_honest_entry_is_verified_without_the_results_of_its_races(entry, capsys):
+def test_an_honest_entry_is_verified_without_stored_race_results(entry, capsys):
     shutil.rmtree(entry / "races")
     (entry / "plan.json").unlink()
     verified = verify_entry(entry)
@@ -55,7 +55,7 @@ def test_an_honest_entry_is_verified_without_the_results_of_its_races(entry, cap
 
 
 @pytest.mark.slow
-def test_an_action_that_changes_the_race_is_refused_at_its_step(entry):
+def test_a_changed_action_is_refused_at_its_step(entry):
     def brake(controls):
         controls[200, 0, :3] = 0, 0, 1
         return controls
@@ -66,7 +66,7 @@ def test_an_action_that_changes_the_race_is_refused_at_its_step(entry):
 
 
 @pytest.mark.slow
-def test_an_action_that_changes_nothing_is_refused_too(entry):
+def test_a_changed_action_without_effect_is_also_refused(entry):
     def fire(controls):
         controls[100, 0, 4] = 1 - controls[100, 0, 4]
         return controls
@@ -76,7 +76,7 @@ def test_an_action_that_changes_nothing_is_refused_too(entry):
 
 
 @pytest.mark.slow
-def test_a_rival_that_drove_otherwise_is_refused(entry):
+def test_a_rival_that_drove_differently_is_refused(entry):
     def stand(controls):
         controls[50:, 1] = 0
         return controls
@@ -91,7 +91,7 @@ def test_a_rival_that_drove_otherwise_is_refused(entry):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("steps", [50, 250])
-def test_a_race_that_is_cut_off_is_refused(entry, steps):
+def test_a_truncated_race_is_refused(entry, steps):
     change_controls(entry, ALONE, lambda controls: controls[:steps])
     name_replays(entry)
     assert f"race 0 (lighthouse forward): step {steps}: " in refusal(entry)
@@ -102,7 +102,7 @@ def test_a_race_that_is_cut_off_is_refused(entry, steps):
     ("name", "value"),
     [("seed", 1), ("engine_seed", 1), ("difficulty", 0), ("track", "hacienda"), ("laps", 2)],
 )
-def test_a_race_under_other_conditions_is_refused(entry, name, value):
+def test_a_race_with_changed_conditions_is_refused(entry, name, value):
     change_header(entry, ALONE, lambda header: header.update({name: value}))
     name_replays(entry)
     text = refusal(entry)
@@ -111,7 +111,7 @@ def test_a_race_under_other_conditions_is_refused(entry, name, value):
 
 
 @pytest.mark.slow
-def test_positions_that_were_not_there_are_refused(entry):
+def test_changed_positions_are_refused(entry):
     def change(members):
         digests = bytearray(members["digests.u1"])
         digests[8 * 120] ^= 1
@@ -159,19 +159,19 @@ def test_a_better_score_is_refused(entry):
         (lambda card: [card[name].pop() for name in ("races", "replays")], "it has 5 of 6 races"),
     ],
 )
-def test_other_rules_are_refused_before_any_race(entry, change, message):
+def test_changed_rules_are_refused_before_any_race(entry, change, message):
     card = read_entry(entry)
     change(card)
     write_entry(entry, card)
     assert message in refusal(entry)
 
 
-def test_missing_and_other_replays_are_refused(entry):
+def test_missing_and_extra_replays_are_refused(entry):
     replay_of(entry, 3).rename(entry / "replays" / "extra.stkz")
     assert "one replay per race; see 00003.stkz, extra.stkz" in refusal(entry)
 
 
-def test_an_entry_of_an_unknown_task_and_no_entry_at_all_are_one_error(entry, tmp_path):
+def test_an_unknown_task_and_a_missing_entry_are_errors(entry, tmp_path):
     card = read_entry(entry)
     card["plan"]["task"] = "smal"
     write_entry(entry, card)
@@ -182,8 +182,8 @@ def test_an_entry_of_an_unknown_task_and_no_entry_at_all_are_one_error(entry, tm
 
 
 @pytest.mark.slow
-def test_controls_that_a_rival_did_not_give_are_refused(entry):
-    """They would not change the race, in which the rival drives again."""
+def test_controls_that_a_rival_did_not_choose_are_refused(entry):
+    """Such controls would not change the race, because the verification runs the rival again."""
 
     def brake(controls):
         controls[100, 0, 2] = 1 - controls[100, 0, 2]

@@ -1,4 +1,4 @@
-"""Processes that drive races: what they share, their errors, and their end."""
+"""Actor processes: shared memory, errors and shutdown."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from stkzoo.errors import ConfigError, EngineCrashed, StkzooError
 from tests.support.paths import ROOT
 from tests.support.processes import process_exists, wait_until
 
-#: A learner that prints the ids of its actors' processes and then waits.
+#: A learner that prints the process ids of its actors and then waits.
 LEARNER = """
 import test_actors as here
 
@@ -86,12 +86,12 @@ def test_results_and_memory_are_shared():
         ("read", StkzooError, "/nowhere/file"),
     ],
 )
-def test_errors_of_actors_are_the_learners(pool, method, kind, message):
+def test_errors_of_actors_are_raised_in_the_learner(pool, method, kind, message):
     with pytest.raises(kind, match=message):
         pool.call(method, [()] * 2)
 
 
-def test_errors_at_the_start_are_too():
+def test_errors_at_the_start_of_an_actor_are_raised_in_the_learner():
     pool = ActorPool(Counter, [(SharedArray((1,), np.int64), -1)])
     try:
         with pytest.raises(ConfigError, match="start is -1"):

@@ -1,4 +1,4 @@
-"""Arguments that the training scripts share."""
+"""Arguments shared by the training scripts."""
 
 import pytest
 
@@ -19,11 +19,11 @@ def test_names_of_splits_are_replaced_with_their_tracks():
 @pytest.mark.parametrize(
     "kind", [DistillationArguments, LeagueArguments, SelfPlayArguments, TuningArguments]
 )
-def test_training_leaves_the_validation_tracks_out(kind):
+def test_training_excludes_the_validation_tracks(kind):
     assert kind(tracks=("train_only",)).tracks == TRAIN_ONLY_TRACKS
 
 
-def test_a_curriculum_over_a_split_goes_from_easy_to_hard():
+def test_a_curriculum_over_a_split_is_sorted_from_easy_to_hard():
     tracks = SB3Arguments(tracks=("train_only",)).tracks
     assert tracks == tuple(t for t in EASY_TO_HARD if t not in VALIDATION_TRACKS)
 

@@ -1,4 +1,4 @@
-"""Plans distilled into one network."""
+"""Distillation of plans into one network."""
 
 import json
 
@@ -41,7 +41,7 @@ def way_of(fleet):
     return float(kart["overall_distance"])
 
 
-def test_the_plans_answers_drive_as_the_plans_do(fleet):
+def test_labels_from_the_plans_drive_like_the_plans(fleet):
     start, plans = ("lighthouse", False, 0), RacingPolicy.of_plans_alone()
     view = begin_at(fleet, [start])
     for _ in range(120):
@@ -61,7 +61,7 @@ def test_the_plans_answers_drive_as_the_plans_do(fleet):
     assert drifted > 20
 
 
-def test_a_fleet_mirrors_nobody_if_told(fleet):
+def test_mirrored_races_can_be_disabled(fleet):
     fleet.begin(0)
     assert not fleet._is_mirrored.any()
 
@@ -84,10 +84,10 @@ def test_a_run_drives_by_plans_then_by_the_network(run):
 
 
 @pytest.mark.slow
-def test_its_network_is_compared_with_the_plans_in_the_same_races(run):
+def test_the_network_is_compared_with_the_plans_in_the_same_races(run):
     folder, log = run
     drivers = [match_driver(folder / "policy.safetensors"), match_driver("prior")]
-    # The races of the log's last figures:
+    # Repeat the races of the last log entry.
     network, plans = evaluate(drivers, SMALL.tracks, 1, bots=0, first_number=0)
     ratios = [min(finish.counted_ratio, distill._UNFINISHED) for (finish,) in network]
     assert np.mean(ratios) == pytest.approx(log[-1]["time_ratio_alone"], abs=1e-4)
@@ -96,7 +96,7 @@ def test_its_network_is_compared_with_the_plans_in_the_same_races(run):
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_with_its_round(run, tmp_path, monkeypatch):
+def test_a_killed_run_resumes_with_its_round(run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         calls = iter([distill._alone])
 
@@ -121,7 +121,7 @@ def test_another_run_is_refused_in_its_folder(run, capsys):
     assert "steps" in capsys.readouterr().err
 
 
-def test_its_agent_races(run):
+def test_the_agent_of_a_run_races(run):
     folder, _ = run
     result = run_race([str(folder / "agent"), "ai"], track="olivermath", max_steps=40)
     assert result.steps == 40

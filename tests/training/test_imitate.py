@@ -1,4 +1,4 @@
-"""Learning from a teacher: cloning and DAgger."""
+"""Imitation learning from a teacher: behavior cloning and DAgger."""
 
 import json
 
@@ -33,7 +33,7 @@ def weights_of(network):
 
 
 def examples(count=4000):
-    """What can be learned: the choices follow from the first numbers of what is seen."""
+    """Returns examples in which the choices depend on the first numbers of the observations."""
     random = np.random.default_rng(1)
     observations = random.normal(size=(count, SIZE)).astype(np.float32)
     sides = observations[:, 3:8]
@@ -44,7 +44,7 @@ def examples(count=4000):
 
 
 @pytest.mark.slow
-def test_a_network_learns_what_follows_from_what_it_sees():
+def test_a_network_learns_choices_that_depend_on_its_observations():
     observations, actions = examples()
     network = make_network((64,), seed=0)
     how = {"learning_rate": 3e-3, "batch_size": 256, "seed": 0}
@@ -54,7 +54,7 @@ def test_a_network_learns_what_follows_from_what_it_sees():
     assert last.accuracy[2] > 0.7
 
 
-def test_the_same_seed_learns_the_same():
+def test_the_same_seed_gives_the_same_network():
     observations, actions = examples(600)
     trained = []
     for _ in range(2):
@@ -75,7 +75,7 @@ def test_a_mirrored_example_steers_to_the_other_side():
     np.testing.assert_array_equal(back[1], actions)
 
 
-def test_the_network_is_a_policy_of_stable_baselines3():
+def test_the_network_matches_a_policy_of_stable_baselines3():
     network = make_network((64, 32), seed=0)
     driver = MlpDriver(weights_of(network))
     observations, _ = examples(20)
@@ -92,7 +92,7 @@ def imitated(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_run_clones_drives_and_learns_from_what_it_is_told(imitated):
+def test_a_run_clones_drives_and_learns_from_the_teachers_labels(imitated):
     folder, log = imitated
     assert [line["driver"] for line in log] == ["pursuit", "behaviour cloning", "DAgger, round 1"]
     assert log[0]["finished"] == 1.0
@@ -102,7 +102,7 @@ def test_a_run_clones_drives_and_learns_from_what_it_is_told(imitated):
 
 
 @pytest.mark.slow
-def test_a_run_that_is_given_again_drives_nothing_anew(imitated):
+def test_repeating_a_finished_run_drives_no_races(imitated):
     folder, log = imitated
     lessons = sorted(folder.glob("lessons-*.npz"))
     assert len(lessons) == 3
@@ -112,7 +112,7 @@ def test_a_run_that_is_given_again_drives_nothing_anew(imitated):
 
 
 @pytest.mark.slow
-def test_its_policy_races_and_starts_self_play(imitated):
+def test_the_policy_races_and_can_start_self_play(imitated):
     folder, _ = imitated
     driver = load_driver(folder / "policy.safetensors")
     assert driver.best(np.zeros((3, SIZE), np.float32)).shape == (3, 5)
@@ -122,7 +122,7 @@ def test_its_policy_races_and_starts_self_play(imitated):
 
 
 @pytest.mark.slow
-def test_its_picture_is_drawn(imitated, tmp_path):
+def test_the_plot_of_a_run_is_drawn(imitated, tmp_path):
     plot_runs([imitated[0]], tmp_path / "curve.png")
     assert (tmp_path / "curve.png").stat().st_size > 5000
 
@@ -161,7 +161,7 @@ def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
     assert "recorded in the view 'simple', expected racing" in capsys.readouterr().err
 
 
-def test_the_games_ai_can_be_cloned_but_not_asked():
+def test_the_games_ai_can_be_cloned_but_cannot_label():
     words = ["--output", "x", "--teacher", "ai", "--rounds", "0"]
     found = []
     kinds = ScriptOptions, TeacherArguments

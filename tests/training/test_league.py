@@ -1,4 +1,4 @@
-"""The league: who meets whom, matches, the page, and going on after a kill."""
+"""The league: matchmaking, matches, the page, and resuming after a kill."""
 
 import json
 import os
@@ -76,7 +76,7 @@ def plans_alone(_):
 # ---------------------------------------------------------------------- players
 
 
-def test_players_take_turns_in_the_order_of_their_kinds():
+def test_players_take_turns_in_order_of_their_kinds():
     names = [player.name for player in new_players(1, 2, 1)]
     assert names == ["main", "exploiter-a", "exploiter-b", "league-exploiter"]
     with pytest.raises(ConfigError, match="one main player or more"):
@@ -89,7 +89,7 @@ def draws(kind, pool=(), count=300):
     return [matchmaker.draw(random) for _ in range(count)]
 
 
-def test_a_main_player_meets_itself_and_everybody():
+def test_a_main_player_meets_itself_and_all_members():
     met = draws("main")
     assert 100 < met.count(None) < 200
     assert set(met) == {None, *(member["name"] for member in MEMBERS)}
@@ -101,7 +101,7 @@ def test_an_exploiter_meets_the_newest_main_player():
     assert set(draws("exploiter", [hopeless])) == {"main-001", "main-002"}
 
 
-def test_a_league_exploiter_meets_those_that_it_does_not_beat():
+def test_a_league_exploiter_meets_members_that_it_does_not_beat():
     pool = [{"name": member["name"], "beaten": 1.0, "races": 30} for member in MEMBERS]
     pool[1]["beaten"] = 0.1
     met = draws("league-exploiter", pool)
@@ -109,7 +109,7 @@ def test_a_league_exploiter_meets_those_that_it_does_not_beat():
     assert set(met) > {"main-001"}
 
 
-def test_who_has_won_or_tried_for_long_begins_anew():
+def test_an_exploiter_that_won_or_trained_long_starts_over():
     exploiter = Player("exploiter", "exploiter", turns=1, kart_steps=50, pool=[{}])
     assert not exploiter.is_done(0.5, patience=2)
     assert exploiter.is_done(0.9, patience=2)
@@ -124,13 +124,13 @@ def test_who_has_won_or_tried_for_long_begins_anew():
 # ---------------------------------------------------------------------- matches
 
 
-def test_the_newest_member_meets_those_it_has_met_least():
+def test_the_newest_member_meets_members_it_has_met_least():
     names = [member["name"] for member in MEMBERS]
     tracks = ["olivermath", "lighthouse"]
     random = np.random.default_rng(0)
     matches = draw_matches("main-002", [*names, "other"], MATCHES, tracks, 3, random)
     assert all(match.drivers[0] == "main-002" for match in matches)
-    assert "other" in matches[0].drivers  # has met all others once
+    assert "other" in matches[0].drivers  # main-002 has met all others once
     assert [match.track for match in matches] == ["olivermath", "lighthouse", "olivermath"]
     assert [match.reverse for match in matches] == [False, False, True]
     alone = draw_matches("new", ["start", "new"], [], tracks, 1, random)
@@ -144,8 +144,8 @@ def test_payoffs_are_shares_of_common_matches():
 
 
 @pytest.mark.slow
-def test_a_match_is_driven_to_its_end():
-    """Policies that differ in nothing but a leaning towards the brake."""
+def test_a_match_runs_to_its_end():
+    """The two policies differ only in a bias toward braking."""
     plans = RacingPolicy.of_plans_alone()
     leaning = {**plans.weights, "b2": plans.weights["b2"].copy()}
     leaning["b2"][1] = 100.0
@@ -196,7 +196,7 @@ def test_rivals_drive_without_teaching():
         actor.close()
 
 
-def test_the_league_hears_of_the_duels_of_all_actors(tmp_path):
+def test_the_league_gets_the_duels_of_all_actors(tmp_path):
     names = ("tracks", "batch_size", "hidden", "n_epochs")
     shared = {name: SMALL[name] for name in names}
     arguments = SelfPlayArguments(
@@ -227,7 +227,7 @@ def test_weights_of_another_network_are_refused(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_after_a_kill_the_turn_is_played_again_as_it_was(tmp_path):
+def test_after_a_kill_the_turn_is_repeated_with_the_same_result(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     command = [sys.executable, "-m", "stkzoo.agents.training.league.league"]
     done = subprocess.run([*command, *words(whole, 100)], capture_output=True, text=True)
@@ -257,7 +257,7 @@ RATINGS = {name: [25.0 + n, 23.0, 29.0] for n, name in enumerate(["ai", "start",
 RATINGS |= {"main-002": [28.0, 26.0, 31.0], "exploiter-001": [24.0, 20.0, 27.0]}
 
 
-def test_the_page_needs_nothing_from_elsewhere():
+def test_the_page_loads_no_external_files():
     text = page(MEMBERS, MATCHES, RATINGS)
     assert "http" not in text
     assert "<script" not in text
@@ -267,7 +267,7 @@ def test_the_page_needs_nothing_from_elsewhere():
     )
 
 
-def test_many_members_are_not_all_in_the_matrix():
+def test_the_matrix_shows_only_some_of_many_members():
     members = MEMBERS + [{**MEMBERS[3], "name": f"main-{n:03d}"} for n in range(3, 60)]
     ratings = {member["name"]: [25.0, 20.0, 30.0] for member in members}
     text = page(members, MATCHES, ratings)
@@ -286,7 +286,7 @@ def test_the_page_fits_phones_and_desktops(tmp_path, width, is_dark):
         reader.show((tmp_path / "league.html").as_uri(), width=width, is_dark=is_dark)
         assert reader.text("h1") == "League"
         assert reader.run("return document.documentElement.scrollWidth") <= width
-        assert len(reader.all("[id^=curve] use")) == 3  # past selves
+        assert len(reader.all("[id^=curve] use")) == 3  # past versions
         cells = [cell.text for cell in reader.all(".who td")]
         assert cells.count("100") >= 2
         paper = reader.run("return getComputedStyle(document.body).backgroundColor")
@@ -296,7 +296,7 @@ def test_the_page_fits_phones_and_desktops(tmp_path, width, is_dark):
         browser.quit()
 
 
-def test_it_is_a_command_of_its_own_with_its_own_help(capsys):
+def test_league_is_a_command_with_its_own_help(capsys):
     assert command_line(["league", "--help"]) == 0
     assert "stkzoo league --output leagues/first" in capsys.readouterr().out
     assert command_line(["league"]) == 2

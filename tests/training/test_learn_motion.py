@@ -1,4 +1,4 @@
-"""The network of the karts' motion is learned from real races."""
+"""The motion network learns from real races."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ pytest.importorskip("torch", reason="extra train")
 
 
 @pytest.mark.slow
-def test_a_short_training_makes_a_network_that_plans_can_use(tmp_path, monkeypatch, capsys):
+def test_a_short_training_gives_a_network_that_plans_can_use(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(learn_motion, "_STEPS", 80)
     words = [f"--output={tmp_path}", "--rounds=1", "--n-epochs=3", "--hidden", "8", "6"]
     assert learn_motion.main(words) == 0
@@ -34,7 +34,7 @@ def test_the_gradient_finds_a_known_motion():
     random = np.random.default_rng(0)
     inputs = random.normal(size=(4000, 17)).astype(np.float32)
     truth = random.normal(0, 0.05, (3, 17)).astype(np.float32)
-    truth[:, learn_motion._ODD] *= np.array([[1], [0], [1]])  # as in a mirrored race
+    truth[:, learn_motion._ODD] *= np.array([[1], [0], [1]])  # antisymmetric, as in a mirrored race
     truth[:, ~learn_motion._ODD] *= np.array([[0], [1], [0]])
     truth[:, -1] = 0
     outputs = inputs @ truth.T

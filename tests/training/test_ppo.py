@@ -1,4 +1,4 @@
-"""Learning by self-play: it learns, ends, and goes on after a kill as if nothing had been."""
+"""Learning by self-play: it learns, ends, and resumes after a kill with the same result."""
 
 import json
 import os
@@ -69,7 +69,7 @@ def test_it_learns_and_ends(tmp_path):
     assert log[-1]["kart_steps"] >= 150
     assert [line["iteration"] for line in log] == list(range(1, len(log) + 1))
     assert all(np.isfinite(list(line.values())).all() for line in log)
-    assert log[0]["kl"] < 1e-5  # while only the value is learned
+    assert log[0]["kl"] < 1e-5  # during warm-up, only the value function learns
     assert log[-1]["kl"] > 1e-5
     assert last_policy(tmp_path / "run")["w0"].shape == (INPUT_SIZE, 16)
     assert list((tmp_path / "run").glob("events.out.tfevents.*"))
@@ -80,7 +80,7 @@ def test_it_learns_and_ends(tmp_path):
 def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
     assert learn(tmp_path / "whole", 480) == 0
     killed = tmp_path / "killed"
-    # Past a checkpoint, and one more iteration that will be lost.
+    # Kill it one iteration after a checkpoint, so that the iteration is lost.
     run_and_kill(main, words(killed, 100_000), killed / "log.jsonl", lines=5)
     assert learn(killed, 480) == 0
     assert log_of(killed) == log_of(tmp_path / "whole")
@@ -99,7 +99,7 @@ def test_other_arguments_are_refused_unless_they_may_change(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path, capsys):
+def test_a_run_refuses_changed_parameters_of_its_plans(tmp_path, capsys):
     assert learn(tmp_path, 40) == 0
     state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
     facts = json.loads(state["facts"])
@@ -109,7 +109,7 @@ def test_a_run_keeps_to_the_numbers_of_its_plans(tmp_path, capsys):
     assert "margin was 9.0, now" in capsys.readouterr().err
 
 
-def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
+def test_choices_that_are_not_learned_stay_at_those_of_the_plans(tmp_path):
     begin, turn, *_ = HEADS
     changes = {"warm_up": 0, "learns": ("begin", "fire")}
     learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
@@ -123,13 +123,13 @@ def test_choices_that_are_not_learned_stay_those_of_the_plans(tmp_path):
     assert (weights["w2"][:, begin] != before["w2"][:, begin]).any()
 
 
-def test_an_offset_that_holds_is_chosen_once_for_its_steps(tmp_path):
+def test_a_held_offset_is_chosen_once_for_all_its_steps(tmp_path):
     changes = {"n_steps": 32, "races": ("4x1",), "learns": ("begin", "turn"), "turn_hold": 4}
     learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
     learner.iterate()
     rollout = learner._rollouts[0][0].copy()
     learner.close()
-    chosen = rollout["choices"][..., 1].reshape(8, 4, 4)  # from the start of the race on
+    chosen = rollout["choices"][..., 1].reshape(8, 4, 4)  # from the start of the race
     assert (chosen == chosen[:, :1]).all()
     assert len(np.unique(chosen)) > 1
     assert run_parameters(tmp_path).turn_hold == 4
@@ -146,8 +146,8 @@ def test_unknown_choices_are_refused(tmp_path, names):
         PPOLearner(tmp_path, SelfPlayArguments(**SMALL | {"learns": names}))
 
 
-def test_a_fleet_begins_the_same_races_with_the_same_seed():
-    """After other races too, on which nothing may depend."""
+def test_a_fleet_starts_the_same_races_with_the_same_seed():
+    """Earlier races of the fleet do not matter."""
     chance = np.random.default_rng(0)
     forms = [Lineup(2, 1), Lineup(1, 0)]
     one, other = (Fleet(forms, ["lighthouse"]) for _ in range(2))
@@ -168,8 +168,8 @@ def test_a_fleet_begins_the_same_races_with_the_same_seed():
         one.close(), other.close()
 
 
-def test_the_way_is_paid_and_a_race_ends_at_the_finish():
-    """The likeliest of what the plans alone would choose."""
+def test_distance_is_rewarded_and_a_race_ends_at_the_finish():
+    """Takes the most likely choices of the plans."""
     fleet = Fleet([Lineup(1, 0)], ["olivermath"])
     try:
         view = fleet.begin(3)
@@ -188,7 +188,7 @@ def test_the_way_is_paid_and_a_race_ends_at_the_finish():
         assert len(finishes) == 1
         assert finishes[0].track == "olivermath"
         assert finishes[0].ratio is not None
-        assert fleet.active.all()  # the next one has begun
+        assert fleet.active.all()  # the next race has started
     finally:
         fleet.close()
 
@@ -210,12 +210,12 @@ def test_policies_are_compared_in_the_same_races():
     prior = match_driver("prior")
     once, again = evaluate([prior, prior], ["olivermath"], 1, bots=1)
     assert once == again
-    assert len(once) == 2  # both ways
+    assert len(once) == 2  # both directions
     assert all(0.5 < finish.counted_ratio < 2.0 for (finish,) in once)
 
 
 @pytest.mark.slow
-def test_plans_go_by_the_numbers_of_their_run(tmp_path):
+def test_plans_use_the_parameters_of_their_run(tmp_path):
     arguments = SelfPlayArguments(**SMALL | {"plans": BY_HAND})
     learner = PPOLearner(tmp_path, arguments)
     file = learner.save_policy()
@@ -229,7 +229,7 @@ def test_plans_go_by_the_numbers_of_their_run(tmp_path):
     assert results[0] == results[2] != results[1]
 
 
-def test_unknown_numbers_and_those_of_another_version_are_refused(tmp_path):
+def test_unknown_parameters_and_those_of_another_version_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"'best\.json' has no parameters of plans"):
         match_driver("prior:best.json")
     rules = asdict(DriverParameters()) | {"courage": 1.0}
@@ -238,7 +238,7 @@ def test_unknown_numbers_and_those_of_another_version_are_refused(tmp_path):
         run_parameters(tmp_path)
 
 
-def test_what_is_no_policy_is_refused(tmp_path, capsys):
+def test_an_invalid_policy_is_refused(tmp_path, capsys):
     (tmp_path / "p.safetensors").write_bytes(b"nothing")
     assert evaluate_main([str(tmp_path / "p.safetensors")]) == 1
     assert "no safetensors file" in capsys.readouterr().err

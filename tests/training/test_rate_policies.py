@@ -1,4 +1,4 @@
-"""Kept policies of runs rated against one another."""
+"""Ratings of saved policies of runs against one another."""
 
 import json
 from collections import Counter
@@ -30,7 +30,7 @@ from tests.support.networks import small_network
 
 @pytest.fixture
 def run(tmp_path):
-    """A run's folder whose later policies do nothing but turn to the left."""
+    """Makes a run's folder whose later policies only turn left."""
     folder = tmp_path / "first"
     folder.mkdir()
     for number, steps in enumerate((100, 1_000_100, 2_000_200)):
@@ -51,7 +51,7 @@ def test_policies_are_named_by_run_and_steps(run):
         kept_policies([run.parent], 0)
 
 
-def test_everybody_races_equally_often_and_everywhere():
+def test_all_policies_race_equally_often_and_on_all_tracks():
     names = [f"p{n}" for n in range(7)]
     matches = [draw_match(names, number) for number in range(28)]
     assert Counter(name for match in matches for name in match.drivers) == dict.fromkeys(names, 16)
@@ -60,7 +60,7 @@ def test_everybody_races_equally_often_and_everywhere():
 
 
 @pytest.mark.slow
-def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path, capsys):
+def test_better_policies_are_rated_higher_and_races_can_be_added(run, tmp_path, capsys):
     words = [str(run), "--every=0", f"--output={tmp_path / 'out'}"]
     assert main([*words, "--matches=1"]) == 0
     first = (tmp_path / "out" / "matches.jsonl").read_text()
@@ -78,7 +78,7 @@ def test_the_better_ones_are_rated_higher_and_more_races_are_added(run, tmp_path
     assert "3 of 3 races" in capsys.readouterr().out
 
 
-def test_how_often_who_learned_for_longer_is_ahead():
+def test_learning_progress_is_the_share_of_duels_won_by_longer_training():
     def races(*orders):
         return [MatchRecord(0, "mines", False, list(order)) for order in orders]
 
@@ -97,8 +97,8 @@ def test_too_few_policies_are_refused(run, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_policies_of_stable_baselines_are_rated_too(tmp_path):
-    """From nothing to one that goes straight on, which standing still does not beat."""
+def test_policies_of_stable_baselines_can_be_rated_too(tmp_path):
+    """The last policy drives straight ahead, which is better than standing still."""
     folder = tmp_path / "from_nothing"
     folder.mkdir()
     for number, steps in enumerate((0, 1_000_100, 2_000_200, 3_000_300)):
@@ -126,11 +126,11 @@ def test_runs_of_all_scripts_are_rated_together(run):
     match = Match(("plans", "network", START), "olivermath", bots=0)
     (finishes,) = play_matches([match], drivers)
     assert sorted(finish.rank for finish in finishes) == [1, 2, 3]
-    assert match.order(finishes)[-1] == "network"  # it does not know where to drive
+    assert match.order(finishes)[-1] == "network"  # it does not follow the road
 
 
 @pytest.mark.slow
-def test_a_driver_with_two_karts_counts_by_the_better_one():
+def test_a_driver_with_two_karts_counts_with_the_better_one():
     def choose(pedal):
         return network_driver(lambda seen: np.tile([10, pedal, 0, 0, 0], (len(seen), 1)))
 
@@ -142,7 +142,7 @@ def test_a_driver_with_two_karts_counts_by_the_better_one():
     assert 1 < min(go) < stand
 
 
-def test_the_places_that_no_driver_has_are_those_of_the_ai():
+def test_ranks_without_a_driver_belong_to_the_ai():
     match = Match(("a", "b", "a"), "lighthouse", bots=2)
     ends = [Finish("lighthouse", False, match.start.lineup, 1.0, 1.0, rank) for rank in (1, 3, 4)]
     assert match.order(ends, "ai") == ["a", "ai", "b"]

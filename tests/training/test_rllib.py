@@ -1,8 +1,8 @@
-"""The RLlib script without training.
+"""The RLlib script, without training.
 
-Ray wants an older Gymnasium than the rest of the tests, so it is usually not installed here, and
-the tests that need it are in test_rllib_runner.py. ``python -m benchmarks.rllib_cluster`` runs the
-whole script: docs/how-to/cluster.md.
+Ray needs an older Gymnasium than the other tests, so it is usually not installed; the tests that
+need it are in test_rllib_runner.py. ``python -m benchmarks.rllib_cluster`` runs the whole script;
+see docs/how-to/cluster.md.
 """
 
 import importlib.util
@@ -34,20 +34,20 @@ from tests.support.networks import small_network
 POLICIES = RLlibArguments(learners=2, frozen=2, slots=3)
 
 
-def test_the_first_karts_learn_and_past_selves_drive_the_others():
+def test_the_first_karts_learn_and_past_versions_drive_the_others():
     assert POLICIES.modules == [MAIN, "past_0", "past_1", "past_2"]
     assert POLICIES.modules_of(0) == [MAIN, MAIN, "past_0", "past_1"]
     assert POLICIES.modules_of(2) == [MAIN, MAIN, "past_2", "past_0"]
 
 
-def test_a_new_snapshot_takes_the_oldest_ones_place():
+def test_a_new_snapshot_replaces_the_oldest_one():
     assert [POLICIES.slot(number) for number in range(5)] == [
         *("past_0", "past_1", "past_2"),
         *("past_0", "past_1"),
     ]
 
 
-def test_without_past_selves_there_is_one_module():
+def test_without_past_versions_there_is_one_module():
     assert RLlibArguments(learners=4, frozen=0, slots=5).modules == [MAIN]
 
 
@@ -57,7 +57,7 @@ def test_the_share_of_pairs_won_counts_all_pairs():
     assert win_share([1, 2], []) is None
 
 
-def test_races_are_made_as_asked():
+def test_races_follow_the_arguments():
     arguments = RLlibArguments(
         tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7, envs_per_runner=2
     )
@@ -75,7 +75,7 @@ def test_races_are_made_as_asked():
 
 
 class FakeRaces:
-    """Two races of three slots, whose observations are slot, steps of the race and race number.
+    """Two races with three slots each; observations are slot, step and number of the race.
 
     Slot ``s`` finishes after ``lengths[s]`` steps, or is truncated at step 5.
     """
@@ -131,7 +131,7 @@ class FakeRaces:
 
 
 def sampler_of(races, **likes):
-    """A sampler of races of two learners and a past self, whose networks prefer some choices."""
+    """Returns a sampler for two learners and a past version; ``likes`` gives preferred choices."""
     sampler = RaceSampler(races, RLlibArguments(learners=2, frozen=1, slots=2), seed=3)
     for module in (MAIN, "past_0", "past_1"):
         network = small_network(likes.get(module, ()), inputs=SIZE)
@@ -140,7 +140,7 @@ def sampler_of(races, **likes):
 
 
 def moments(fragment):
-    """What a fragment's observations say: its slot, the steps of the race and its number."""
+    """Returns the slot, step and race number from each observation of a fragment."""
     return fragment.observations[:, :3].astype(int).tolist()
 
 
@@ -150,7 +150,7 @@ def test_only_the_learners_karts_are_recorded():
     assert all(len(fragment) == 2 for fragment in fragments)
 
 
-def test_an_episode_that_is_cut_continues_in_the_next_sample():
+def test_an_unfinished_episode_continues_in_the_next_sample():
     sampler = sampler_of(FakeRaces([9] * 6))
     first, second = (sampler.sample(8)[1] for _ in range(2))
     assert moments(first) == [[1, 0, 0], [1, 1, 0], [1, 2, 0]]
@@ -189,7 +189,7 @@ def test_each_kart_is_driven_by_the_network_of_its_module():
     assert races.acted[0][:, 0].tolist() == [2, 2, 4, 2, 2, 4]
 
 
-def test_new_weights_drive_from_the_next_step_on():
+def test_new_weights_apply_from_the_next_step():
     races = FakeRaces([9] * 6)
     sampler = sampler_of(races, main=[2])
     sampler.sample(4)
@@ -198,7 +198,7 @@ def test_new_weights_drive_from_the_next_step_on():
     assert [acted[0, 0] for acted in races.acted] == [2, 3]
 
 
-def test_log_probabilities_are_those_of_the_actions():
+def test_log_probabilities_match_the_actions():
     fragment = sampler_of(FakeRaces([9] * 6)).sample(8)[0]
     expected = np.zeros(len(fragment))
     for choice, logits in enumerate(np.split(fragment.logits, np.cumsum(CHOICES)[:-1], axis=1)):
@@ -207,7 +207,7 @@ def test_log_probabilities_are_those_of_the_actions():
     np.testing.assert_allclose(fragment.log_probabilities, expected, rtol=1e-5)
 
 
-def test_results_are_of_whole_races():
+def test_results_cover_whole_races():
     sampler = sampler_of(FakeRaces([9] * 6))
     sampler.sample(12)
     assert sampler.results == []
@@ -224,11 +224,11 @@ def test_a_race_that_crashes_is_truncated_and_has_no_result():
     assert [result.reward for result in sampler.results] == [35.0]
 
 
-def test_nothing_is_installed_where_the_data_is():
+def test_nothing_is_installed_where_the_data_exists():
     assert ensure_assets() is False
 
 
-def test_a_node_without_the_data_that_nobody_sends_it_says_so(tmp_path, monkeypatch):
+def test_a_node_without_data_needs_a_pack(tmp_path, monkeypatch):
     empty = tmp_path / "cache"
     monkeypatch.setenv("STKZOO_CACHE", str(empty))
     monkeypatch.setenv("SUPERTUXKART_DATADIR", "")
@@ -241,10 +241,10 @@ def test_a_node_without_the_data_that_nobody_sends_it_says_so(tmp_path, monkeypa
         with pytest.raises(AssetError):
             ensure_assets(archive=str(tmp_path / "no.tar.xz"))
     else:
-        assert ensure_assets() is False  # the game itself is installed on this system
+        assert ensure_assets() is False  # the game is installed on this system
 
 
-def test_the_learned_weights_have_the_names_of_stable_baselines3():
+def test_learned_weights_have_the_names_of_stable_baselines3():
     shapes = {
         "encoder.actor_encoder.net.mlp.0": (8, SIZE),
         "encoder.actor_encoder.net.mlp.2": (4, 8),
@@ -263,7 +263,7 @@ def test_the_learned_weights_have_the_names_of_stable_baselines3():
     assert MlpDriver(weights).best(np.zeros((1, SIZE), np.float32)).shape == (1, 5)
 
 
-def test_the_command_line_is_read():
+def test_the_command_line_is_parsed():
     words = ["--output", "run", "--track", "train", "--hidden", "64", "32"]
     found = []
     kinds = ScriptOptions, RLlibArguments
@@ -275,7 +275,7 @@ def test_the_command_line_is_read():
     assert arguments.learners == 2
 
 
-def test_the_trial_of_a_cluster_uses_options_that_exist(tmp_path):
+def test_the_cluster_benchmark_uses_existing_options(tmp_path):
     words = Trial(tmp_path, 10, 1.0, "some.tar.xz").words("auto")
     kinds = ScriptOptions, RLlibArguments
     assert command_parser("rllib.selfplay", "", kinds).parse_args(words).train_batch_size == 120
@@ -297,11 +297,11 @@ def test_bad_arguments_are_told(words, text, capsys):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="Ray is installed")
-def test_without_ray_it_says_what_to_install(tmp_path, capsys):
+def test_without_ray_the_error_says_what_to_install(tmp_path, capsys):
     assert main(["--output", str(tmp_path / "run")]) == 1
     assert install_command("rllib") in capsys.readouterr().err
 
 
-def test_past_selves_need_a_slot():
+def test_past_versions_need_a_slot():
     with pytest.raises(ConfigError, match="frozen is -1"):
         RLlibArguments(frozen=-1)

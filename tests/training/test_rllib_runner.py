@@ -1,4 +1,4 @@
-"""RLlib's learner on the episodes of stkzoo's env runner. Needs Ray; skipped without it."""
+"""RLlib's learner with episodes from stkzoo's env runner. These tests need Ray."""
 
 import os
 import signal
@@ -58,7 +58,7 @@ def values_of(module, observations):
 
 
 def targets_of(episode, module):
-    """Value targets by generalized advantage estimation, step by step."""
+    """Returns value targets from generalized advantage estimation, computed step by step."""
     values = values_of(module, episode.get_observations())
     rewards = episode.get_rewards()
     if episode.is_terminated:
@@ -71,7 +71,7 @@ def targets_of(episode, module):
     return targets[::-1]
 
 
-def test_the_learner_bootstraps_chunks_and_truncated_episodes_but_not_the_finish(algorithm):
+def test_the_learner_bootstraps_fragments_and_truncations_but_not_finishes(algorithm):
     learner, runner = learner_of(algorithm), algorithm.env_runner
     episodes = runner.sample(num_timesteps=60) + runner.sample(num_timesteps=60)
     assert {episode.is_truncated for episode in episodes} == {True, False}
@@ -92,7 +92,7 @@ def test_the_learner_bootstraps_chunks_and_truncated_episodes_but_not_the_finish
     )
 
 
-def test_the_kernels_networks_and_the_learners_agree(algorithm):
+def test_networks_of_the_kernel_and_the_learner_agree(algorithm):
     import torch
 
     module = learner_of(algorithm).module[MAIN]
@@ -117,7 +117,7 @@ def test_an_iteration_reports_the_learners_steps_and_the_races(algorithm):
     assert np.isfinite(figures[1]["module_episode_returns_mean"][MAIN])
 
 
-def test_a_snapshot_drives_from_the_next_sample_on(algorithm):
+def test_a_snapshot_drives_from_the_next_sample(algorithm):
     from stkzoo.agents.training.rllib.callbacks import copy_main
 
     algorithm.train()
@@ -130,7 +130,7 @@ def test_a_snapshot_drives_from_the_next_sample_on(algorithm):
 
 
 @pytest.mark.usefixtures("algorithm")  # starts Ray
-def test_an_env_runner_that_is_killed_comes_back():
+def test_a_killed_env_runner_is_restarted():
     from stkzoo.agents.training.rllib.selfplay import build_config
 
     remote = build_config(replace(ARGUMENTS, env_runners=1)).build_algo()

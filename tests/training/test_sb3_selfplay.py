@@ -1,4 +1,4 @@
-"""Self-play with Stable-Baselines3: rivals, curriculum, races, and going on after a kill."""
+"""Self-play with Stable-Baselines3: rivals, curriculum, races and resuming after a kill."""
 
 import json
 import os
@@ -65,7 +65,7 @@ def last_policy(folder):
 
 @pytest.fixture(scope="module")
 def policy():
-    """An untrained one."""
+    """Returns an untrained policy."""
     envs = RaceVecEnv(1, num_kart=1, track="olivermath", view="racing")
     model = PPO("MlpPolicy", envs, policy_kwargs={"net_arch": [16, 16]}, device="cpu", seed=1)
     envs.close()
@@ -75,7 +75,7 @@ def policy():
 # ---------------------------------------------------------------------- rivals and curriculum
 
 
-def test_hard_rivals_come_more_often():
+def test_hard_rivals_are_drawn_more_often():
     pool = RivalPool(3)
     for name in ("hard", "even", "easy"):
         pool.add(name)
@@ -87,11 +87,11 @@ def test_hard_rivals_come_more_often():
     counts = [drawn.count(name) for name in ("hard", "even", "easy")]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > 2 * counts[1] > 0
-    assert counts[2] > 0  # nothing is forgotten altogether
+    assert counts[2] > 0  # easy rivals still appear
     assert {pool.draw(random, ["even"]) for _ in range(9)} == {"even"}
 
 
-def test_the_most_beaten_rival_goes_when_the_pool_is_full():
+def test_a_full_pool_drops_the_most_beaten_rival():
     pool = RivalPool(2)
     pool.add("first")
     pool.add("second")
@@ -99,10 +99,10 @@ def test_the_most_beaten_rival_goes_when_the_pool_is_full():
     pool.update("second", 1.0)
     pool.add("third")
     assert [rival.name for rival in pool.opponents] == ["first", "third"]
-    pool.update("second", 1.0)  # a race that was still under way
+    pool.update("second", 1.0)  # the result of a race that was still running is ignored
 
 
-def test_a_pool_comes_back():
+def test_a_pool_can_be_restored():
     pool, other = RivalPool(2), RivalPool(2)
     pool.add("first")
     pool.update("first", 1.0)
@@ -126,7 +126,7 @@ def test_stages_open_tracks_then_directions():
     assert again.is_reversible
     drawn = {again.draw(np.random.default_rng(seed)) for seed in range(40)}
     assert drawn == {(track, way) for track in ("one", "two") for way in (False, True)}
-    assert not [again.update(1.0) for _ in range(9)].count(True)  # there is no more
+    assert not [again.update(1.0) for _ in range(9)].count(True)  # no stages are left
 
 
 def test_all_training_tracks_are_in_the_curriculum():
@@ -136,7 +136,7 @@ def test_all_training_tracks_are_in_the_curriculum():
 # ---------------------------------------------------------------------- races
 
 
-def test_groups_of_races_are_read():
+def test_groups_of_races_are_parsed():
     assert parse_races(["4x3", "2+1"]) == [*[Lineup(4, 0)] * 3, Lineup(2, 1)]
     for text in ("many", "0x2", "2+-1", "2x0", "2x", ""):
         with pytest.raises(ConfigError, match="expected for example 4x3"):
@@ -202,8 +202,8 @@ def test_the_same_seed_gives_the_same_races(policy):
 
 
 @pytest.mark.slow
-def test_pace_and_places_of_a_whole_race():
-    """Full throttle from the grid, straight on; the AI leaves it behind."""
+def test_the_end_of_a_race_reports_pace_and_beaten_rivals():
+    """Drives straight ahead at full throttle, so that the AI wins."""
     bots, snapshots = pools()
     groups = [Lineup(1, 1)]
     envs = SelfPlayVecEnv(groups, Curriculum(["olivermath"]), bots, snapshots, grid_share=1)
@@ -222,8 +222,8 @@ def test_pace_and_places_of_a_whole_race():
 
 
 @pytest.mark.slow
-def test_the_way_goes_on_behind_the_finish(monkeypatch):
-    """Towards the learner a finish is a race that is cut short, with a last view."""
+def test_a_finish_is_a_truncation_for_the_learner(monkeypatch):
+    """The learner also gets the final observation and all rewards."""
     near_finish = Start(share=0.97, speed=15.0)
     monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
     bots, snapshots = pools()
@@ -249,11 +249,11 @@ def test_the_way_goes_on_behind_the_finish(monkeypatch):
 # ---------------------------------------------------------------------- policies
 
 
-RIGHT, LEFT = 15, 5  # 0.31 of full lock
+RIGHT, LEFT = 15, 5  # 0.31 of the full steering angle
 
 
 def views(*speeds, skid=2.0, **parts):
-    """Views of karts that go so fast [m/s]."""
+    """Returns observations of karts with the given speeds [m/s]."""
     seen = np.zeros((len(speeds), SIZE), np.float32)
     seen[:, PLACES["velocity"].start + 2] = np.array(speeds) / 20.0
     seen[:, PLACES["skeed_factor"]] = skid
@@ -263,14 +263,14 @@ def views(*speeds, skid=2.0, **parts):
 
 
 def drives(action_filter, steers, drifts, **others):
-    """What is done of one step's steering and drifting."""
+    """Returns the filtered choices for one step's steering and drifting."""
     action_filter.look(views(*[20.0] * len(steers), **others))
     choices = np.zeros((len(steers), 5), int)
     choices[:, 0], choices[:, 2] = steers, drifts
     return action_filter.apply(choices)
 
 
-def test_a_drift_is_held_from_where_it_begins():
+def test_a_drift_is_held_from_its_start():
     action_filter = ActionFilter(2, 3)
 
     def down(*asked):
@@ -284,7 +284,7 @@ def test_a_drift_is_held_from_where_it_begins():
     assert down(0, 0) == [0, 0]
 
 
-def test_a_drift_needs_speed_and_a_side_and_a_hop_that_is_over():
+def test_a_drift_needs_speed_a_side_and_a_finished_hop():
     assert drives(ActionFilter(1, 3), [10], [1])[0, 2] == 0
     slow, choices = ActionFilter(1, 3), np.array([[RIGHT, 0, 1, 0, 0]])
     slow.look(views(8.0))
@@ -293,30 +293,30 @@ def test_a_drift_needs_speed_and_a_side_and_a_hop_that_is_over():
     assert [drives(hops, [RIGHT], [asked])[0, 2] for asked in (1, 0, 1, 1, 1)] == [1, 0, 0, 0, 1]
 
 
-def test_who_steers_to_the_other_side_lets_go_of_a_drift():
+def test_steering_to_the_other_side_ends_a_drift():
     action_filter = ActionFilter(2, 11)
     drives(action_filter, [RIGHT, RIGHT], [1, 1])
     assert drives(action_filter, [LEFT, 9], [1, 1])[:, 2].tolist() == [0, 1]
 
 
-def test_a_drift_that_the_game_has_ended_is_over():
+def test_a_drift_that_the_game_ended_is_not_held():
     action_filter = ActionFilter(1, 11)
     held = [drives(action_filter, [RIGHT], [step == 0], skid=1.0)[0, 2] for step in range(6)]
     assert held == [1, 1, 1, 1, 0, 0]
 
 
-def test_in_a_drift_a_choice_turns_as_much_as_without():
+def test_a_choice_turns_as_much_in_a_drift_as_without():
     action_filter = ActionFilter(1, 11)
     first = drives(action_filter, [RIGHT], [1])
-    assert STEERS[first[0, 0]] == pytest.approx(0.31)  # or it could not tell the side
+    assert STEERS[first[0, 0]] == pytest.approx(0.31)  # unchanged, to set the side
     for choice in (14, 15, 16, 17, 18):
         steer = STEERS[drives(action_filter, [choice], [1])[0, 0]]
         assert 0.2 + 0.6 * (1 + steer) / 2 == pytest.approx(STEERS[choice], abs=0.04)
-    assert drives(action_filter, [20], [1])[0, 0] == 20  # all that a drift can
+    assert drives(action_filter, [20], [1])[0, 0] == 20  # the limit during a drift
     assert drives(action_filter, [10], [1])[0, 0] == 0
 
 
-def test_nitro_works_before_there_is_more_of_it():
+def test_nitro_is_used_before_more_is_started():
     action_filter, choices = ActionFilter(1, 1), np.array([[10, 0, 0, 1, 0]])
     pressed = []
     for step in range(60):
@@ -325,7 +325,7 @@ def test_nitro_works_before_there_is_more_of_it():
     assert np.flatnonzero(pressed).tolist() == [6, 35]
 
 
-def test_without_hold_drifts_and_nitro_are_as_chosen():
+def test_without_hold_drifts_and_nitro_are_not_changed():
     free, random = ActionFilter(4, 0), np.random.default_rng(1)
     for _ in range(30):
         choices = random.integers(0, [21, 3, 2, 2, 2], (4, 5))
@@ -333,7 +333,7 @@ def test_without_hold_drifts_and_nitro_are_as_chosen():
         assert (free.apply(choices) == choices).all()
 
 
-def test_what_is_remembered_is_seen():
+def test_the_memory_of_the_filter_is_observed():
     action_filter = ActionFilter(2, 11)
     for step in range(12):
         seen = action_filter.look(views(20.0, 20.0))
@@ -348,7 +348,7 @@ def test_what_is_remembered_is_seen():
     assert (action_filter.look(views(0.0, 0.0)) == fresh).all()
 
 
-def test_who_is_stuck_gets_away_but_not_on_the_grid():
+def test_a_stuck_kart_is_freed_but_not_on_the_grid():
     action_filter, choices = ActionFilter(2, 0), np.array([[10, 0, 0, 0, 0]] * 2)
     pedals = []
     for step in range(60):
@@ -356,18 +356,18 @@ def test_who_is_stuck_gets_away_but_not_on_the_grid():
         done = action_filter.apply(choices)
         pedals.append(done[:, 1].tolist())
     grid, stuck = np.array(pedals).T
-    assert not grid.any()  # it has never moved
+    assert not grid.any()  # this kart has not moved yet
     called = np.flatnonzero(stuck == RESCUE)
     assert called[0] == 15
     backs = np.flatnonzero(stuck == BRAKE)
     assert backs[0] > called[0] + 14  # a rescue takes a while
-    assert done[1, 0] in (0, 10)  # away from the road's middle, which is on the right
+    assert done[1, 0] in (0, 10)  # reverses away from the road's center on the right
     action_filter.forget(slice(0, 2))
     action_filter.look(views(0.0, 0.0))
     assert (action_filter.apply(choices) == choices).all()
 
 
-def test_who_is_far_off_the_road_calls_for_the_rescue():
+def test_a_kart_far_off_the_road_requests_a_rescue():
     action_filter, choices = ActionFilter(1, 0), np.array([[10, 0, 0, 0, 0]])
     calls = []
     for _ in range(15):
@@ -376,7 +376,7 @@ def test_who_is_far_off_the_road_calls_for_the_rescue():
     assert np.flatnonzero(calls).tolist() == [10]
 
 
-def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
+def test_a_saved_policy_keeps_its_hold(tmp_path, policy):
     save_driver(tmp_path / "held", policy, hold=4)
     driver = load_driver(tmp_path / "held")
     driver.best = lambda _: np.array([[RIGHT, 0, next(asked), 0, 0]])
@@ -385,13 +385,13 @@ def test_a_kept_policy_knows_how_long_it_holds(tmp_path, policy):
     assert [int(karts.drive(views(20.0)[0], driver.best)[2]) for _ in range(5)] == [1, 1, 1, 1, 0]
 
 
-def test_an_agent_of_an_older_version_says_what_to_do(policy):
+def test_an_error_for_an_agent_of_an_older_version_says_what_to_do(policy):
     weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     with pytest.raises(ConfigError, match=r"stkzoo\.agents\.training\.export"):
         MlpDriver(weights).seat()
 
 
-def test_a_run_of_an_older_version_says_what_to_do(tmp_path):
+def test_an_error_for_a_run_of_an_older_version_says_what_to_do(tmp_path):
     SB3Run(tmp_path, SB3Arguments(**SMALL)).close()
     file = tmp_path / "arguments.json"
     arguments = json.loads(file.read_text())
@@ -401,7 +401,7 @@ def test_a_run_of_an_older_version_says_what_to_do(tmp_path):
         SB3Run(tmp_path, SB3Arguments(**SMALL))
 
 
-def test_a_driver_does_as_its_policy(policy):
+def test_a_driver_acts_like_its_policy(policy):
     weights = {name: value.numpy() for name, value in policy.state_dict().items()}
     seen = np.random.default_rng(0).normal(size=(64, SIZE)).astype(np.float32)
     driver = MlpDriver(weights)
@@ -413,7 +413,7 @@ def test_a_driver_does_as_its_policy(policy):
         assert shares == pytest.approx(chance.probs[0].detach().numpy(), abs=0.05)
 
 
-def test_weights_to_start_from_may_lack_the_value(tmp_path, policy):
+def test_initial_weights_can_lack_the_value_network(tmp_path, policy):
     save_driver(tmp_path / "whole", policy)
     weights = load_weights(tmp_path / "whole")
     own = {name: array + 1 for name, array in weights.items() if "value" not in name}
@@ -424,7 +424,7 @@ def test_weights_to_start_from_may_lack_the_value(tmp_path, policy):
         assert (array == own.get(name, weights[name])).all()
 
 
-def test_other_weights_are_refused(tmp_path, policy):
+def test_incompatible_weights_are_refused(tmp_path, policy):
     save_weights(tmp_path / "other", {"w0": np.zeros((3, 4), np.float32)})
     with pytest.raises(ConfigError, match="MlpPolicy from the 165 numbers"):
         initial_weights(tmp_path / "other", policy)
@@ -492,7 +492,7 @@ def test_it_learns_evaluates_and_ends(tmp_path):
 def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
     assert learn(tmp_path / "whole", 270) == 0
     killed = tmp_path / "killed"
-    # In the middle of a round, with a rival in the pool.
+    # Kill it during a round, with a rival in the pool.
     run_and_kill(main, words(killed, 100_000), killed / "log.jsonl", lines=5)
     assert learn(killed, 270) == 0
     assert log_of(killed) == log_of(tmp_path / "whole")
@@ -508,7 +508,7 @@ def test_other_arguments_are_refused(tmp_path):
         SB3Run(tmp_path, SB3Arguments(**{**arguments, "seed": 2}))
 
 
-def test_a_run_begins_with_given_weights(tmp_path):
+def test_a_run_starts_from_given_weights(tmp_path):
     SB3Run(tmp_path / "one", SB3Arguments(**SMALL)).close()
     file = tmp_path / "one" / "policy-000000000.safetensors"
     started = SB3Run(tmp_path / "two", SB3Arguments(**SMALL, seed=7, init=str(file)))
@@ -518,27 +518,27 @@ def test_a_run_begins_with_given_weights(tmp_path):
 
 
 @pytest.mark.slow
-def test_supersuit_gives_the_same_learner_plain_races(tmp_path):
+def test_the_learner_also_works_with_supersuit(tmp_path):
     assert learn(tmp_path, 60, supersuit=True, races="2x2", snapshot_share=0.5) == 0
     assert log_of(tmp_path)[-1]["kart_steps"] >= 60
 
 
 @pytest.mark.slow
-def test_a_policy_is_judged_against_what_it_was(tmp_path, policy):
+def test_a_policy_is_evaluated_against_its_past_versions(tmp_path, policy):
     for steps in (0, 10, 20):
         save_driver(tmp_path / f"policy-{steps:09d}.safetensors", policy)
     evaluation = evaluate_policy(tmp_path, "policy-000000020", ["olivermath"], 1)
     names = {"policy-000000020", "policy-000000010", "start", "random"}
     assert set(evaluation.ratios) == names
     assert [set(order) for order in evaluation.orders] == [names | {"bot:0"}]
-    assert evaluation.orders[0][0] == "bot:0"  # who else
+    assert evaluation.orders[0][0] == "bot:0"  # the AI beats untrained policies
     assert read_evaluations(tmp_path) == [evaluation]
     assert max(rate_orders(evaluation.orders).items(), key=lambda item: item[1].value)[0] == "bot:0"
 
 
 @pytest.mark.slow
-def test_buffers_leave_rivals_out():
-    """The rows of :class:`ActiveRolloutBuffer` are those that ``kart_steps`` counts."""
+def test_buffers_exclude_rivals():
+    """:class:`ActiveRolloutBuffer` has the rows that ``kart_steps`` counts."""
     bots, snapshots = pools()
     envs = SelfPlayVecEnv(
         [Lineup(4, 0)], Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1

@@ -1,4 +1,4 @@
-"""The reference algorithms of the suite: they learn, continue, and write agents that race."""
+"""The reference algorithms of the suite learn, resume, and write agents that race."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def arrays_of(learner):
         (IMPALA, "selfplay-5"),
     ],
 )
-def test_a_run_learns_and_continues_bit_for_bit(tmp_path, kind, task):
+def test_a_run_learns_and_resumes_bit_for_bit(tmp_path, kind, task):
     whole = small_run(tmp_path / "whole", kind, task=task)
     before = arrays_of(whole)
     iterate(whole, 4)
@@ -108,7 +108,7 @@ def test_members_of_a_team_get_the_mean_of_their_rewards():
     assert (reward_shares(find_task("versus")) == np.eye(1)).all()
 
 
-def test_a_rollout_has_shared_rewards_and_the_numbers_that_the_learner_computes():
+def test_a_rollout_has_shared_rewards_and_the_learners_own_values():
     size = find_task("team-2v2").state_size
     memory = SharedArray((2, 40, 4), rollout_type(size))
     task = find_task("team-2v2")
@@ -155,7 +155,7 @@ def test_the_command_trains_an_agent_that_races(tmp_path, monkeypatch, capsys):
     result = run_race([str(tmp_path / "agent")], track="lighthouse", max_steps=20, inline=True)
     assert not result.has_errors
     assert result.agents[0].driver == "ippo_solo_1_0"
-    assert main(words) == 0  # nothing is left to do
+    assert main(words) == 0  # the run is already complete
 
 
 def test_self_play_is_refused_for_one_learner(tmp_path):
@@ -190,7 +190,7 @@ def test_a_past_policy_drives_a_team_or_two_karts_and_is_not_learned_from(tmp_pa
     assert len(driven.finishes) < task.learners * (len(races) - 1)
 
 
-def test_prioritized_self_play_meets_most_often_whom_it_beats_least(tmp_path):
+def test_prioritized_self_play_meets_the_hardest_rivals_most_often(tmp_path):
     learner = small_run(tmp_path, PFSP, task="team-2v2")
     even = small_run(tmp_path / "even", FSP, task="team-2v2")
     try:
@@ -219,7 +219,7 @@ def random_rollout(steps, slots):
     return rollout, random.normal(size=slots).astype(np.float32)
 
 
-def test_v_trace_of_the_current_policy_has_the_targets_of_gae():
+def test_v_trace_with_the_current_policy_equals_gae():
     rollout, last_values = random_rollout(20, 7)
     values = rollout["values"]
     targets, advantages = vtrace(rollout, values, np.ones_like(values), last_values, 0.9, 0.8)

@@ -1,4 +1,4 @@
-"""The numbers of the plans are tuned, on training tracks alone."""
+"""The parameters of plans are tuned, on training tracks only."""
 
 import json
 import os
@@ -22,7 +22,7 @@ def command(folder, generations):
     return [sys.executable, "-m", module, *words, "--track=lighthouse"]
 
 
-def test_present_numbers_are_within_their_bounds_and_come_back():
+def test_default_parameters_are_within_their_bounds_and_survive_scaling():
     assert asdict(from_unit(to_unit(DriverParameters()))) == pytest.approx(
         asdict(DriverParameters())
     )
@@ -40,7 +40,7 @@ def test_a_point_outside_is_moved_inside():
 
 
 @pytest.mark.slow
-def test_bad_numbers_drive_badly_and_each_set_as_if_it_were_alone():
+def test_bad_parameters_drive_badly_and_sets_do_not_affect_each_other():
     good, bad = DriverParameters(), replace(DriverParameters(), aim_time=0.1, greatest_room=2.5)
     places = [("lighthouse", False, 1), ("olivermath", False, 1)]
     told = drive_all([good, bad, good], 0, places)
@@ -56,8 +56,8 @@ def test_test_tracks_are_refused(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_tuning_goes_on_where_it_was(tmp_path, monkeypatch):
-    """The races stand aside: how well a set drives is how near its numbers are to the present."""
+def test_tuning_resumes_where_it_stopped(tmp_path, monkeypatch):
+    """Replaces the races: a set's cost is its distance from the default parameters."""
     present = np.array(to_unit(DriverParameters()))
 
     def drive_all(sets, _, places):
@@ -79,7 +79,7 @@ def test_tuning_goes_on_where_it_was(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_nothing_goes_on_when_tuning_is_killed(tmp_path):
+def test_killing_the_tuning_leaves_no_processes(tmp_path):
     with subprocess.Popen(command(tmp_path, 50)) as program:
         assert wait_until(lambda: children_of(program.pid), 30)
         (fork_server,) = children_of(program.pid)

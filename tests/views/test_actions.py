@@ -1,4 +1,4 @@
-"""Actions as they come from others, checked."""
+"""Checks of actions from untrusted code."""
 
 import tracemalloc
 
@@ -15,7 +15,7 @@ STEER = spaces.Dict({"steer": spaces.Box(-1, 1, (1,), np.float32)})
 @pytest.mark.parametrize(
     "steer",
     [
-        ["x" * 1_000_000, *["x"] * 1000],  # numpy would make 1001 texts of 4 MB each
+        ["x" * 1_000_000, *["x"] * 1000],  # NumPy would create 1001 strings of 4 MB each
         [["x" * 1_000_000], ["x"] * 1000],
         "x" * 1_000_000,
         np.zeros([7] * 8, np.int8),
@@ -33,7 +33,7 @@ def test_refusing_an_action_costs_little(steer):
     assert len(str(caught.value)) < 500
 
 
-def test_few_unknown_keys_are_named():
+def test_only_a_few_unknown_keys_are_named():
     action = {"x" * 1_000_000 + str(number): 0 for number in range(10)}
     with pytest.raises(ActionError, match="unknown keys xxx") as caught:
         read_action(STEER, action, "kart_0")
@@ -41,5 +41,5 @@ def test_few_unknown_keys_are_named():
 
 
 @pytest.mark.parametrize("steer", [0.5, [0.5], (0.5,), [[0.5]], np.float32(0.5), np.array([[0.5]])])
-def test_a_number_is_taken_in_any_form(steer):
+def test_a_number_is_accepted_in_any_form(steer):
     assert read_action(STEER, {"steer": steer}, "kart_0")["steer"].tolist() == [0.5]

@@ -1,4 +1,4 @@
-"""Views by name, with options, as users choose them."""
+"""Views chosen by name, with options."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper
 from stkzoo.wrappers.marl import PartialObservations
 from tests.support.paths import ROOT
 
-#: Another value than the default of every option that a shipped view has.
+#: For each option of the shipped views, a value that is not its default.
 OTHERS = {
     "state_items": 3,
     "state_karts": 2,
@@ -43,7 +43,7 @@ CASES = [
     (view.name, option)
     for view in COMPILED
     for option in options_of(view)
-    # What is around the flattener needs flat observations.
+    # Wrappers around the flattener need flat observations.
     if option != "flatten_observations" or view.wrappers[-1].__name__.startswith("Flatten")
 ]
 
@@ -54,7 +54,7 @@ def chain_of(choice):
 
 
 def near(env, *, radius=30.0):
-    """A view of a user, with an option."""
+    """A user-defined view with an option."""
     return ConstantSizedObservations(PartialObservations(env, radius=radius))
 
 
@@ -70,7 +70,7 @@ def test_an_option_reaches_its_wrapper_and_the_view_stays_compiled(name, option)
     usual, other = chain_of(name), chain_of((name, {option: OTHERS[option]}))
     plans = [chain.compile(CONTROLS).identity() for chain in (usual, other)]
     if option == "normalize_act" and name == "flattened_control":
-        assert plans[0] == plans[1]  # its own default
+        assert plans[0] == plans[1]  # the default of this view
     else:
         assert plans[0] != plans[1]
     assert other.is_empty
@@ -94,14 +94,14 @@ def test_an_option_reaches_its_wrapper_and_the_view_stays_compiled(name, option)
         (7, "view is 7, expected one of full, ground, simple"),
     ],
 )
-def test_a_wrong_choice_is_one_line_that_says_what_is_right(choice, message):
+def test_an_invalid_choice_is_a_one_line_error_with_a_suggestion(choice, message):
     with pytest.raises(ConfigError) as caught:
         chain_of(choice)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_views_with_options_are_equal_values():
+def test_views_with_equal_options_are_equal():
     choice = ("control", {"control_input": ["accl", "steering_speed"]})
     view = find_view(choice)
     assert view == find_view(list(choice)) == pickle.loads(pickle.dumps(view))
@@ -109,7 +109,7 @@ def test_views_with_options_are_equal_values():
     assert view != find_view("control")
 
 
-def test_options_may_be_given_in_turn():
+def test_options_can_be_given_one_after_another():
     view = find_view((("simple", {"state_items": 3}), {"state_karts": 1}))
     assert view == find_view(("simple", {"state_items": 3, "state_karts": 1}))
 
@@ -128,7 +128,7 @@ def test_the_parameters_of_a_class_are_its_options():
     assert list(chain_of((FilterObservation, keys)).observation_space) == ["velocity"]
 
 
-def test_a_function_that_sees_the_ground_does_so_with_options_too():
+def test_a_function_with_options_can_request_the_ground():
     def own(env, size=3):
         return ConstantSizedObservations(env, state_items=size)
 
@@ -137,7 +137,7 @@ def test_a_function_that_sees_the_ground_does_so_with_options_too():
     assert "ground_kind" in chain_of((own, {"size": 2})).observation_space.spaces
 
 
-def test_a_view_may_be_made_of_a_view():
+def test_a_view_can_be_made_of_another_view():
     inner = find_view(("simple", {"karts_motion": True}))
     outer = View("outer", "A view around another.", (inner, FlattenerWrapper))
     assert extras_for(outer) == {"motion"}
@@ -145,7 +145,7 @@ def test_a_view_may_be_made_of_a_view():
     assert chain.observation_space["karts_velocity"].shape == (1, 3)
 
 
-def test_a_function_of_c_has_no_options():
+def test_a_built_in_function_has_no_options():
     with pytest.raises(ConfigError, match="has no options; 'size' came"):
         find_view((max, {"size": 1}))
 
@@ -153,7 +153,7 @@ def test_a_function_of_c_has_no_options():
 def test_a_known_view_with_options_can_be_registered():
     stkzoo.register_view("three", ("simple", {"state_items": 3}))
     try:
-        stkzoo.register_view("three", ("simple", {"state_items": 3}))  # a cell runs twice
+        stkzoo.register_view("three", ("simple", {"state_items": 3}))  # as in a repeated cell
         assert chain_of("three").observation_space["items_position"].shape == (3, 3)
         four = chain_of(("three", {"state_karts": 4})).observation_space
         assert four["items_position"].shape == (3, 3)
@@ -163,15 +163,15 @@ def test_a_known_view_with_options_can_be_registered():
 
 
 @pytest.mark.usefixtures("near_view")
-def test_the_views_are_told_by_name():
+def test_views_are_listed_by_name():
     known = stkzoo.views()
     assert [*known] == [*VIEWS, "camera"]
     assert known["simple"].description
-    known.clear()  # a copy
+    known.clear()  # this is a copy
     assert "simple" in stkzoo.views()
 
 
-def test_a_view_that_is_unregistered_is_gone_with_its_id():
+def test_unregistering_a_view_removes_its_id():
     stkzoo.register_view("near", near)
     stkzoo.unregister_view("near")
     assert "near" not in stkzoo.views()
@@ -192,8 +192,8 @@ def test_only_a_registered_view_can_be_unregistered(name, message):
         stkzoo.unregister_view(name)
 
 
-def test_the_options_of_the_reference_are_there():
-    """What its derived ids' wrappers take, and ``karts_motion``."""
+def test_views_have_the_options_of_the_reference():
+    """These are the options of the reference's wrappers, and ``karts_motion``."""
     own = ("state_items", "state_karts", "state_paths", "add_mask", "karts_motion")
     assert options_of(VIEWS["simple"]) == own
     steps = ("acceleration_steps", "steer_steps")

@@ -60,7 +60,7 @@ class TenTimes(gym.RewardWrapper):
 
 
 class Wiper(gym.ObservationWrapper):
-    """Spoils what it is given."""
+    """Overwrites the observation that it gets."""
 
     def observation(self, observation):
         observation["velocity"][:] = 0
@@ -83,18 +83,18 @@ def form(request):
 
 
 @pytest.mark.parametrize(("make", "kind"), [(SmallRace, ParallelEnv), (MultiEnv, gym.Wrapper)])
-def test_the_adapter_is_of_its_environments_kind(make, kind):
+def test_the_adapter_has_the_kind_of_its_environment(make, kind):
     adapter = MonoAgentWrapperAdapter(make(), wrapper_factories={})
     assert isinstance(adapter, MonoAgentWrapperAdapter)
     assert isinstance(adapter, kind)
 
 
-def test_other_things_are_refused():
+def test_other_objects_are_refused():
     with pytest.raises(ConfigError, match=r"ParallelEnv or a gymnasium\.Env, not 3"):
         MonoAgentWrapperAdapter(3, wrapper_factories={})
 
 
-def test_a_gym_env_that_is_no_dict_of_agents_is_refused():
+def test_a_gym_env_without_a_dict_of_agents_is_refused():
     with pytest.raises(ConfigError, match="Dict space by agent"):
         MonoAgentWrapperAdapter(gym.make("CartPole-v1"), wrapper_factories={})
 
@@ -112,7 +112,7 @@ def test_each_agent_has_its_own_wrappers(form):
         observations = env.step(samples(env, agents))[0]
 
 
-def test_steps_equal_those_of_the_reference():
+def test_steps_match_the_reference():
     theirs = import_reference("wrappers").MonoAgentWrapperAdapter(
         MultiEnv(),
         wrapper_factories={
@@ -132,7 +132,7 @@ def test_steps_equal_those_of_the_reference():
 
 
 @pytest.mark.parametrize("name", ["second", "1", 1])
-def test_agents_may_be_named_in_three_ways(form, name):
+def test_agents_can_be_named_in_three_ways(form, name):
     make, agents = form
     name = agents[1] if name == "second" else name
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={name: discrete})
@@ -141,7 +141,7 @@ def test_agents_may_be_named_in_three_ways(form, name):
 
 
 @pytest.mark.parametrize("name", ["kart_7", 2, "kart", -1, None, True])
-def test_unknown_agents_are_refused_with_the_known_ones(form, name):
+def test_an_unknown_agent_is_refused_and_the_error_lists_the_known_ones(form, name):
     make, agents = form
     with pytest.raises(ConfigError, match=f"unknown agent .*{agents[0]}, {agents[1]}"):
         MonoAgentWrapperAdapter(make(), wrapper_factories={name: simple})
@@ -162,13 +162,13 @@ def test_an_agent_that_is_named_twice_is_refused(form):
         (("simple", {"state_items": 0}), "state_items is 0, expected a whole number"),
     ],
 )
-def test_what_is_no_view_is_refused(form, view, message):
+def test_an_invalid_view_is_refused(form, view, message):
     with pytest.raises(ConfigError, match=message):
         MonoAgentWrapperAdapter(form[0](), {0: view})
 
 
 @pytest.mark.parametrize("name", [1, "1", "id"])
-def test_views_go_by_name_and_options(form, name):
+def test_views_can_be_given_by_name_and_options(form, name):
     make, agents = form
     name = agents[1] if name == "id" else name
     env = MonoAgentWrapperAdapter(make(), {name: ("simple", {"state_items": 2}), 0: "flattened"})
@@ -181,12 +181,12 @@ def test_views_go_by_name_and_options(form, name):
 
 
 @pytest.mark.parametrize("factories", [[simple], simple, None])
-def test_factories_that_are_no_mapping_are_refused(form, factories):
+def test_factories_that_are_not_a_mapping_are_refused(form, factories):
     with pytest.raises(ConfigError, match="has to be a mapping from agents to views"):
         MonoAgentWrapperAdapter(form[0](), wrapper_factories=factories)
 
 
-def test_the_space_of_no_agent_is_refused_with_the_known_ones():
+def test_spaces_of_an_unknown_agent_are_refused():
     env = MonoAgentWrapperAdapter(race_v0.parallel_env(num_kart=2), wrapper_factories={})
     for of in (env, env.unwrapped):
         for space in (of.observation_space, of.action_space):
@@ -212,21 +212,21 @@ def test_the_environment_gets_actions_in_its_own_space(form):
     assert race.last_actions["kart_0"]["acceleration"].tolist() == [1.0]
 
 
-def test_originals_are_kept_beside_by_the_gym_form():
+def test_the_gym_adapter_keeps_originals_under_separate_keys():
     env = MonoAgentWrapperAdapter(MultiEnv(), wrapper_factories={0: simple}, keep_original=True)
     observations, _ = env.reset(seed=1)
     assert set(observations) == {"0", "1", "original/0", "original/1"}
     assert observations in env.observation_space
 
 
-def test_originals_are_kept_inside_by_the_parallel_form():
+def test_the_parallel_adapter_keeps_originals_inside_the_observation():
     env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: simple}, keep_original=True)
     observations, _ = env.reset(seed=1)
     assert set(observations["kart_0"]) == {"observation", "original"}
     assert observations["kart_0"] in env.observation_space("kart_0")
 
 
-def test_originals_are_copies_that_wrappers_cannot_spoil(form):
+def test_originals_are_copies_that_wrappers_cannot_change(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: Wiper}, keep_original=True)
     observations, _ = env.reset(seed=1)
@@ -240,7 +240,7 @@ def test_originals_are_copies_that_wrappers_cannot_spoil(form):
         observations = env.step(samples(env, agents))[0]
 
 
-def test_stateful_wrappers_start_anew_at_reset(form):
+def test_stateful_wrappers_restart_at_reset(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={1: Counter})
     env.reset(seed=1)
@@ -248,7 +248,7 @@ def test_stateful_wrappers_start_anew_at_reset(form):
     assert env.reset()[0][agents[1]] == 1
 
 
-def test_agents_that_have_left_are_passed_over(form):
+def test_agents_that_have_left_are_skipped(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(ends=(1, 3)), wrapper_factories={0: discrete, 1: simple})
     env.reset(seed=1)
@@ -257,13 +257,13 @@ def test_agents_that_have_left_are_passed_over(form):
     assert set(env.step(samples(env, agents))[0]) == {agents[1]}
 
 
-def test_a_reward_wrapper_counts_in_the_parallel_form():
+def test_a_reward_wrapper_changes_rewards_of_the_parallel_adapter():
     env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={1: TenTimes})
     env.reset(seed=1)
     assert env.step(samples(env, env.agents))[1] == {"kart_0": 1.0, "kart_1": 10.0}
 
 
-def test_a_reward_wrapper_counts_in_the_gym_forms_sum():
+def test_a_reward_wrapper_changes_the_sum_of_the_gym_adapter():
     env = MonoAgentWrapperAdapter(MultiEnv(), wrapper_factories={1: TenTimes})
     env.reset(seed=1)
     _, reward, _, _, info = env.step(samples(env, "01"))
@@ -271,7 +271,7 @@ def test_a_reward_wrapper_counts_in_the_gym_forms_sum():
     assert info["reward"] == {"0": 1.0, "1": 10.0}
 
 
-def test_an_agent_that_is_cut_short_leaves_the_parallel_form():
+def test_a_truncated_agent_leaves_the_parallel_adapter():
     env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: lambda env: TimeLimit(env, 1)})
     env.reset(seed=1)
     truncations = env.step(samples(env, env.agents))[3]
@@ -280,7 +280,7 @@ def test_an_agent_that_is_cut_short_leaves_the_parallel_form():
     assert set(env.step(samples(env, env.agents))[0]) == {"kart_1"}
 
 
-def test_the_kart_of_an_agent_that_was_cut_short_rolls_on():
+def test_the_kart_of_a_truncated_agent_coasts():
     env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: lambda env: TimeLimit(env, 1)})
     env.reset(seed=1)
     for _ in range(2):
@@ -298,7 +298,7 @@ def test_stepping_after_the_end_returns_nothing():
     assert env.step({}) == ({}, {}, {}, {}, {})
 
 
-def test_all_agents_cut_short_end_the_gym_form():
+def test_truncating_all_agents_ends_the_gym_episode():
     env = MonoAgentWrapperAdapter(
         MultiEnv(), wrapper_factories={n: lambda env: TimeLimit(env, 2) for n in range(2)}
     )
@@ -309,7 +309,7 @@ def test_all_agents_cut_short_end_the_gym_form():
     assert info["truncated"] == {"0": True, "1": True}
 
 
-def test_what_wrappers_write_into_the_info_is_handed_out(form):
+def test_wrappers_can_add_to_infos(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(ends=(1, 3)), wrapper_factories={0: RecordEpisodeStatistics})
     env.reset(seed=1)
@@ -339,7 +339,7 @@ def test_a_failure_names_its_agent(form, method):
     assert caught.value.key == agents[1]
 
 
-def test_a_bad_action_names_its_agent(form):
+def test_an_error_for_an_invalid_action_names_the_agent(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete})
     env.reset(seed=1)
@@ -348,7 +348,7 @@ def test_a_bad_action_names_its_agent(form):
     assert caught.value.agent == agents[0]
 
 
-def test_the_adapter_pickles_in_the_middle_of_an_episode(form):
+def test_the_adapter_can_be_pickled_during_an_episode(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete, 1: Counter})
     env.reset(seed=1)
@@ -357,7 +357,7 @@ def test_the_adapter_pickles_in_the_middle_of_an_episode(form):
     assert_same(copied.step(actions)[0], env.step(actions)[0])
 
 
-def test_the_parallel_form_keeps_to_pettingzoos_rules():
+def test_the_parallel_adapter_passes_pettingzoos_test():
     env = MonoAgentWrapperAdapter(
         SmallRace((20, 30, 40)),
         wrapper_factories={
@@ -369,7 +369,7 @@ def test_the_parallel_form_keeps_to_pettingzoos_rules():
     parallel_api_test(env, num_cycles=100)
 
 
-def test_the_parallel_form_is_seeded():
+def test_the_parallel_adapter_is_seeded():
     def draw():
         env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: simple})
         return env.reset(seed=4)[0]
@@ -384,7 +384,7 @@ def race():
     env.close()
 
 
-def test_an_adapted_race_shows_what_views_show(race):
+def test_an_adapted_race_equals_one_with_views(race):
     with race_v0.parallel_env(
         num_kart=3, track="lighthouse", view={0: "simple", 1: "flattened_discrete"}
     ) as viewed:
@@ -399,7 +399,7 @@ def test_an_adapted_race_shows_what_views_show(race):
             assert ours[1:4] == theirs[1:4]
 
 
-def test_an_adapted_race_of_numbered_agents_stays_in_its_spaces():
+def test_observations_of_an_adapted_multi_agent_env_are_in_its_space():
     env = MonoAgentWrapperAdapter(
         gym.make("supertuxkart/multi-full-v0", agents=2, num_kart=3, track="lighthouse"),
         wrapper_factories={"0": simple, "1": discrete},
@@ -413,7 +413,7 @@ def test_an_adapted_race_of_numbered_agents_stays_in_its_spaces():
     env.close()
 
 
-def test_steps_may_differ_in_their_agents_only_by_who_has_left(race):
+def test_a_race_continues_without_a_truncated_agent(race):
     env = MonoAgentWrapperAdapter(race, wrapper_factories={2: lambda env: TimeLimit(env, 3)})
     env.reset(seed=3)
     seen = []

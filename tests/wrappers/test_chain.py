@@ -46,7 +46,7 @@ def view(name):
 
 
 def flat_observation(env):
-    """Only the velocity, as a plain vector."""
+    """Reduces the observation to the velocity vector."""
     box = spaces.Box(-np.inf, np.inf, (3,), np.float32)
     return gym.wrappers.TransformObservation(env, lambda obs: obs["velocity"], box)
 
@@ -57,7 +57,7 @@ class TenTimes(gym.RewardWrapper):
 
 
 def decoded(chains, actions, agents):
-    """The decoded actions by key of the base space."""
+    """Returns the decoded actions by key of the base action space."""
     controls = chains.decode(actions, agents)
     assert (controls.dtype, controls.shape) == (np.float32, (len(agents), 7))
     return dict(zip(kart_action_space(), controls.T, strict=True))
@@ -113,7 +113,7 @@ def threads():
 
 
 @pytest.mark.parametrize("name", VIEWS)
-def test_observations_are_those_of_the_wrappers_one_by_one(name):
+def test_observations_equal_those_of_the_wrappers_one_by_one(name):
     chains = make_chains(*[view(name)] * 3)
     race = Race(chains)
     race.reset()
@@ -140,7 +140,7 @@ def test_observations_are_in_their_spaces(name):
 
 
 @pytest.mark.parametrize("name", VIEWS)
-def test_decoded_actions_are_those_of_the_wrappers_one_by_one(name):
+def test_decoded_actions_equal_those_of_the_wrappers_one_by_one(name):
     chains = make_chains(*[view(name)] * 3)
     actions = Race(chains).sample()
     controls = chains.decode(actions, list(actions))
@@ -173,7 +173,7 @@ def test_agents_that_are_left_out_of_a_step_are_left_out_of_the_results():
     assert all(list(result) == ["kart_2", "kart_0"] for result in results)
 
 
-def test_equal_views_are_made_together():
+def test_equal_views_are_grouped():
     chains = make_chains(view("simple"), view("full"), view("simple"), Counter, view("full"))
     groups = chains._roster(list(chains.action_spaces)).groups
     assert [group.agents for group in groups] == [
@@ -201,7 +201,7 @@ class SlowerByStep(gym.Wrapper):
 
 
 @pytest.mark.parametrize("users_own", [Slower, SlowerByStep])
-def test_wrappers_around_a_users_own_see_what_it_makes(users_own):
+def test_wrappers_around_a_user_wrapper_get_its_observations(users_own):
     race = Race(make_chains(lambda env: FlattenerWrapper(users_own(wrap(env, "simple")))))
     race.reset()
     (observation,) = race.step(race.sample())[0].values()
@@ -212,7 +212,7 @@ def test_wrappers_around_a_users_own_see_what_it_makes(users_own):
     assert_same(observation, base)
 
 
-def test_chains_of_other_arguments_are_kept_apart():
+def test_chains_with_different_arguments_are_separate():
     chains = make_chains(
         lambda env: DiscreteActionsWrapper(env, steer_steps=3),
         lambda env: DiscreteActionsWrapper(env, steer_steps=5),
@@ -274,7 +274,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("change", "text"), BAD)
-def test_a_bad_entry_is_refused_by_name(change, text):
+def test_an_invalid_entry_is_refused_by_name(change, text):
     chains = make_chains(None, None)
     actions = {"kart_0": STEADY, "kart_1": {**STEADY, **change}}
     with pytest.raises(ActionError, match=text) as caught:
@@ -290,7 +290,7 @@ def test_a_missing_key_is_refused_by_name():
 
 
 @pytest.mark.parametrize("action", [None, 3, [0, 1], "go"])
-def test_an_action_that_is_no_dict_is_refused_where_a_dict_is_expected(action):
+def test_an_action_must_be_a_dict_if_the_space_is_a_dict(action):
     with pytest.raises(ActionError, match="a dict with the keys acceleration"):
         decoded(make_chains(None), {"kart_0": action}, ["kart_0"])
 
@@ -313,7 +313,7 @@ def test_an_action_that_is_no_dict_is_refused_where_a_dict_is_expected(action):
         ("flattened", {"continuous": [0.5, 0.5]}),
     ],
 )
-def test_every_view_refuses_what_is_not_in_its_action_space(name, action):
+def test_every_view_refuses_actions_outside_its_action_space(name, action):
     chains = make_chains(view(name))
     with pytest.raises(ActionError, match="agent 'kart_0'"):
         decoded(chains, {"kart_0": action}, ["kart_0"])
@@ -322,7 +322,7 @@ def test_every_view_refuses_what_is_not_in_its_action_space(name, action):
 @pytest.mark.parametrize(
     "steer", [0.5, np.float64(0.5), np.array(0.5), [0.5], np.array([0.5]), (0.5,), [[0.5]]]
 )
-def test_one_number_may_come_in_any_form(steer):
+def test_a_number_can_have_any_form(steer):
     chains = make_chains(None, None)
     actions = {"kart_0": STEADY, "kart_1": {**STEADY, "steer": steer}}
     controls = decoded(chains, actions, ["kart_0", "kart_1"])
@@ -330,12 +330,12 @@ def test_one_number_may_come_in_any_form(steer):
 
 
 @pytest.mark.parametrize("brake", [1, True, np.True_, np.int8(1), np.array([1]), 1.0])
-def test_a_button_may_come_in_any_form(brake):
+def test_a_button_can_have_any_form(brake):
     controls = decoded(make_chains(None), {"kart_0": {**STEADY, "brake": brake}}, ["kart_0"])
     assert controls["brake"].tolist() == [1]
 
 
-def test_a_number_that_misses_its_bound_by_rounding_is_clipped():
+def test_a_number_out_of_bounds_by_rounding_is_clipped():
     controls = decoded(make_chains(None), {"kart_0": {**STEADY, "steer": 1 + 9e-7}}, ["kart_0"])
     assert controls["steer"].tolist() == [1.0]
 
@@ -347,12 +347,12 @@ def test_every_live_agent_must_have_an_action():
     assert caught.value.agent == "kart_1"
 
 
-def test_actions_that_are_no_dict_by_agent_are_refused():
+def test_actions_that_are_not_a_dict_by_agent_are_refused():
     with pytest.raises(ActionError, match="the actions have to be a dict by agent: kart_0"):
         decoded(make_chains(None), [STEADY], ["kart_0"])
 
 
-def test_actions_of_agents_that_are_gone_are_not_looked_at():
+def test_actions_of_agents_that_have_left_are_ignored():
     chains = make_chains(None, None)
     controls = decoded(chains, {"kart_0": STEADY, "kart_1": "rubbish"}, ["kart_0"])
     assert controls["acceleration"].tolist() == [1.0]
@@ -360,7 +360,7 @@ def test_actions_of_agents_that_are_gone_are_not_looked_at():
 
 @pytest.mark.parametrize("actions", [{}, {"kart_0": {**STEADY}}, {"kart_0": "rubbish"}])
 @pytest.mark.parametrize("factory", [None, TenTimes, lambda env: TimeLimit(env, 9)])
-def test_an_ignored_agent_drives_nothing_whatever_it_sends(actions, factory):
+def test_actions_of_an_ignored_agent_have_no_effect(actions, factory):
     chains = make_chains(factory, None, ai={"kart_0"})
     race = Race(chains)
     race.reset()
@@ -368,7 +368,7 @@ def test_an_ignored_agent_drives_nothing_whatever_it_sends(actions, factory):
     assert race.controls["acceleration"].tolist() == [0.0, 1.0]
 
 
-def test_actions_may_come_in_any_mapping():
+def test_actions_can_be_any_mapping():
     chains = make_chains(None, None, ai={"kart_0"})
     controls = decoded(chains, MappingProxyType({"kart_1": STEADY}), ["kart_0", "kart_1"])
     assert controls["acceleration"].tolist() == [0.0, 1.0]
@@ -388,7 +388,7 @@ def test_actions_are_checked_before_any_wrapper_sees_one():
     assert seen == []
 
 
-def test_what_a_users_wrapper_makes_of_an_action_is_checked_too():
+def test_the_action_after_a_user_wrapper_is_checked_too():
     factory = lambda env: TransformAction(  # noqa: E731
         env, lambda action: {**action, "steer": 7}, env.action_space
     )
@@ -397,7 +397,7 @@ def test_what_a_users_wrapper_makes_of_an_action_is_checked_too():
         decoded(chains, {"kart_0": STEADY}, ["kart_0"])
 
 
-def test_spaces_of_other_kinds_are_checked_by_themselves():
+def test_other_action_spaces_use_their_own_checks():
     def factory(env):
         space = spaces.MultiBinary(2)
         return TransformAction(env, lambda pressed: {**STEADY, "fire": pressed[0]}, space)
@@ -412,7 +412,7 @@ def test_spaces_of_other_kinds_are_checked_by_themselves():
 # ---------------------------------------------------------------- any wrapper
 
 
-def test_a_stateful_observation_wrapper_starts_anew_at_reset():
+def test_a_stateful_observation_wrapper_restarts_at_reset():
     race = Race(make_chains(Counter, view("simple")))
     race.reset()
     race.step(race.sample())
@@ -455,7 +455,7 @@ def test_a_time_limit_truncates_its_agent_only():
     assert ends[1] == {"kart_0": True, "kart_1": False}
 
 
-def test_a_time_limit_starts_anew_at_reset():
+def test_a_time_limit_restarts_at_reset():
     race = Race(make_chains(lambda env: TimeLimit(env, 2)))
     race.reset()
     race.step(race.sample())
@@ -472,7 +472,7 @@ def test_episode_statistics_are_recorded():
     assert "episode" not in infos["kart_1"]
 
 
-def test_a_wrapper_with_its_own_step_takes_part_in_actions_and_rewards():
+def test_a_wrapper_with_its_own_step_changes_actions_and_rewards():
     class Own(gym.Wrapper):
         def step(self, action):
             observation, reward, *rest = self.env.step({**action, "fire": 1})
@@ -485,7 +485,7 @@ def test_a_wrapper_with_its_own_step_takes_part_in_actions_and_rewards():
     assert rewards == {"kart_0": -4.0, "kart_1": 2.0}
 
 
-def test_normalised_observations_work():
+def test_normalized_observations_work():
     chains = make_chains(lambda env: NormalizeObservation(flat_observation(env)))
     race = Race(chains)
     race.reset()
@@ -493,7 +493,7 @@ def test_normalised_observations_work():
     assert observation in chains.observation_spaces["kart_0"]
 
 
-def test_wrappers_are_seeded_by_reset_each_differently():
+def test_reset_seeds_each_wrapper_differently():
     class Noise(gym.ObservationWrapper):
         def __init__(self, env):
             super().__init__(env)
@@ -521,7 +521,7 @@ def test_options_reach_the_wrappers():
     assert seen == [{"track": "lighthouse"}]
 
 
-def test_the_infos_handed_in_are_not_changed():
+def test_the_given_infos_are_not_changed():
     chains = make_chains(RecordEpisodeStatistics)
     race = Race(chains)
     race.reset()
@@ -592,7 +592,7 @@ def odd_step(step):
         (lambda self, action: (self.env.step(action), self.env.reset()), "middle of a race"),
     ],
 )
-def test_a_wrapper_cannot_move_the_race_by_itself(step, text):
+def test_a_wrapper_must_step_the_race_exactly_once(step, text):
     race = Race(make_chains(odd_step(step)))
     race.reset()
     with pytest.raises(AgentException, match=text):
@@ -608,7 +608,7 @@ def test_a_wrapper_cannot_step_the_race_in_its_reset():
         race.reset()
 
 
-def test_a_race_goes_on_after_a_failure_and_a_reset():
+def test_a_race_continues_after_a_failure_and_a_reset():
     calls = []
 
     class FailsOnce(gym.Wrapper):
@@ -626,7 +626,7 @@ def test_a_race_goes_on_after_a_failure_and_a_reset():
     assert race.step(race.sample())[3] == {"kart_0": False, "kart_1": False}
 
 
-def test_factories_for_strangers_are_refused():
+def test_factories_for_unknown_agents_are_refused():
     with pytest.raises(ConfigError, match="unknown agent 'kart_9'"):
         AgentChains(
             {"kart_0": kart_observation_space()},
@@ -640,7 +640,7 @@ def test_factories_for_strangers_are_refused():
 # ---------------------------------------------------------------- threads and pickles
 
 
-def test_no_thread_lives_between_steps():
+def test_no_threads_exist_between_steps():
     race = Race(make_chains(*[lambda env: TimeLimit(env, 5)] * 3))
     race.reset()
     race.step(race.sample())
@@ -675,7 +675,7 @@ def test_a_waiting_thread_ends_with_its_step(ending):
 
 
 @pytest.mark.parametrize("is_mid_step", [False, True])
-def test_chains_pickle_in_the_middle_of_a_race(is_mid_step):
+def test_chains_can_be_pickled_during_a_race(is_mid_step):
     chains = make_chains(
         view("flattened_discrete"),
         lambda env: FrameStackObservation(flat_observation(env), 2),
@@ -692,20 +692,20 @@ def test_chains_pickle_in_the_middle_of_a_race(is_mid_step):
     assert_same(copied.step(actions)[0], race.step(actions)[0])
 
 
-def test_chains_around_no_agents_decode_nothing():
+def test_chains_without_agents_decode_nothing():
     chains = make_chains(None)
     assert decoded(chains, {}, [])["steer"].shape == (0,)
 
 
 class TestPathsUsed:
-    """How many track segments a chain looks at."""
+    """Tests how many track segments a chain uses."""
 
     @staticmethod
     def paths_used(factory):
         spaces_of_kart = kart_observation_space(), kart_action_space()
         return AgentChain("kart_0", *spaces_of_kart, factory).paths_used()
 
-    def test_is_that_of_the_innermost_wrapper(self):
+    def test_follows_the_innermost_wrapper(self):
         assert (
             self.paths_used(
                 lambda env: PolarObservations(ConstantSizedObservations(env, state_paths=3))
@@ -716,7 +716,7 @@ class TestPathsUsed:
     def test_is_all_without_wrappers(self):
         assert self.paths_used(None) is None
 
-    def test_is_all_for_a_users_own_kind_of_wrapper(self):
+    def test_is_all_for_a_user_wrapper(self):
         class Mine(ConstantSizedObservations):
             pass
 

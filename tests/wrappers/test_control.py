@@ -1,4 +1,4 @@
-"""Actions in physical units: their parts, their wrapper, and what karts make of them."""
+"""Actions in physical units: their parts, their wrapper, and the motion of the karts."""
 
 import copy
 import pickle
@@ -63,7 +63,7 @@ def test_the_first_number_steers_and_the_second_drives():
     assert controls.tolist() == [1.0, 0.5, 0.0]
 
 
-def test_one_name_alone_goes_with_the_usual_other():
+def test_a_single_name_is_completed_with_the_default():
     assert CarAction("accl").type == ("steering_angle", "accl")
     assert CarAction(["steering_speed"]).type == ("steering_speed", "speed")
 
@@ -80,7 +80,7 @@ def test_one_name_alone_goes_with_the_usual_other():
         ([1, 2], "expected one of"),
     ],
 )
-def test_wrong_names_are_refused(names, message):
+def test_invalid_names_are_refused(names, message):
     with pytest.raises(ConfigError, match=message):
         CarAction(names)
 
@@ -126,7 +126,7 @@ def test_bounds_are_in_the_order_of_the_space():
     assert (normal.normalize, normal.throttle_bounds) == (True, (-1.0, 1.0))
 
 
-def test_parameters_may_be_a_mapping():
+def test_parameters_can_be_a_mapping():
     assert CarAction(params={"T_steer": 0.2}).params == CarParameters(T_steer=0.2)
     with pytest.raises(ConfigError, match="sv_maxx"):
         CarAction(params={"sv_maxx": 1.0})
@@ -140,7 +140,7 @@ def test_parameters_may_be_a_mapping():
         CarParameters(T_steer=-1)
 
 
-def test_wheels_with_a_lag_cover_63_percent_of_the_way_in_its_time():
+def test_lagging_wheels_reach_63_percent_after_the_time_constant():
     action = CarAction(params={"T_steer": 0.4, "sv_max": 100.0})
     memory = action.memory()
     for _ in range(4):
@@ -151,7 +151,7 @@ def test_wheels_with_a_lag_cover_63_percent_of_the_way_in_its_time():
     assert asked[0] == pytest.approx(0.2, abs=1e-6)
 
 
-def test_spaces_are_in_physical_units_or_normalised():
+def test_spaces_are_in_physical_units_or_normalized():
     space = CarAction(["accl", "steering_speed"]).space
     assert space.low.tolist() == pytest.approx([-1.9, -17.5])
     assert space.high.tolist() == pytest.approx([1.9, 17.5])
@@ -161,7 +161,7 @@ def test_spaces_are_in_physical_units_or_normalised():
     assert normal.physical([-1.0, 1.0]) == pytest.approx([-0.425, 25.0])
 
 
-def test_the_actions_of_several_agents_make_one():
+def test_action_spaces_of_several_agents_can_be_joined():
     single = CarAction().space
     assert from_single_to_multi_action_space(single, 3).shape == (3, 2)
     both = spaces.Dict({"control": single, "drift": spaces.Discrete(2)})
@@ -172,7 +172,7 @@ def test_the_actions_of_several_agents_make_one():
         from_single_to_multi_action_space(single, 0)
 
 
-def test_parameters_of_a_kart_are_its_own():
+def test_each_kart_has_its_own_parameters():
     assert CarParameters.of_kart("") == CarParameters.of_kart("tux")
     assert CarParameters.of_kart("wilber").wheel_base == 1.204
     with pytest.raises(ConfigError, match="Did you mean 'wilber'"):
@@ -185,7 +185,7 @@ def test_parameters_of_a_kart_are_its_own():
         CarParameters(sv_max=float("nan"))
 
 
-def test_the_engine_agrees_with_the_measured_karts():
+def test_the_engine_agrees_with_the_measured_kart_parameters():
     for kart in ("wilber", "gnu", ""):
         with race_v0.parallel_env(
             agents=[AgentSpec(kart=kart)], num_kart=1, track="lighthouse"
@@ -213,7 +213,7 @@ numbers = st.floats(-1.0, 1.0, width=32)
     angle=st.floats(0, 0.6),
     step_size=st.sampled_from([0.01, 0.1, 0.5]),
 )
-def test_controls_are_always_ones_that_the_game_takes(
+def test_controls_are_always_valid_for_the_game(
     kinds, normalize_act, first, second, speed, angle, step_size
 ):
     action = CarAction(kinds, normalize=normalize_act)
@@ -234,7 +234,7 @@ def test_controls_are_always_ones_that_the_game_takes(
 
 
 @pytest.mark.parametrize("kinds", KINDS)
-def test_a_batch_is_its_rows(kinds):
+def test_a_batch_equals_its_rows(kinds):
     action = CarAction(kinds)
     rng = np.random.default_rng(1)
     asked = rng.uniform(action.space.low, action.space.high, (2, 7, 2))
@@ -248,14 +248,14 @@ def test_a_batch_is_its_rows(kinds):
         assert np.array_equal(after[row], alone_after)
 
 
-def test_wheels_turn_no_faster_than_they_can():
+def test_wheels_do_not_exceed_their_steering_speed():
     action = CarAction(["speed", "steering_angle"])
     controls, memory = action.act(np.array([0.4, 0.0]), 0.0, 0.4, action.memory(), 0.1)
     assert memory[0] == pytest.approx(0.19)
     assert controls[1] == pytest.approx(0.19 / 0.4)
 
 
-def test_steering_speed_adds_up_to_the_limit_and_comes_back_at_once():
+def test_steering_speed_stops_at_the_limit_and_reverses_immediately():
     action = CarAction(["speed", "steering_speed"])
     memory = action.memory()
     for _ in range(20):
@@ -265,7 +265,7 @@ def test_steering_speed_adds_up_to_the_limit_and_comes_back_at_once():
     assert memory[0] == pytest.approx(0.02)
 
 
-def test_what_the_brake_cannot_give_in_one_step_it_gives_on_the_whole():
+def test_braking_reaches_the_requested_mean_acceleration():
     action, pedals = CarAction(["accl", "steering_angle"]), Pedals()
     memory, speed = action.memory(), 20.0
     for _ in range(15):
@@ -274,7 +274,7 @@ def test_what_the_brake_cannot_give_in_one_step_it_gives_on_the_whole():
     assert speed == pytest.approx(20.0 - 9.0, abs=1.0)
 
 
-def test_an_action_can_be_read_off_what_was_done():
+def test_actions_can_be_recovered_from_controls():
     rng = np.random.default_rng(2)
     for kinds in KINDS:
         action = CarAction(kinds)
@@ -294,7 +294,7 @@ def test_an_action_can_be_read_off_what_was_done():
 # ------------------------------------------------------------------ the wrapper
 
 
-def test_buttons_stand_beside_the_numbers():
+def test_buttons_are_separate_parts_of_the_action():
     env = ControlWrapper(kart_env(), buttons=("nitro", "drift"))
     assert list(env.action_space) == ["control", "drift", "nitro"]
     base = env.action({"control": np.zeros(2, np.float32), "drift": 1, "nitro": 0})
@@ -313,12 +313,12 @@ def test_buttons_stand_beside_the_numbers():
         ({"params": 3}, "params is 3"),
     ],
 )
-def test_wrong_arguments_are_refused(arguments, message):
+def test_invalid_arguments_of_the_wrapper_are_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
         ControlWrapper(kart_env(), **arguments)
 
 
-def test_it_says_where_it_belongs():
+def test_in_the_wrong_place_the_error_says_where_it_belongs():
     flat = FlattenerWrapper(PolarObservations(ConstantSizedObservations(kart_env())))
     with pytest.raises(
         ConfigError, match=r"inside the wrappers that flatten|around full or simple"
@@ -346,7 +346,7 @@ def test_views_can_be_pickled_and_compared():
 
 
 def drive(env, control, steps):
-    """Speeds and locations after each step of one control."""
+    """Applies one control for some steps; returns the speeds and locations after each step."""
     speeds, places = [], []
     for _ in range(steps):
         env.step({"kart_0": {"control": np.array(control, np.float32)}})
@@ -365,7 +365,7 @@ def test_a_speed_is_reached_and_held_on_a_straight(target):
     assert np.abs(speeds[-10:] - target).max() < 0.5
 
 
-def test_a_kart_stops_when_asked_to_and_can_back_up():
+def test_a_kart_can_stop_and_drive_backward():
     view = ControlView(observe="full")
     with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
         env.reset(seed=1, options={"start": Start(distance=190.0, speed=12.0)})
@@ -375,7 +375,7 @@ def test_a_kart_stops_when_asked_to_and_can_back_up():
         assert np.mean(speeds[-10:]) == pytest.approx(-4.0, abs=1.5)
 
 
-def test_an_acceleration_is_kept_on_the_whole():
+def test_an_acceleration_is_kept_on_average():
     view = ControlView(observe="full", control_input=("accl", "steering_angle"))
     with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
         for accl, start in ((4.0, 3.0), (-6.0, 18.0)):
@@ -409,7 +409,7 @@ def test_every_combination_drives_a_lap(kinds):
     assert 30.0 < result["finish_time"] < 70.0
 
 
-def test_agents_of_one_race_may_act_in_different_units():
+def test_agents_in_one_race_can_act_in_different_units():
     view = {
         "kart_0": ControlView(control_input="accl"),
         "kart_1": "flattened_control",
@@ -427,7 +427,7 @@ def test_agents_of_one_race_may_act_in_different_units():
         assert all(env.observation_space(agent).contains(observations[agent]) for agent in view)
 
 
-def test_an_observed_driver_is_seen_in_the_same_units():
+def test_observed_actions_have_the_same_units():
     view = ControlView(control_input=("speed", "steering_angle"), buttons=("nitro",))
     with race_v0.parallel_env(
         agents=[AgentSpec(use_ai=True)], num_kart=1, track="lighthouse", view=view
@@ -444,7 +444,7 @@ def test_an_observed_driver_is_seen_in_the_same_units():
     assert np.ptp([control[0] for control in controls]) > 0.01
 
 
-def test_a_race_repeats_and_goes_on_from_a_saved_state():
+def test_a_race_can_be_repeated_and_restored():
     view = ControlView(control_input=("accl", "steering_speed"))
     script = np.random.default_rng(5).uniform([-0.6, -5], [0.6, 15], (40, 2)).astype(np.float32)
 
@@ -480,7 +480,7 @@ def test_a_reset_straightens_the_wheels():
     assert not np.array_equal(straight[0], straight[1])
 
 
-def test_the_ids_are_there():
+def test_the_ids_are_registered():
     env = gym.make("supertuxkart/flattened_control-v0", num_kart=1, track="lighthouse")
     env.reset(seed=1)
     for _ in range(3):
@@ -492,7 +492,7 @@ def test_the_ids_are_there():
 
 
 @pytest.mark.slow
-def test_the_step_responses_are_measured_and_drawn(tmp_path, monkeypatch):
+def test_step_responses_are_measured_and_drawn(tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "agg")
     responses = {
         "speed": [step_responses.speed_step(5.0)],
@@ -508,7 +508,7 @@ def test_the_step_responses_are_measured_and_drawn(tmp_path, monkeypatch):
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_pursuit_driver_races_by_its_name():
+def test_the_pursuit_driver_can_be_chosen_by_name():
     result = run_race(["pursuit", "ai"], track="lighthouse", seed=1, max_steps=150)
     pursuit = next(agent for agent in result.agents if agent.driver == "pursuit")
     assert pursuit.num_errors == 0

@@ -1,4 +1,4 @@
-"""The ground beside the road ahead, as karts see it."""
+"""Observations of the ground along the road ahead."""
 
 import shutil
 import sys
@@ -54,7 +54,7 @@ def mark(meters):
 
 @pytest.fixture(scope="module")
 def ahead():
-    """Of two karts on a straight road with a wall, a hole, a zipper and a strip that slows."""
+    """Returns the ground ahead of two karts, on a straight road with obstacles."""
     ground = ground_with(
         FLOOR,
         wall(4.3, (10, 14), (0, 2)),
@@ -66,7 +66,7 @@ def ahead():
     return table.ahead(np.array([0, 1]), np.array([[0.3, 0.5, 0.0], [0.0, 0.5, 6.0]], np.float32))
 
 
-def test_the_ground_is_seen_where_it_is(ahead):
+def test_the_ground_is_observed_in_the_right_places(ahead):
     assert ahead.kind.shape == ahead.speed.shape == (2, len(GROUND_MARKS), len(GROUND_LANES))
     first, second = ahead.kind
     assert first[mark(12), lane(4.5)] == WALL
@@ -84,7 +84,7 @@ def test_the_ground_is_seen_where_it_is(ahead):
 
 
 @pytest.mark.slow
-def test_only_who_asks_sees_the_ground():
+def test_only_agents_that_request_the_ground_observe_it():
     views = {"kart_1": "ground"}
     with race_v0.parallel_env(num_kart=3, track="hacienda", view=views) as env:
         observations, _ = env.reset(seed=4)
@@ -101,7 +101,7 @@ def test_only_who_asks_sees_the_ground():
         assert (ahead.kind[0, :4, MIDDLE] == GROUND).all()
 
 
-def test_it_is_a_gymnasium_environment():
+def test_the_ground_view_has_a_gymnasium_id():
     env = gym.make("supertuxkart/ground-v0", track="lighthouse", num_kart=2)
     seen, _ = env.reset(seed=1)
     assert env.observation_space.contains(seen)
@@ -109,9 +109,9 @@ def test_it_is_a_gymnasium_environment():
     env.close()
 
 
-def test_views_of_others_may_ask_for_it():
+def test_user_defined_views_can_request_the_ground():
     class Clearance(gym.ObservationWrapper):
-        """The kind of ground in the middle of the line ahead."""
+        """Observes the kind of ground along the center line ahead."""
 
         def __init__(self, env):
             super().__init__(env)
@@ -129,7 +129,7 @@ def test_views_of_others_may_ask_for_it():
         assert env.observation_space("kart_0").contains(seen["kart_0"])
 
 
-def test_the_racing_view_may_be_made_of_it():
+def test_the_racing_view_can_be_built_on_the_ground_view():
     def racing(env):
         return RacingObservations(stkzoo.views.VIEWS["ground"](env))
 
@@ -141,7 +141,7 @@ def test_the_racing_view_may_be_made_of_it():
     np.testing.assert_allclose(seen["kart_0"], plain["kart_0"], atol=1e-5)
 
 
-def test_demonstrations_of_who_sees_it_are_like_those_of_others():
+def test_demonstrations_do_not_depend_on_the_ground():
     with race_v0.parallel_env(num_kart=2, track="lighthouse", view={"kart_1": "ground"}) as env:
         seen, _ = env.reset(seed=1)
     view = DemoView("simple")
@@ -151,12 +151,12 @@ def test_demonstrations_of_who_sees_it_are_like_those_of_others():
     np.testing.assert_array_equal(told["paths_start"], blind["paths_start"])
 
 
-def test_around_an_environment_without_it_the_view_says_what_to_do():
+def test_around_an_environment_without_ground_the_view_is_an_error():
     with pytest.raises(ConfigError, match=r"shows the ground.*Choose view='ground'"):
         stkzoo.views.VIEWS["ground"](gym.make("supertuxkart/full-v0"))
 
 
-# ------------------------------------------------------------------ agents of files
+# ------------------------------------------------------------------ agents from files
 
 GROUND_AGENT = """
 env_name = "supertuxkart/ground-v0"
@@ -190,7 +190,7 @@ def zipped(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("inline", [False, True])
-def test_agents_are_shown_it_by_their_env_name(mole, inline):
+def test_agents_request_the_ground_with_env_name(mole, inline):
     sources = [
         str(mole),
         str(zipped(mole)),
@@ -208,7 +208,7 @@ def test_agents_are_shown_it_by_their_env_name(mole, inline):
     assert [find_driver(source).extras for source in sources] == [{"ground"}] * 3
 
 
-def test_agents_on_servers_are_shown_it_too(mole):
+def test_agents_on_servers_can_request_the_ground(mole):
     with (
         server_thread([find_driver(str(mole))]) as server,
         RemoteDriverGroup([server.address]) as group,
@@ -233,12 +233,12 @@ def test_agents_on_servers_are_shown_it_too(mole):
         ('    env_name = "supertuxkart/ground-v0"', ""),
     ],
 )
-def test_what_a_module_says_is_read_without_running_it(tmp_path, line, env_name):
+def test_env_name_is_read_without_running_the_module(tmp_path, line, env_name):
     (tmp_path / "pystk_actor.py").write_text(f"raise SystemExit\n{line}\n")
     assert declared(find_files(str(tmp_path)), "env_name") == env_name
 
 
-def test_shipped_drivers_say_it_wherever_the_program_is_started(tmp_path, monkeypatch):
+def test_env_name_of_shipped_drivers_is_found_from_any_folder(tmp_path, monkeypatch):
     home = Path(stkzoo.__file__).parent.parent
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [p for p in sys.path if Path(p).resolve() != home])
@@ -247,13 +247,13 @@ def test_shipped_drivers_say_it_wherever_the_program_is_started(tmp_path, monkey
         assert declared(files, "env_name") == "supertuxkart/full-v0"
 
 
-def test_a_package_may_have_a_folder_with_dots(mole):
+def test_the_folder_of_a_package_can_contain_dots(mole):
     (mole / "__init__.py").touch()
     folder = mole.rename(mole.parent / "mole-1.0")
     assert find_driver(str(folder)).extras == {"ground"}
 
 
-def test_who_does_not_say_so_plainly_is_told(mole):
+def test_an_agent_without_a_literal_env_name_gets_an_error(mole):
     code = (mole / "pystk_actor.py").read_text()
     hidden = code.replace('"supertuxkart/ground-v0"', '"supertuxkart/" + "ground-v0"')
     (mole / "pystk_actor.py").write_text(hidden)

@@ -27,11 +27,11 @@ def some_actions(env):
     return {agent: env.action_space(agent).sample() for agent in env.agents}
 
 
-# ------------------------------------------------------------------ one vector
+# ------------------------------------------------------------------ box views
 
 
 @pytest.mark.parametrize("view", ["box_discrete", "box_continuous"])
-def test_a_box_view_has_the_numbers_and_a_one_for_each_choice(view):
+def test_a_box_view_has_numbers_and_one_hot_choices(view):
     flat = {"box_discrete": "flattened_discrete", "box_continuous": "flattened_continuous_actions"}
     with race(num_kart=2, view={"kart_0": view, "kart_1": flat[view]}) as env:
         assert env.action_space("kart_0") == env.action_space("kart_1")
@@ -47,7 +47,7 @@ def test_a_box_view_has_the_numbers_and_a_one_for_each_choice(view):
 
 
 @pytest.mark.slow
-def test_a_box_view_shows_what_the_flattened_view_shows():
+def test_a_box_view_matches_the_flattened_view():
     views = {}
     for view in ("flattened_discrete", "box_discrete"):
         with race(num_kart=3, view=view) as env:
@@ -61,7 +61,7 @@ def test_a_box_view_shows_what_the_flattened_view_shows():
         assert chosen == flat["discrete"].tolist()
 
 
-def test_one_vector_needs_a_flattened_view():
+def test_a_box_view_needs_a_flattened_view():
     with pytest.raises(Exception, match="needs a flattened view"):
         race(view=JoinedObservations)
 
@@ -74,12 +74,12 @@ def masked(view):
 
 
 def numbers_of(action):
-    """What an action of flattened_discrete presses."""
+    """Returns the buttons that an action of flattened_discrete presses."""
     return {"fire": (action // 20) % 2, "nitro": (action // 40) % 2}
 
 
 @pytest.mark.slow
-def test_the_mask_tells_what_nitro_and_fire_can_do_through_a_whole_race():
+def test_the_mask_is_correct_for_nitro_and_fire_during_a_whole_race():
     seen = set()
     with race(agents=1, num_kart=2, view="masked_discrete", max_cycles=600) as env:
         observations, _ = env.reset(seed=2)
@@ -96,19 +96,19 @@ def test_the_mask_tells_what_nitro_and_fire_can_do_through_a_whole_race():
             seen.add((bool(can["nitro"]), bool(can["fire"])))
             action = steer_home(observations["kart_0"]["observation"])
             observations = env.step({"kart_0": action})[0]
-    assert len(seen) >= 3  # the race had nitro and powerups, and was without
+    assert len(seen) >= 3  # the race had steps with and without nitro and powerups
 
 
 def steer_home(vector):
-    """Full throttle to the end of the third segment ahead, by the number of the action."""
+    """Returns the action that steers to the end of the third segment ahead at full throttle."""
     angle = vector[52 + 3 * 3]
     return 4 + 160 * int(np.clip(round(3 + 6 * angle), 0, 6))
 
 
 @pytest.mark.slow
-def test_masked_buttons_change_nothing_in_the_game():
+def test_masked_buttons_have_no_effect_in_the_game():
     ends = []
-    for buttons in (0, 20, 40, 60):  # none, fire, nitro, both: nothing to use at the start
+    for buttons in (0, 20, 40, 60):  # none, fire, nitro, both; nothing is usable at the start
         with race(num_kart=2, view="masked_discrete") as env:
             observations, _ = env.reset(seed=5)
             for _ in range(45):
@@ -120,7 +120,7 @@ def test_masked_buttons_change_nothing_in_the_game():
     assert len(set(ends)) == 1
 
 
-def test_masks_of_several_choices_are_masks_of_each():
+def test_a_multidiscrete_mask_joins_the_masks_of_its_choices():
     with race(num_kart=2, view=masked("flattened_multidiscrete")) as env:
         observations, _ = env.reset(seed=1)
         sizes = env.action_space("kart_0").nvec
@@ -144,7 +144,7 @@ def test_masks_need_discrete_actions():
 
 
 @pytest.mark.slow
-def test_who_is_far_away_or_behind_is_not_seen():
+def test_karts_far_away_or_behind_are_hidden():
     def near(env):
         return PartialObservations(env, radius=20.0, angle=math.pi, of=["karts", "items"])
 
@@ -169,7 +169,7 @@ def test_who_is_far_away_or_behind_is_not_seen():
         assert len(observations["kart_2"]["karts_position"]) == 3
 
 
-def test_limited_sight_goes_inside_of_flat_views():
+def test_limited_sight_works_inside_flat_views():
     def view(env):
         return VIEWS["box_discrete"](PartialObservations(env, radius=30.0))
 
@@ -186,7 +186,7 @@ def test_limited_sight_goes_inside_of_flat_views():
         ({"of": ["cart"]}, "unknown thing to see"),
     ],
 )
-def test_limited_sight_refuses(options, text):
+def test_limited_sight_refuses_invalid_options(options, text):
     with pytest.raises(Exception, match=text):
         race(view=lambda env: PartialObservations(env, **options))
 
@@ -222,7 +222,7 @@ def test_team_rewards_are_shared_by_the_share():
 
 
 @pytest.mark.slow
-def test_those_who_have_left_a_team_earn_nothing_for_it():
+def test_agents_that_have_left_earn_nothing_for_their_team():
     one = {"kart_0": 0.99, "kart_1": 0.1}
     options = {"num_kart": 2, "view": "flattened_discrete", "track": "olivermath"}
     with race(**options, max_cycles=400) as env:
@@ -239,7 +239,7 @@ def test_those_who_have_left_a_team_earn_nothing_for_it():
         assert gone
 
 
-def test_team_mates_are_where_the_full_view_shows_them():
+def test_teammates_are_where_the_full_view_shows_them():
     with race() as env:
         team = Teams(env, teams=[[0, 1], [2], [3]], observe=True)
         observations, _ = team.reset(seed=1)
@@ -273,7 +273,7 @@ def test_team_mates_are_where_the_full_view_shows_them():
         ({"teams": [[0, 1, 2, 3]], "share": 1.5}, "share is 1.5"),
     ],
 )
-def test_teams_that_cannot_be_are_refused(options, text):
+def test_invalid_teams_are_refused(options, text):
     with race() as env, pytest.raises(ConfigError, match=text):
         Teams(env, **options)
 
@@ -301,7 +301,7 @@ def test_messages_arrive_one_step_later_in_the_order_of_the_agents():
         assert not observations["kart_1"]["messages"].any()
 
 
-def test_words_are_heard_as_ones():
+def test_words_are_heard_as_one_hot_vectors():
     with race(num_kart=2, view="flattened_discrete") as inner:
         env = MessageChannel(inner, words=5)
         assert env.action_space("kart_0")["message"] == spaces.Discrete(5)
@@ -310,7 +310,7 @@ def test_words_are_heard_as_ones():
         assert observations["kart_1"]["messages"].tolist() == [[0, 0, 0, 1, 0]]
 
 
-def test_only_those_in_reach_and_of_the_team_are_heard():
+def test_only_teammates_within_reach_are_heard():
     starts = {"kart_0": 100.0, "kart_1": 110.0, "kart_2": 400.0, "kart_3": 115.0}
     with race(view="flattened_discrete") as inner:
         env = MessageChannel(
@@ -322,7 +322,7 @@ def test_only_those_in_reach_and_of_the_team_are_heard():
         assert observations["kart_3"]["heard"].tolist() == [0, 0, 0]
 
 
-def test_a_message_that_cannot_be_is_refused_and_the_race_stands_still():
+def test_an_invalid_message_is_refused_before_the_race_advances():
     with race(num_kart=2, view="flattened_discrete") as inner:
         env = MessageChannel(inner, words=2)
         env.reset(seed=1)
@@ -343,16 +343,16 @@ def test_a_message_that_cannot_be_is_refused_and_the_race_stands_still():
         ({"within_teams": True}, "needs teams"),
     ],
 )
-def test_channels_that_cannot_be_are_refused(options, text):
+def test_invalid_channels_are_refused(options, text):
     with race() as env, pytest.raises(ConfigError, match=text):
         MessageChannel(env, **options)
 
 
-# ------------------------------------------------------------------ together
+# ------------------------------------------------------------------ combinations
 
 
 @pytest.mark.slow
-def test_channels_around_teams_keep_pettingzoos_contract():
+def test_channels_around_teams_pass_pettingzoos_test():
     def view(env):
         return FlattenerWrapper(VIEWS["simple"](env))
 
@@ -361,7 +361,7 @@ def test_channels_around_teams_keep_pettingzoos_contract():
         parallel_api_test(env, num_cycles=40)
 
 
-def test_teams_and_messages_go_through_the_turn_by_turn_form():
+def test_teams_and_messages_work_in_the_aec_api():
     with race(num_kart=2, view="flattened_discrete", max_cycles=20) as inner:
         env = MessageChannel(Teams(inner, teams=[[0, 1]], observe=True), words=3)
         aec, steps = parallel_to_aec(env), 0
@@ -376,7 +376,7 @@ def test_teams_and_messages_go_through_the_turn_by_turn_form():
         assert steps == 2 * 21
 
 
-def test_a_race_of_a_team_is_the_same_race():
+def test_teams_do_not_change_the_race():
     ends = []
     for wrap in (lambda env: env, lambda env: Teams(env, teams=[[0, 1]], observe=True)):
         with race(num_kart=2, view="flattened_discrete") as inner:

@@ -1,4 +1,4 @@
-"""How the other karts move, against where they are."""
+"""Observed velocities and headings of the other karts."""
 
 import gymnasium as gym
 import numpy as np
@@ -24,7 +24,7 @@ STAY = {"acceleration": 0.0, "steer": 0.0} | dict.fromkeys(
 
 
 def course(step_size=1 / 60, steps=300, seed=5):
-    """What a kart that stays behind at the start sees of another, and the game's own records."""
+    """Returns what a standing kart observes of another one, and the game's kart records."""
     agents = [AgentSpec(rank_start=1), AgentSpec(rank_start=0, use_ai=True)]
     options = {"num_kart": 2, "agents": agents, "track": "lighthouse", "step_size": step_size}
     with race_v0.parallel_env(**options, view={0: MOVING}) as env:
@@ -45,30 +45,30 @@ def a_course():
     return course()
 
 
-def test_the_velocity_is_how_fast_the_place_changes(a_course):
+def test_the_velocity_is_the_rate_of_change_of_the_position(a_course):
     rows, records = a_course
-    assert np.ptp(records["location"][100:, 0], axis=0).max() < 0.05  # the frame stays
+    assert np.ptp(records["location"][100:, 0], axis=0).max() < 0.05  # the observer stands still
     there = rows["karts_position"][100:]
     from_places = (there[2:] - there[:-2]) * 30
     speed = np.linalg.norm(from_places, axis=1)
     assert speed.max() > 15
     error = np.linalg.norm(rows["karts_velocity"][101:-1] - from_places, axis=1)
-    # The game's velocities are a tick ahead of its places: 0.1 m/s at full throttle.
+    # The game's velocities are one tick ahead of its positions: 0.1 m/s at full throttle.
     assert np.median(error) < 0.2
     assert np.quantile(error, 0.95) < 0.3
 
 
-def test_the_heading_is_where_the_nose_points(a_course):
+def test_the_heading_is_the_direction_of_the_front(a_course):
     rows, records = a_course
     nose = (records["front"] - records["location"]).astype(np.float64)[..., [0, 2]]
     x, z = nose[:, 1].T
     forward_x, forward_z = nose[:, 0].T
     right = np.arctan2(x * forward_z - z * forward_x, x * forward_x + z * forward_z)
     np.testing.assert_allclose(rows["karts_heading"][:, 0], right, atol=0.03)
-    assert np.ptp(right) > 0.3  # it drove a bend
+    assert np.ptp(right) > 0.3  # the kart drove through a bend
 
 
-def test_karts_move_in_the_order_of_their_places():
+def test_velocities_have_the_order_of_positions():
     with race_v0.parallel_env(num_kart=4, track="lighthouse", view=WITH_MOTION) as env:
         env.reset(seed=2)
         for space in env.action_spaces.values():
@@ -91,8 +91,8 @@ def test_karts_move_in_the_order_of_their_places():
         np.testing.assert_allclose(ours, speeds, rtol=1e-5, atol=1e-5)
 
 
-def test_a_kart_that_races_beside_sees_what_that_one_says_of_itself():
-    """Two karts that point the same way: the velocity of the other is what it observes."""
+def test_the_observed_velocity_is_the_other_karts_own_velocity():
+    """Compares after rotation by the angle between the headings of the two karts."""
     with race_v0.parallel_env(num_kart=2, track="lighthouse", view=WITH_MOTION) as env:
         env.reset(seed=2)
         for _ in range(40):
@@ -105,12 +105,12 @@ def test_a_kart_that_races_beside_sees_what_that_one_says_of_itself():
         [0, 1, 0],
         [np.sin(heading), 0, np.cos(heading)],
     ]
-    np.testing.assert_allclose(first["karts_velocity"][0], turned, atol=0.2)  # of a tick before
+    np.testing.assert_allclose(first["karts_velocity"][0], turned, atol=0.2)  # differs by one tick
     assert np.linalg.norm(turned) > 5
 
 
 @pytest.mark.parametrize("view", ["flattened", "box_discrete", "masked_discrete", "control"])
-def test_views_of_fixed_size_take_the_option_and_stay_compiled(view):
+def test_views_of_fixed_size_accept_the_option_and_stay_compiled(view):
     size = {}
     for options in ({}, {"karts_motion": True}):
         env = gym.make(f"supertuxkart/{view}-v0", num_kart=2, track="lighthouse", **options)
@@ -122,14 +122,14 @@ def test_views_of_fixed_size_take_the_option_and_stay_compiled(view):
     assert size[1] - size[0] == 5 * (3 + 1)
 
 
-def test_the_full_view_stays_as_it_is():
+def test_the_full_view_does_not_change():
     with race_v0.parallel_env(num_kart=2, track="lighthouse", view={0: WITH_MOTION}) as env:
         observations, _ = env.reset(seed=1)
     assert [*observations["kart_1"]] == [*kart_observation_space()]
     assert not {"karts_velocity", "karts_heading"} & {*observations["kart_1"]}
 
 
-def test_what_is_hidden_does_not_move():
+def test_hidden_karts_have_no_motion():
     def near(env, radius=3.0):
         return PartialObservations(env, radius=radius)
 
@@ -144,7 +144,7 @@ def test_what_is_hidden_does_not_move():
     assert counts - {4}
 
 
-def test_wrappers_that_do_not_ask_for_it_leave_it_out():
+def test_wrappers_that_do_not_request_motion_leave_it_out():
     def plain(env):
         return PolarObservations(ConstantSizedObservations(env))
 
@@ -154,7 +154,7 @@ def test_wrappers_that_do_not_ask_for_it_leave_it_out():
     assert "karts_velocity" not in observations["kart_0"]
 
 
-def test_opponents_see_it_like_agents():
+def test_opponents_observe_motion_like_agents():
     seen = []
 
     def policy(observation):
@@ -191,12 +191,12 @@ def agent(tmp_path):
 
 
 @pytest.mark.parametrize("inline", [True, False])
-def test_agents_from_files_are_told_of_it(agent, inline):
+def test_agents_from_files_can_request_motion(agent, inline):
     result = run_race([agent, "ai"], track="lighthouse", seed=1, max_steps=5, inline=inline)
     assert result.agents[0].errors == ()
 
 
-def test_opponents_from_files_are_told_of_it(agent, caplog):
+def test_opponents_from_files_can_request_motion(agent, caplog):
     driver = find_driver(agent, inline=True)
     options = {"num_kart": 2, "agents": 1, "track": "lighthouse"}
     with race_v0.parallel_env(**options, opponents=[driver]) as env:
@@ -205,7 +205,7 @@ def test_opponents_from_files_are_told_of_it(agent, caplog):
     assert not caplog.records
 
 
-def test_agents_on_servers_are_told_of_it(agent):
+def test_agents_on_servers_can_request_motion(agent):
     with (
         server_thread([find_driver(agent)]) as server,
         RemoteDriverGroup([server.address]) as group,
@@ -231,12 +231,12 @@ def test_agents_on_servers_are_told_of_it(agent):
         ),
     ],
 )
-def test_where_nobody_tells_of_it_is_said(make, message):
+def test_environments_without_motion_are_refused(make, message):
     with pytest.raises(ConfigError, match=message):
         make()
 
 
-def test_the_adapter_goes_around_races_that_tell_of_it():
+def test_the_adapter_works_with_races_with_motion():
     env = race_v0.parallel_env(num_kart=2, track="lighthouse", view=MOVING)
     with env:
         adapted = MonoAgentWrapperAdapter(env, {0: WITH_MOTION})

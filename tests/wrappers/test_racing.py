@@ -1,4 +1,4 @@
-"""The racing view: the same numbers for one kart, for a race and for many races."""
+"""The racing view has the same values for one kart, a whole race and many races."""
 
 import itertools
 
@@ -32,7 +32,7 @@ from stkzoo.wrappers.racing.road import MARKS, NUM_POINTS, STEP
 
 
 class OneKart(gym.Env):
-    """Shows what it is given."""
+    """A single-agent environment that only has the spaces of kart_0."""
 
     def __init__(self, env):
         self.observation_space = env.observation_space("kart_0")
@@ -40,7 +40,7 @@ class OneKart(gym.Env):
 
 
 def part(view, name):
-    """One part of a view, ``(..., count, width)``."""
+    """Returns one part of a view, ``(..., count, width)``."""
     begin = 0
     for other, (count, width) in PARTS.items():
         if other == name:
@@ -61,7 +61,7 @@ def race(**options):
 
 
 def moments(env, seed=3, steps=100):
-    """Full observations of a race that is driven at random, and the moments themselves."""
+    """Yields the full observations of a race with random actions."""
     chance = np.random.default_rng(seed)
     observations, _ = env.reset(seed=seed)
     for _ in range(steps):
@@ -76,7 +76,7 @@ def moments(env, seed=3, steps=100):
 
 
 @pytest.mark.parametrize(("track", "reverse"), [("lighthouse", False), ("candela_city", True)])
-def test_one_kart_a_race_and_a_crowd_see_the_same(track, reverse):
+def test_one_kart_a_race_and_a_batch_have_the_same_observations(track, reverse):
     env = race(track=track, reverse=reverse)
     with env:
         view = RacingObservations(OneKart(env))
@@ -91,7 +91,7 @@ def test_one_kart_a_race_and_a_crowd_see_the_same(track, reverse):
     assert alone.shape == (4, SIZE)
 
 
-def test_crowds_of_several_races_see_what_each_sees_alone():
+def test_a_batch_of_several_races_matches_single_races():
     with race() as one, race(track="olivermath", num_kart=3) as two:
         one.reset(seed=1), two.reset(seed=2)
         roads = [RoadTable(env.track_map) for env in (one, two)]
@@ -103,7 +103,7 @@ def test_crowds_of_several_races_see_what_each_sees_alone():
     np.testing.assert_allclose(both, np.concatenate([first, second]), atol=1e-6)
 
 
-def test_the_view_by_its_name_is_in_its_space_and_finite():
+def test_observations_of_the_named_view_are_valid_and_finite():
     with race(view="racing") as env:
         observations, _ = env.reset(seed=5)
         seen = []
@@ -113,11 +113,11 @@ def test_the_view_by_its_name_is_in_its_space_and_finite():
                 seen.append(observations[agent])
             observations, *_ = env.step({a: env.action_space(a).sample() for a in env.agents})
     assert np.isfinite(seen).all()
-    assert np.ptp(seen, axis=0).max() > 0.5  # it moves
+    assert np.ptp(seen, axis=0).max() > 0.5  # the observations change
 
 
 @pytest.mark.parametrize("max_paths", [None, 10])
-def test_the_view_by_its_name_shows_what_its_wrappers_make(max_paths):
+def test_the_named_view_matches_its_wrappers(max_paths):
     with race(view="racing", max_paths=max_paths) as env:
         observations, _ = env.reset(seed=5)
         for _ in range(40):
@@ -138,7 +138,7 @@ def test_it_is_registered():
 
 
 def mirrored(observation):
-    """A full observation of the mirrored race: x is to the left."""
+    """Mirrors a full observation, so that x points to the left."""
     flipped = {}
     for key, value in observation.items():
         if isinstance(value, tuple) and key.endswith(("_position", "_start", "_end")):
@@ -163,7 +163,7 @@ def test_the_mirrored_race_is_seen_mirrored():
 
 
 def places_on_road(track, points):
-    """How far each point is from the track's centre line, and where on it [m]."""
+    """Returns each point's distance from the track's center line and its place on it [m]."""
     starts, ends = track.path_nodes[:, 0].astype(float), track.path_nodes[:, 1].astype(float)
     along = ends - starts
     squares = (along * along).sum(-1)
@@ -177,7 +177,7 @@ def places_on_road(track, points):
 
 
 @pytest.mark.parametrize("track", ["abyss", "hacienda"])
-def test_marks_lie_on_the_tracks_line_at_their_distances(track):
+def test_marks_are_on_the_center_line_at_their_distances(track):
     with race(num_kart=1, track=track) as env:
         view = RacingObservations(OneKart(env))
         for observations in itertools.islice(moments(env), 30, None, 15):
@@ -193,17 +193,17 @@ def test_marks_lie_on_the_tracks_line_at_their_distances(track):
             np.testing.assert_allclose(ahead, MARKS, atol=1.0, rtol=0.1)
 
 
-def test_a_straight_road_is_a_straight_line():
+def test_a_straight_road_gives_a_straight_line():
     starts = np.array([[0, 0, 10.0 * n] for n in range(8)], np.float32)
     ends = starts + np.array([0, 0, 10], np.float32)
     line = road_line(starts, ends, np.full(8, 6.0, np.float32))
     assert line.shape == (NUM_POINTS, 4)
-    expected = STEP * np.arange(NUM_POINTS)  # beyond its end too
+    expected = STEP * np.arange(NUM_POINTS)  # also beyond the end of the road
     np.testing.assert_allclose(line[:, 2], expected, atol=1e-4)
     np.testing.assert_allclose(line[:, 3], 3.0)
 
 
-def test_the_line_goes_on_after_a_gap_but_not_after_a_long_one():
+def test_the_line_continues_after_a_short_gap_but_not_after_a_long_one():
     def side_of(gap):
         starts = np.array([[0, 0, 0], [3, 0, 10 + gap]], np.float32)
         ends = starts + np.array([0, 0, 10], np.float32)
@@ -213,7 +213,7 @@ def test_the_line_goes_on_after_a_gap_but_not_after_a_long_one():
     assert side_of(30.0) == pytest.approx(0.0)
 
 
-def test_at_a_fork_the_line_keeps_to_the_branch_that_touches():
+def test_at_a_fork_the_line_follows_the_connected_branch():
     main = [[0, 0, 0], [0, 0, 10], [0, 0, 20], [0, 0, 30]]
     branch = [[6, 0, 10], [6, 0, 20]]
     order = [main[0], main[1], branch[0], main[2], branch[1], main[3]]
@@ -222,7 +222,7 @@ def test_at_a_fork_the_line_keeps_to_the_branch_that_touches():
     assert np.abs(line[:, 0]).max() == 0.0
 
 
-def test_items_are_seen_where_they_are():
+def test_items_are_observed_in_the_right_places():
     with race(num_kart=1, track="lighthouse", max_cycles=300) as env:
         view = RacingObservations(OneKart(env))
         goods = 0
@@ -252,7 +252,7 @@ def test_items_are_seen_where_they_are():
     assert goods > 3
 
 
-def test_choices_are_the_games_actions():
+def test_choices_map_to_the_games_actions_and_back():
     with race(num_kart=1) as env:
         wrapped = RacingActions(OneKart(env))
         base = env.action_space("kart_0")
@@ -270,7 +270,7 @@ def test_choices_are_the_games_actions():
     assert together.shape == (2, 7)
 
 
-def test_what_the_ai_does_comes_as_choices():
+def test_actions_of_the_ai_are_observed_as_choices():
     spec = [AgentSpec(use_ai=True), AgentSpec()]
     with race_v0.parallel_env(agents=spec, num_kart=2, track="lighthouse", view="racing") as env:
         observations, _ = env.reset(seed=1)
@@ -279,7 +279,7 @@ def test_what_the_ai_does_comes_as_choices():
             assert env.observation_space("kart_0").contains(observations["kart_0"])
             done.append(observations["kart_0"]["action"])
             observations, *_ = env.step({"kart_1": np.zeros(5, int)})
-    assert len({int(choices[0]) for choices in done}) > 1  # it steers
+    assert len({int(choices[0]) for choices in done}) > 1  # the AI steers
 
 
 def test_other_views_are_refused():
@@ -289,7 +289,7 @@ def test_other_views_are_refused():
         race(view=lambda env: RacingActions(VIEWS["control"](env)))
 
 
-def test_a_kart_that_sees_no_road_has_a_view_too():
+def test_a_kart_without_visible_road_has_a_finite_view():
     with race_v0.parallel_env(num_kart=1, track="lighthouse", view="racing") as env:
         chain = env._chains._chains["kart_0"]
         blank = create_zero_array(chain.base_observation_space)

@@ -62,7 +62,7 @@ def act(env, action):
 
 
 def singles(seed, count=40, use_ai=False):
-    """Random full observations with lists of many lengths."""
+    """Yields random full observations with lists of different lengths."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
         items, karts, paths = rng.integers(1, 12, size=3)
@@ -76,7 +76,7 @@ def without_text(obs):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("view", FIXED_SIZE)
-def test_observations_equal_those_of_the_reference(view):
+def test_observations_match_the_reference(view):
     ours, theirs = wrap(kart_env(), view), wrap_as_reference(kart_env(), view)
     for obs in singles(1, 80):
         expected = observe(theirs, copy.deepcopy(obs))
@@ -86,7 +86,7 @@ def test_observations_equal_those_of_the_reference(view):
 
 
 @pytest.mark.parametrize("mask", [False, True])
-def test_constant_size_equals_the_reference_for_other_sizes(mask):
+def test_constant_size_matches_the_reference_for_other_sizes(mask):
     arguments = {"state_items": 3, "state_karts": 2, "state_paths": 10, "add_mask": mask}
     ours = ConstantSizedObservations(kart_env(), **arguments)
     theirs = reference_stk.ConstantSizedObservations(kart_env(), **arguments)
@@ -96,7 +96,7 @@ def test_constant_size_equals_the_reference_for_other_sizes(mask):
 
 
 @pytest.mark.slow
-def test_polar_equals_the_reference_on_lists():
+def test_polar_observations_match_the_reference_on_lists():
     ours = PolarObservations(kart_env())
     theirs = reference_stk.PolarObservations(kart_env())
     for obs in singles(3):
@@ -104,12 +104,12 @@ def test_polar_equals_the_reference_on_lists():
 
 
 @pytest.mark.parametrize("view", FIXED_SIZE)
-def test_action_spaces_equal_those_of_the_reference(view):
+def test_action_spaces_match_the_reference(view):
     assert wrap(kart_env(), view).action_space == wrap_as_reference(kart_env(), view).action_space
 
 
 @pytest.mark.parametrize("view", FIXED_SIZE)
-def test_observation_spaces_equal_those_of_the_reference_without_text(view):
+def test_observation_spaces_match_the_reference_without_text(view):
     ours = wrap(kart_env(), view).observation_space
     theirs = wrap_as_reference(kart_env(), view).observation_space
     dropped = set() if view == "simple" else {"kart_type"}
@@ -117,7 +117,7 @@ def test_observation_spaces_equal_those_of_the_reference_without_text(view):
 
 
 @pytest.mark.parametrize("view", FIXED_SIZE)
-def test_actions_equal_those_of_the_reference(view):
+def test_actions_match_the_reference(view):
     ours, theirs = wrap(kart_env(), view), wrap_as_reference(kart_env(), view)
     ours.action_space.seed(4)
     for _ in range(200):
@@ -202,7 +202,7 @@ def test_actions_are_never_changed(view):
     assert_same(action, before)
 
 
-def test_observing_twice_gives_the_same():
+def test_observing_twice_gives_the_same_result():
     env = PolarObservations(kart_env())
     obs = next(singles(10))
     assert_same(env.observation(obs), env.observation(obs))
@@ -219,7 +219,7 @@ def test_empty_lists_can_be_observed(view, count):
         assert observe(env, obs) in env.observation_space
 
 
-def test_masks_say_what_is_real():
+def test_masks_tell_real_rows_from_padding():
     env = ConstantSizedObservations(kart_env(), add_mask=True)
     batch = random_batch(np.random.default_rng(12), 2, items=2, karts=0, paths=9)
     masks = env.observation(batch)
@@ -244,7 +244,7 @@ def test_polar_angles_are_positive_to_the_right_and_above():
 
 @pytest.mark.parametrize("key", ["state_items", "state_karts", "state_paths"])
 @pytest.mark.parametrize("value", [0, -1, 2.5, None, True, "5"])
-def test_constant_size_refuses_a_number_that_cannot_be(key, value):
+def test_constant_size_refuses_invalid_numbers(key, value):
     with pytest.raises(ConfigError, match=f"{key} is .*of 1 or more"):
         ConstantSizedObservations(kart_env(), **{key: value})
 
@@ -277,14 +277,14 @@ def test_discrete_actions_refuse_fewer_than_two_steps(key, value):
         ),
     ],
 )
-def test_a_wrapper_in_the_wrong_place_says_so(make, text):
+def test_a_wrapper_in_the_wrong_place_is_an_error(make, text):
     with pytest.raises(ConfigError, match=text) as caught:
         make()
     assert len(str(caught.value)) < 600
 
 
 @given(st.integers(2, 101), st.data())
-def test_every_step_survives_the_way_to_its_number_and_back(values, data):
+def test_every_step_survives_conversion_to_a_number_and_back(values, data):
     steps = Discretizer(spaces.Box(-1, 1, (1,)), values)
     step = data.draw(st.integers(0, values - 1))
     assert steps.discretize(np.float32(steps.continuous(step))) == step
@@ -297,7 +297,7 @@ def test_the_nearest_step_is_at_most_half_a_step_away(values, number):
     assert distance <= 1 / (values - 1) + 1e-9
 
 
-def test_the_reference_labels_half_a_step_to_the_left_and_ours_does_not():
+def test_unlike_the_reference_discretization_is_unbiased():
     box = spaces.Box(-1, 1, (1,))
     theirs, ours = reference_stk.Discretizer(box, 7), Discretizer(box, 7)
     numbers = np.linspace(-1, 1, 1001)
@@ -307,7 +307,7 @@ def test_the_reference_labels_half_a_step_to_the_left_and_ours_does_not():
 
 
 @pytest.mark.parametrize(("number", "step"), [(-1.5, 0), (1.0000001, 6), (7.0, 6)])
-def test_numbers_beyond_the_ends_are_the_ends(number, step):
+def test_numbers_out_of_bounds_are_clipped(number, step):
     assert Discretizer(spaces.Box(-1, 1, (1,)), 7).discretize(number) == step
 
 
@@ -330,13 +330,13 @@ def test_flattening_undoes_unflattening(continuous, discrete):
     assert_same(flattener.flatten(flattener.unflatten(flat)), flat)
 
 
-def test_the_flattened_space_keeps_where_choices_start():
+def test_the_flattened_space_keeps_the_start_of_choices():
     flattener = SpaceFlattener(spaces.Dict({"a": spaces.Discrete(2, start=5)}))
     assert flattener.space.start.tolist() == [5]
 
 
 @pytest.mark.parametrize("size", [3, 1])
-def test_unflattening_refuses_another_length(size):
+def test_unflattening_refuses_a_wrong_length(size):
     flattener = SpaceFlattener(spaces.Dict({"a": spaces.Box(-1, 1, (2,))}))
     with pytest.raises(ValueError, match="expected 2 values"):
         flattener.unflatten(np.zeros(size))
@@ -347,7 +347,7 @@ def test_a_space_with_nothing_to_flatten_is_refused():
         SpaceFlattener(spaces.Dict({"name": spaces.Text(3)}))
 
 
-def test_every_combination_of_choices_has_one_number():
+def test_every_combination_of_choices_has_its_own_number():
     env = wrap(kart_env(use_ai=True), "flattened_discrete")
     numbers = np.arange(env.action_space.n)
     choices = env.action(numbers)
@@ -355,7 +355,7 @@ def test_every_combination_of_choices_has_one_number():
     assert env.observation({"action": choices})["action"].tolist() == numbers.tolist()
 
 
-def test_flattening_only_actions_leaves_the_observation():
+def test_flattening_only_actions_keeps_the_observation():
     env = FlattenerWrapper(kart_env(use_ai=True), flatten_observations=False)
     obs = next(singles(15, use_ai=True))
     seen = env.observation(obs)
@@ -366,7 +366,7 @@ def test_flattening_only_actions_leaves_the_observation():
     )
 
 
-def test_wrapped_spaces_share_no_generator_with_the_wrapped_env():
+def test_wrapped_spaces_have_their_own_generators():
     base = kart_env(use_ai=True)
     env = DiscreteActionsWrapper(base)
     parts = [env.action_space["brake"], env.observation_space["action"]["brake"]]
@@ -376,7 +376,7 @@ def test_wrapped_spaces_share_no_generator_with_the_wrapped_env():
 
 @pytest.mark.parametrize("dump", [pickle, cloudpickle])
 @pytest.mark.parametrize("view", FIXED_SIZE)
-def test_wrapped_environments_pickle(view, dump):
+def test_wrapped_environments_can_be_pickled(view, dump):
     env = wrap(kart_env(), view)
     copied = pickle.loads(dump.dumps(env))
     obs = next(singles(16))
@@ -398,7 +398,7 @@ def test_a_spec_keeps_arguments_that_are_not_the_defaults():
     assert env.spec.make(disable_env_checker=True).action_space["steer"].n == 3
 
 
-def test_a_subclass_does_not_inherit_the_promise():
+def test_a_subclass_is_not_compiled_unless_it_says_so():
     class Mine(PolarObservations):
         pass
 

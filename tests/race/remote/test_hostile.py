@@ -28,7 +28,7 @@ def assert_serves(address):
 
 
 def test_a_server_outlives_bad_messages_by_the_thousand():
-    """By hand, with 100,000: ``python -m tests.fuzz.flood 100000``."""
+    """To send 100,000 messages: ``python -m tests.fuzz.flood 100000``."""
     with server_process("heuristic", "--quiet") as (process, address):
         assert_serves(address)
         messages = bad_messages(random.Random(1))
@@ -75,7 +75,7 @@ def test_a_message_that_is_too_large_ends_the_connection_only():
     ],
     ids=lambda value: str(value)[:30],
 )
-def test_a_bad_message_gets_an_answer_that_says_what_is_wrong(frames, text):
+def test_an_invalid_message_gets_an_answer_that_explains_the_error(frames, text):
     with server_thread([find_driver("heuristic")]) as server:
         with raw_client(server.address) as socket:
             socket.send_multipart(frames)
@@ -118,7 +118,7 @@ ACTION = {
 
 
 def lies(*frames, **fields):
-    """Opens the seat as it should be, and then answers each step with frames or fields."""
+    """Returns a function that opens the seat correctly, then answers with frames or fields."""
 
     def lie(kind, asked):
         if kind == b"O":

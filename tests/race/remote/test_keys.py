@@ -1,4 +1,4 @@
-"""Keys of networked races: who is let in."""
+"""Keys of networked races: which clients a server accepts."""
 
 import os
 import stat
@@ -25,7 +25,7 @@ TRACK = {"track": "lighthouse", "seed": 3}
 
 @pytest.fixture
 def closed_server():
-    """A server with a key that lets one client in; gives it, its public key and the client's."""
+    """Runs a server that accepts one client; yields its address, its public key and the client."""
     own, client = new_keys(), new_keys()
     keys = ServerKeys(own, {client.public: "ada"})
     with server_thread([find_driver("heuristic")], keys=keys) as server:
@@ -63,7 +63,7 @@ def test_a_message_without_keys_gets_no_answer(closed_server):
         assert not socket.poll(1000)
 
 
-def test_a_server_with_a_key_and_no_list_lets_all_in_who_know_it():
+def test_a_server_with_a_key_and_no_list_accepts_all_who_know_it():
     own = new_keys()
     with (
         server_thread([find_driver("heuristic")], keys=ServerKeys(own)) as server,
@@ -79,19 +79,19 @@ def test_other_machines_are_not_listened_to_without_keys(address, keys):
         RaceServer([find_driver("heuristic")], address, keys=keys)
 
 
-def test_other_machines_are_listened_to_with_keys_or_if_told():
+def test_with_keys_or_insecure_a_server_listens_to_other_machines():
     keys = ServerKeys(new_keys(), {new_keys().public: ""})
     for options in ({"keys": keys}, {"insecure": True}):
         with RaceServer([find_driver("heuristic")], "*:*", **options) as server:
             assert server.address.startswith("tcp://0.0.0.0:")
 
 
-def test_a_list_without_a_key_of_ones_own_means_nothing():
+def test_a_list_without_an_own_key_is_refused():
     with pytest.raises(ConfigError, match="have no effect"):
         RaceServer([find_driver("heuristic")], keys=ServerKeys(None, {}))
 
 
-def test_key_files_hold_a_pair_and_the_secret_is_the_owners_only(tmp_path):
+def test_key_files_hold_a_pair_and_only_the_owner_can_read_the_secret(tmp_path):
     secret, public = new_key_files("ada", tmp_path)
     assert stat.S_IMODE(os.stat(secret).st_mode) == 0o600
     assert read_secret(secret).public == read_public(public) == read_public(read_public(public))
@@ -107,14 +107,14 @@ def test_key_files_are_not_overwritten(tmp_path):
     assert secret.read_text() == before
 
 
-def test_a_secret_that_others_may_read_is_refused(tmp_path):
+def test_a_secret_that_others_can_read_is_refused(tmp_path):
     secret, _ = new_key_files("ada", tmp_path)
     secret.chmod(0o644)
     with pytest.raises(ConfigError, match="chmod 600"):
         read_secret(secret)
 
 
-def test_many_public_keys_come_from_a_folder_or_a_file(tmp_path):
+def test_public_keys_can_be_read_from_a_folder_or_a_file(tmp_path):
     publics = [new_key_files(name, tmp_path)[1] for name in ("ada", "bob")]
     together = tmp_path / "all.txt"
     together.write_text("# my students\n\n" + "".join(file.read_text() for file in publics))
@@ -123,7 +123,7 @@ def test_many_public_keys_come_from_a_folder_or_a_file(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "hello\n", "public abc\n", "\x00\xff"])
-def test_what_is_no_key_is_refused(tmp_path, text):
+def test_an_invalid_key_is_refused(tmp_path, text):
     file = tmp_path / "x.secret"
     file.write_bytes(text.encode("latin-1"))
     for read in (read_secret, read_public):
@@ -132,7 +132,7 @@ def test_what_is_no_key_is_refused(tmp_path, text):
 
 
 @pytest.mark.parametrize("name", ["", "../a", "a/b", ".a", "a b"])
-def test_key_names_are_plain(tmp_path, name):
+def test_invalid_key_names_are_refused(tmp_path, name):
     with pytest.raises(ConfigError, match="key name"):
         new_key_files(name, tmp_path)
 

@@ -1,4 +1,4 @@
-"""Floods of a server: bounded connections and memory, few logs, and races that are served."""
+"""Under floods, a server bounds its connections, memory and logs, and still serves races."""
 
 import contextlib
 import os
@@ -57,7 +57,7 @@ def held():
 
 @pytest.mark.slow
 def test_a_race_is_served_while_many_clients_idle():
-    """In full, with 1,200: ``python -m benchmarks.floods``."""
+    """For the full test with 1,200 clients: ``python -m benchmarks.floods``."""
     allow_descriptors(2000)
     with limited_server("heuristic", descriptors=256, stderr=subprocess.PIPE) as (server, address):
         with IdleClients(address, 300) as clients:
@@ -83,7 +83,7 @@ def test_an_idle_connection_ends_after_a_while(monkeypatch):
         assert remote_race(server.address) == []
 
 
-def test_a_connection_with_a_race_may_be_silent(monkeypatch):
+def test_a_connection_with_a_race_can_be_silent(monkeypatch):
     monkeypatch.setattr(peers, "IDLE", 0.2)
     with server_thread([find_driver("heuristic")]) as server, raw_client(server.address) as client:
         opening = pack(protocol=VERSION, seat=0, driver=0, agent="a", extras=[], seed=1)
@@ -123,7 +123,7 @@ def test_a_message_without_end_is_cut_off():
 
 
 @pytest.mark.slow
-def test_heartbeats_without_end_do_not_stop_a_race():
+def test_endless_heartbeats_do_not_stop_a_race():
     with server_process("random", "--quiet") as (process, address), zmtp_socket(address) as one:
         before = resident_memory(process.pid)
         flood = threading.Thread(target=send_until_closed, args=(one, PING * 1000, 3.0))
@@ -133,7 +133,7 @@ def test_heartbeats_without_end_do_not_stop_a_race():
         assert resident_memory(process.pid) - before < 64 << 20
 
 
-def test_clients_of_one_identity_do_not_disturb_another():
+def test_clients_with_the_same_identity_do_not_disturb_a_race():
     with server_thread([find_driver("random")]) as server:
         hello = zmtp_frame(HELLO, more=True) + zmtp_frame(pack(protocol=VERSION))
         twins = [zmtp_socket(server.address, b"twin") for _ in range(20)]
@@ -163,7 +163,7 @@ def test_a_log_that_nobody_reads_does_not_stop_the_server():
         os.close(sink)
 
 
-def test_only_the_connection_that_is_meant_is_cut():
+def test_only_the_intended_connection_is_cut():
     left, right = socket.socketpair()
     with server_thread([find_driver("random")]) as server:
         peer = peers._Peer(("127.0.0.1", "another"), "", 0.0)
@@ -174,7 +174,7 @@ def test_only_the_connection_that_is_meant_is_cut():
     right.close()
 
 
-def test_half_a_greeting_takes_no_place_for_long(held):
+def test_incomplete_greetings_do_not_hold_connections(held):
     with server_thread([find_driver("random")]) as server:
         connect_all(plain(server.address), 5, HALF_GREETING, held)
         assert num_open(held) == 5

@@ -30,7 +30,7 @@ def essence(result):
 
 
 class Watcher(RaceListener):
-    """Does something once when so many steps are done."""
+    """Calls a function once, after a number of steps."""
 
     def __init__(self, step, deed):
         self._step, self._deed = step, deed
@@ -78,7 +78,7 @@ def test_servers_in_another_order_serve_the_next_race(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_server_killed_in_the_race_costs_its_own_karts_only():
+def test_a_server_killed_during_a_race_loses_only_its_own_karts():
     with (
         server_process("heuristic") as (process, first),
         server_process("heuristic") as (_, second),
@@ -107,7 +107,7 @@ def test_a_server_that_stands_still_costs_its_own_karts_only():
 
 
 @pytest.mark.slow
-def test_a_server_restarted_in_the_race_drives_on(tmp_path):
+def test_a_server_restarted_during_a_race_continues_it(tmp_path):
     agent = write_agent(tmp_path, "ada")
     with server_process(agent) as (process, address), RemoteDriverGroup([address]) as group:
         restarts = []
@@ -156,7 +156,7 @@ def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_client_may_give_agents_less_time_than_the_server_does(tmp_path):
+def test_the_client_can_set_a_shorter_time_limit_than_the_server(tmp_path):
     slow = write_agent(tmp_path, "slow", act="import time; time.sleep(60)")
     with server_process(slow) as (_, address), RemoteDriverGroup([address]) as group:
         result = run_race([*group.drivers, "ai"], max_steps=10, action_timeout=0.3, **TRACK)
@@ -190,7 +190,7 @@ def test_an_agent_that_cannot_be_loaded_costs_only_itself(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_races_at_once_on_one_server():
+def test_one_server_serves_two_races_at_once():
     with (
         server_thread([find_driver("heuristic")]) as server,
         RemoteDriverGroup([server.address]) as group,
@@ -224,7 +224,7 @@ def test_a_busy_server_says_so():
         )
         assert not any(row.errors for row in result.agents)
         assert "all of its 1 sessions" in rows(late[0])["kart_0"].errors[0].message
-        for _ in range(3):  # and it is free again at once
+        for _ in range(3):  # the server is free again immediately
             again = run_race([*other.drivers, "ai"], max_steps=3, **TRACK)
             assert not any(row.errors for row in again.agents)
 
@@ -255,7 +255,7 @@ def test_a_client_that_is_gone_frees_its_place(tmp_path):
 
 
 def test_a_client_that_pauses_is_not_flooded():
-    """What it does not read stays below the length of its queue, or the connection is lost."""
+    """Unread pings must stay below the length of the queue, or the connection is lost."""
     client = ClientSession([], DriverLimits(), None)
     client.heard = client.pinged = 0.0
     asked = []
@@ -268,25 +268,25 @@ def test_a_client_that_pauses_is_not_flooded():
 
 
 @pytest.mark.slow
-def test_no_server_is_told_before_the_race():
+def test_a_missing_server_is_an_error_before_the_race():
     with pytest.raises(RemoteError, match="did not connect in time"):
         RemoteDriverGroup(["127.0.0.1:9"], connect_timeout=0.5)
 
 
 @pytest.mark.parametrize("address", ["", "udp://a:1", "a:b", "a:99999", "tcp://", "ipc://"])
-def test_what_is_no_address_is_refused(address):
+def test_an_invalid_address_is_refused(address):
     with pytest.raises(ConfigError, match="expected one such as"):
         RaceServer([find_driver("heuristic")], address)
 
 
-def test_a_server_needs_agents_that_are_not_the_games_own():
+def test_a_server_refuses_the_games_own_ai():
     with pytest.raises(ConfigError, match="name at least one"):
         RaceServer([], "127.0.0.1:*")
     with pytest.raises(ConfigError, match="name it on the client"):
         RaceServer([find_driver("ai")], "127.0.0.1:*")
 
 
-def test_an_address_that_is_taken_is_told():
+def test_an_address_in_use_is_an_error():
     with (
         server_thread([find_driver("heuristic")]) as server,
         pytest.raises(ConfigError, match="cannot listen"),

@@ -12,7 +12,7 @@ from stkzoo.render.map import _GHOST, MapView
 
 
 class Watcher(RaceListener):
-    """Keeps the scene and all snapshots of a race."""
+    """Records the scene and all snapshots of a race."""
 
     def __init__(self):
         self.snapshots = []
@@ -27,7 +27,7 @@ class Watcher(RaceListener):
 
 @pytest.fixture(scope="module")
 def race(tmp_path_factory):
-    """A recorded race with its scene and snapshots."""
+    """Records a race; returns its file, scene and snapshots."""
     path = tmp_path_factory.mktemp("ghost") / "race.stkz"
     watcher = Watcher()
     run_race(
@@ -40,7 +40,7 @@ def race(tmp_path_factory):
     return path, watcher
 
 
-def test_a_ghost_is_where_the_winner_was(race):
+def test_a_ghost_follows_the_winner(race):
     path, watcher = race
     ghost = ghost_of(load_replay(path))
     last = watcher.snapshots[-1].karts
@@ -53,7 +53,7 @@ def test_a_ghost_is_where_the_winner_was(race):
     assert ghost.place_at(ghost.times[-1] + 0.1) is None
 
 
-def test_a_ghost_waits_on_the_grid_until_the_race_begins(race):
+def test_a_ghost_waits_on_the_grid_until_the_race_starts(race):
     ghost = ghost_of(load_replay(race[0]))
     assert ghost.times[0] == 0
     assert (np.diff(ghost.times) > 0).all()
@@ -85,7 +85,7 @@ def test_a_ghost_needs_the_map(race, tmp_path, capsys):
     assert "a ghost is drawn on the map only" in capsys.readouterr().err
 
 
-def test_a_film_with_a_ghost_is_made(race, tmp_path):
+def test_a_video_with_a_ghost_can_be_made(race, tmp_path):
     words = ["replay", str(race[0]), "--video", str(tmp_path / "race.mp4")]
     assert main([*words, "--ghost", str(race[0]), "--width", "320", "--height", "240"]) == 0
     assert (tmp_path / "race.mp4").stat().st_size > 5000

@@ -1,4 +1,4 @@
-"""Replays: the same race again, to the last bit, from a file."""
+"""Replays reproduce a race from a file, bit for bit."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ from tests.support.paths import AGENTS
 
 
 class Positions(RaceListener):
-    """Where all karts are, step by step, and what else a listener hears."""
+    """Records the locations of all karts in each step, and everything else a listener receives."""
 
     def __init__(self):
         self.locations, self.failures, self.names, self.result = [], {}, {}, None
@@ -48,7 +48,7 @@ def record(path, *drivers, **settings):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A race of 500 steps with the game's AI in it, on a track that the seed draws."""
+    """Records a race of 500 steps with karts of the game's AI, on a track drawn by the seed."""
     path = tmp_path_factory.mktemp("replay") / "race.stkz"
     settings = {"track": "train", "seed": 4, "laps": 3, "max_steps": 500}
     return path, *record(path, "heuristic", "ai", "random", "ai", **settings)
@@ -62,7 +62,7 @@ def small(tmp_path):
 
 
 def repacked(path, **changes):
-    """The file with other members: bytes, ``None`` for none, or changes of its JSON."""
+    """Rewrites members of the file with bytes, deletes those with ``None``, changes its JSON."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     about = changes.pop("about", {})
@@ -79,7 +79,7 @@ def repacked(path, **changes):
 
 
 @pytest.mark.slow
-def test_every_position_of_500_steps_is_the_same(recorded):
+def test_all_positions_of_500_steps_are_the_same(recorded):
     path, result, positions = recorded
     again = Positions()
     playback = play_replay(load_replay(path), listeners=[again])
@@ -90,7 +90,7 @@ def test_every_position_of_500_steps_is_the_same(recorded):
 
 
 @pytest.mark.slow
-def test_a_fresh_process_says_so_too(recorded):
+def test_a_new_process_reproduces_the_race(recorded):
     command = [sys.executable, "-m", "stkzoo", "replay", recorded[0]]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0
@@ -102,7 +102,7 @@ def test_a_replay_is_small(recorded):
 
 
 @pytest.mark.slow
-def test_a_replay_of_a_replay_is_the_same_file(recorded, tmp_path):
+def test_a_replay_of_a_replay_has_the_same_contents(recorded, tmp_path):
     again = tmp_path / "again.stkz"
     play_replay(load_replay(recorded[0]), listeners=[ReplayWriter(again)])
     one, two = load_replay(recorded[0]), load_replay(again)
@@ -111,7 +111,7 @@ def test_a_replay_of_a_replay_is_the_same_file(recorded, tmp_path):
     assert (one.agents, one.start_positions) == (two.agents, two.start_positions)
 
 
-def test_the_digests_are_those_of_the_documented_form(recorded):
+def test_digests_are_computed_as_documented(recorded):
     path, _, positions = recorded
     digest, chain = b"", []
     for moment in positions.locations:
@@ -173,7 +173,7 @@ def test_a_kart_that_is_not_installed_is_named(tmp_path):
         play_replay(replace(load_replay(path), kart="tank"))
 
 
-def test_what_went_wrong_then_is_told_again(tmp_path):
+def test_errors_are_reported_again(tmp_path):
     path = tmp_path / "race.stkz"
     agent = str(AGENTS / "hostile" / "once.py")
     result, then = record(path, agent, "ai", track="lighthouse", seed=1, max_steps=20)
@@ -184,7 +184,7 @@ def test_what_went_wrong_then_is_told_again(tmp_path):
     assert now.names == then.names
 
 
-def test_random_actions_in_the_place_of_a_failing_agent_are_kept(tmp_path):
+def test_random_actions_that_replace_a_failed_agent_are_kept(tmp_path):
     path = tmp_path / "race.stkz"
     agent = str(AGENTS / "hostile" / "shape.py")
     settings = {"track": "lighthouse", "seed": 1, "max_steps": 60, "error_handling": "catch"}
@@ -193,7 +193,7 @@ def test_random_actions_in_the_place_of_a_failing_agent_are_kept(tmp_path):
     assert play_replay(load_replay(path)).is_exact
 
 
-def test_a_race_to_the_finish_ends_as_it_did(tmp_path):
+def test_a_finished_race_ends_the_same_way(tmp_path):
     path = tmp_path / "race.stkz"
     result, _ = record(path, "ai", "heuristic", track="olivermath", seed=3)
     playback = play_replay(load_replay(path))
@@ -204,7 +204,7 @@ def test_a_race_to_the_finish_ends_as_it_did(tmp_path):
 # ------------------------------------------------------------------ differences
 
 
-def test_another_action_is_found_at_its_step(small):
+def test_a_changed_action_is_found_at_its_step(small):
     with zipfile.ZipFile(small) as archive:
         controls = np.frombuffer(archive.read("controls.f4"), "<f4").reshape(30, 2, 7).copy()
     controls[24, 0, :2] = 1 - controls[24, 0, 0], -0.5
@@ -214,13 +214,13 @@ def test_another_action_is_found_at_its_step(small):
     assert playback.steps == playback.first_difference
 
 
-def test_another_seed_is_found_at_the_start(small, capsys):
+def test_a_changed_seed_is_found_at_the_start(small, capsys):
     repacked(small, about={"seed": 3})
     assert main(["replay", str(small)]) == 1
     assert "on the grid already" in capsys.readouterr().err
 
 
-def test_a_result_that_the_race_did_not_come_to_is_told(small, capsys):
+def test_a_result_that_differs_from_the_race_is_reported(small, capsys):
     with zipfile.ZipFile(small) as archive:
         result = json.loads(archive.read("race.json"))["result"]
     first, second = result["agents"]
@@ -242,14 +242,14 @@ def test_a_replay_that_differs_can_be_played_to_its_end(small):
     assert (playback.steps, playback.first_difference) == (30, 0)
 
 
-def test_another_engine_is_told(small):
+def test_another_engine_version_is_an_error(small):
     repacked(small, about={"versions": {"pystk2": "0.7.1"}})
     with pytest.raises(ReplayError, match=r"pip install PySuperTuxKart2==0\.7\.1"):
         play_replay(load_replay(small))
     assert play_replay(load_replay(small), any_engine=True).is_exact
 
 
-def test_a_missing_track_is_told(small):
+def test_a_missing_track_is_an_error(small):
     repacked(small, about={"track": "atlantis"})
     with pytest.raises(ReplayError, match="track 'atlantis' is not among"):
         play_replay(load_replay(small))
@@ -258,7 +258,7 @@ def test_a_missing_track_is_told(small):
 # ------------------------------------------------------------------ files
 
 
-def test_a_later_form_is_told(small):
+def test_a_later_file_format_is_refused(small):
     with pytest.raises(ReplayError, match="format 2, this stkzoo reads format 1"):
         load_replay(repacked(small, about={"format": 2}))
 
@@ -291,7 +291,7 @@ def test_what_cannot_be_is_refused(small, about):
     ],
     ids=range(11),
 )
-def test_damaged_parts_are_told(small, members):
+def test_damaged_members_are_refused(small, members):
     with pytest.raises(ReplayError, match=r"small\.stkz cannot be read \("):
         load_replay(repacked(small, **members))
 
@@ -323,7 +323,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path):
 
 
 def test_no_cut_and_no_changed_byte_gets_through_unseen(small):
-    """Either the file is refused, or all that counts in it is as it was."""
+    """A damaged file is either refused or has all its important data unchanged."""
     whole = small.read_bytes()
     good = load_replay(small)
     chance = np.random.default_rng(1)
@@ -348,7 +348,7 @@ def test_no_cut_and_no_changed_byte_gets_through_unseen(small):
 
 
 @pytest.mark.parametrize("kind", ["missing", "folder", "pipe", "text"])
-def test_what_is_no_replay_is_one_line_and_exit_1(tmp_path, capsys, kind):
+def test_an_invalid_replay_gives_one_line_and_exit_code_1(tmp_path, capsys, kind):
     path = tmp_path / "x.stkz"
     if kind == "folder":
         path.mkdir()
@@ -363,7 +363,7 @@ def test_what_is_no_replay_is_one_line_and_exit_1(tmp_path, capsys, kind):
     assert shown.count("\n") == 1
 
 
-def test_a_place_that_cannot_be_written_is_told_before_the_race(tmp_path):
+def test_an_unwritable_path_is_an_error_before_the_race(tmp_path):
     with pytest.raises(ConfigError, match=r"there is no folder .*; make it first"):
         ReplayWriter(tmp_path / "nowhere" / "race.stkz")
 
@@ -383,7 +383,7 @@ def test_an_error_leaves_a_partial_replay(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["race.stkz"]
 
 
-def test_a_race_that_never_started_leaves_the_older_file(small):
+def test_a_race_that_never_started_keeps_the_older_file(small):
     before = small.read_bytes()
     with pytest.raises(ConfigError):
         run_race(["ai"], track="atlantis", listeners=[ReplayWriter(small)])
@@ -432,16 +432,14 @@ def test_race_replay_and_info(tmp_path, capsys):
     assert (form["is_exact"], form["result"]["seed"]) == (True, 1)
 
 
-def test_one_replay_for_several_races_is_bad_usage(tmp_path, capsys):
+def test_one_replay_file_for_several_races_is_a_usage_error(tmp_path, capsys):
     words = ["race", "ai", "--races", "2", "--replay", str(tmp_path / "race.stkz")]
     assert main(words) == 2
     assert "--replay keeps one race" in capsys.readouterr().err
 
 
-def test_a_replay_becomes_a_film_of_the_map_without_the_render_process(
-    small, tmp_path, monkeypatch
-):
-    monkeypatch.delattr("stkzoo.render.game.RenderSession")  # the game's renderer is out of reach
+def test_a_replay_becomes_a_map_video_without_the_render_process(small, tmp_path, monkeypatch):
+    monkeypatch.delattr("stkzoo.render.game.RenderSession")  # the game cannot render
     video = tmp_path / "race.mp4"
     words = ["--video", str(video), "--render-backend", "map", "--render-sub-steps", "1"]
     assert main(["replay", str(small), *words]) == 0

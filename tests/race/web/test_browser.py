@@ -23,7 +23,7 @@ def step_of(reader):
 
 
 def standings(reader):
-    """Numbers of the karts, the first in front."""
+    """Returns the numbers of the karts in order of rank."""
     return reader.run(
         "return [...document.querySelectorAll('#standings li')].map((row) => row.dataset.kart)"
     )
@@ -44,13 +44,13 @@ def open_on_the_grid(reader, race, **screen):
 
 
 def stands_still(reader):
-    """Whether the page shows the same step a while long."""
+    """Returns whether the page keeps showing the same step."""
     step = step_of(reader)
     return all(step_of(reader) == step for _ in range(30))
 
 
 @pytest.mark.slow
-def test_step_run_and_pause_are_clicked_and_standings_move(reader, tmp_path):
+def test_step_run_and_pause_work_and_standings_change(reader, tmp_path):
     with WatchedRace(["ai", "random", "heuristic", "ai"], track="lighthouse") as race:
         open_on_the_grid(reader, race)
         grid, picture = standings(reader), map_picture(reader)
@@ -83,7 +83,7 @@ def test_step_run_and_pause_are_clicked_and_standings_move(reader, tmp_path):
 
 
 @pytest.mark.slow
-def test_keys_do_what_buttons_do(reader):
+def test_keys_work_like_buttons(reader):
     with WatchedRace() as race:
         open_on_the_grid(reader, race)
         reader.press(".")
@@ -136,7 +136,7 @@ def test_two_viewers_see_the_same(reader):
 
 
 @pytest.mark.slow
-def test_page_comes_back_for_the_next_race(reader):
+def test_the_page_reconnects_for_the_next_race(reader):
     with WatchedRace() as race:
         open_on_the_grid(reader, race)
         port = race.page.port
@@ -151,7 +151,7 @@ def test_page_comes_back_for_the_next_race(reader):
 @pytest.mark.slow
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [360, 768, 1600])
-def test_page_fits_the_screen_and_everything_has_a_name(reader, width, is_dark):
+def test_the_page_fits_the_screen_and_all_elements_have_names(reader, width, is_dark):
     with WatchedRace() as race:
         open_on_the_grid(reader, race, width=width, is_dark=is_dark)
         assert reader.run("return document.documentElement.scrollWidth") <= width
@@ -188,7 +188,7 @@ class _Elsewhere(http.server.SimpleHTTPRequestHandler):
 
 @pytest.fixture
 def other_site(tmp_path):
-    """A page of another site that wants to stop the race."""
+    """Serves a page of another site that tries to stop the race."""
     handler = functools.partial(_Elsewhere, directory=tmp_path)
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
@@ -209,7 +209,7 @@ def other_site(tmp_path):
     thread.join(10)
 
 
-def test_another_site_in_the_same_browser_cannot_steer(reader, other_site):
+def test_another_site_in_the_same_browser_cannot_control_the_race(reader, other_site):
     page = LivePage(port=0, paused=True)
     try:
         reader.show(other_site(page.port))

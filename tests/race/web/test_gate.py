@@ -1,4 +1,4 @@
-"""Floods of the live page: bounded connections, and a page that still answers."""
+"""Under floods, the live page bounds its connections and still answers."""
 
 import asyncio
 import socket
@@ -43,7 +43,7 @@ def held():
 
 
 def talk(page, data):
-    """What the page answers to these bytes until it closes the connection."""
+    """Sends bytes to the page and returns its answer, until it closes the connection."""
     answer = b""
     with socket.create_connection(("127.0.0.1", page.port), timeout=10) as one:
         try:
@@ -61,7 +61,7 @@ def request(path="/", more=""):
 
 @pytest.mark.slow
 def test_a_flood_of_half_requests_costs_a_race_nothing(tmp_path, held):
-    """In full, with 5,000: ``python -m benchmarks.floods``."""
+    """For the full test with 5,000 requests: ``python -m benchmarks.floods``."""
     files = [tmp_path / name for name in ("race.json", "race.stkz", "race.mp4")]
     json_file, replay, video = map(str, files)
     words = f"heuristic ai --track lighthouse --max-steps 20 --seed 1 --output {json_file} "
@@ -90,7 +90,7 @@ def test_a_half_request_ends_after_a_while(page, held, monkeypatch):
     assert wait_until(lambda: num_open(held) == 0)
 
 
-def test_an_answer_that_nobody_reads_ends_after_a_while(page, held, monkeypatch):
+def test_an_unread_answer_times_out(page, held, monkeypatch):
     monkeypatch.setattr("stkzoo.race.web.gate._LIFETIME", 0.2)
     page._server._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
     one = socket.socket()
@@ -189,14 +189,14 @@ def test_viewers_of_one_network_do_not_take_all_places(page, held, monkeypatch):
         assert b"101" in one.recv(100)
 
 
-def test_too_many_viewers_are_turned_away(page):
+def test_too_many_viewers_are_refused(page):
     page._server._gate._most_viewers = 0
     answer = talk(page, upgrade_request())
     assert b"503" in answer
     assert b"viewers are connected already; try again later" in answer
 
 
-def test_what_is_no_websocket_takes_no_place(page):
+def test_a_request_without_websocket_is_not_a_viewer(page):
     assert b"this address is for WebSockets" in talk(page, request("/live?version=1"))
     assert not page._server._gate._viewers
 
@@ -210,5 +210,5 @@ def test_what_is_no_websocket_takes_no_place(page):
         ("::ffff:192.0.2.7", "::ffff:192.0.2.7"),
     ],
 )
-def test_a_network_of_ipv6_counts_as_one_client(host, network):
+def test_an_ipv6_network_counts_as_one_client(host, network):
     assert network_of(host) == network

@@ -1,4 +1,4 @@
-"""The live page: what it serves, tells and obeys (D30)."""
+"""The live page: its files, its messages and its controls (D30)."""
 
 import asyncio
 import signal
@@ -41,7 +41,7 @@ def fetch(url):
 # ---------------------------------------------------------------- the page
 
 
-def test_page_comes_with_all_its_files_from_the_package(page):
+def test_the_package_serves_all_files_of_the_page(page):
     headers, text = fetch(page.url)
     assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
     assert headers["Cache-Control"] == "no-store"
@@ -67,19 +67,19 @@ def test_page_is_served_to_this_machine_only_unless_told_otherwise(page):
         socket.create_connection(("127.0.0.2", page.port), timeout=5)
 
 
-def test_a_port_that_is_taken_is_told(page):
+def test_a_port_in_use_is_an_error(page):
     with pytest.raises(ConfigError, match=f"port {page.port}.*another port"):
         LivePage(port=page.port)
 
 
 @pytest.mark.parametrize("port", [-1, 65536, "8000", True])
-def test_a_port_that_cannot_be_is_told(port):
+def test_an_invalid_port_is_refused(port):
     with pytest.raises(ConfigError, match="port is"):
         LivePage(port=port)
 
 
 @pytest.mark.parametrize("speed", [0, 3, "max", True])
-def test_a_speed_that_cannot_be_is_told(speed):
+def test_an_invalid_speed_is_refused(speed):
     with pytest.raises(ConfigError, match="the speed is"):
         LivePage(port=0, speed=speed)
 
@@ -120,7 +120,7 @@ def test_page_does_not_change_the_race():
     assert run_race(["heuristic", "ai"], listeners=[page], **settings) == alone
 
 
-def test_a_viewer_is_told_the_race_then_its_past_then_its_present():
+def test_a_viewer_gets_the_race_then_its_past_then_its_present():
     async def scenario(one):
         race = await one.next("race")
         moment = await one.next("moment")
@@ -146,7 +146,7 @@ def test_a_viewer_is_told_the_race_then_its_past_then_its_present():
 
 
 @pytest.mark.slow
-def test_pause_step_and_run_do_what_they_say():
+def test_pause_step_and_run_work():
     async def scenario(one):
         await one.send("speed", value=None)
         await one.send("run")
@@ -168,7 +168,7 @@ def test_pause_step_and_run_do_what_they_say():
     assert second == first + 1
 
 
-def test_stop_ends_the_race_with_what_there_is():
+def test_stop_ends_the_race_with_a_result():
     async def scenario(one):
         await one.send("run")
         await one.moment(3)
@@ -213,7 +213,7 @@ def test_one_page_can_show_one_race_after_another():
         control.stop()
         assert not control.wait_turn(0.1)
         control.finish()
-        control.stop()  # closes the page of a race that is over
+        control.stop()  # the race is over, so this closes the page
 
 
 def test_an_agents_observation_is_told_to_who_asks_for_it():
@@ -239,7 +239,7 @@ def test_an_agents_observation_is_told_to_who_asks_for_it():
     assert "reward/advance" in later["parts"]["info"]
 
 
-def test_a_late_viewer_is_told_the_past():
+def test_a_late_viewer_gets_the_past():
     async def scenario(one):
         await one.send("speed", value=None)
         await one.send("run")
@@ -260,7 +260,7 @@ def test_a_late_viewer_is_told_the_past():
     assert {len(rows) for rows in traces["values"].values()} == {len(traces["steps"])}
 
 
-def test_all_viewers_see_and_steer_the_same_race():
+def test_all_viewers_watch_and_control_the_same_race():
     async def scenario(*viewers):
         one, two, _ = viewers
         await one.send("step")
@@ -275,7 +275,7 @@ def test_all_viewers_see_and_steer_the_same_race():
     assert states[0] == {"type": "state", "mode": "paused", "speed": 4.0}
 
 
-def test_race_goes_on_when_its_viewers_leave():
+def test_a_race_continues_when_its_viewers_leave():
     async def scenario(one):
         await one.send("speed", value=None)
         await one.send("run")
@@ -311,7 +311,7 @@ def test_a_viewer_that_takes_nothing_holds_nobody_up_and_is_let_go(monkeypatch):
             race.watch(scenario)
 
 
-def test_a_failing_agent_is_told(tmp_path):
+def test_a_failing_agent_is_reported(tmp_path):
     (tmp_path / "pystk_actor.py").write_text("def get_actor(*_):\n    raise OSError('no way')\n")
 
     async def scenario(one):
@@ -323,7 +323,7 @@ def test_a_failing_agent_is_told(tmp_path):
 
 
 @pytest.mark.slow
-def test_page_can_stay_after_the_race():
+def test_the_page_can_stay_open_after_the_race():
     async def scenario(one):
         await one.send("run")
         await one.mode("over")
@@ -343,7 +343,7 @@ def test_page_can_stay_after_the_race():
         assert race.join().status == "max_steps"
 
 
-def test_a_replay_is_shown_too(tmp_path):
+def test_replays_are_shown_too(tmp_path):
     file = tmp_path / "race.stkz"
     run_race(["heuristic", "ai"], listeners=[ReplayWriter(file)], track="olivermath", max_steps=20)
     page = LivePage(port=0, speed=None, paused=True)
@@ -392,7 +392,7 @@ def test_other_sites_are_refused(page, headers, text, path):
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "[::1]"])
-def test_the_page_itself_is_welcome_also_through_a_tunnel(page, host):
+def test_the_page_itself_is_accepted_even_through_a_tunnel(page, host):
     own = {"Host": f"{host}:9", "Origin": f"http://{host}:9"}
     with urllib.request.urlopen(urllib.request.Request(page.url, headers=own)) as answer:
         assert answer.status == 200
@@ -475,7 +475,7 @@ def test_from_other_machines_only_who_has_the_key_may_steer():
         assert "may only watch" in race.watch(scenario)
 
 
-# ---------------------------------------------------------------- its parts
+# ---------------------------------------------------------------- parts of the page
 
 
 def test_real_time_is_not_faster_than_the_clock(monkeypatch):
@@ -512,7 +512,7 @@ def test_traces_stay_within_bounds_and_keep_the_start():
     assert log.since(past["steps"][-1]) == {"steps": []}
 
 
-def test_any_observation_becomes_json():
+def test_observations_of_all_types_become_json():
     deep = []
     for _ in range(50):
         deep = [deep]
@@ -540,8 +540,8 @@ def test_any_observation_becomes_json():
 # ---------------------------------------------------------------- the command
 
 
-def test_command_shows_where_the_page_is_and_ends_by_itself(capsys, tmp_path):
-    """D30: nobody has to click."""
+def test_the_command_prints_the_address_of_the_page_and_exits(capsys, tmp_path):
+    """D30: no clicks are necessary."""
     file = tmp_path / "result.json"
     words = ["race", "ai", "ai", "--track", "olivermath", "--max-steps", "5", "--web"]
     words += ["--web-port", "0", "--web-speed", "max", "--races", "2", "--output", str(file)]
@@ -553,7 +553,7 @@ def test_command_shows_where_the_page_is_and_ends_by_itself(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_command_stays_until_ctrl_c_and_reports_all_the_same(tmp_path):
+def test_the_command_stays_until_ctrl_c_and_still_reports_the_result(tmp_path):
     file = tmp_path / "result.json"
     words = ["race", "ai", "--track", "olivermath", "--max-steps", "5", "--output", str(file)]
     words += ["--web", "--web-port", "0", "--web-speed", "max", "--web-stay"]
@@ -572,6 +572,6 @@ def test_command_stays_until_ctrl_c_and_reports_all_the_same(tmp_path):
     assert RaceResult.from_json(file.read_text()).steps == 5
 
 
-def test_command_refuses_what_cannot_be(capsys):
+def test_the_command_refuses_invalid_arguments(capsys):
     assert main(["race", "ai", "--web", "--web-port", "99999"]) == 2
     assert "port is 99999" in capsys.readouterr().err
