@@ -1,4 +1,4 @@
-"""A team that talks: an agent near a rival says so, and its teammate uses its item too.
+"""A team that talks: an agent that sees a kart says so, and its teammate uses its item too.
 
     stkzoo race examples/talking examples/talking heuristic heuristic --track lighthouse
     stkzoo suite evaluate talk-2v2 examples/talking
@@ -14,7 +14,7 @@ from stkzoo.wrappers.racing import PEDALS, PLACES, RESCUE, STEERS
 env_name = "stkzoo-suite/talk-2v2-v1"
 player_name = "Talking"
 
-QUIET, RIVAL = 0, 1  # words; the other six have no meaning here
+QUIET, KART = 0, 1  # words; the other six have no meaning here
 GO = PEDALS.index("go")
 AHEAD = 4  # index of the road point that the kart steers to, 19 m ahead
 FAST_ENOUGH = 0.05  # of 20 m/s
@@ -40,11 +40,11 @@ def get_actor(module_dir, observation_space, action_space):
 
         right, _, ahead = view[PLACES["marks_direction"]].reshape(-1, 3)[AHEAD]
         steer = np.abs(STEERS - 1.5 * np.arctan2(right, ahead)).argmin()
-        sees_rival = view[PLACES["karts_nearness"]].max() > 0
-        fires = sees_rival or heard[RIVAL] > 0
+        sees_kart = view[PLACES["karts_nearness"]].max() > 0
+        fires = sees_kart or heard[KART] > 0
         return {
             "action": np.array([steer, RESCUE if is_stuck else GO, 0, 1, fires]),
-            "message": RIVAL if sees_rival else QUIET,
+            "message": KART if sees_kart else QUIET,
         }
 
     return actor

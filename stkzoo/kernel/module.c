@@ -17,9 +17,9 @@ static int as_array(PyObject *object, int type, int flags, void *out)
         Py_XDECREF(expected);
         return 0;
     }
-    if (!PyArray_CHKFLAGS(array, flags | NPY_ARRAY_CARRAY_RO)) {
-        PyErr_Format(PyExc_ValueError, "an array must be C-contiguous, aligned%s",
-                     flags ? " and writeable" : "");
+    if (!PyArray_CHKFLAGS(array, flags | NPY_ARRAY_CARRAY_RO) || !PyArray_ISNOTSWAPPED(array)) {
+        PyErr_Format(PyExc_ValueError, "an array must be C-contiguous, aligned%s and native-endian",
+                     flags ? ", writeable" : "");
         return 0;
     }
     /* Floats, Doubles and the other types differ only in the type of their pointer. */

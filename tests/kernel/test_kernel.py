@@ -655,6 +655,7 @@ def test_an_observer_checks_a_batch():
         ({"energy": np.ones((4, 2), np.float32)}, "the wrong number of energy"),
         ({"energy": np.ones((), np.float32)}, "the wrong number of energy"),
         ({"energy": np.ones((4, 1))}, "float32"),
+        ({"energy": np.ones((4, 1), np.dtype("f4").newbyteorder("S"))}, "native-endian"),
         ({"items_type": np.ones((4, 3), np.float32)}, "int64"),
         ({"items_mask": np.ones((4, 3), np.int8)[::-1]}, "contiguous"),
         ({"kart_type": ()}, "names"),

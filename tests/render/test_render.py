@@ -102,8 +102,7 @@ def test_render_fps_follows_the_step_size():
     env = gym.make("supertuxkart/full-v0", step_size=0.3, disable_env_checker=True)
     assert env.metadata["render_fps"] == pytest.approx(10 / 3)
     env.close()
-    assert race_v0.parallel_env.__module__  # the default of the class stays 10
-    with small_race() as env:
+    with small_race() as env:  # other environments keep the default
         assert env.metadata["render_fps"] == 10
 
 

@@ -61,7 +61,7 @@ def race_with_page(*words, descriptors=1024, port=0):
         process.stderr.close()
 
 
-def connect_all(address, count, data=b"", hold=None):
+def connect_all(address, count, data, hold):
     """Opens connections that send ``data`` and then nothing.
 
     Args:
