@@ -69,7 +69,9 @@ class TaskFacts(RunFacts):
 
 
 class TaskLearner(OverlappedPPO):
-    """A run of PPO in a task; see :class:`..common.ppo.OverlappedPPO`.
+    """A run in a task, which learns by PPO unless a subclass has another ``_update``.
+
+    See :class:`..common.ppo.OverlappedPPO`.
 
     Args:
         folder: folder of the run.
