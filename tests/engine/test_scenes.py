@@ -93,7 +93,7 @@ def instances(count, name="plant", more=""):
     return "".join(f'<library name="{name}" xyz="{i} 2 3" {more}/>' for i in range(count))
 
 
-class TestWhatGoes:
+class TestRemovedObjects:
     @pytest.mark.parametrize(
         "entry",
         [
@@ -214,7 +214,7 @@ class TestRandomNumbers:
         assert models(scene) == ["leaf.spm"] * 2
 
 
-class TestOpenedInstances:
+class TestReplacedInstances:
     def test_upright_instances_after_the_first_are_replaced_by_their_objects(self, data):
         scene = thin(data, instances(3, more='hpr="0 -0.0 0"'), plant=TRUNK)
         assert [entry.tag for entry in scene] == ["library", "object", "object"]
@@ -259,7 +259,7 @@ def packs(tmp_path_factory):
     return roots
 
 
-class TestGameData:
+class TestThinnedPack:
     # On cocoa_temple, bots choose among paths; on black_forest, most instances are replaced.
     @pytest.mark.slow
     @pytest.mark.parametrize("reverse", [False, True])
