@@ -222,7 +222,7 @@ def test_a_failing_driver_is_named():
 
 
 @pytest.mark.slow
-def test_a_failing_driver_costs_only_its_own_race():
+def test_a_failing_driver_affects_only_its_own_race():
     result = run_race(["ai", failing_driver(5)], track="olivermath", seed=1)
     winner, loser = result.agents
     assert (result.status, winner.status, loser.status) == ("finished", "finished", "retired")
