@@ -56,8 +56,8 @@ SANITIZED := build/sanitize
 SANITIZERS := -O1 -g -fno-omit-frame-pointer -fno-sanitize-recover=all \
 	-fsanitize=address,undefined,float-cast-overflow
 ODD_VALUES := $(addprefix tests/chaos/test_properties.py::test_any_,\
-	actions_move_the_race_or_are_refused_and_it_stands_still action_of_any_view_is_taken_or_refused \
-	batch_is_stepped_or_refused)
+	actions_are_accepted_or_leave_the_race_unchanged action_of_any_view_is_accepted_or_refused \
+	batch_of_actions_is_accepted_or_refused)
 SANITIZED_TESTS := tests/kernel tests/drivers/test_codec.py tests/env/test_parallel.py \
 	tests/env/test_events.py tests/env/test_vec.py tests/wrappers/test_chain.py $(ODD_VALUES)
 

@@ -62,7 +62,7 @@ def refused(kind, file):
 
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("name", JSON_KINDS)
-def test_a_damaged_file_is_one_error_that_names_it(tmp_path, name, damage):
+def test_a_damaged_file_raises_one_error_that_names_it(tmp_path, name, damage):
     kind = KINDS[name]
     if (name, damage) in VALID:
         pytest.skip("it is valid")
@@ -72,7 +72,7 @@ def test_a_damaged_file_is_one_error_that_names_it(tmp_path, name, damage):
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_file_of_a_gigabyte_is_refused_in_little_memory(tmp_path, name):
+def test_a_one_gigabyte_file_is_refused_with_little_memory(tmp_path, name):
     kind = KINDS[name]
     file = kind.write(tmp_path, kind.valid())
     kind.read(file)
@@ -102,7 +102,7 @@ def test_a_file_of_a_gigabyte_is_refused_in_little_memory(tmp_path, name):
         ("laps", 10**30, "laps is 1000.*, expected a whole number"),
     ],
 )
-def test_a_result_out_of_bounds_is_refused_and_its_field_named(field, value, problem):
+def test_an_invalid_field_of_a_result_is_refused_and_named(field, value, problem):
     values = json.loads(KINDS["race-result"].valid())
     values["agents"][0][field] = value
     with pytest.raises(ConfigError, match=f"the text has no race result .*{problem}"):

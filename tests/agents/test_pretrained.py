@@ -167,7 +167,7 @@ def change_card(folder, **facts):
     file.write_text(json.dumps({**json.loads(file.read_text()), **facts}))
 
 
-def test_weights_of_another_network_are_refused():
+def test_weights_with_invalid_shapes_or_values_are_refused():
     weights = network()
     weights["w0"] = weights["w0"][:-1]
     with pytest.raises(ConfigError, match="of another version"):

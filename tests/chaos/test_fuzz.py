@@ -34,7 +34,7 @@ _INPUTS = dict.fromkeys(TARGETS, 1000) | dict.fromkeys(("messages", "results", "
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_changed_bytes_end_well_or_with_the_readers_own_error(name):
+def test_mutated_input_is_read_or_raises_the_readers_own_error(name):
     target = TARGETS[name]
     seeds = target.seeds()
     inputs = itertools.islice(mutated(random.Random(1), seeds), _INPUTS[name])
@@ -98,12 +98,12 @@ LONG = '{"a": ' + "9" * 5000 + "}"
 @pytest.mark.parametrize(
     "read", [RaceResult.from_json, TournamentPlan.from_json, BenchmarkPlan.from_json]
 )
-def test_json_that_is_too_much_is_refused_in_words(read, text):
+def test_pathological_json_raises_a_config_error(read, text):
     with pytest.raises(ConfigError):
         read(text)
 
 
-def test_a_plan_of_more_races_than_can_be_is_refused():
+def test_a_plan_with_too_many_races_is_refused():
     tournament = json.loads(plan_tournament(["ai", "heuristic"], tracks=["lighthouse"]).to_json())
     benchmark = json.loads(plan_benchmark("heuristic", split=["lighthouse"], seeds=1).to_json())
     for form, name, read in (
@@ -116,7 +116,7 @@ def test_a_plan_of_more_races_than_can_be_is_refused():
 
 
 @pytest.mark.parametrize("name", ["", ".", "data/a\0b"])
-def test_an_archive_with_a_name_that_cannot_be_is_refused(tmp_path, name):
+def test_an_archive_with_an_invalid_name_is_refused(tmp_path, name):
     file = tmp_path / "pack.tar.xz"
     with tarfile.open(file, "w:xz") as archive:
         archive.addfile(tarfile.TarInfo(name))
@@ -144,7 +144,7 @@ def test_a_zip_with_an_undecodable_name_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("read", "error"), [(load_replay, ReplayError), (Scenario.load, ConfigError)]
 )
-def test_a_pipe_is_not_waited_for(tmp_path, read, error):
+def test_reading_a_pipe_fails_without_blocking(tmp_path, read, error):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(error):
         read(tmp_path / "pipe")

@@ -123,7 +123,7 @@ def one_fork_server():
         env.step({"kart_0": env.action_space("kart_0").sample()})
 
 
-def test_any_options_make_a_race_or_are_refused():
+def test_any_options_are_accepted_or_refused():
     made, seeded = Tally(ConfigError), Tally(ConfigError)
 
     @QUICK
@@ -209,7 +209,7 @@ def _sample(space, seed):
     return space.sample()
 
 
-def test_any_actions_move_the_race_or_are_refused_and_it_stands_still(race):
+def test_any_actions_are_accepted_or_leave_the_race_unchanged(race):
     steps = Tally(ActionError)
     action = actions_of(race.action_space("kart_0"))
 
@@ -237,7 +237,7 @@ def test_a_missing_action_leaves_the_race_unchanged(race):
 
 
 @pytest.mark.parametrize("view", sorted({*VIEWS} - {"camera"}))
-def test_any_action_of_any_view_is_taken_or_refused(view, views):
+def test_any_action_of_any_view_is_accepted_or_refused(view, views):
     env, steps = views(view), Tally(ActionError)
     env.reset(seed=1)
 

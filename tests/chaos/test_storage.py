@@ -147,7 +147,7 @@ def archive(machine):
 
 
 @mounts
-def test_an_archive_that_does_not_fit_is_told_and_leaves_nothing(archive, tmp_path):
+def test_an_archive_that_does_not_fit_is_reported_and_leaves_nothing(archive, tmp_path):
     code = """
         import sys
         from stkzoo.engine.assets import install
@@ -294,7 +294,7 @@ def test_a_file_that_grows_too_large_leaves_the_previous_one(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["race.stkz"]
 
 
-def test_a_device_is_not_replaced_by_a_file(tmp_path):
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     with pytest.raises(ConfigError, match="not a regular file"):

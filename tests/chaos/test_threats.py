@@ -43,7 +43,7 @@ def race(*drivers, **settings):
     return run_race(list(drivers), track="olivermath", seed=1, max_steps=12, **settings)
 
 
-def test_an_agent_reads_and_writes_what_the_user_can(tmp_path):
+def test_an_agent_without_a_sandbox_reads_and_writes_the_users_files(tmp_path):
     """Without a sandbox, an agent has the user's permissions, as the page says."""
     (tmp_path / "diary.txt").write_text("dear diary")
     act = "open('diary.txt.copy', 'w').write(open('diary.txt').read())"
@@ -52,7 +52,7 @@ def test_an_agent_reads_and_writes_what_the_user_can(tmp_path):
     assert (tmp_path / "diary.txt.copy").read_text() == "dear diary"
 
 
-def test_an_agent_cannot_drive_or_hold_another_kart(tmp_path):
+def test_an_agent_cannot_drive_or_affect_another_kart(tmp_path):
     """Whatever an agent does in its own process, the other karts' race is bit for bit the same."""
     quiet = agent(tmp_path / "quiet")
     mean = (
@@ -69,7 +69,7 @@ def test_an_agent_cannot_drive_or_hold_another_kart(tmp_path):
     assert not with_loud.has_errors
 
 
-def test_what_an_agent_says_cannot_steer_the_terminal(tmp_path):
+def test_text_from_an_agent_cannot_control_the_terminal(tmp_path):
     stranger = agent(tmp_path / "a", f"raise RuntimeError({CODES!r})", name=CODES)
     command = [sys.executable, "-m", "stkzoo", "race", stranger, "ai", "--track", "olivermath"]
     done = subprocess.run([*command, "--max-steps", "5"], capture_output=True, text=True)
@@ -81,7 +81,7 @@ def test_what_an_agent_says_cannot_steer_the_terminal(tmp_path):
     assert "\x1b" not in str(caught.value) + caught.value.trace
 
 
-def test_what_stands_in_a_file_cannot_steer_the_terminal(tmp_path):
+def test_text_from_a_file_cannot_control_the_terminal(tmp_path):
     file, changed = tmp_path / "race.stkz", tmp_path / "changed.stkz"
     race("heuristic", "ai", listeners=[ReplayWriter(file)])
     with zipfile.ZipFile(file) as old, zipfile.ZipFile(changed, "w") as new:
@@ -102,7 +102,7 @@ def test_what_stands_in_a_file_cannot_steer_the_terminal(tmp_path):
     assert "\x1b" not in repr(told.agents) + told.to_json()
 
 
-def test_a_replay_can_only_be_played_as_what_it_is(tmp_path):
+def test_a_forged_result_in_a_replay_is_detected(tmp_path):
     """A forged result in the replay is detected."""
     file = tmp_path / "race.stkz"
     race("heuristic", "ai", listeners=[ReplayWriter(file)])
@@ -128,7 +128,7 @@ UNPICKLING = {
 RUNNING = {"eval", "exec", "compile"}
 
 
-def test_nothing_that_is_read_is_unpickled_or_run():
+def test_only_listed_modules_unpickle_or_run_code():
     found = set()
     for file in (ROOT / "stkzoo").rglob("*.py"):
         tree = ast.parse(file.read_text())

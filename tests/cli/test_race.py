@@ -19,7 +19,7 @@ SCHEMA = SCHEMAS / "race-result.schema.json"
 
 
 @pytest.mark.slow
-def test_an_agent_that_fails_exits_with_3(capsys, tmp_path):
+def test_the_command_exits_with_3_if_an_agent_fails(capsys, tmp_path):
     """D27: the reference exits with 0."""
     file = tmp_path / "result.json"
     words = ["race", "ai", str(AGENTS / "hostile" / "exits.py"), "--track", "olivermath"]
@@ -157,7 +157,7 @@ def test_command_adds_bots_to_fill_the_race(capsys):
         ["ai", "--replay", "race.stkz", "--output", "race.stkz"],
     ],
 )
-def test_bad_usage_exits_with_2(words, capsys):
+def test_invalid_usage_exits_with_2(words, capsys):
     assert main(["race", *words]) == 2
     said = capsys.readouterr().err
     assert said.startswith("stkzoo race: ")

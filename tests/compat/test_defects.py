@@ -133,7 +133,7 @@ def test_d01_actions_reach_the_right_kart_when_agents_have_different_views():
 
 
 @pytest.mark.parametrize("places", [(0, 1, 2), (2, 0, 1), (3, None, 0), (None, None, 1)])
-def test_d02_agents_start_where_they_ask_to(places):
+def test_d02_agents_get_the_start_positions_they_request(places):
     agents = [AgentSpec(rank_start=place) for place in places]
     with race_v0.parallel_env(agents=agents, num_kart=4, track=SHORT_TRACK) as env:
         for seed in range(3):
@@ -143,7 +143,7 @@ def test_d02_agents_start_where_they_ask_to(places):
             assert len(set(taken)) == len(taken)
 
 
-def test_d02_a_lower_place_stands_further_ahead():
+def test_d02_a_lower_start_position_is_farther_ahead():
     agents = [AgentSpec(rank_start=3), AgentSpec(rank_start=0)]
     with race_v0.parallel_env(agents=agents, num_kart=4, track=SHORT_TRACK) as env:
         observations, _ = env.reset(seed=0)
@@ -152,7 +152,7 @@ def test_d02_a_lower_place_stands_further_ahead():
 
 
 @pytest.mark.slow
-def test_d03_a_seed_gives_the_same_places_whatever_came_before():
+def test_d03_a_seed_gives_the_same_race_regardless_of_earlier_resets():
     with race_v0.parallel_env(agents=3, num_kart=5, track=SHORT_TRACK) as env:
         drawn = set()
         for unseeded in range(4):
@@ -167,7 +167,7 @@ def test_d03_a_seed_gives_the_same_places_whatever_came_before():
 
 
 @pytest.mark.parametrize("env_id", ["supertuxkart/full-v0", MULTI_ID])
-def test_d04_resets_without_a_seed_go_on_with_the_stream(env_id):
+def test_d04_resets_without_a_seed_continue_the_seeded_stream(env_id):
     env = gym.make(env_id, num_kart=2)
 
     def races():
@@ -186,7 +186,7 @@ def test_d04_resets_without_a_seed_go_on_with_the_stream(env_id):
 # ---------------------------------------------------------------------------- D05 and D06
 
 
-def test_d05_a_finished_agent_is_paid_once(finished_race):
+def test_d05_a_finished_agent_gets_the_bonus_once(finished_race):
     steps, _ = finished_race
     for agent in "012":
         rewards = [info["reward"][agent] for *_, info in steps]
@@ -195,7 +195,7 @@ def test_d05_a_finished_agent_is_paid_once(finished_race):
         assert not any(rewards[finish + 1 :])
 
 
-def test_d05_a_finished_agent_leaves_and_the_race_goes_on():
+def test_d05_a_finished_agent_leaves_and_the_race_continues():
     with race_v0.parallel_env(agents=specs("aaa"), track=SHORT_TRACK) as env:
         env.reset(seed=0)
         left_with = []
@@ -207,7 +207,7 @@ def test_d05_a_finished_agent_leaves_and_the_race_goes_on():
         assert [len(rest) for rest in left_with] == [2, 1, 0]
 
 
-def test_d06_each_agents_reward_end_and_info_can_be_read(finished_race):
+def test_d06_each_agent_has_its_own_reward_termination_and_info(finished_race):
     steps, _ = finished_race
     for _, reward, terminated, _, info in steps:
         assert reward == pytest.approx(sum(info["reward"].values()))
@@ -270,7 +270,7 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
 
 
 @pytest.mark.slow
-def test_d06_the_placement_reward_pays_a_real_race_in_the_order_of_its_finish():
+def test_d06_placement_returns_follow_the_finishing_order_of_a_real_race():
     agents = specs("aaaa")
     with race_v0.parallel_env(
         agents=agents, num_kart=4, track=SHORT_TRACK, reward="placement"
@@ -295,13 +295,13 @@ def test_d06_the_placement_reward_pays_a_real_race_in_the_order_of_its_finish():
 
 
 @pytest.mark.parametrize("values", [2, 5, 7, 10])
-def test_d07_every_step_comes_back_from_its_number(values):
+def test_d07_every_step_survives_the_round_trip(values):
     steps = Discretizer(gym.spaces.Box(-1, 1, (1,)), values)
     back = [steps.discretize(np.float32(steps.continuous(k))) for k in range(values)]
     assert back == list(range(values))
 
 
-def test_d07_labels_of_the_games_ai_are_the_nearest_steps():
+def test_d07_actions_of_the_games_ai_become_the_nearest_steps():
     env = gym.make(
         "supertuxkart/flattened_multidiscrete-v0", agent=AgentSpec(use_ai=True), track=SHORT_TRACK
     )
@@ -332,7 +332,7 @@ def test_d08_flattened_views_have_exactly_two_keys(view):
 @pytest.mark.parametrize(
     "view", ["flattened_continuous_actions", "flattened_multidiscrete", "flattened_discrete"]
 )
-def test_d08_sb3_acts_on_flattened_views(view):
+def test_d08_sb3_works_with_flattened_views(view):
     from stable_baselines3 import PPO
 
     env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)
@@ -373,7 +373,7 @@ def test_d09_observations_of_mixed_agents_are_in_their_spaces():
 
 
 @pytest.mark.slow
-def test_d10_a_seed_gives_the_same_race_to_the_finish_with_bots():
+def test_d10_a_seed_gives_the_same_whole_race_with_bots():
     def trajectory(env):
         env.reset(seed=3)
         moments = [env.snapshot.data]
@@ -388,7 +388,7 @@ def test_d10_a_seed_gives_the_same_race_to_the_finish_with_bots():
     assert first == second == third
 
 
-def test_d10_another_seed_gives_another_race():
+def test_d10_a_different_seed_gives_a_different_race():
     with race_v0.parallel_env(agents=specs("aa"), num_kart=4, track=SHORT_TRACK) as env:
         ends = []
         for seed in (3, 4):
@@ -404,7 +404,7 @@ def test_d10_another_seed_gives_another_race():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", [*SINGLE_IDS, MULTI_ID])
-def test_d12_a_track_given_at_reset_is_taken_for_that_episode(env_id):
+def test_d12_a_track_given_at_reset_applies_to_that_episode(env_id):
     env = gym.make(env_id, num_kart=2, track=SHORT_TRACK)
     env.reset(seed=0, options={"track": "olivermath"})
     chosen = env.unwrapped.current_track
@@ -424,13 +424,13 @@ def test_d12_a_track_given_at_reset_is_taken_for_that_episode(env_id):
         ({"max_paths": 4}, lambda env: env.observe_batch(["kart_0"])["paths_width"].shape[1], 4),
     ],
 )
-def test_d12_options_of_an_episode_are_honoured(options, read, expected):
+def test_d12_options_given_at_reset_take_effect(options, read, expected):
     with race_v0.parallel_env(num_kart=2, track=SHORT_TRACK) as env:
         env.reset(seed=0, options=options)
         assert read(env) == expected
 
 
-def test_d12_an_episode_may_be_cut_shorter():
+def test_d12_an_episode_can_be_shortened_at_reset():
     with race_v0.parallel_env(num_kart=2, track=SHORT_TRACK) as env:
         env.reset(seed=0, options={"max_cycles": 2})
         env.step(idle(env))
@@ -448,7 +448,7 @@ def test_d12_the_dict_of_agents_needs_no_arguments():
 # ------------------------------------------------------------------------------------ D13
 
 
-def test_d13_originals_are_not_changed_by_wrappers():
+def test_d13_wrappers_do_not_change_the_original_observations():
     env = MonoAgentWrapperAdapter(
         gym.make(MULTI_ID, agents=2, num_kart=2, track=SHORT_TRACK),
         keep_original=True,
@@ -468,7 +468,7 @@ def test_d13_originals_are_not_changed_by_wrappers():
 
 
 @pytest.mark.parametrize("wrapper", [ConstantSizedObservations, PolarObservations])
-def test_d13_observing_twice_gives_the_same(wrapper):
+def test_d13_observing_twice_gives_the_same_result(wrapper):
     env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
     wrapped = wrapper(env)
     observation, _ = env.reset(seed=5)
@@ -513,7 +513,7 @@ def dict_race():
 
 
 @pytest.mark.parametrize("make", [parallel_race, dict_race])
-def test_d14_stateful_wrappers_start_anew_with_the_race(make):
+def test_d14_stateful_wrappers_reset_with_the_race(make):
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={"0": CountedSteps})
     agents = list(env.reset(seed=0)[0])
     for _ in range(3):
@@ -524,7 +524,7 @@ def test_d14_stateful_wrappers_start_anew_with_the_race(make):
 
 
 @pytest.mark.parametrize("make", [parallel_race, dict_race])
-def test_d14_reward_wrappers_change_the_reward_of_their_agent(make):
+def test_d14_reward_wrappers_change_their_agents_reward(make):
     def rewards(env):
         agents = list(env.reset(seed=0)[0])
         _, reward, _, _, info = env.step({agent: action() for agent in agents})
@@ -565,7 +565,7 @@ def test_d15_many_power_ups_are_in_the_space(held, seen):
 @pytest.mark.slow
 @pytest.mark.parametrize("use_ai", [False, True])
 @pytest.mark.parametrize("env_id", SINGLE_IDS)
-def test_d15_a_kart_may_race_alone(env_id, use_ai):
+def test_d15_a_lone_kart_can_race(env_id, use_ai):
     env = gym.make(env_id, num_kart=1, agent=AgentSpec(use_ai=use_ai), track=SHORT_TRACK)
     observation, _ = env.reset(seed=0)
     for _ in range(5):
@@ -592,7 +592,7 @@ def driving_distances(track):
 
 
 @pytest.mark.parametrize("name", ["cocoa_temple", "stk_enterprise", "hacienda", "lighthouse"])
-def test_d16_segments_come_nearest_first_along_the_track(name):
+def test_d16_segments_are_sorted_by_driving_distance(name):
     with race_v0.parallel_env(num_kart=1, track=name) as env:
         env.reset(seed=0)
         track = env.track_map
@@ -607,7 +607,7 @@ def test_d16_segments_come_nearest_first_along_the_track(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cocoa_temple", "stk_enterprise"])
-def test_d16_the_five_segments_of_the_simple_view_are_the_nearest(name):
+def test_d16_the_simple_view_has_the_five_nearest_segments(name):
     env = gym.make("supertuxkart/simple-v0", agent=AgentSpec(use_ai=True), num_kart=1, track=name)
     observation, _ = env.reset(seed=0)
     core = env.unwrapped.core
@@ -622,7 +622,7 @@ def test_d16_the_five_segments_of_the_simple_view_are_the_nearest(name):
     env.close()
 
 
-def test_d16_observations_can_be_changed_without_harm_to_later_ones():
+def test_d16_changing_an_observation_does_not_affect_later_ones():
     env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
     observation, _ = env.reset(seed=0)
     kept = [row.copy() for row in observation["paths_distance"]]
@@ -634,7 +634,7 @@ def test_d16_observations_can_be_changed_without_harm_to_later_ones():
 
 
 @pytest.mark.parametrize("name", ["path_nodes", "path_width", "path_distance"])
-def test_d16_the_track_itself_is_read_only(name):
+def test_d16_the_track_is_read_only(name):
     env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
     env.reset(seed=0)
     with pytest.raises(ValueError, match="read-only"):
@@ -701,7 +701,7 @@ def run_python(code):
 # ------------------------------------------------------------------------------------ D18
 
 
-def test_d18_two_environments_step_in_turn_as_each_does_alone():
+def test_d18_stepping_two_environments_in_turn_matches_stepping_one():
     def race(env, seed):
         env.reset(seed=seed)
         while True:
@@ -726,7 +726,7 @@ def test_d18_a_closed_environment_can_be_reset(make):
     assert len(observations) == 2
 
 
-def test_d18_seeding_one_space_leaves_the_others_alone():
+def test_d18_seeding_one_space_does_not_affect_the_others():
     env = gym.make(MULTI_ID, num_kart=2)
     other = gym.make(MULTI_ID, num_kart=2)
     for space in (env.action_space["1"], other.action_space["0"]):
@@ -751,7 +751,7 @@ def test_d18_no_space_is_shared_between_environments(env_id):
 
 
 @pytest.mark.parametrize("steer", [5.0, -1.5, np.nan, np.inf, "left", None])
-def test_d18_an_action_that_cannot_be_is_refused_and_the_race_stands_still(steer):
+def test_d18_an_invalid_action_is_refused_and_the_race_does_not_move(steer):
     env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
     env.reset(seed=0)
     before = env.unwrapped.core.snapshot
@@ -839,7 +839,7 @@ BAD_ARGUMENTS = [
 @pytest.mark.parametrize(
     ("arguments", "message"), BAD_ARGUMENTS, ids=lambda value: repr(value)[:60]
 )
-def test_an_argument_that_cannot_be_is_refused(arguments, message):
+def test_an_invalid_argument_is_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
         race_v0.parallel_env(**arguments)
 
@@ -890,7 +890,7 @@ def running_race():
 
 
 @pytest.mark.parametrize(("options", "message"), BAD_OPTIONS, ids=repr)
-def test_options_that_cannot_be_are_refused_and_the_race_goes_on(running_race, options, message):
+def test_invalid_options_are_refused_and_the_race_continues(running_race, options, message):
     ticks = running_race.snapshot.header["aux_ticks"]
     with pytest.raises(ConfigError, match=message):
         running_race.reset(options=options)

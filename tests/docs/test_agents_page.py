@@ -30,7 +30,7 @@ def test_the_team_of_the_page_talks(tmp_path):
     assert [row.num_errors for row in result.agents] == [0, 0]
 
 
-def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
+def test_the_pages_python_example_runs(tmp_path, monkeypatch, capsys):
     write("my_agent", tmp_path)
     monkeypatch.chdir(tmp_path)
     (code,) = [block for block in BLOCKS if "class Leader" in block]

@@ -196,12 +196,12 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_bytes_are_a_protocol_error(name):
+def test_invalid_bytes_raise_a_protocol_error(name):
     with pytest.raises(ProtocolError, match=r"came|deeper|expected"):
         decode(BAD[name], Limits(max_depth=3))
 
 
-def test_too_many_bytes_are_refused_before_they_are_read():
+def test_an_oversized_message_is_refused_before_it_is_decoded():
     with pytest.raises(ProtocolError, match="1001 bytes, expected at most 1000"):
         decode(b"\xc1" * 1001, Limits(max_bytes=1000))
 
@@ -247,7 +247,7 @@ def either_kernel(request, monkeypatch):
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_decoding_takes_at_most_16_bytes_of_memory_for_each_byte(name):
+def test_decoding_takes_at_most_16_bytes_of_memory_per_byte(name):
     for length in (60, 1000, 65_000, 66_000, 1 << 18):
         data = bomb(name, length)
         assert peak_memory(data)[0] <= memory_bound(data)
@@ -255,7 +255,7 @@ def test_decoding_takes_at_most_16_bytes_of_memory_for_each_byte(name):
 
 @pytest.mark.usefixtures("either_kernel")
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_message_of_8_mib_takes_little_processor_time(name):
+def test_decoding_an_8_mib_message_takes_little_cpu_time(name):
     data = bomb(name, LIMITS.max_bytes)
     begin = time.process_time()
     try:

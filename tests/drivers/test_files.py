@@ -54,7 +54,7 @@ def test_agents_of_all_forms_race_to_the_finish(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("inline", [True, False])
-def test_agents_whose_modules_bear_the_same_names_do_not_collide(inline, tmp_path):
+def test_agents_with_modules_of_the_same_name_do_not_collide(inline, tmp_path):
     """D20: both agents are a package ``stk_actor`` with a module ``driving``."""
     drivers = [
         str(AGENTS / "alpha"),
@@ -96,7 +96,7 @@ def test_the_agent_can_be_in_several_places_in_a_zip(inside, tmp_path):
     assert load(path).name == "Alpha"
 
 
-def test_an_agent_of_a_folder_imports_its_neighbours():
+def test_an_agent_in_a_folder_imports_the_modules_beside_it():
     """D29."""
     assert load(AGENTS / "plain").name == "Plain"
 
@@ -136,7 +136,7 @@ def test_an_adapter_creates_the_actors(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_unpacked_is_removed_after_the_race(tmp_path, monkeypatch):
+def test_unpacked_files_are_removed_after_the_race(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     path = zip_of(AGENTS / "weights", tmp_path / "agent.zip")
@@ -158,7 +158,7 @@ def test_what_is_unpacked_is_removed_after_the_race(tmp_path, monkeypatch):
         ("no.such.module", "unknown driver"),
     ],
 )
-def test_what_is_no_agent_is_refused_before_the_race(source, message, tmp_path):
+def test_an_invalid_agent_is_refused_before_the_race(source, message, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "note.txt").write_text("hello")
     (tmp_path / "broken.zip").write_bytes(b"PK\x03\x04 but not really")
@@ -258,7 +258,7 @@ def written(path, *members):
     "name",
     ["../out.py", "a/../../out.py", "/tmp/out.py", "..\\out.py", "C:\\out.py", "C:/out.py"],
 )
-def test_a_path_that_leads_out_of_a_zip_is_refused(name, tmp_path):
+def test_a_path_outside_the_zips_folder_is_refused(name, tmp_path):
     with pytest.raises(ConfigError, match="leads out of it"):
         find_driver(written(tmp_path / "a.zip", (name, stat.S_IFREG | 0o644, "x")))
 
@@ -282,7 +282,7 @@ def test_a_zip_of_too_many_files_is_refused(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_a_zip_with_compression_without_a_bound_is_refused(tmp_path, method):
+def test_a_zip_with_unbounded_compression_is_refused(tmp_path, method):
     """64 kB of bzip2 can unpack to a gigabyte before the size is compared with the directory."""
     with zipfile.ZipFile(tmp_path / "a.zip", "w", method) as archive:
         archive.writestr("pystk_actor.py", "def get_actor(*_): ...")
@@ -296,7 +296,7 @@ def test_a_zip_with_deeply_nested_folders_is_refused(tmp_path):
         find_driver(written(tmp_path / "a.zip", deep))
 
 
-def test_a_zip_whose_list_is_long_is_refused_in_little_memory(tmp_path):
+def test_a_zip_with_a_long_directory_is_refused_with_little_memory(tmp_path):
     """The zip's directory has 200,000 entries, for each of which Python would create an object."""
     count, entry = 200_000, b"PK\1\2" + bytes(42)
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)

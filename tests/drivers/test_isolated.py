@@ -41,7 +41,7 @@ def hostile_race():
 
 
 @pytest.mark.slow
-def test_good_agents_finish_beside_hostile_ones(hostile_race):
+def test_good_agents_finish_alongside_hostile_ones(hostile_race):
     rows = by_driver(hostile_race)
     assert hostile_race.status == "finished"
     assert [rows[name].status for name in ("Plain", "Alpha")] == ["finished", "finished"]
@@ -58,7 +58,7 @@ def test_good_agents_finish_beside_hostile_ones(hostile_race):
         ("shape", "error", "expected a number from -1.0 to 1.0"),
     ],
 )
-def test_what_a_hostile_agent_did_is_reported(hostile_race, name, kind, message):
+def test_a_hostile_agents_failure_is_reported(hostile_race, name, kind, message):
     row = by_driver(hostile_race)[name]
     assert row.status == "retired"
     assert [failure.kind for failure in row.errors] == [kind]
@@ -77,7 +77,7 @@ def test_a_traceback_shows_the_agents_own_lines(hostile_race):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("handling", ["retire", "restart", "catch"])
-def test_a_race_of_lost_agents_ends(handling):
+def test_a_race_ends_when_all_its_agents_have_failed(handling):
     drivers = map(hostile, ("closes", "forger", "unloadable", "no_actor"))
     result = race(*drivers, error_handling=handling, max_restarts=1, max_steps=50)
     assert result.status == "abandoned"
@@ -96,14 +96,14 @@ def test_a_load_error_is_reported():
 
 
 @pytest.mark.slow
-def test_an_agent_that_never_loads_is_not_waited_for():
+def test_the_race_does_not_wait_for_an_agent_that_never_loads():
     result = race("ai", hostile("sleeps"), start_timeout=2.0, max_steps=5)
     assert "its start took longer than 2 s" in by_driver(result)["sleeps"].errors[0].message
     assert result.steps == 5
 
 
 @pytest.mark.slow
-def test_what_an_agent_prints_disturbs_nothing():
+def test_output_printed_by_an_agent_is_harmless():
     result = race(hostile("noisy"), max_steps=40)
     assert not result.has_errors
     assert result.agents[0].distance > 1
@@ -111,13 +111,13 @@ def test_what_an_agent_prints_disturbs_nothing():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["closes", "forger"])
-def test_an_agent_that_breaks_its_connection_is_out(name):
+def test_an_agent_that_breaks_its_connection_is_retired(name):
     result = race(hostile(name), "ai", max_steps=5)
     assert by_driver(result)[name].num_errors == 1
 
 
 @pytest.mark.slow
-def test_a_bomb_in_an_answer_is_not_decoded():
+def test_a_memory_bomb_in_a_reply_is_not_decoded():
     """Decoding it would take 1 GB and minutes."""
     with measured() as cost:
         result = race(hostile("bomber"), str(AGENTS / "plain"), max_steps=5)
@@ -129,7 +129,7 @@ def test_a_bomb_in_an_answer_is_not_decoded():
 
 
 @pytest.mark.slow
-def test_a_long_error_report_is_cut():
+def test_a_long_error_report_is_truncated():
     result = race(hostile("talker"), "ai", max_steps=5)
     row = next(row for row in result.agents if row.num_errors)
     assert row.driver == "y" * 100
@@ -223,7 +223,7 @@ def test_an_inline_agent_is_ended_even_if_it_suppresses_the_first_alarm(tmp_path
 
 
 @pytest.mark.slow
-def test_nothing_of_an_agent_outlives_its_race(monkeypatch, tmp_path):
+def test_an_agents_processes_do_not_outlive_the_race(monkeypatch, tmp_path):
     pids = tmp_path / "pids"
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
     assert not race(hostile("parent"), sandbox="off", max_steps=3).has_errors
@@ -232,7 +232,7 @@ def test_nothing_of_an_agent_outlives_its_race(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_agent_dies_with_a_race_that_is_killed(tmp_path):
+def test_an_agent_ends_when_its_race_is_killed(tmp_path):
     pids = tmp_path / "pids"
     code = f"""
         from stkzoo.race import run_race
@@ -257,7 +257,7 @@ def left_by_this_program():
 
 
 @pytest.mark.slow
-def test_a_daemon_of_an_agent_does_not_outlive_its_race(monkeypatch, tmp_path):
+def test_an_agents_daemon_does_not_outlive_the_race(monkeypatch, tmp_path):
     """The daemon leaves its session and its parents, and keeps the agent's output open."""
     pids = tmp_path / "pids"
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
@@ -272,7 +272,7 @@ def test_a_daemon_of_an_agent_does_not_outlive_its_race(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_keeper_that_is_killed_leaves_no_thread_and_no_descriptor(monkeypatch, tmp_path):
+def test_a_killed_keeper_leaves_no_threads_or_file_descriptors(monkeypatch, tmp_path):
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(tmp_path / "pids"))
     race("ai", hostile("escapes"), sandbox="off", max_steps=3, start_timeout=2.0)
     before = left_by_this_program()
@@ -287,7 +287,7 @@ def test_a_keeper_that_is_killed_leaves_no_thread_and_no_descriptor(monkeypatch,
 
 
 @pytest.mark.slow
-def test_memory_of_all_processes_of_an_agent_counts_together(monkeypatch, tmp_path):
+def test_the_memory_limit_covers_all_processes_of_an_agent(monkeypatch, tmp_path):
     """The system's limit on a process's data covers neither shared memory nor child processes."""
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(tmp_path / "pids"))
     for name in ("shares", "spreads"):

@@ -30,7 +30,7 @@ def times(result):
 
 
 @pytest.mark.slow
-def test_the_time_that_an_agent_reports_is_ignored():
+def test_the_time_reported_by_an_agent_is_ignored():
     result = race(hostile("liar"), "ai")
     found = times(result)["liar"]
     assert not result.has_errors
@@ -39,7 +39,7 @@ def test_the_time_that_an_agent_reports_is_ignored():
 
 
 @pytest.mark.slow
-def test_a_slow_agent_does_not_spend_the_time_of_another():
+def test_a_slow_agent_does_not_use_up_another_agents_time():
     """The race waits for the slow agent first."""
     found = times(race(hostile("slow"), PLAIN, hostile("trickles"), max_steps=6))
     assert found["Plain"].mean < 0.15

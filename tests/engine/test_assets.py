@@ -575,7 +575,7 @@ class TestArchive:
         again = pack(output=tmp_path / "again.tar.xz")
         assert again.read_bytes() == archive.read_bytes()
 
-    def test_brings_the_same_pack_elsewhere(self, archive, headless, tmp_path, monkeypatch):
+    def test_installs_the_same_pack_elsewhere(self, archive, headless, tmp_path, monkeypatch):
         monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "elsewhere"))
         assert install(archive=archive).root == tmp_path / "elsewhere" / "headless"
         assert content(tmp_path / "elsewhere" / "headless") == content(headless)
@@ -598,7 +598,7 @@ class TestArchive:
         archive.write_bytes(archive.read_bytes()[:-200])
         self.refused(archive, "is broken", cache)
 
-    def test_damaged_archive_is_told(self, archive, cache):
+    def test_damaged_archive_is_reported(self, archive, cache):
         data = bytearray(archive.read_bytes())
         data[len(data) // 2] ^= 1
         archive.write_bytes(data)
@@ -613,26 +613,26 @@ class TestArchive:
         rebuild(archive, lambda members: [m for m in members if m[0].name != name])
         self.refused(archive, "'tracks/alps/track.xml' is missing from", cache)
 
-    def test_member_that_comes_twice_is_told(self, archive, cache):
+    def test_duplicate_member_is_reported(self, archive, cache):
         rebuild(archive, lambda members: [*members, members[-1]])
         self.refused(archive, "comes twice", cache)
 
     @pytest.mark.parametrize(
         "name", ["../evil", "data/../../evil", "/tmp/evil", "evil", "data/..\\evil"]
     )
-    def test_member_outside_the_pack_is_told(self, archive, cache, tmp_path, name):
+    def test_member_outside_the_pack_is_reported(self, archive, cache, tmp_path, name):
         rebuild(archive, lambda members: [*members, (named(name), b"!")])
         self.refused(archive, "outside the pack", cache)
         assert not (tmp_path / "evil").exists()
 
     @pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE])
-    def test_member_that_is_no_plain_file_is_told(self, archive, cache, kind):
+    def test_member_that_is_not_a_regular_file_is_reported(self, archive, cache, kind):
         link = named("data/link", kind, "/etc/passwd")
         rebuild(archive, lambda members: [*members, (link, b"")])
         self.refused(archive, "no plain file", cache)
 
     @pytest.mark.parametrize("name", BOMBS)
-    def test_archive_without_a_bound_is_refused_in_little_memory(self, cache, tmp_path, name):
+    def test_archive_bomb_is_refused_with_little_memory(self, cache, tmp_path, name):
         make, problem = BOMBS[name]
         (tmp_path / "bomb").write_bytes(lzma.compress(make(), preset=0))
         tracemalloc.start()
@@ -721,7 +721,7 @@ class TestCommandLine:
         assert not headless.exists()
 
     @pytest.mark.parametrize("words", [["assets"], ["asets"], ["assets", "install", "-x"]])
-    def test_bad_usage_exits_with_2(self, words, capsys):
+    def test_invalid_usage_exits_with_2(self, words, capsys):
         assert main(words) == 2
         said = capsys.readouterr().err
         assert said.startswith("stkzoo")

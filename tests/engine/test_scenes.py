@@ -40,7 +40,7 @@ os._exit(0)
 """
 
 
-def mesh(texture):
+def spm_file(texture):
     """Returns the beginning of an .spm file; the rest is not read."""
     name = texture.encode()
     return b"SP\x08\x00" + bytes(24) + b"\x01\x00" + bytes([len(name)]) + name + b"\x00"
@@ -69,8 +69,8 @@ TRUNK = (
 def data(tmp_path):
     """Writes a data folder with models and without scenes."""
     for name in ("banana-low", "wall", "bush", "tree", "trunk", "lamp"):
-        write(tmp_path / "models" / f"{name}.spm", mesh("plain.png"))
-    write(tmp_path / "models" / "leaf.spm", mesh("Leaf.png"))
+        write(tmp_path / "models" / f"{name}.spm", spm_file("plain.png"))
+    write(tmp_path / "models" / "leaf.spm", spm_file("Leaf.png"))
     hues = '<materials><material name="leaf.png" hue-settings="0.1 0.5"/></materials>'
     write(tmp_path / "textures" / "materials.xml", hues)
     return tmp_path
@@ -85,7 +85,7 @@ def thin(data, scene, **libraries):
     return ET.parse(data / "tracks" / "alps" / "scene.xml").getroot()
 
 
-def models(scene):
+def model_names(scene):
     return [entry.get("model") for entry in scene.iter("object")]
 
 
@@ -93,7 +93,7 @@ def instances(count, name="plant", more=""):
     return "".join(f'<library name="{name}" xyz="{i} 2 3" {more}/>' for i in range(count))
 
 
-class TestWhatGoes:
+class TestRemovedObjects:
     @pytest.mark.parametrize(
         "entry",
         [
@@ -125,7 +125,7 @@ class TestWhatGoes:
 
     def test_objects_in_a_script_are_kept(self, data):
         write(data / "tracks" / "alps" / "scripting.as", 'getTrackObject("", "bush")')
-        assert models(thin(data, GHOST.format("bush") + GHOST.format("lamp"))) == ["bush.spm"]
+        assert model_names(thin(data, GHOST.format("bush") + GHOST.format("lamp"))) == ["bush.spm"]
 
     def test_first_instance_of_a_plant_is_kept(self, data):
         scene = thin(data, instances(3), plant=GHOST.format("bush"))
@@ -139,7 +139,7 @@ class TestWhatGoes:
     def test_ghosts_of_a_solid_library_object_are_removed(self, data):
         thin(data, instances(1), plant=GHOST.format("bush") + TRUNK)
         node = ET.parse(data / "library" / "plant" / "node.xml")
-        assert models(node.getroot()) == ["trunk.spm"]
+        assert model_names(node.getroot()) == ["trunk.spm"]
 
     def test_scene_without_removable_objects_is_not_rewritten(self, data):
         path = data / "tracks" / "alps" / "scene.xml"
@@ -162,26 +162,26 @@ class TestWhatGoes:
 
 
 class TestRandomNumbers:
-    def drawn(self, scene):
+    def num_draws(self, scene):
         """Returns how many random numbers the added placeholder object draws."""
         return max(len(scene.findall("lod/group[@name='_stkzoo_draws']/static-object")) - 1, 0)
 
-    def test_one_is_drawn_for_each_farther_level(self, data):
-        assert self.drawn(thin(data, LEVELS + TREE)) == 2
+    def test_one_number_is_drawn_for_each_farther_level(self, data):
+        assert self.num_draws(thin(data, LEVELS + TREE)) == 2
 
     def test_object_with_one_level_draws_none(self, data):
-        assert self.drawn(thin(data, GHOST.format("bush"))) == 0
+        assert self.num_draws(thin(data, GHOST.format("bush"))) == 0
 
     def test_all_instances_but_the_first_count(self, data):
-        assert self.drawn(thin(data, instances(4), plant=LEVELS + TREE)) == 3 * 2
+        assert self.num_draws(thin(data, instances(4), plant=LEVELS + TREE)) == 3 * 2
 
-    def test_all_instances_of_a_solid_one_count(self, data):
-        assert self.drawn(thin(data, instances(4), plant=LEVELS + TREE + TRUNK)) == 4 * 2
+    def test_all_instances_of_a_solid_object_count(self, data):
+        assert self.num_draws(thin(data, instances(4), plant=LEVELS + TREE + TRUNK)) == 4 * 2
 
     def test_instances_in_library_objects_count(self, data):
         group = instances(3) + TRUNK
         scene = thin(data, instances(2, "group"), plant=LEVELS + TREE + TRUNK, group=group)
-        assert self.drawn(scene) == 2 * 3 * 2
+        assert self.num_draws(scene) == 2 * 3 * 2
 
     def test_instances_in_a_library_object_with_a_script_count(self, data):
         write(data / "library" / "group" / "scripting.as", "")
@@ -191,7 +191,7 @@ class TestRandomNumbers:
             plant=LEVELS + TREE + TRUNK,
             group=instances(3),
         )
-        assert self.drawn(scene) == 4 * 2
+        assert self.num_draws(scene) == 4 * 2
 
     def test_levels_with_the_same_name_in_two_library_objects_add_up(self, data):
         more = LEVELS.replace("40", "300")  # farther than 200, so there are four levels
@@ -201,7 +201,7 @@ class TestRandomNumbers:
             plant=TRUNK + LEVELS,
             other=more + TREE + TRUNK,
         )
-        assert self.drawn(scene) == 2 * 4
+        assert self.num_draws(scene) == 2 * 4
 
     def test_object_with_a_random_hue_still_draws_it(self, data):
         (entry,) = thin(data, GHOST.format("leaf"))
@@ -211,10 +211,10 @@ class TestRandomNumbers:
 
     def test_removed_instances_still_draw_their_random_hues(self, data):
         scene = thin(data, instances(3), plant=GHOST.format("leaf"))
-        assert models(scene) == ["leaf.spm"] * 2
+        assert model_names(scene) == ["leaf.spm"] * 2
 
 
-class TestOpenedInstances:
+class TestReplacedInstances:
     def test_upright_instances_after_the_first_are_replaced_by_their_objects(self, data):
         scene = thin(data, instances(3, more='hpr="0 -0.0 0"'), plant=TRUNK)
         assert [entry.tag for entry in scene] == ["library", "object", "object"]
@@ -259,7 +259,7 @@ def packs(tmp_path_factory):
     return roots
 
 
-class TestGameData:
+class TestThinnedPack:
     # On cocoa_temple, bots choose among paths; on black_forest, most instances are replaced.
     @pytest.mark.slow
     @pytest.mark.parametrize("reverse", [False, True])

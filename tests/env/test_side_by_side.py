@@ -80,7 +80,7 @@ def test_a_hanging_game_times_out():
         assert env.step({"kart_0": 0})[1].keys() == {"kart_0", "kart_1"}
 
 
-def test_calls_in_the_wrong_order_are_named():
+def test_calls_in_the_wrong_order_are_refused():
     env = make_env()
     for call in (lambda: env.step({}), env.state, lambda: env.observe_batch(["kart_0"])):
         with pytest.raises(ApiOrderError, match="reset"):

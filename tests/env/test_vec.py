@@ -522,7 +522,7 @@ def test_random_streams_are_those_of_the_races():
         ({"prefetch": "yes"}, "prefetch is 'yes'"),
     ],
 )
-def test_what_cannot_be_is_refused(options, message):
+def test_invalid_options_are_refused(options, message):
     with pytest.raises(ConfigError, match=message):
         make(**options)
 
@@ -561,7 +561,7 @@ def test_an_invalid_action_advances_no_race():
     envs.close()
 
 
-def test_calls_in_the_wrong_order_are_named():
+def test_calls_in_the_wrong_order_are_refused():
     envs = make()
     actions = envs.action_space.sample()
     with pytest.raises(ApiOrderError, match=r"reset\(\)"):

@@ -279,7 +279,7 @@ def test_an_agent_that_never_finishes_can_be_drawn(tmp_path):
     assert (tmp_path / "lost.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_a_result_survives_json():
+def test_a_result_survives_a_json_round_trip():
     result = made_up(lambda race: 1 + race.index / 10, lambda race: race.index == 0)
     again = BenchmarkResult.from_json(result.to_json())
     assert again.plan == result.plan

@@ -102,7 +102,7 @@ def test_another_benchmark_in_the_folder_is_refused(small):
         run_benchmark("heuristic", output=folder, **{**SMALL, "seeds": 3})
 
 
-def test_the_plot_is_a_picture(small, tmp_path):
+def test_the_plot_is_saved_as_an_image(small, tmp_path):
     folder, result, _ = small
     assert (folder / "benchmark.png").read_bytes()[:4] == b"\x89PNG"
     plot_benchmark([result, result], tmp_path / "both.svg")
@@ -308,7 +308,7 @@ def test_the_command_exits_with_3_when_the_agent_failed(tmp_path, capsys):
         (["ai", "--jobs", "0"], "jobs is 0"),
     ],
 )
-def test_bad_usage_exits_with_2(words, message, capsys):
+def test_invalid_usage_exits_with_2(words, message, capsys):
     assert main(["benchmark", *words]) == 2
     assert message in capsys.readouterr().err
 

@@ -259,7 +259,7 @@ def test_the_command_records_and_checks(tmp_path, capsys):
         (["ai", "--karts", "21"], "karts is 21"),
     ],
 )
-def test_bad_arguments_are_told(words, text, capsys):
+def test_invalid_arguments_are_reported(words, text, capsys):
     assert main(["demos", *words]) == 2
     assert text in capsys.readouterr().err
 

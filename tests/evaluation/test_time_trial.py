@@ -138,7 +138,7 @@ def test_an_incomplete_time_trial_has_a_result():
     assert outcome([], split="mines").mean_ratio is None
 
 
-def test_a_result_survives_json():
+def test_a_result_survives_a_json_round_trip():
     result = outcome([1.3, None], split=["lighthouse", "hacienda"])
     assert TimeTrialResult.from_json(result.to_json()) == result
     jsonschema.validate(json.loads(result.to_json()), json.loads(SCHEMA.read_text()))

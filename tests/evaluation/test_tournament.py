@@ -131,7 +131,7 @@ def test_incomplete_files_of_a_killed_program_are_removed(small):
     assert not [part for part in parts if part.exists()]
 
 
-def test_the_plot_is_a_picture(small, tmp_path):
+def test_the_plot_is_saved_as_an_image(small, tmp_path):
     folder, result, _ = small
     assert (folder / "tournament.png").read_bytes()[:4] == b"\x89PNG"
     plot_tournament(result, tmp_path / "cup.svg")
@@ -239,7 +239,7 @@ def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_resumed_tournament_comes_to_the_same(tmp_path):
+def test_a_resumed_tournament_has_the_same_result(tmp_path):
     whole = run_tournament(THREE, output=tmp_path / "whole", **SMALL)
 
     class Stop(Exception):
@@ -302,7 +302,7 @@ def get_actor(module_dir, observation_space, action_space):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"inline": True}, {"sandbox": "off"}, {}])
-def test_an_agent_that_ends_the_process_of_its_races_loses_them(tmp_path, settings):
+def test_an_agent_that_ends_its_race_process_loses_the_race(tmp_path, settings):
     """If the race were void, it would not count against the agent."""
     killer = AGENTS / "hostile" / "exits.py"
     if not settings.get("inline"):
@@ -337,7 +337,7 @@ def get_actor(module_dir, observation_space, action_space):
 
 
 @pytest.mark.slow
-def test_an_agent_cannot_put_the_blame_on_another(tmp_path):
+def test_an_agent_cannot_shift_the_blame_to_another(tmp_path):
     """The agent ends the process of a race only if its rival takes part."""
     framer = tmp_path / "framer.py"
     framer.write_text(FRAMER)
@@ -351,7 +351,7 @@ def test_an_agent_cannot_put_the_blame_on_another(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
-def test_an_agent_that_attacks_whenever_it_is_behind_voids_nothing_and_is_last(tmp_path):
+def test_an_agent_that_attacks_when_behind_voids_no_race_and_finishes_last(tmp_path):
     """To run 100 races: ``python -m benchmarks.adversaries --cup 100``."""
     result = attacks.cup(tmp_path, races=3, action_timeout=2.0)
     assert result.is_complete
@@ -392,7 +392,7 @@ def test_another_tournament_in_the_folder_is_refused(small):
 
 
 @pytest.mark.slow
-def test_an_agent_that_was_changed_meanwhile_is_told(tmp_path):
+def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
     agent, folder = tmp_path / "mine", tmp_path / "cup"
     shutil.copytree(AGENTS / "plain", agent)
     settings = {**SMALL, "races": 1, "per_race": 2}
@@ -482,6 +482,6 @@ def test_the_command_shows_a_table_and_exits_with_3_when_an_agent_failed(tmp_pat
     assert json.loads(capsys.readouterr().out)["standings"][0]["label"] == "ai"
 
 
-def test_bad_usage_exits_with_2(tmp_path, capsys):
+def test_invalid_usage_exits_with_2(tmp_path, capsys):
     assert main(["tournament", "--resume", str(tmp_path)]) == 2
     assert "has no tournament" in capsys.readouterr().err

@@ -27,7 +27,7 @@ def test_races_match_the_reference(reference, env_id, track):
         assert result.steps == STEPS
 
 
-def test_a_race_to_the_finish_is_that_of_the_reference_up_to_repeated_pay(reference):
+def test_a_whole_race_matches_the_reference_except_for_repeated_bonuses(reference):
     *_, job = jobs_for(["supertuxkart/multi-full-v0"], ["olivermath"], 300)
     _, result = compare_race(job, reference)
     assert result.undocumented == []
@@ -47,7 +47,7 @@ def test_races_match_the_references_own_process_except_for_dropped_entries(refer
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_d31_phase_and_ticks_move_with_the_race(reference, mode):
+def test_d31_phase_and_ticks_follow_the_race(reference, mode):
     job, *_ = jobs_for(["supertuxkart/full-v0"], ["lighthouse"], STEPS, [mode])
     sides = record_race(job, reference)[:2]
     phases, ticks = (

@@ -345,7 +345,7 @@ def test_dict_actions_are_recorded_as_one_array_per_entry(tmp_path):
         ({"dataset": "me.npz", "view": "full"}, "differ in size"),
     ],
 )
-def test_what_cannot_be_is_refused(options, match):
+def test_invalid_options_are_refused(options, match):
     with pytest.raises(ConfigError, match=match):
         play_race([], **{**WINDOW, **options})
 

@@ -251,7 +251,7 @@ needs_landlock = pytest.mark.skipif(landlock.version() < 6, reason="needs Landlo
 
 @needs_seccomp
 @needs_bubblewrap
-def test_an_agent_in_the_sandbox_reaches_nothing(bench):
+def test_bubblewrap_confines_an_agent(bench):
     home, mark, write, packets = bench
     spy = write("spy", REPORTER.format(probes=PROBES))
     result = race(str(home / "rival"), spy, sandbox="on")
@@ -267,7 +267,7 @@ def test_an_agent_in_the_sandbox_reaches_nothing(bench):
 
 @needs_seccomp
 @needs_landlock
-def test_an_agent_in_the_weaker_sandbox_reaches_little(bench, monkeypatch):
+def test_landlock_confines_an_agent(bench, monkeypatch):
     home, _, write, _ = bench
     monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "a test")
     sandbox.say_what_is_missing.cache_clear()
@@ -279,7 +279,7 @@ def test_an_agent_in_the_weaker_sandbox_reaches_little(bench, monkeypatch):
     sandbox.say_what_is_missing.cache_clear()
 
 
-def test_an_agent_without_a_sandbox_reaches_what_the_user_can(bench):
+def test_an_agent_without_a_sandbox_is_not_confined(bench):
     home, _, write, _ = bench
     harmless = {name: probe for name, probe in PROBES.items() if name not in HARMFUL}
     spy = write("spy", REPORTER.format(probes=harmless))
@@ -290,7 +290,7 @@ def test_an_agent_without_a_sandbox_reaches_what_the_user_can(bench):
 
 
 @needs_bubblewrap
-def test_assaults_cost_only_their_own_karts(tmp_path):
+def test_attacks_affect_only_their_own_karts(tmp_path):
     """Runs 27 attacks at once beside two drivers.
 
     ``python -m benchmarks.adversaries`` runs all 54 attacks 200 times.
@@ -304,7 +304,7 @@ def test_assaults_cost_only_their_own_karts(tmp_path):
 
 
 @needs_bubblewrap
-def test_a_fork_bomb_is_ended(bench):
+def test_a_fork_bomb_is_stopped(bench):
     """It slows down all karts until it is ended, so no other attack races beside it."""
     home, mark, write, _ = bench
     bomb = write("bomb", FORK_BOMB)
@@ -328,7 +328,7 @@ def _text(file):
         return ""
 
 
-def test_a_sandbox_that_is_not_there_is_refused_before_the_race(monkeypatch):
+def test_a_race_is_refused_if_its_sandbox_is_unavailable(monkeypatch):
     monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "bubblewrap is not installed")
     with pytest.raises(ConfigError, match="no sandbox for agents: bubblewrap is not installed"):
         race(str(AGENTS / "plain"), sandbox="on")
@@ -381,7 +381,7 @@ def test_each_agent_has_its_own_cores_if_there_are_enough(monkeypatch):
 @needs_seccomp
 @needs_bubblewrap
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
-def test_an_agent_in_the_sandbox_keeps_to_its_cores(bench):
+def test_a_sandboxed_agent_stays_on_its_cores(bench):
     _, _, write, _ = bench
     result = race(write("spinner", SPINNER), "ai", sandbox="on")
     message = by_driver(result)["spinner"].errors[0].message

@@ -222,7 +222,7 @@ def test_a_failing_driver_is_named():
 
 
 @pytest.mark.slow
-def test_a_failing_driver_costs_only_its_own_race():
+def test_a_failing_driver_affects_only_its_own_race():
     result = run_race(["ai", failing_driver(5)], track="olivermath", seed=1)
     winner, loser = result.agents
     assert (result.status, winner.status, loser.status) == ("finished", "finished", "retired")
@@ -240,7 +240,7 @@ def test_a_failing_driver_costs_only_its_own_race():
         ({}, "finished"),
     ],
 )
-def test_why_a_race_was_over_is_said(settings, status):
+def test_the_result_says_why_the_race_ended(settings, status):
     """D26: a race that was stopped early has another status than a finished one."""
     result = run_race(["ai", "ai", "ai"], track="olivermath", seed=1, **settings)
     assert result.status == status
@@ -248,7 +248,7 @@ def test_why_a_race_was_over_is_said(settings, status):
 
 
 @pytest.mark.slow
-def test_a_race_of_many_laps_is_not_cut_short():
+def test_a_long_race_is_not_cut_short():
     """D26: the race takes longer than 1500 steps, after which the reference stops."""
     result = run_race(["ai"], track="candela_city", laps=4, seed=1)
     assert result.steps > 1500
@@ -264,7 +264,7 @@ def test_the_reward_is_the_sum_over_the_race():
     assert result.agents[0].reward != pytest.approx(ear.heard[-1].rewards["kart_0"])
 
 
-def test_the_result_keeps_to_the_published_schema(result):
+def test_the_result_matches_the_published_schema(result):
     """D27: the result includes the seed, grid, finish times, ends and errors."""
     schema = json.loads(SCHEMA.read_text())
     jsonschema.Draft202012Validator.check_schema(schema)

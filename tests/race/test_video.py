@@ -194,7 +194,7 @@ def test_a_kart_that_is_moved_elsewhere_is_not_interpolated(moments):
     np.testing.assert_allclose(places[1], karts["location"][0], rtol=1e-5)
 
 
-def test_moments_between_steps_end_with_the_step(moments):
+def test_interpolated_snapshots_end_with_the_step(moments):
     between = snapshots_between(moments[-2], moments[-1], 3)
     assert len(between) == 3
     assert between[-1] is moments[-1]
@@ -247,7 +247,7 @@ def test_a_video_is_as_long_as_the_race(tmp_path):
 
 
 @pytest.mark.slow
-def test_filming_changes_no_race(tmp_path):
+def test_filming_does_not_change_the_race(tmp_path):
     video = RaceVideo(tmp_path / "race.mp4", backend="map", size=(160, 120), sub_steps=4)
     settings = {"track": "lighthouse", "seed": 1, "max_steps": 60}
     assert run_race(["ai", "ai"], listeners=[video], **settings) == run_race(

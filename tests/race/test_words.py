@@ -44,7 +44,7 @@ def words(log):
     ]
 
 
-def test_a_word_is_heard_one_step_later_by_the_own_team_only():
+def test_a_word_reaches_only_its_own_team_one_step_later():
     heard = []
     red, blue = (speaker(name, saying(w), heard) for name, w in (("Red", 3), ("Blue", 6)))
     result = run_race([red, blue, "heuristic", red, blue], max_steps=4, **RACE)
@@ -105,7 +105,7 @@ def test_a_driver_that_has_retired_is_not_heard():
 
 
 @pytest.mark.slow
-def test_a_forged_word_is_an_invalid_action():
+def test_an_unknown_word_is_an_invalid_action():
     shouts = str(AGENTS / "hostile" / "shouts.py")
     result = run_race([shouts, "heuristic"], max_steps=5, **RACE)
     row = next(row for row in result.agents if row.agent == "kart_0")

@@ -232,7 +232,7 @@ def test_the_camera_view_is_also_an_id():
         ({"backend": "map", "depth": True}, "the map has no depth"),
     ],
 )
-def test_what_cannot_be_is_refused(options, match):
+def test_invalid_options_are_refused(options, match):
     with pytest.raises(ConfigError, match=match):
         CameraObservations(gym.make("supertuxkart/flattened-v0", **RACE), **options)
 

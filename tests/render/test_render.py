@@ -122,7 +122,7 @@ def test_render_fps_follows_the_step_size():
         ({"graphics_config": "ultra"}, "unknown graphics_config"),
     ],
 )
-def test_what_cannot_be_is_refused(options, match):
+def test_invalid_options_are_refused(options, match):
     with pytest.raises(ConfigError, match=match):
         small_race(**options)
 

@@ -94,7 +94,7 @@ def test_the_common_reward_counts_only_agents_that_still_race():
 
 
 @needs_library
-def test_mistakes_are_named():
+def test_unknown_options_are_refused():
     from stkzoo.suite.benchmarl import SuiteTask
 
     with pytest.raises(ConfigError, match=r"unknown option of a task 'action'\. Did you mean"):

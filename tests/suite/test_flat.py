@@ -79,7 +79,7 @@ def test_a_word_is_part_of_the_action_and_of_the_teammates_observation(actions, 
     env.close()
 
 
-def test_mistakes_are_named():
+def test_invalid_arguments_and_actions_are_refused():
     with pytest.raises(ConfigError, match=r"unknown form of actions 'fewer'\. Did you mean 'few'"):
         FlatTask(find_task("solo-1").make(), actions="fewer")
     with pytest.raises(ConfigError, match="needs the actions of the view 'racing'"):

@@ -113,7 +113,7 @@ def test_a_killed_run_resumes_with_its_round(run, tmp_path, monkeypatch):
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
-def test_another_run_is_refused_in_its_folder(run, capsys):
+def test_other_arguments_are_refused_in_the_folder_of_a_run(run, capsys):
     folder, _ = run
     with pytest.raises(ConfigError, match="steps was 300, now 400"):
         distill.run(distill.DistillationArguments(steps=400), folder)

@@ -128,7 +128,7 @@ def test_the_plot_of_a_run_is_drawn(imitated, tmp_path):
 
 
 @pytest.mark.slow
-def test_another_run_is_refused_in_its_folder(imitated, capsys):
+def test_other_arguments_are_refused_in_the_folder_of_a_run(imitated, capsys):
     folder, _ = imitated
     assert main(["--output", str(folder), "--teacher", "heuristic"]) == 1
     refused = capsys.readouterr().err
@@ -146,7 +146,7 @@ def test_another_run_is_refused_in_its_folder(imitated, capsys):
         (["--demos", "none.npz"], "there are no demonstrations"),
     ],
 )
-def test_bad_arguments_are_told(words, text, tmp_path, capsys):
+def test_invalid_arguments_are_reported(words, text, tmp_path, capsys):
     assert main(["--output", str(tmp_path / "run"), *words]) == 1
     assert text in capsys.readouterr().err
 

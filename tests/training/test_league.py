@@ -165,7 +165,7 @@ def test_a_match_runs_to_its_end():
 # ---------------------------------------------------------------------- learning
 
 
-def test_rivals_drive_without_teaching():
+def test_rivals_add_no_training_data():
     matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
     lineups = tuple(parse_races(["4x1", "1+1x1"]))
     arguments = ActorArguments(lineups, ("olivermath",), 0.1, DriverParameters(), ("begin",))
@@ -212,13 +212,13 @@ def test_the_league_gets_the_duels_of_all_actors(tmp_path):
     assert 0 < matchmaker.beaten() < 1
 
 
-def test_other_arguments_are_refused(tmp_path):
+def test_resuming_with_other_arguments_is_refused(tmp_path):
     League(tmp_path, LeagueArguments(**SMALL))
     with pytest.raises(ConfigError, match="seed was 0, now 1"):
         League(tmp_path, LeagueArguments(**SMALL, seed=1))
 
 
-def test_weights_of_another_network_are_refused(tmp_path):
+def test_initial_weights_of_a_different_network_are_refused(tmp_path):
     save_weights(tmp_path / "plans", RacingPolicy.of_plans_alone().weights)
     arguments = LeagueArguments(**SMALL, init=str(tmp_path / "plans"))
     with pytest.raises(ConfigError, match="give --hidden 1 1"):

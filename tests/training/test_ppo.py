@@ -77,7 +77,7 @@ def test_it_learns_and_ends(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
+def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
     assert learn(tmp_path / "whole", 480) == 0
     killed = tmp_path / "killed"
     # Kill it one iteration after a checkpoint, so that the iteration is lost.
@@ -244,7 +244,7 @@ def test_an_invalid_policy_is_refused(tmp_path, capsys):
     assert "no safetensors file" in capsys.readouterr().err
 
 
-def test_curves_are_drawn(tmp_path):
+def test_learning_curves_are_plotted(tmp_path):
     lines = [{"kart_steps": 1000 * n, "reward": 0.1, "explained": 0.5} for n in range(1, 5)]
     for name in ("one", "two"):
         (tmp_path / name).mkdir()

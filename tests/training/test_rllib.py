@@ -291,7 +291,7 @@ def test_the_cluster_benchmark_uses_existing_options(tmp_path):
         (["--promote-at", "1.5"], "promote_at is 1.5"),
     ],
 )
-def test_bad_arguments_are_told(words, text, capsys):
+def test_invalid_arguments_are_reported(words, text, capsys):
     assert main(["--output", "run", *words]) == 1
     assert text in capsys.readouterr().err
 

@@ -148,7 +148,7 @@ def pools():
 
 
 @pytest.mark.slow
-def test_rivals_drive_without_teaching(monkeypatch, policy):
+def test_rivals_add_no_training_data(monkeypatch, policy):
     monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
     bots, snapshots = pools()
     snapshots.add("past")
@@ -489,7 +489,7 @@ def test_it_learns_evaluates_and_ends(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
+def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
     assert learn(tmp_path / "whole", 270) == 0
     killed = tmp_path / "killed"
     # Kill it during a round, with a rival in the pool.
@@ -501,7 +501,7 @@ def test_after_a_kill_it_goes_on_as_if_nothing_had_been(tmp_path):
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
-def test_other_arguments_are_refused(tmp_path):
+def test_resuming_with_other_arguments_is_refused(tmp_path):
     arguments = {**SMALL, "seed": 1}
     SB3Run(tmp_path, SB3Arguments(**arguments)).close()
     with pytest.raises(ConfigError, match="seed was 1, now 2"):
@@ -564,7 +564,7 @@ def test_buffers_exclude_rivals():
 
 
 @pytest.mark.slow
-def test_curves_are_drawn(tmp_path):
+def test_learning_curves_are_plotted(tmp_path):
     lines = [{"kart_steps": 1000 * n, "pace": 0.1 * n, "beats_bots": 0.5} for n in range(1, 5)]
     (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
     figures = {"time_ratio": 3.0, "rating": 25, "rating_low": 20, "rating_high": 30}

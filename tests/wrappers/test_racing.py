@@ -150,7 +150,7 @@ def mirrored(observation):
     return flipped
 
 
-def test_the_mirrored_race_is_seen_mirrored():
+def test_a_mirrored_race_has_mirrored_observations():
     with race() as env:
         view = RacingObservations(OneKart(env))
         for observations in itertools.islice(moments(env), 0, None, 20):

@@ -27,7 +27,7 @@ def assert_serves(address):
     assert not any(row.errors for row in result.agents)
 
 
-def test_a_server_outlives_bad_messages_by_the_thousand():
+def test_a_server_survives_thousands_of_invalid_messages():
     """To send 100,000 messages: ``python -m tests.fuzz.flood 100000``."""
     with server_process("heuristic", "--quiet") as (process, address):
         assert_serves(address)
@@ -42,7 +42,7 @@ def test_a_server_outlives_bad_messages_by_the_thousand():
         assert resident_memory(process.pid) - before < 64 << 20
 
 
-def test_a_message_that_is_too_large_ends_the_connection_only():
+def test_an_oversized_message_closes_only_its_connection():
     with server_thread([find_driver("heuristic")]) as server:
         with raw_client(server.address) as socket:
             socket.send_multipart([b"H", os.urandom(5 << 20)])
@@ -85,7 +85,7 @@ def test_an_invalid_message_gets_an_answer_that_explains_the_error(frames, text)
         assert_serves(server.address)
 
 
-def test_a_client_cannot_touch_the_seats_of_another():
+def test_a_client_cannot_access_the_seats_of_another_client():
     with (
         server_thread([find_driver("heuristic")]) as server,
         RemoteDriverGroup([server.address]) as group,
@@ -182,7 +182,7 @@ LIES = {
 
 
 @pytest.mark.parametrize("name", LIES)
-def test_a_lying_server_costs_its_own_kart_only(name):
+def test_a_lying_server_affects_only_its_own_kart(name):
     lie, text = LIES[name]
     with (
         LyingServer(lie) as liar,
@@ -198,7 +198,7 @@ def test_a_lying_server_costs_its_own_kart_only(name):
     assert len(result.to_json()) < 50_000
 
 
-def test_a_bomb_in_open_costs_the_server_little():
+def test_a_memory_bomb_in_an_open_message_costs_the_server_little():
     with server_process("heuristic", "--quiet") as (process, address):
         assert_serves(address)
         with measured(process.pid) as cost:
@@ -214,7 +214,7 @@ def test_a_bomb_in_open_costs_the_server_little():
 
 
 @pytest.mark.parametrize("claimed", [0.0, 1e8])
-def test_a_server_cannot_hide_or_invent_the_time_of_its_agents(claimed):
+def test_a_server_cannot_hide_or_invent_its_agents_times(claimed):
     def slowly(kind, asked):
         if kind == b"A":
             time.sleep(0.1)
@@ -237,7 +237,7 @@ def test_a_server_cannot_hide_or_invent_the_time_of_its_agents(claimed):
     ],
     ids=["garbage", "another protocol", "nobody", "no names", "unknown needs"],
 )
-def test_what_is_no_server_of_ours_is_told_before_the_race(welcome):
+def test_an_invalid_server_is_refused_before_the_race(welcome):
     class Odd(LyingServer):
         def _serve(self):
             identity, *_ = self._socket.recv_multipart()

@@ -40,7 +40,7 @@ def test_a_client_on_the_list_races(closed_server):
 
 
 @pytest.mark.parametrize("stranger", ["another key", "no key", "no encryption", "wrong server"])
-def test_others_get_nothing(closed_server, stranger):
+def test_peers_without_the_right_keys_cannot_connect(closed_server, stranger):
     address, server_key, client = closed_server
     keys = {"another key": new_keys(), "wrong server": client}.get(stranger)
     server_keys = {"no encryption": [], "wrong server": [new_keys().public]}
@@ -56,7 +56,7 @@ def test_others_get_nothing(closed_server, stranger):
 
 
 @pytest.mark.slow
-def test_a_message_without_keys_gets_no_answer(closed_server):
+def test_a_message_without_keys_gets_no_reply(closed_server):
     with raw_client(closed_server[0]) as socket:
         for _ in range(20):
             socket.send_multipart([b"H", b"\x80"])
@@ -74,7 +74,7 @@ def test_a_server_with_a_key_and_no_list_accepts_all_who_know_it():
 
 @pytest.mark.parametrize("address", ["*:5599", "0.0.0.0:5599", "[::]:5599", "192.168.3.4:5599"])
 @pytest.mark.parametrize("keys", [ServerKeys(), ServerKeys(new_keys())], ids=["none", "own"])
-def test_other_machines_are_not_listened_to_without_keys(address, keys):
+def test_listening_to_other_machines_requires_keys(address, keys):
     with pytest.raises(ConfigError, match="other machines can reach"):
         RaceServer([find_driver("heuristic")], address, keys=keys)
 

@@ -56,7 +56,7 @@ def held():
 
 
 @pytest.mark.slow
-def test_a_race_is_served_while_many_clients_idle():
+def test_a_race_is_served_despite_many_idle_clients():
     """For the full test with 1,200 clients: ``python -m benchmarks.floods``."""
     allow_descriptors(2000)
     with limited_server("heuristic", descriptors=256, stderr=subprocess.PIPE) as (server, address):
@@ -72,7 +72,7 @@ def test_a_race_is_served_while_many_clients_idle():
     assert len(log.splitlines()) < 30
 
 
-def test_an_idle_connection_ends_after_a_while(monkeypatch):
+def test_an_idle_connection_times_out(monkeypatch):
     monkeypatch.setattr(peers, "IDLE", 0.2)
     with server_thread([find_driver("heuristic")]) as server:
         with raw_client(server.address) as client:
@@ -96,13 +96,13 @@ def test_a_connection_with_a_race_can_be_silent(monkeypatch):
 
 
 @pytest.mark.parametrize("name", GREETING)
-def test_what_is_no_zeromq_costs_nothing(name, held):
+def test_bytes_that_are_not_zeromq_do_not_affect_a_race(name, held):
     with server_thread([find_driver("heuristic")]) as server:
         connect_all(plain(server.address), 30, GREETING[name], held)
         assert remote_race(server.address, steps=3) == []
 
 
-def test_clients_that_reset_at_once_leave_nothing_behind():
+def test_clients_that_reset_immediately_leave_no_open_descriptors():
     with server_process("random", "--quiet") as (process, address):
         assert remote_race(address, steps=3) == []
         before = num_descriptors(process.pid)
@@ -113,7 +113,7 @@ def test_clients_that_reset_at_once_leave_nothing_behind():
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how much came")
-def test_a_message_without_end_is_cut_off():
+def test_an_endless_message_is_cut_off():
     with server_process("random", "--quiet") as (process, address):
         before = resident_memory(process.pid)
         with zmtp_socket(address) as one:
@@ -145,7 +145,7 @@ def test_clients_with_the_same_identity_do_not_disturb_a_race():
 
 
 @pytest.mark.slow
-def test_a_log_that_nobody_reads_does_not_stop_the_server():
+def test_an_unread_log_does_not_block_the_server():
     source, sink = os.pipe()
     os.set_blocking(sink, False)
     with contextlib.suppress(BlockingIOError):

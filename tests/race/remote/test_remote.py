@@ -41,7 +41,7 @@ class Watcher(RaceListener):
 
 
 @pytest.mark.slow
-def test_a_race_over_two_servers_to_the_finish_is_the_same_as_here():
+def test_a_race_over_two_servers_matches_the_local_race():
     with (
         server_process("heuristic") as (_, first),
         server_process("heuristic") as (_, second),
@@ -55,7 +55,7 @@ def test_a_race_over_two_servers_to_the_finish_is_the_same_as_here():
 
 
 @pytest.mark.slow
-def test_one_server_with_several_agents_in_any_order_of_seats(tmp_path):
+def test_one_server_drives_several_agents_in_any_order(tmp_path):
     names = ["ada", "bob", "eve"]
     agents = [write_agent(tmp_path, name) for name in names]
     with server_process(*agents) as (_, address), RemoteDriverGroup([address]) as group:
@@ -68,7 +68,7 @@ def test_one_server_with_several_agents_in_any_order_of_seats(tmp_path):
 
 
 @pytest.mark.slow
-def test_servers_in_another_order_serve_the_next_race(tmp_path):
+def test_servers_can_change_order_between_races(tmp_path):
     one, two = write_agent(tmp_path, "one"), write_agent(tmp_path, "two")
     with server_process(one) as (_, first), server_process(two) as (_, second):
         for order in ([first, second], [second, first]):
@@ -94,7 +94,7 @@ def test_a_server_killed_during_a_race_loses_only_its_own_karts():
 
 
 @pytest.mark.slow
-def test_a_server_that_stands_still_costs_its_own_karts_only():
+def test_a_stopped_server_affects_only_its_own_karts():
     with (
         server_process("heuristic") as (process, first),
         server_process("heuristic") as (_, second),
@@ -132,7 +132,7 @@ def test_a_server_restarted_during_a_race_continues_it(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_server_restarted_between_races_serves_the_next(tmp_path):
+def test_a_server_restarted_between_races_serves_the_next_race(tmp_path):
     agent = write_agent(tmp_path, "ada")
     with server_process(agent) as (_, address):
         group = RemoteDriverGroup([address])
@@ -143,7 +143,7 @@ def test_a_server_restarted_between_races_serves_the_next(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_slow_agent_is_ended_and_the_others_of_its_server_race_on(tmp_path):
+def test_a_slow_agent_is_stopped_and_its_servers_other_agents_continue(tmp_path):
     slow = write_agent(tmp_path, "slow", act="import time; time.sleep(3600)")
     good = write_agent(tmp_path, "good")
     with (
@@ -168,7 +168,7 @@ def test_the_client_can_set_a_shorter_time_limit_than_the_server(tmp_path):
     ("act", "text"),
     [("raise KeyError('oops')", "oops"), ("import os; os._exit(1)", "exited with code 1")],
 )
-def test_an_agent_that_fails_does_not_spoil_its_server(tmp_path, act, text):
+def test_a_failing_agent_does_not_harm_its_server(tmp_path, act, text):
     bad, good = write_agent(tmp_path, "bad", act), write_agent(tmp_path, "good")
     with server_process(bad, good) as (_, address), RemoteDriverGroup([address]) as group:
         for _ in range(2):
@@ -179,7 +179,7 @@ def test_an_agent_that_fails_does_not_spoil_its_server(tmp_path, act, text):
 
 
 @pytest.mark.slow
-def test_an_agent_that_cannot_be_loaded_costs_only_itself(tmp_path):
+def test_an_agent_that_fails_to_load_affects_only_itself(tmp_path):
     bad, good = write_agent(tmp_path, "bad"), write_agent(tmp_path, "good")
     with open(os.path.join(bad, "pystk_actor.py"), "w") as file:
         file.write("import no_such_module\n")
@@ -208,7 +208,7 @@ def test_one_server_serves_two_races_at_once():
 
 
 @pytest.mark.slow
-def test_a_busy_server_says_so():
+def test_a_full_server_refuses_another_race():
     with (
         server_thread([find_driver("heuristic")], max_sessions=1) as server,
         RemoteDriverGroup([server.address]) as group,
@@ -230,7 +230,7 @@ def test_a_busy_server_says_so():
 
 
 @pytest.mark.slow
-def test_a_client_that_is_gone_frees_its_place(tmp_path):
+def test_a_disconnected_client_frees_its_place(tmp_path):
     agent = write_agent(tmp_path, "ada")
     code = (
         "import os\n"
@@ -254,7 +254,7 @@ def test_a_client_that_is_gone_frees_its_place(tmp_path):
     pytest.fail("the server still kept the place of a client that is gone")
 
 
-def test_a_client_that_pauses_is_not_flooded():
+def test_a_paused_client_is_not_flooded_with_pings():
     """Unread pings must stay below the length of the queue, or the connection is lost."""
     client = ClientSession([], DriverLimits(), None)
     client.heard = client.pinged = 0.0

@@ -275,7 +275,7 @@ def test_a_later_file_format_is_refused(small):
     ],
     ids=str,
 )
-def test_what_cannot_be_is_refused(small, about):
+def test_invalid_fields_are_refused(small, about):
     with pytest.raises(ReplayError, match=r"small\.stkz"):
         load_replay(repacked(small, about=about))
 
@@ -296,14 +296,14 @@ def test_damaged_members_are_refused(small, members):
         load_replay(repacked(small, **members))
 
 
-def test_a_part_that_grows_too_large_is_refused(small):
+def test_a_replay_that_unpacks_beyond_its_limits_is_refused(small):
     with pytest.raises(ReplayError, match=r"digests\.u1 has more than"):
         load_replay(repacked(small, digests_u1=bytes(20 << 20)))
     assert small.stat().st_size < 100_000
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_a_bomb_is_not_unpacked(small, method):
+def test_a_replay_with_unusual_compression_is_refused(small, method):
     with zipfile.ZipFile(small) as archive:
         about = archive.read("race.json")
     with zipfile.ZipFile(small, "w", method) as archive:
@@ -322,7 +322,7 @@ def test_a_file_that_is_too_large_is_not_read(tmp_path):
         load_replay(file)
 
 
-def test_no_cut_and_no_changed_byte_gets_through_unseen(small):
+def test_truncation_and_harmful_changes_are_detected(small):
     """A damaged file is either refused or has all its important data unchanged."""
     whole = small.read_bytes()
     good = load_replay(small)

@@ -60,7 +60,7 @@ def request(path="/", more=""):
 
 
 @pytest.mark.slow
-def test_a_flood_of_half_requests_costs_a_race_nothing(tmp_path, held):
+def test_a_flood_of_incomplete_requests_does_not_affect_a_race(tmp_path, held):
     """For the full test with 5,000 requests: ``python -m benchmarks.floods``."""
     files = [tmp_path / name for name in ("race.json", "race.stkz", "race.mp4")]
     json_file, replay, video = map(str, files)
@@ -78,13 +78,13 @@ def test_a_flood_of_half_requests_costs_a_race_nothing(tmp_path, held):
     assert files[2].stat().st_size > 1000
 
 
-def test_page_answers_while_others_hold_half_requests(page, held):
+def test_page_responds_while_others_hold_incomplete_requests(page, held):
     connect_all(("127.0.0.1", page.port), 3 * MOST_VISITORS, HALF_REQUEST, held)
     assert wait_until(lambda: num_open(held) <= MOST_VISITORS)
     assert page_answers(page.url) is not None
 
 
-def test_a_half_request_ends_after_a_while(page, held, monkeypatch):
+def test_an_incomplete_request_times_out(page, held, monkeypatch):
     monkeypatch.setattr("stkzoo.race.web.gate._LIFETIME", 0.2)
     connect_all(("127.0.0.1", page.port), 3, HALF_REQUEST, held)
     assert wait_until(lambda: num_open(held) == 0)
@@ -120,7 +120,7 @@ def test_a_connection_serves_one_request(page):
         " folded: 1\r\n",
     ],
 )
-def test_no_second_request_is_smuggled_in_a_body(page, head):
+def test_a_second_request_cannot_be_smuggled_in_a_body(page, head):
     answer = talk(page, request("/theme.js", head) + request("/page.js"))
     assert answer.count(b"HTTP/1.") <= 1
 
@@ -136,7 +136,7 @@ def test_no_second_request_is_smuggled_in_a_body(page, head):
     ],
     ids=["a long header", "a long line", "many headers", "TLS", "zeros"],
 )
-def test_an_odd_request_is_refused_without_a_flood_of_logs(page, data, caplog):
+def test_a_malformed_request_is_refused_without_flooding_the_log(page, data, caplog):
     for _ in range(5):
         assert b"HTTP/1.0 400" in (answer := talk(page, data)) or answer == b""
     assert len(caplog.records) <= 1
@@ -144,14 +144,14 @@ def test_an_odd_request_is_refused_without_a_flood_of_logs(page, data, caplog):
 
 
 @pytest.mark.slow
-def test_clients_that_reset_at_once_leave_nothing_behind(page):
+def test_clients_that_reset_immediately_leave_no_open_descriptors(page):
     before = num_descriptors("self")
     reset_at_once(("127.0.0.1", page.port), 300)
     assert page_answers(page.url) is not None
     assert wait_until(lambda: num_descriptors("self") <= before + 1, 15)
 
 
-def test_a_viewer_that_sends_without_end_is_disconnected(page):
+def test_a_viewer_that_floods_the_page_with_messages_is_disconnected(page):
     async def flood(send):
         async with aiohttp.ClientSession() as session, viewer(session, page.url) as one:
             for _ in range(200):
@@ -174,7 +174,7 @@ def test_a_ping_is_answered(page):
             answer += one.recv(1 << 16)
 
 
-def test_viewers_of_one_network_do_not_take_all_places(page, held, monkeypatch):
+def test_viewers_from_one_network_cannot_take_all_places(page, held, monkeypatch):
     monkeypatch.setattr("stkzoo.race.web.gate.MOST_VIEWERS_OF_ONE", 3)
     for _ in range(3):
         one = socket.create_connection(("127.0.0.1", page.port), timeout=10)

@@ -54,13 +54,13 @@ def test_the_package_serves_all_files_of_the_page(page):
 
 
 @pytest.mark.parametrize("path", ["nothing", "..%2fserver.py", "static/page.js", "__init__.py"])
-def test_nothing_else_is_served(page, path):
+def test_no_other_files_are_served(page, path):
     with pytest.raises(urllib.error.HTTPError, match="404") as caught:
         fetch(page.url + path)
     caught.value.close()
 
 
-def test_page_is_served_to_this_machine_only_unless_told_otherwise(page):
+def test_page_is_served_only_to_this_machine_by_default(page):
     """D30: the reference listens on all addresses."""
     assert page.url == f"http://127.0.0.1:{page.port}/"
     with pytest.raises(ConnectionRefusedError):
@@ -84,7 +84,7 @@ def test_an_invalid_speed_is_refused(speed):
         LivePage(port=0, speed=speed)
 
 
-def test_without_aiohttp_the_remedy_is_told():
+def test_the_error_without_aiohttp_names_the_extra():
     program = run_program("""
         import sys
         sys.modules["aiohttp"] = None
@@ -216,7 +216,7 @@ def test_one_page_can_show_one_race_after_another():
         control.stop()  # the race is over, so this closes the page
 
 
-def test_an_agents_observation_is_told_to_who_asks_for_it():
+def test_an_agents_observation_is_sent_to_viewers_that_request_it():
     async def scenario(one, other):
         await one.next("moment")
         await one.send("watch", agent="kart_1")
@@ -287,7 +287,7 @@ def test_a_race_continues_when_its_viewers_leave():
 
 
 @pytest.mark.slow
-def test_a_viewer_that_takes_nothing_holds_nobody_up_and_is_let_go(monkeypatch):
+def test_a_viewer_that_reads_nothing_delays_nobody_and_is_disconnected(monkeypatch):
     monkeypatch.setattr("stkzoo.race.web.viewer._PATIENCE", 0.5)
 
     async def scenario(one):
@@ -383,7 +383,7 @@ def test_replays_are_shown_too(tmp_path):
     ],
 )
 @pytest.mark.parametrize("path", ["", "live?version=1"])
-def test_other_sites_are_refused(page, headers, text, path):
+def test_requests_from_other_sites_are_refused(page, headers, text, path):
     request = urllib.request.Request(page.url + path, headers=headers)
     with pytest.raises(urllib.error.HTTPError, match="403") as caught:
         urllib.request.urlopen(request, timeout=10)
@@ -424,7 +424,7 @@ BAD_MESSAGES = [
 
 
 @pytest.mark.parametrize("message", BAD_MESSAGES, ids=repr)
-def test_what_cannot_be_understood_costs_its_sender_only(message):
+def test_an_invalid_message_affects_only_its_sender(message):
     async def scenario(bad, good):
         await good.next("moment")
         send = bad.socket.send_bytes if isinstance(message, bytes) else bad.socket.send_str
@@ -440,7 +440,7 @@ def test_what_cannot_be_understood_costs_its_sender_only(message):
         race.watch(scenario, viewers=2)
 
 
-def test_a_message_that_is_too_large_is_not_read():
+def test_an_oversized_message_is_not_read():
     async def scenario(bad, good):
         await bad.socket.send_str("x" * 2_000_000)
         while not bad.socket.closed:
@@ -453,7 +453,7 @@ def test_a_message_that_is_too_large_is_not_read():
         race.watch(scenario, viewers=2)
 
 
-def test_from_other_machines_only_who_has_the_key_may_steer():
+def test_remote_viewers_need_the_key_to_control_the_race():
     async def scenario(stranger):
         assert not (await stranger.next("hello"))["may_steer"]
         await stranger.next("moment")
