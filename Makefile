@@ -77,7 +77,7 @@ check: $(VENV)/.dev
 	! git grep -nE '^(<{7}|>{7}) '
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/codespell --dictionary - --dictionary .codespell.txt $(PROSE)
+	$(BIN)/codespell --builtin clear,rare,en-GB_to_en-US --dictionary - --dictionary .codespell.txt $(PROSE)
 	$(BIN)/mypy
 
 bench: $(VENV)/.dev

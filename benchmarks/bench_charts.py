@@ -15,7 +15,7 @@ from typing import Any
 
 from benchmarks.bench_common import RESULTS
 from stkzoo._os import write_whole
-from stkzoo.evaluation.plotting import GREY, PALETTE, draw_shares, new_figure, style_axes
+from stkzoo.evaluation.plotting import GRAY, PALETTE, draw_shares, new_figure, style_axes
 
 PICTURES = Path(__file__).parents[1] / "docs" / "images" / "benchmarks"
 WIDTH = 8.0  # [in]
@@ -25,14 +25,14 @@ _FORMS = {"P": "alone", "PAAAA": "one against four", "PPAAA": "two against three
 
 def throughput(results: Path, axes: Any) -> None:
     """Draws the steps per second of races whose karts are all agents, also in the reference."""
-    contenders = {"engine": GREY, "stkzoo, worker": PALETTE[0], "reference, in process": PALETTE[1]}
+    contenders = {"engine": GRAY, "stkzoo, worker": PALETTE[0], "reference, in process": PALETTE[1]}
     titles = ("the engine alone", "stkzoo", "pystk2-gymnasium")
     rows = [row for row in _load(results / "steps.json") if row["group"] == "multi"]
     width = 0.8 / len(contenders)
-    for number, ((name, colour), title) in enumerate(zip(contenders.items(), titles, strict=True)):
+    for number, ((name, color), title) in enumerate(zip(contenders.items(), titles, strict=True)):
         rates = [1e6 / row["contenders"][name]["step"]["median"] for row in rows]
         places = [place + (number - 1) * width for place in range(len(rows))]
-        bars = axes.bar(places, rates, width * 0.92, color=colour, label=title)
+        bars = axes.bar(places, rates, width * 0.92, color=color, label=title)
         axes.bar_label(bars, [f"{rate:,.0f}" for rate in rates], fontsize=8)
     axes.set_xticks(range(len(rows)), [f"{row['karts']} karts" for row in rows])
     axes.set_yscale("log")
@@ -44,19 +44,19 @@ def throughput(results: Path, axes: Any) -> None:
 
 def scaling(results: Path, axes: Any) -> None:
     """Draws the time of a step against the number of karts."""
-    lines = {"engine": GREY, "flattened, worker": PALETTE[0], "full, worker": PALETTE[2]}
+    lines = {"engine": GRAY, "flattened, worker": PALETTE[0], "full, worker": PALETTE[2]}
     titles = ("the engine alone", "stkzoo, flattened view", "stkzoo, full view")
     rows = [row for row in _load(results / "scaling.json") if row["part"] == "karts"]
     karts = [row["karts"] for row in rows]
-    for (name, colour), title in zip(lines.items(), titles, strict=True):
+    for (name, color), title in zip(lines.items(), titles, strict=True):
         steps = [row["contenders"][name]["step"]["median"] / 1000 for row in rows]
-        axes.plot(karts, steps, "o-", markersize=4, color=colour, label=title)
+        axes.plot(karts, steps, "o-", markersize=4, color=color, label=title)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xticks(karts, map(str, karts))
     axes.set_yticks([0.2, 1, 5, 20], ["0.2", "1", "5", "20"])
     axes.minorticks_off()
-    axes.grid(color=GREY, alpha=0.25)
+    axes.grid(color=GRAY, alpha=0.25)
     axes.set_xlabel("karts", fontsize=9)
     axes.legend(frameon=False, fontsize=9)
     style_axes(axes, "One step of all karts [ms]; log scales, less is better")
@@ -70,7 +70,7 @@ def drivers(results: Path, axes: Any) -> None:
         axes.plot([won["low"], won["high"]], [row, row], color=PALETTE[0], linewidth=3, alpha=0.5)
         axes.plot(won["value"], row, "o", color=PALETTE[0])
         axes.text(won["high"] + 1, row, f"{won['value']:.0f} %", va="center", fontsize=9)
-    axes.axvline(20, color=GREY, linewidth=1, linestyle="--", zorder=0)
+    axes.axvline(20, color=GRAY, linewidth=1, linestyle="--", zorder=0)
     axes.set_yticks(range(len(_DRIVERS)), _DRIVERS)
     axes.set_xlim(-1, 75)
     style_axes(axes, "Races won against four of the hardest AI karts [%]; the line is chance")
@@ -80,14 +80,14 @@ def time_ratios(results: Path, axes: Any) -> None:
     """Draws the time ratios on the test tracks by race form, with 95 % intervals."""
     names = _DRIVERS[1:]  # random never finishes
     for number, (form, title) in enumerate(_FORMS.items()):
-        colour = PALETTE[number]
+        color = PALETTE[number]
         for row, name in enumerate(names):
             ratio = _figures(results, name, form)["time_ratio"]
             place = row + 0.22 * (1 - number)
             interval = [ratio["low"], ratio["high"]]
-            axes.plot(interval, [place, place], color=colour, linewidth=3, alpha=0.5)
-            axes.plot(ratio["value"], place, "o", color=colour, label=None if row else title)
-    axes.axvline(1, color=GREY, linewidth=1, linestyle="--", zorder=0)
+            axes.plot(interval, [place, place], color=color, linewidth=3, alpha=0.5)
+            axes.plot(ratio["value"], place, "o", color=color, label=None if row else title)
+    axes.axvline(1, color=GRAY, linewidth=1, linestyle="--", zorder=0)
     axes.set_yticks(range(len(names)), names)
     axes.legend(frameon=False, fontsize=9, loc="lower left")
     style_axes(axes, "Finish time on the test tracks over the AI's median time; less is better")
@@ -103,8 +103,8 @@ def ratings(results: Path, axes: Any) -> None:
     low, value, high = ([row[key] for row in own] for key in ("low", "value", "high"))
     axes.fill_between(steps, low, high, color=PALETTE[0], alpha=0.2, linewidth=0)
     axes.plot(steps, value, "o-", color=PALETTE[0])
-    axes.axhspan(ai["low"], ai["high"], color=GREY, alpha=0.15, linewidth=0)
-    axes.axhline(ai["value"], color=GREY, linewidth=1, linestyle="--")
+    axes.axhspan(ai["low"], ai["high"], color=GRAY, alpha=0.15, linewidth=0)
+    axes.axhline(ai["value"], color=GRAY, linewidth=1, linestyle="--")
     axes.text(steps[-1], ai["value"], "the hardest AI", va="bottom", ha="right", fontsize=9)
     axes.set_xlabel("millions of kart-steps; 0 is the plans", fontsize=9)
     style_axes(axes, "Rating of the policy of apex while it learns; more is better")

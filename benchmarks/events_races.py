@@ -13,7 +13,7 @@ import numpy.typing as npt
 from stkzoo import race_v0
 from stkzoo.agents import heuristic
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.engine.starting import CentreLine
+from stkzoo.engine.starting import CenterLine
 from stkzoo.engine.track import TrackMap
 from stkzoo.mdp.geometry import rotation_matrices
 
@@ -77,7 +77,7 @@ class Follower:
     """Drives along the center line; base class of the other scripts."""
 
     def __init__(self, track: TrackMap) -> None:
-        self.line = CentreLine(track)
+        self.line = CenterLine(track)
         self._place, self._there_since = np.full(3, np.inf), 0.0
 
     def __call__(self, now: Snapshot, kart: int, time: float, seen: Mapping[str, Any]) -> Action:

@@ -25,7 +25,7 @@ from PIL import Image
 from stkzoo import GroundKind, Start, race_v0
 from stkzoo._os import write_text
 from stkzoo.errors import EngineError
-from stkzoo.evaluation import GREY, INK, new_figure, style_axes
+from stkzoo.evaluation import GRAY, INK, new_figure, style_axes
 from stkzoo.evaluation.tournament.film import FilmRecorder, draw_film
 from stkzoo.race import RaceListener, RaceProgress, run_race
 from stkzoo.race.video import without_names
@@ -50,7 +50,7 @@ _STARTS = {
 }
 _REACH = 60.0  # [m]
 _ROAD, _KART, _ITEM = "#c9ced6", "#d1495b", "#e9a03b"
-_GROUND_COLOURS = {
+_GROUND_COLORS = {
     GroundKind.VOID: "#3c5ac8",
     GroundKind.GROUND: "#b9b9b9",
     GroundKind.SLOWED: "#e1c878",
@@ -204,11 +204,11 @@ def _present(points: Array) -> Array:
 
 def _draw_ground(axes: Any, observation: Mapping[str, Any]) -> None:
     """Draws the grid of ground kinds: rows ahead, columns from left to right."""
-    colours = [_GROUND_COLOURS[kind] for kind in sorted(_GROUND_COLOURS)]
-    paint = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in colours], np.uint8)
+    colors = [_GROUND_COLORS[kind] for kind in sorted(_GROUND_COLORS)]
+    paint = np.array([[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in colors], np.uint8)
     axes.imshow(paint[observation["ground_kind"]], origin="lower", aspect="auto")
-    for kind, colour in _GROUND_COLOURS.items():
-        axes.scatter([], [], marker="s", color=colour, label=kind.name.lower())
+    for kind, color in _GROUND_COLORS.items():
+        axes.scatter([], [], marker="s", color=color, label=kind.name.lower())
     axes.legend(fontsize=8, frameon=False, bbox_to_anchor=(1.0, 1.0), loc="upper left")
     axes.set(xticks=[], yticks=[])
     axes.set_xlabel("left to right", fontsize=9, color=INK)
@@ -224,7 +224,7 @@ def _draw_numbers(axes: Any, vectors: Mapping[str, Array]) -> None:
         axes.bar(places, vector, width=1.0, color=INK)
         ticks.append((start + len(vector) / 2, f"{name}\n{len(vector)} numbers"))
         start += len(vector) + 6
-    axes.axhline(0, color=GREY, lw=0.5)
+    axes.axhline(0, color=GRAY, lw=0.5)
     axes.set_xticks([place for place, _ in ticks], [text for _, text in ticks])
     axes.set_yscale("symlog", linthresh=1.0)
     axes.yaxis.set_major_formatter("{x:g}")

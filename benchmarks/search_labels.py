@@ -54,7 +54,7 @@ def label(candidate: Candidate) -> Label:
     """Returns what a network would learn from a decision."""
     if not candidate.steps:
         return 0, None
-    return int(np.sign(candidate.shift)), candidate.manoeuvre
+    return int(np.sign(candidate.shift)), candidate.maneuver
 
 
 def race(track: str, seed: int) -> list[tuple[Label, Label]]:

@@ -21,7 +21,7 @@ import numpy as np
 from stkzoo import Start, race_v0
 from stkzoo._os import atomic_write
 from stkzoo.agents import heuristic
-from stkzoo.engine.starting import CentreLine
+from stkzoo.engine.starting import CenterLine
 from stkzoo.errors import ConfigError
 from stkzoo.names import AttachmentType
 from stkzoo.tracks import SPLITS
@@ -112,7 +112,7 @@ def _finishes(env: Any, seed: int) -> bool:
 
 def _errors(env: Any, start: Start) -> tuple[float, float, int]:
     """Returns the errors of position [m] and speed [m/s], and the number of finished laps."""
-    road, kart = CentreLine(env.track_map), env.snapshot.karts[0]
+    road, kart = CenterLine(env.track_map), env.snapshot.karts[0]
     distance = (start.share or 0.0) * road.length
     along = road.direction(distance)
     right = np.array([along[2], 0.0, -along[0]]) / math.hypot(along[0], along[2])

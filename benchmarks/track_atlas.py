@@ -27,7 +27,7 @@ from stkzoo.tracks import SPLITS, split_of
 ROOT = Path(__file__).parent.parent
 PAGE, PICTURES = ROOT / "docs" / "reference" / "tracks.md", ROOT / "docs" / "images" / "tracks"
 AI_TIMES = Path(str(files("stkzoo.evaluation.benchmark") / "ai_times.json"))
-_SIZE, _COLOURS, _COLUMNS = (300, 220), 32, 3
+_SIZE, _COLORS, _COLUMNS = (300, 220), 32, 3
 _DIFFICULTIES = (0, 1, 2, 3)
 
 _HEAD = """\
@@ -101,9 +101,9 @@ _GROUND = """\
 `env.ground` gives the kind of ground at any place of the track, read from the game's meshes. The
 driving line (between the black lines) only approximates it. Moving objects are not included.
 
-| colour | ground |
+| color | ground |
 | --- | --- |
-| grey | drivable |
+| gray | drivable |
 | sand | slows karts |
 | green | zipper: speeds karts up |
 | red | wall |
@@ -170,7 +170,7 @@ def survey(track: str) -> Facts:
 
 
 def _save(picture: Image.Image, name: str) -> None:
-    picture.quantize(_COLOURS).save(PICTURES / f"{name}.png", optimize=True)
+    picture.quantize(_COLORS).save(PICTURES / f"{name}.png", optimize=True)
 
 
 def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
@@ -188,10 +188,10 @@ def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
         right = np.array([along[2], 0.0, -along[0]]) / length
         shares = np.linspace(0.0, 1.0, int(length / _SPACING) + 2)
         spots = start + shares[:, None, None] * along + aside[:, None] * right
-        colours = paints[ground.at(spots).kind]
-        colours[:, np.abs(np.abs(aside) - width / 2) < _SPACING] = _EDGE
+        colors = paints[ground.at(spots).kind]
+        colors[:, np.abs(np.abs(aside) - width / 2) < _SPACING] = _EDGE
         x, z = np.moveaxis((spots[..., [0, 2]] - low) * scale, -1, 0).astype(int)
-        picture[np.clip(_SIZE[1] - 1 - z, 0, None), np.clip(x, 0, _SIZE[0] - 1)] = colours
+        picture[np.clip(_SIZE[1] - 1 - z, 0, None), np.clip(x, 0, _SIZE[0] - 1)] = colors
     return Image.fromarray(picture)
 
 

@@ -15,8 +15,8 @@ TRACKS = ["lighthouse", "cornfield_crossing", "gran_paradiso_island", "olivermat
 
 def way(step):
     """Returns 0.1 per meter driven, without jumps of the distance, plus 0.3 per place gained."""
-    metres, place = step.distance - step.distance_before, step.before.karts["position"]
-    return np.where(np.abs(metres) < 10, metres / 10, 0) + 0.3 * (place - 1.0 * step.position)
+    meters, place = step.distance - step.distance_before, step.before.karts["position"]
+    return np.where(np.abs(meters) < 10, meters / 10, 0) + 0.3 * (place - 1.0 * step.position)
 
 
 generations, steps, duels = map(int, sys.argv[1:] or (12, 25_000, 50))

@@ -50,7 +50,7 @@ class AgentSpec:
             name, such as ``"ON"``.
         kart: kart model, such as ``"gnu"`` (``stkzoo karts`` lists them); an empty string selects
             the game's default.
-        color: hue shift of the kart, in [0, 1]; 0 keeps the original colour.
+        color: hue shift of the kart, in [0, 1]; 0 keeps the original color.
     """
 
     rank_start: int | None = None
@@ -94,9 +94,9 @@ class Start:
     """A start position on the track, with heading and speed.
 
     Attributes:
-        distance: distance along the centre line from the start line [m]; negative before the line.
+        distance: distance along the center line from the start line [m]; negative before the line.
         share: position along the lap as a fraction, 0 to 1. Give either ``distance`` or ``share``.
-        offset: lateral offset from the centre line [m], positive to the right.
+        offset: lateral offset from the center line [m], positive to the right.
         heading: angle from the direction of the road [rad], positive to the right.
         speed: forward speed [m/s].
         behind: distance to move the start back along the road [m].
@@ -133,7 +133,7 @@ class RandomStart:
 
     Attributes:
         share: bounds of the position along the lap as a fraction, 0 to 1.
-        offset: bounds of the lateral offset from the centre line [m], positive to the right.
+        offset: bounds of the lateral offset from the center line [m], positive to the right.
         heading: bounds of the angle from the direction of the road [rad], positive to the right.
         speed: bounds of the forward speed [m/s].
 

@@ -160,7 +160,7 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         if polar:
             raise ConfigError(
                 f"PolarObservations found polar positions under {', '.join(polar)}. It goes around "
-                "a view with positions in metres, such as full, and only once."
+                "a view with positions in meters, such as full, and only once."
             )
         changed = copy.deepcopy(space)
         for key in self._keys:

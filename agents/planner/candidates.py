@@ -9,7 +9,7 @@ import numpy as np
 
 from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.planning.driver import HEADS, OFFSETS, PolicyInput, likeliest
-from stkzoo.agents.planning.plans import MANOEUVRES
+from stkzoo.agents.planning.plans import MANEUVERS
 from stkzoo.agents.planning.worth import LEAST_LOGIT
 
 #: Returns a policy's choices ``(A, 4)``; ``None`` takes the prior's most likely ones.
@@ -30,13 +30,13 @@ class Candidate:
         shift: added to the index of the chosen offset in
             :data:`stkzoo.agents.planning.driver.OFFSETS`.
         steps: number of steps for which the change holds.
-        manoeuvre: maneuver instead of the chosen one; ``None`` keeps the chosen one.
+        maneuver: maneuver instead of the chosen one; ``None`` keeps the chosen one.
         flips_nitro: whether nitro is used if the base policy does not use it, and the reverse.
     """
 
     shift: int = 0
     steps: int = 0
-    manoeuvre: int | None = None
+    maneuver: int | None = None
     flips_nitro: bool = False
 
     def rest(self, done: int) -> Candidate:
@@ -53,8 +53,8 @@ class Candidate:
         """
         if step >= self.steps:
             return
-        if self.manoeuvre is not None and begin[self.manoeuvre] > _NO_PLAN:
-            choices[_BEGIN] = self.manoeuvre
+        if self.maneuver is not None and begin[self.maneuver] > _NO_PLAN:
+            choices[_BEGIN] = self.maneuver
         choices[_NITRO] ^= self.flips_nitro
         choices[_TURN] = np.clip(choices[_TURN] + self.shift, 0, len(OFFSETS) - 1)
 
@@ -62,7 +62,7 @@ class Candidate:
 def draw_candidate(
     random: np.random.Generator,
     holds: Sequence[int],
-    manoeuvre_chance: float = 0.0,
+    maneuver_chance: float = 0.0,
     nitro_chance: float = 0.0,
 ) -> Candidate:
     """Draws a candidate.
@@ -70,13 +70,13 @@ def draw_candidate(
     Args:
         random: source of random numbers.
         holds: numbers of steps for which a candidate may hold.
-        manoeuvre_chance: probability that it has a maneuver of its own.
+        maneuver_chance: probability that it has a maneuver of its own.
         nitro_chance: probability that it changes the use of nitro.
     """
     shift, steps = int(random.choice(_SHIFTS)), int(random.choice(holds))
-    manoeuvre = int(random.integers(MANOEUVRES))
-    is_other, flips_nitro = random.random(2) < (manoeuvre_chance, nitro_chance)
-    return Candidate(shift, steps, manoeuvre if is_other else None, bool(flips_nitro))
+    maneuver = int(random.integers(MANEUVERS))
+    is_other, flips_nitro = random.random(2) < (maneuver_chance, nitro_chance)
+    return Candidate(shift, steps, maneuver if is_other else None, bool(flips_nitro))
 
 
 def changed(choose: Choose | None, candidates: Sequence[Candidate], step: int) -> Choose:

@@ -35,7 +35,7 @@ class PlannerSettings:
         final_steps: number of steps for which they are driven further, by the base policy.
         commitment: number of steps until the next decision.
         holds: numbers of steps for which a candidate may hold.
-        manoeuvre_chance: probability that a candidate has a maneuver of its own.
+        maneuver_chance: probability that a candidate has a maneuver of its own.
         nitro_chance: probability that a candidate changes the use of nitro.
         speed_weight: worth of a speed of 1 m/s at the end [m].
         energy_weight: worth of nitro for 1 s at the end [m].
@@ -49,7 +49,7 @@ class PlannerSettings:
     final_steps: int = 20
     commitment: int = 4
     holds: tuple[int, ...] = (3, 6, 9)
-    manoeuvre_chance: float = 0.3
+    maneuver_chance: float = 0.3
     nitro_chance: float = 0.2
     speed_weight: float = 0.8
     energy_weight: float = 6.0
@@ -155,7 +155,7 @@ class Planner:
         candidates = [Candidate(), self._candidate.rest(self._step)]
         while len(candidates) < settings.num_candidates:
             drawn = draw_candidate(
-                self._random, settings.holds, settings.manoeuvre_chance, settings.nitro_chance
+                self._random, settings.holds, settings.maneuver_chance, settings.nitro_chance
             )
             candidates.append(drawn)
         return candidates[: settings.num_candidates]

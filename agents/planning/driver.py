@@ -29,7 +29,7 @@ from .arrays import BoolArray, FloatArray, IntArray
 from .kart import DRIFT_TURN
 from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
 from .parameters import DriverParameters
-from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANOEUVRES
+from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANEUVERS
 from .rivals import RIVALS_MIRROR, RivalTracker
 from .road import LINE_MARKS
 from .worth import OwnState, PlanOptions, plan_rules, weigh
@@ -39,7 +39,7 @@ OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
 
 #: Names of the choices, their numbers of options, and the slices of their logits.
 CHOICE_NAMES = ("begin", "turn", "nitro", "fire")
-CHOICES = (MANOEUVRES, len(OFFSETS), 2, 2)
+CHOICES = (MANEUVERS, len(OFFSETS), 2, 2)
 _ENDS = np.cumsum(CHOICES)
 HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=True))
 
@@ -70,10 +70,10 @@ _ROAD_SIGNS = np.array([-1, -1, 1], np.float32)
 #: Signs of the held offset and of its remaining time.
 _HOLD_SIGNS = np.array([-1, 1], np.float32)
 _OPTIONS_AT = SIZE + len(MEMORY_MIRROR)
-_PLAN_TURNS = _OPTIONS_AT + 4 * np.arange(MANOEUVRES) + 2
+_PLAN_TURNS = _OPTIONS_AT + 4 * np.arange(MANEUVERS) + 2
 _DRIFT_TIME = SIZE + MEMORY_NAMES.index("drift time [3 s]")
 #: Number of inputs of a policy whose offsets do not hold; the held offset and its time follow.
-INPUT_SIZE_WITHOUT_HOLD = _OPTIONS_AT + 4 * MANOEUVRES + len(_ROAD_SIGNS) + len(RIVALS_MIRROR)
+INPUT_SIZE_WITHOUT_HOLD = _OPTIONS_AT + 4 * MANEUVERS + len(_ROAD_SIGNS) + len(RIVALS_MIRROR)
 INPUT_SIZE = INPUT_SIZE_WITHOUT_HOLD + len(_HOLD_SIGNS)
 
 
@@ -82,7 +82,7 @@ def _mirror() -> tuple[IntArray, FloatArray]:
     order = np.arange(INPUT_SIZE)
     left, right = (_OPTIONS_AT + 4 * drift + np.arange(4) for drift in (DRIFT_LEFT, DRIFT_RIGHT))
     order[left], order[right] = right, left
-    options = np.tile(_OPTION_SIGNS, MANOEUVRES)
+    options = np.tile(_OPTION_SIGNS, MANEUVERS)
     signs = [MIRROR, MEMORY_MIRROR, options, _ROAD_SIGNS, RIVALS_MIRROR, _HOLD_SIGNS]
     return order, np.concatenate(signs)
 
@@ -92,8 +92,8 @@ _SWAPPED = np.array([FREE, BRAKE, DRIFT_RIGHT, DRIFT_LEFT])
 _PRIOR_ORDER = np.concatenate(
     [
         _SWAPPED,
-        MANOEUVRES + np.arange(len(OFFSETS))[::-1],
-        np.arange(MANOEUVRES + len(OFFSETS), int(_ENDS[-1])),
+        MANEUVERS + np.arange(len(OFFSETS))[::-1],
+        np.arange(MANEUVERS + len(OFFSETS), int(_ENDS[-1])),
     ]
 )
 

@@ -28,7 +28,7 @@ _BEGINS, _MIDDLES = ENDS - SPANS, ENDS - SPANS / 2
 
 #: Maneuvers with which a plan begins.
 FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
-MANOEUVRES = 4
+MANEUVERS = 4
 
 
 #: Number of items at which plans aim, one per plan.
@@ -59,7 +59,7 @@ def all_lanes(changes: int) -> Lanes:
 
 
 #: Types of the columns that are not float32.
-_TYPES = {"items": np.intp, "manoeuvres": np.intp, "boosts": np.intp, "needs_drift": np.bool_}
+_TYPES = {"items": np.intp, "maneuvers": np.intp, "boosts": np.intp, "needs_drift": np.bool_}
 
 _ZEROS, _ONES = np.zeros_like(SPANS), np.ones_like(SPANS)
 #: A masked plan. A single plan is a table without the axes of states and plans.
@@ -87,7 +87,7 @@ def _free(lanes: Lanes, release: int, *, boost: int = -1, brake: bool = False) -
         most=_ONES,
         releases=_between(0.0, release * STEP),
         slower=slower if brake else _ZEROS,
-        manoeuvres=BRAKE if brake else FREE,
+        maneuvers=BRAKE if brake else FREE,
         boosts=boost,
     )
     return _in_lanes(plan, lanes)
@@ -115,7 +115,7 @@ def _drift(
         most=np.select([is_swing > 0, is_drift > 0], [-side, upper], 1.0),
         drifts=is_drift,
         releases=np.maximum(_between(0.0, swings), _between(end, end + RELEASE_STEPS * STEP)),
-        manoeuvres=FREE if wait or swing else now,
+        maneuvers=FREE if wait or swing else now,
         boosts=boost,
         boost_steps=wait + swing + steps,
         needs_drift=is_new,

@@ -23,7 +23,7 @@ from .arrays import FloatArray
 from .kart import BOOST_LASTS, RELEASE_STEPS, RELEASE_TURN, STEERING_LAG, STEP
 from .motion import learned_motion
 from .parameters import DriverParameters
-from .plans import LONGEST_DRIFT, MANOEUVRES, plan_table
+from .plans import LONGEST_DRIFT, MANEUVERS, plan_table
 from .rivals import FASTEST, MOST_TURNED, NOWHERE, REACH, RIVALS, RivalMoment, RivalTracker
 from .road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
 
@@ -56,7 +56,7 @@ _LEAST_LOCK = 0.02
 NEVER = -1e4
 
 #: Logit of the prior per meter of worth, and its smallest logit.
-_METRE, LEAST_LOGIT = 2.0, -30.0
+_METER, LEAST_LOGIT = 2.0, -30.0
 
 
 class OwnState(NamedTuple):
@@ -193,7 +193,7 @@ def weigh(
         tracker.now = now
     rows, karts = np.empty(count, np.intp), np.empty((count, 16), np.float32)
     road, items = np.empty((count, 3, MARK_COUNT), np.float32), np.empty((count, _ITEMS, 4))
-    scene, best = np.empty((count, 5), np.float32), np.empty((3, count, MANOEUVRES), np.float32)
+    scene, best = np.empty((count, 5), np.float32), np.empty((3, count, MANEUVERS), np.float32)
     seen = (line, headings, tangents, around.karts, around.items, around.item_types)
     out = (rows, karts, road, items, rivals, scene)
     survey_road(rules.view, rules.worths, memory, own, seen, before, now[:2], out)
@@ -239,7 +239,7 @@ def _view_rules(rules: DriverParameters) -> DoubleArray:
             rules.straight_aim,
             rules.straight_angle,
             rules.fire_every,
-            _METRE,
+            _METER,
             LEAST_LOGIT,
         ]
     )

@@ -20,7 +20,7 @@ from stkzoo.agents.planning.driver import (
     plan_turns,
 )
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
-from stkzoo.agents.planning.plans import DRIFT_LEFT, DRIFT_RIGHT, MANOEUVRES
+from stkzoo.agents.planning.plans import DRIFT_LEFT, DRIFT_RIGHT, MANEUVERS
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import BRAKE
 
@@ -29,8 +29,8 @@ from .mlp import SPLITS, MlpDriver, log_probabilities
 from .policy import RacingPolicy, check_shapes
 
 #: Pedal, drift and side of each maneuver.
-_PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANOEUVRES)])
-_SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANOEUVRES)], np.float32)
+_PEDALS = np.array([BRAKE if m == BRAKE_PLAN else 0 for m in range(MANEUVERS)])
+_SIDES = np.array([(m == DRIFT_RIGHT) - (m == DRIFT_LEFT) for m in range(MANEUVERS)], np.float32)
 _DRIFTS = np.abs(_SIDES).astype(np.intp)
 #: Prefixes of the arrays of each network and of each policy over plans in a file.
 _NETWORK, _POLICY = "adviser{}.", "policy{}."

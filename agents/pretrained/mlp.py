@@ -117,8 +117,8 @@ def log_probabilities(logits: FloatArray) -> FloatArray:
     """
     top = np.maximum.reduceat(logits, _BEGINS, axis=-1)
     odds = np.exp(logits - top[..., _CHOICE_OF])
-    normaliser = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
-    found: FloatArray = logits - normaliser[..., _CHOICE_OF]
+    normalizer = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
+    found: FloatArray = logits - normalizer[..., _CHOICE_OF]
     return found
 
 

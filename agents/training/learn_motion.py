@@ -225,10 +225,10 @@ def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> 
     y = torch.from_numpy(np.concatenate([outputs, outputs * _OUTPUT_MIRROR]) / _UNITS)
     layers = nn.Linear(x.shape[1], first), nn.Linear(first, second), nn.Linear(second, 3)
     network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
-    optimiser = torch.optim.Adam(network.parameters())
+    optimizer = torch.optim.Adam(network.parameters())
     batches = -(-len(x) // arguments.batch_size)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, arguments.learning_rate, total_steps=arguments.n_epochs * batches
+        optimizer, arguments.learning_rate, total_steps=arguments.n_epochs * batches
     )
     random = np.random.default_rng(arguments.seed)
     with ProgressBar(arguments.n_epochs, unit="epochs") as bar:
@@ -236,9 +236,9 @@ def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> 
             order = torch.from_numpy(random.permutation(len(x)))
             for rows in order.split(arguments.batch_size):
                 missed = nn.functional.smooth_l1_loss(network(x[rows]), y[rows], beta=_LINEAR_FROM)
-                optimiser.zero_grad()
+                optimizer.zero_grad()
                 missed.backward()
-                optimiser.step()
+                optimizer.step()
                 schedule.step()
             bar.report(epoch + 1, f"loss of the last batch {float(missed.detach()):.4f}")
     arrays = [parameter.detach().numpy().copy() for parameter in network.parameters()]

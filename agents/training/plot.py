@@ -20,7 +20,7 @@ import numpy.typing as npt
 from stkzoo._arguments import option, positional
 from stkzoo._reading import Unreadable, reading
 from stkzoo._schema import Count, Positive, Within, typed
-from stkzoo.evaluation import GREY, INK, new_figure, save_figure, style_axes
+from stkzoo.evaluation import GRAY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
 from .common.run_folder import LOG, read_run_file, require_log
@@ -218,7 +218,7 @@ def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: RunRa
     time_axis.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     time_axis.minorticks_off()
     time_axis.set_ylim(0.75, 11)
-    time_axis.axhline(1.0, color=GREY, linewidth=0.8, linestyle=":")
+    time_axis.axhline(1.0, color=GRAY, linewidth=0.8, linestyle=":")
 
 
 def draw_ratings(
@@ -253,7 +253,7 @@ def draw_levels(axis: Any, values: Mapping[str, float]) -> None:
     across = axis.get_yaxis_transform()
     for group in groups:
         value = float(np.mean([values[name] for name in group]))
-        axis.axhline(value, color=GREY, linewidth=0.8, linestyle=":")
+        axis.axhline(value, color=GRAY, linewidth=0.8, linestyle=":")
         names = ", ".join(sorted(group))
         axis.annotate(names, (1.0, value), xycoords=across, fontsize=7, color=INK, va="center")
 

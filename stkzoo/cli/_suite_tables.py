@@ -85,8 +85,8 @@ def show_entry(entry: Entry) -> None:
     for group in forms if len(task.forms) > 1 else ():
         say(f"{group.name}: {metric} {group.figures[task.metric]} in {group.races} races.")
     say(f"{entry.label} in {task.name}: {metric} {score} in {len(entry.races)} of {count} races.")
-    if entry.normalised_score is not None:
+    if entry.normalized_score is not None:
         say(
-            f"Normalised: {entry.normalised_score:.2f}; 0 is the weakest and 1 the strongest "
+            f"Normalized: {entry.normalized_score:.2f}; 0 is the weakest and 1 the strongest "
             "driver that comes with stkzoo."
         )

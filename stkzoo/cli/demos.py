@@ -1,7 +1,7 @@
 """Record demonstrations to learn from.
 
 Records the observations and actions of a driver, in a view of your choice, to one file. Use it
-for behaviour cloning, offline reinforcement learning or to initialise reinforcement learning.
+for behavior cloning, offline reinforcement learning or to initialize reinforcement learning.
 
 The driver is the game's AI (ai), a driver that comes with stkzoo (heuristic, pretrained:ace), or
 your own agent (a folder, a zip, a module). The driver itself can use another view. All its karts

@@ -27,7 +27,7 @@ _MAX_WARMUP_STEPS = 100_000
 _LONGEST_NAME = 20
 #: The engine's names of the modes.
 _GAME_MODES = {NORMAL: "NORMAL_RACE", TIME_TRIAL: "TIME_TRIAL"}
-_is_initialised = False
+_is_initialized = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +64,14 @@ def init_engine(graphics: str = '{"preset": "none"}') -> None:
     Raises:
         EngineError: the installed ``pystk2`` numbers powerups, attachments or items differently.
     """
-    global _is_initialised
-    if _is_initialised:
+    global _is_initialized
+    if _is_initialized:
         return
     import pystk2
 
     _check_numbers(pystk2)
     pystk2.init(_graphics_config(pystk2, graphics))
-    _is_initialised = True
+    _is_initialized = True
 
 
 def _graphics_config(pystk2: Any, graphics: str) -> Any:

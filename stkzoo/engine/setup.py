@@ -22,7 +22,7 @@ class KartSetup:
         reports_control: whether snapshots include the controls of the game's AI for this kart.
         kart: model name; empty for the game's default.
         name: name of the player.
-        color: hue shift in [0, 1]; 0 keeps the model's colours.
+        color: hue shift in [0, 1]; 0 keeps the model's colors.
         camera_mode: number of :class:`stkzoo.names.CameraMode`.
     """
 

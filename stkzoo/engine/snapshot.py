@@ -30,12 +30,12 @@ HEADER_DTYPE = np.dtype(
     ]
 )
 
-#: Vectors are in the world frame (metres, y up) unless a comment names another frame.
+#: Vectors are in the world frame (meters, y up) unless a comment names another frame.
 KART_DTYPE = np.dtype(
     [
         ("location", "f4", 3),  # [m]
         ("rotation", "f4", 4),  # unit quaternion w, x, y, z: world to kart frame
-        ("front", "f4", 3),  # centre of the front edge [m]
+        ("front", "f4", 3),  # center of the front edge [m]
         ("velocity", "f4", 3),  # [m/s]
         ("velocity_lc", "f4", 3),  # [m/s], kart frame: x right, y up, z forward
         ("angular_velocity", "f4", 3),  # [rad/s]

@@ -24,7 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 _TICK = 1 / 120  # physics tick of the engine [s]
 _STRIDES = (12.0, 9.0, 6.0, 15.0)  # distances to move karts along the road per tick [m]
 _LED_HEIGHTS = (1.0, 0.4)  # above the road [m]; some lines only count low karts
-_ITEM_REACH = 2.5  # distance between the centres of a kart and an item at which it takes it [m]
+_ITEM_REACH = 2.5  # distance between the centers of a kart and an item at which it takes it [m]
 _BEFORE_LINE = 8.0  # where the movement begins, before the start line [m]
 _DROP_HEIGHT = 0.4  # initial height for lowering a kart [m]
 _SETTLE_CYCLES = 20
@@ -66,7 +66,7 @@ def put_karts(
     Raises:
         ConfigError: a kart cannot start at its place, with its heading or at its speed.
     """
-    road = CentreLine(track)
+    road = CenterLine(track)
     places = [_Place(road, setup, kart) for kart in range(len(setup.starts))]
     players = [number for number, kart in enumerate(setup.karts) if not kart.is_bot]
     race.config.step_size = _TICK
@@ -86,7 +86,7 @@ class _Place:
         ConfigError: the start is off the road or beyond the lap, or its speed is too high.
     """
 
-    def __init__(self, road: CentreLine, setup: RaceSetup, kart: int) -> None:
+    def __init__(self, road: CenterLine, setup: RaceSetup, kart: int) -> None:
         self.kart, self.start = kart, setup.starts[kart]
         start, top = self.start, _TOP_SPEEDS[setup.difficulty]
         if start.speed > top:
@@ -108,7 +108,7 @@ class _Place:
         room = road.half_width(self.distance) - _EDGE
         if abs(start.offset) > room:
             raise ConfigError(
-                f"the start of kart {kart} is {start.offset:.1f} m beside the centre line at "
+                f"the start of kart {kart} is {start.offset:.1f} m beside the center line at "
                 f"{self.distance:.1f} m, where the road has room for {max(room, 0.0):.1f} m"
             )
         along = road.direction(self.distance)
@@ -157,7 +157,7 @@ class _Mover:
                 return
 
 
-def _lead(mover: _Mover, road: CentreLine, places: list[_Place]) -> None:
+def _lead(mover: _Mover, road: CenterLine, places: list[_Place]) -> None:
     """Moves the karts along the road, above the ground, to the distances of their places.
 
     If a kart whose place is after the start line has not crossed it, all karts are moved again,
@@ -183,7 +183,7 @@ def _lead(mover: _Mover, road: CentreLine, places: list[_Place]) -> None:
 
 
 def _next(
-    road: CentreLine, place: _Place, distance: float, height: float, items: FloatArray
+    road: CenterLine, place: _Place, distance: float, height: float, items: FloatArray
 ) -> float:
     """Returns the distance of a kart in the next tick [m], if possible one without items."""
     for stride in _STRIDES:
@@ -194,7 +194,7 @@ def _next(
     return min(distance + _STRIDES[0], place.distance)
 
 
-def _led_point(road: CentreLine, place: _Place, distance: float, height: float) -> FloatArray:
+def _led_point(road: CenterLine, place: _Place, distance: float, height: float) -> FloatArray:
     """Returns a kart's point above the road, beside the points of the other karts."""
     along = road.direction(distance)
     right = np.array([along[2], 0.0, -along[0]])
@@ -265,7 +265,7 @@ def _check(mover: _Mover, places: list[_Place]) -> None:
         if place.distance > 1.0 and kart.finished_laps != 0:
             raise ConfigError(
                 f"kart {place.kart} cannot start at {place.distance:.1f} m: the game counts no lap "
-                "there; choose a place some metres before or after it"
+                "there; choose a place some meters before or after it"
             )
         if mover.drives(place.kart) and abs(_lacks(mover, place)) > _SPEED_REACH:
             raise ConfigError(
@@ -278,12 +278,12 @@ def _check(mover: _Mover, places: list[_Place]) -> None:
 def _no_ground(place: _Place) -> ConfigError:
     return ConfigError(
         f"kart {place.kart} cannot start at {place.distance:.1f} m: there is no road to stand on; "
-        "choose a place some metres before or after it"
+        "choose a place some meters before or after it"
     )
 
 
-class CentreLine:
-    """The centre line of the track's main road, as a function of the distance along it.
+class CenterLine:
+    """The center line of the track's main road, as a function of the distance along it.
 
     Distances start at the start line and wrap around at the length of the lap.
 
@@ -306,12 +306,12 @@ class CentreLine:
         self._half_widths = np.repeat(widths[chain] / 2, 2)[order]
 
     def point(self, distance: float) -> FloatArray:
-        """Returns the point ``(3,)`` of the centre line at a distance [m], world frame."""
+        """Returns the point ``(3,)`` of the center line at a distance [m], world frame."""
         mark = distance % self.length
         return np.array([np.interp(mark, self._marks, column) for column in self._points.T])
 
     def half_width(self, distance: float) -> float:
-        """Returns the distance from the centre line to the road's edge [m]."""
+        """Returns the distance from the center line to the road's edge [m]."""
         return float(np.interp(distance % self.length, self._marks, self._half_widths))
 
     def direction(self, distance: float) -> FloatArray:

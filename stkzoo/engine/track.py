@@ -27,7 +27,7 @@ class TrackMap:
     Attributes:
         length: length of a lap [m].
         path_nodes: ``(N, 2, 3)`` float32 [m], world frame: start and end of each
-            segment of the centre line.
+            segment of the center line.
         path_width: ``(N, 1)`` float32: width of the road [m].
         path_distance: ``(N, 2)`` float32: distance from the start line to the start and the end
             of each segment [m].

@@ -62,7 +62,7 @@ from stkzoo.evaluation.demonstrations.plan import (
     record_demonstrations,
 )
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
-from stkzoo.evaluation.plotting import GREY, INK, new_figure, save_figure, style_axes
+from stkzoo.evaluation.plotting import GRAY, INK, new_figure, save_figure, style_axes
 from stkzoo.evaluation.ratings import Rating, rate, require_openskill
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
 from stkzoo.evaluation.tournament.plan import (
@@ -80,7 +80,7 @@ from stkzoo.evaluation.tournament.standings import Standing
 
 __all__ = [
     "FORMS",
-    "GREY",
+    "GRAY",
     "INK",
     "AgentReport",
     "AiTime",

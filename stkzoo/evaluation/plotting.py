@@ -14,8 +14,8 @@ from stkzoo._os import write_whole
 from stkzoo.errors import ConfigError, import_extra
 from stkzoo.evaluation.statistics import Estimate
 
-INK, BLUE, GREY = "#22303c", "#2f6db5", "#8a949c"
-#: Colours of several series in one plot.
+INK, BLUE, GRAY = "#22303c", "#2f6db5", "#8a949c"
+#: Colors of several series in one plot.
 PALETTE = (BLUE, "#d1762b", "#3b8f5a", "#8a5bb0", "#b23b4e", "#5b6f7d")
 _MAX_LABEL = 18
 
@@ -94,7 +94,7 @@ def draw_intervals(
         axes: the ``matplotlib`` axes.
         estimates: the estimates by row.
         scale: factor for all values.
-        color: colour of the points and intervals.
+        color: color of the points and intervals.
         label: label in the legend.
     """
     values = scale * np.array([estimate.value for estimate in estimates.values()])

@@ -71,7 +71,7 @@ class PlanTable(NamedTuple):
         slower: ``(S, T, C)`` change of speed [m/s].
         lanes: ``(S, T, C)`` lateral target; -1 is the left edge of the road, 1 the right edge.
         items: ``(S, C)`` number of the item to drive over instead; -1 for none.
-        manoeuvres: ``(S, C)`` first manoeuvre of the plan; -1 if there is no plan.
+        maneuvers: ``(S, C)`` first maneuver of the plan; -1 if there is no plan.
         boosts: ``(S, C)`` boost that the plan earns: 0 for the small one, 1 for the big one, -1 for
             none.
         boost_steps: ``(S, C)`` time until it earns the boost [steps].
@@ -86,7 +86,7 @@ class PlanTable(NamedTuple):
     slower: npt.NDArray[np.float32]
     lanes: npt.NDArray[np.float32]
     items: npt.NDArray[np.intp]
-    manoeuvres: npt.NDArray[np.intp]
+    maneuvers: npt.NDArray[np.intp]
     boosts: npt.NDArray[np.intp]
     boost_steps: npt.NDArray[np.float32]
     needs_drift: npt.NDArray[np.bool_]

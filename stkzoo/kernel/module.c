@@ -160,7 +160,7 @@ static PyMethodDef methods[] = {
     {"stack_vectors", stack_vectors, METH_VARARGS, "Writes the vectors of rows, padded."},
     {"survey_road", survey_road, METH_VARARGS, "Writes the arguments of weigh_plans."},
     {"trace_roads", trace_roads, METH_VARARGS, "Writes the lines ahead of karts."},
-    {"weigh_plans", weigh_plans, METH_VARARGS, "Writes each kart's best plan of each manoeuvre."},
+    {"weigh_plans", weigh_plans, METH_VARARGS, "Writes each kart's best plan of each maneuver."},
     {"write_memory", write_memory, METH_VARARGS, "Writes a policy's inputs from the memory."},
     {NULL, NULL, 0, NULL},
 };

@@ -7,7 +7,7 @@
 #include "plan_memory.h"
 #include "vectors.h"
 
-enum { MANOEUVRES = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
+enum { MANEUVERS = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
 static const double PI = 3.14159265358979323846;
 
 /* Indices of `rules`, which apply to all karts. */
@@ -483,7 +483,7 @@ typedef struct {
 static npy_intp best_of(const float *worth)
 {
     npy_intp best = 0;
-    for (npy_intp i = 1; i < MANOEUVRES; i++) {
+    for (npy_intp i = 1; i < MANEUVERS; i++) {
         if (worth[i] > worth[best]) best = i;
     }
     return best;
@@ -493,8 +493,8 @@ static npy_intp best_of(const float *worth)
 static void put_prior(const Presentation *p, npy_intp kart)
 {
     const double *rules = p->rules;
-    const npy_intp all = MANOEUVRES * p->count;
-    const float *worth = p->best.data + MANOEUVRES * kart, *scene = p->scene.data + SCENE_SIZE * kart;
+    const npy_intp all = MANEUVERS * p->count;
+    const float *worth = p->best.data + MANEUVERS * kart, *scene = p->scene.data + SCENE_SIZE * kart;
     const npy_intp best = best_of(worth);
     const float turn = worth[all + best], danger = worth[2 * all + best];
     const int is_safe = danger < (float)rules[DANGER] && best != BRAKE;
@@ -508,8 +508,8 @@ static void put_prior(const Presentation *p, npy_intp kart)
         is_safe && is_straight && scene[IS_USEFUL] != 0 &&
             p->memory.data[SINCE_FIRE * p->count + kart] >= (float)rules[FIRE_EVERY],
     };
-    float *out = p->prior.data + (MANOEUVRES + OFFSETS + 4) * kart;
-    for (int i = 0; i < MANOEUVRES; i++) {
+    float *out = p->prior.data + (MANEUVERS + OFFSETS + 4) * kart;
+    for (int i = 0; i < MANEUVERS; i++) {
         *out++ = most_of((float)rules[WORTH_SCALE] * (worth[i] - worth[best]), (float)rules[NEVER]);
     }
     for (int i = 0; i < OFFSETS; i++) *out++ = p->offset_logits.data[i];
@@ -521,12 +521,12 @@ static void put_prior(const Presentation *p, npy_intp kart)
 /* Writes a policy's inputs from the plans and the nearest karts. */
 static void put_inputs(const Presentation *p, npy_intp kart)
 {
-    const npy_intp all = MANOEUVRES * p->count;
-    const float *worth = p->best.data + MANOEUVRES * kart, *scene = p->scene.data + SCENE_SIZE * kart;
+    const npy_intp all = MANEUVERS * p->count;
+    const float *worth = p->best.data + MANEUVERS * kart, *scene = p->scene.data + SCENE_SIZE * kart;
     const float most = worth[best_of(worth)];
     const float hopeless = (float)(p->rules[NEVER] / p->rules[WORTH_SCALE] * 10);
     float *out = p->inputs.data + p->width * kart + p->first;
-    for (int i = 0; i < MANOEUVRES; i++) {
+    for (int i = 0; i < MANEUVERS; i++) {
         const float behind = worth[i] - most;
         *out++ = behind > hopeless;
         *out++ = most_of(behind / 10.0f, -2.0f);
@@ -550,16 +550,16 @@ static int presentation_fits(Presentation *p, Doubles rules)
     if (!count) return 0;
     p->rules = rules.data;
     p->num_rivals = p->rivals.size / (5 * count), p->width = p->inputs.size / count;
-    const npy_intp own_width = 4 * MANOEUVRES + 3 + 5 * p->num_rivals;
+    const npy_intp own_width = 4 * MANEUVERS + 3 + 5 * p->num_rivals;
     const npy_intp sizes[][2] = {
         {rules.size, NUM_RULES},
         {p->memory.size, MEMORY_SIZE * count},
         {p->offset_logits.size, OFFSETS},
         {p->button_logits.size, 4},
-        {p->best.size, 3 * MANOEUVRES * count},
+        {p->best.size, 3 * MANEUVERS * count},
         {p->scene.size, SCENE_SIZE * count},
         {p->rivals.size, 5 * p->num_rivals * count},
-        {p->prior.size, (MANOEUVRES + OFFSETS + 4) * count},
+        {p->prior.size, (MANEUVERS + OFFSETS + 4) * count},
         {p->inputs.size, p->width * count},
     };
     if (ARE_SIZES(sizes) < 0 || is_own(&p->own, count) < 0) return -1;

@@ -18,7 +18,7 @@
 #define NO_OVERLAP
 #endif
 
-enum { MANOEUVRES = 4, BRAKE = 1, ITEM_LANES = 2 };
+enum { MANEUVERS = 4, BRAKE = 1, ITEM_LANES = 2 };
 static const float NEVER = -1e4f;
 /* Largest turn per step [rad] and lowest speed [m/s] of plans simulated by the network. */
 static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
@@ -28,7 +28,7 @@ static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
 typedef struct {
     Floats spans;                                         /* (T,) */
     Floats least, most, drifts, releases, slower, lanes; /* (S, T, C) */
-    Indices items, manoeuvres, boosts;                    /* (S, C) */
+    Indices items, maneuvers, boosts;                    /* (S, C) */
     Floats boost_steps;
     Flags needs_drift;
 } Table;
@@ -252,7 +252,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     const npy_intp in_table = f->row * f->moments + moment * f->plans, stride = f->stride;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table, *lanes = t->lanes.data + in_table;
-    const npy_intp *manoeuvres = t->manoeuvres.data + f->row;
+    const npy_intp *maneuvers = t->maneuvers.data + f->row;
     const float pull = 2.0f / (kart->reach * kart->reach * kart->lock), reach = kart->reach;
     const float small = (float)rules[SMALL_DRIFT], big = (float)rules[BIG_DRIFT];
     const float small_lasts = (float)rules[SMALL_LASTS], big_lasts = (float)rules[BIG_LASTS];
@@ -287,7 +287,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
         const float steps = drift * ((side_before != 0 ? lasted : 0) + 1.0f);
         const float turn_before = last_turns[i], last_turn = side != 0 ? turn : turn_before;
         const float first_turn = step ? turns[i] : turn;
-        const float brake = manoeuvres[i] == BRAKE ? braking : 0;
+        const float brake = maneuvers[i] == BRAKE ? braking : 0;
         sides[i] = side, all_steps[i] = steps, releases[i] = release;
         boosts[i] = boost, big_boosts[i] = big_boost, last_turns[i] = last_turn;
         turns[i] = first_turn;
@@ -499,20 +499,20 @@ static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp nu
 /* Returns whether a plan exists and the kart may follow it. */
 FORCE_INLINE int has_plan(const Forecast *f, const PlanKart *kart, npy_intp i)
 {
-    const npy_intp manoeuvre = f->table->manoeuvres.data[f->row + i];
-    return manoeuvre >= 0 && (kart->may_drift || !f->table->needs_drift.data[f->row + i]) &&
-           (kart->may_brake || manoeuvre != BRAKE);
+    const npy_intp maneuver = f->table->maneuvers.data[f->row + i];
+    return maneuver >= 0 && (kart->may_drift || !f->table->needs_drift.data[f->row + i]) &&
+           (kart->may_brake || maneuver != BRAKE);
 }
 
 static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_karts, float *out)
 {
-    const npy_intp *manoeuvres = f->table->manoeuvres.data + f->row;
-    float *worth = out, *turn = worth + MANOEUVRES * num_karts;
-    float *danger = turn + MANOEUVRES * num_karts;
-    for (int m = 0; m < MANOEUVRES; m++) {
+    const npy_intp *maneuvers = f->table->maneuvers.data + f->row;
+    float *worth = out, *turn = worth + MANEUVERS * num_karts;
+    float *danger = turn + MANEUVERS * num_karts;
+    for (int m = 0; m < MANEUVERS; m++) {
         npy_intp best = -1;
         for (npy_intp i = 0; i < f->plans; i++) {
-            if (manoeuvres[i] != m || !has_plan(f, kart, i)) continue;
+            if (maneuvers[i] != m || !has_plan(f, kart, i)) continue;
             if (best < 0 || f->worth[i] > f->worth[best]) best = i;
         }
         worth[m] = best < 0 ? NEVER : f->worth[best];
@@ -571,7 +571,7 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
     if (!PyArg_ParseTuple(tuple, "O&O&O&O&O&O&O&O&O&O&O&O&", as_floats, &t->spans, as_floats,
                           &t->least, as_floats, &t->most, as_floats, &t->drifts, as_floats,
                           &t->releases, as_floats, &t->slower, as_floats, &t->lanes, as_indices,
-                          &t->items, as_indices, &t->manoeuvres, as_indices, &t->boosts,
+                          &t->items, as_indices, &t->maneuvers, as_indices, &t->boosts,
                           as_floats, &t->boost_steps, as_flags, &t->needs_drift)) {
         return -1;
     }
@@ -583,7 +583,7 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
     const npy_intp one = t->items.size, all = one * f->moments;
     const int fits = f->moments > 0 && t->least.size == all && t->most.size == all &&
                      t->drifts.size == all && t->releases.size == all && t->slower.size == all &&
-                     t->lanes.size == all && t->manoeuvres.size == one && t->boosts.size == one &&
+                     t->lanes.size == all && t->maneuvers.size == one && t->boosts.size == one &&
                      t->boost_steps.size == one && t->needs_drift.size == one;
     return fits ? 0 : refuse("the arrays of the table do not fit together");
 }
@@ -646,7 +646,7 @@ static void *make_room(Forecast *f)
 }
 
 /* weigh_plans(table, rules, motion, rows, karts, road, items, rivals, out): writes the best plan of
-   each manoeuvre for each kart. */
+   each maneuver for each kart. */
 PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *tuple, *motion;
@@ -672,7 +672,7 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
     if (rules.size != NUM_RULES || kart_numbers.size != KART_SIZE * count ||
         road.size != 3 * count * forecast.marks || forecast.marks < 1 ||
         item_numbers.size != 4 * count * num_items ||
-        rival_numbers.size != 5 * count * num_rivals || out.size != 3 * MANOEUVRES * count) {
+        rival_numbers.size != 5 * count * num_rivals || out.size != 3 * MANEUVERS * count) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
     }
     if (!are_below(rows, forecast.states)) {
@@ -689,7 +689,7 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
         forecast.row = rows.data[i] * forecast.plans;
         weigh(&forecast, karts + i, road.data + 3 * forecast.marks * i, items + num_items * i,
               num_items, rivals + num_rivals * i, num_rivals);
-        find_best(&forecast, karts + i, count, out.data + MANOEUVRES * i);
+        find_best(&forecast, karts + i, count, out.data + MANEUVERS * i);
     }
     PyMem_Free(block);
     Py_RETURN_NONE;

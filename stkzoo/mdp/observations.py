@@ -168,7 +168,7 @@ def as_actions(controls: FloatArray) -> Batch:
 
 
 def _center_path(ends: FloatArray) -> Batch:
-    """Returns the offset from the centre line of the segment with the ends ``(A, 2, 3)``.
+    """Returns the offset from the center line of the segment with the ends ``(A, 2, 3)``.
 
     ``center_path`` is the vector to the kart from the nearest point of the infinite line.
     ``center_path_distance`` is its length, negative when the line is to the right of the kart.

@@ -34,7 +34,7 @@ RewardTerm = Callable[[Transition], FloatArray]
 
 
 def progress(step: Transition) -> FloatArray:
-    """Returns 0.1 per metre driven, ``(K,)``."""
+    """Returns 0.1 per meter driven, ``(K,)``."""
     return np.asarray((step.distance - step.distance_before) / 10.0, np.float64)
 
 
@@ -61,7 +61,7 @@ def course(step: Transition) -> FloatArray:
 
 def _driven(moment: Snapshot, distance: FloatArray, race_length: float) -> FloatArray:
     """Returns the distance driven [m], ``(K,)``, limited to the length of the race."""
-    # The engine may finish a kart a few centimetres before the line.
+    # The engine may finish a kart a few centimeters before the line.
     has_finished = moment.karts["has_finished_race"] > 0
     return np.where(has_finished, race_length, np.minimum(distance, race_length))
 
@@ -73,7 +73,7 @@ def placement(step: Transition) -> FloatArray:
 
 
 def advance(step: Transition) -> FloatArray:
-    """Returns 0.1 per metre driven up to the finish line, ``(K,)``."""
+    """Returns 0.1 per meter driven up to the finish line, ``(K,)``."""
     return (
         _driven(step.after, step.distance, step.race_length)
         - _driven(step.before, step.distance_before, step.race_length)
@@ -191,7 +191,7 @@ class Reward:
 
 
 #: The built-in rewards. ``race`` is the default: driving better earns more. A kart that finishes a
-#: race of L metres in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N; a
+#: race of L meters in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N; a
 #: kart that stands still earns -0.02 N.
 #: ``reference`` is the formula of pystk2-gymnasium, which also rewards a kart that stands still.
 #: ``placement`` has a return in [0, 2], which is higher for a better place.

@@ -15,7 +15,7 @@ from stkzoo.errors import import_extra
 
 _TITLE = "stkzoo play"
 _BAR = 30  # height of the text bar [pixels]
-_BAR_COLOUR, _TEXT_COLOUR, _FAINT_COLOUR = (20, 24, 32), (235, 240, 245), (150, 160, 175)
+_BAR_COLOR, _TEXT_COLOR, _FAINT_COLOR = (20, 24, 32), (235, 240, 245), (150, 160, 175)
 _HELP = "P pause   Esc leave"
 
 
@@ -73,7 +73,7 @@ class PlayScreen:
         surface = pygame.surfarray.make_surface(picture.swapaxes(0, 1))
         if size != surface.get_size():
             surface = pygame.transform.smoothscale(surface, size)
-        window.fill(_BAR_COLOUR)
+        window.fill(_BAR_COLOR)
         window.blit(surface, ((width - size[0]) // 2, (height - _BAR - size[1]) // 2))
         self._write(text, width, height)
         pygame.display.flip()
@@ -99,9 +99,9 @@ class PlayScreen:
 
     def _write(self, text: str, width: int, height: int) -> None:
         top = height - _BAR + 8
-        line: Any = self._font.render(text, True, _TEXT_COLOUR)
+        line: Any = self._font.render(text, True, _TEXT_COLOR)
         self._window.blit(line, (10, top))
-        hint = self._font.render(_HELP, True, _FAINT_COLOUR)
+        hint = self._font.render(_HELP, True, _FAINT_COLOR)
         if line.get_width() + hint.get_width() + 40 <= width:
             self._window.blit(hint, (width - hint.get_width() - 10, top))
 

@@ -182,7 +182,7 @@ class RaceFilm:
             outcome = line.detail if line.has_finished else f"{line.progress:.0%} of the way"
             if agent is not None and agent.status == "retired":
                 outcome = f"retired, {outcome}"
-            rows.append((rank, line.name, line.colour, outcome))
+            rows.append((rank, line.name, line.color, outcome))
         return sorted(rows)
 
     def _frames(self, snapshot: Snapshot) -> list[dict[int, Picture]]:

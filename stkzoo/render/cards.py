@@ -15,7 +15,7 @@ from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
 Picture = npt.NDArray[np.uint8]
 
-#: One line of the end card: rank, name, colour as ``"#rrggbb"``, finish time or status.
+#: One line of the end card: rank, name, color as ``"#rrggbb"``, finish time or status.
 ResultRow = tuple[int, str, str, str]
 
 _DARK, _CARD, _TEXT, _FAINT = (14, 18, 25), (27, 34, 46), (240, 244, 250), (150, 162, 182)
@@ -58,13 +58,13 @@ def _draw_label(
     tile: tuple[int, int],
     unit: int,
 ) -> None:
-    """Draws the bar at the bottom of a tile: rank in the kart's colour, name, lap and speed."""
+    """Draws the bar at the bottom of a tile: rank in the kart's color, name, lap and speed."""
     left, bottom = place[0], place[1] + tile[1]
     top = bottom - unit * 2
     draw.rectangle([left, top, left + tile[0], bottom], fill=(*_DARK, 185))
-    draw.rectangle([left, top, left + unit * 2, bottom], fill=rgb(line.colour))
+    draw.rectangle([left, top, left + unit * 2, bottom], fill=rgb(line.color))
     middle = (top + bottom) / 2
-    ink = readable_on(line.colour)
+    ink = readable_on(line.color)
     draw.text((left + unit, middle), str(line.rank), ink, font_of(unit + 3), anchor="mm")
     draw.text((left + unit * 2.6, middle), line.name, _TEXT, font_of(unit), anchor="lm")
     right = f"{line.detail}   {max(speed, 0.0) * 3.6:.0f} km/h"
@@ -116,11 +116,11 @@ def end_card(
 def _draw_result(
     draw: Any, row: ResultRow, left: float, right: float, top: float, unit: int
 ) -> None:
-    rank, name, colour, outcome = row
+    rank, name, color, outcome = row
     high = unit * 2.1
     draw.rounded_rectangle([left, top, right, top + high], radius=unit * 0.5, fill=(*_CARD, 235))
     bar = [left, top, left + unit * 0.7, top + high]
-    draw.rounded_rectangle(bar, radius=unit * 0.35, fill=rgb(colour))
+    draw.rounded_rectangle(bar, radius=unit * 0.35, fill=rgb(color))
     middle = top + high / 2
     ink = rgb(_MEDALS[rank]) if rank in _MEDALS else _FAINT
     draw.text((left + unit * 2, middle), str(rank), ink, font_of(int(unit * 1.3)), anchor="mm")

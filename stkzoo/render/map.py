@@ -29,7 +29,7 @@ _MARGIN = 0.05  # margin around the track, as a fraction of the frame
 _FOLLOWED = 90.0  # [m], width of a frame that follows a kart
 _TRAIL = 30  # length of a trail in snapshots
 _GHOST = (225, 232, 242)
-#: Colour and radius [m] by number of stkzoo.names.ItemType.
+#: Color and radius [m] by number of stkzoo.names.ItemType.
 _ITEMS = {
     0: ("#ff9f43", 1.5),
     1: ("#ffe14d", 1.0),
@@ -48,7 +48,7 @@ class MapView:
     Args:
         scene: the race.
         size: width and height of a frame [pixels].
-        follow: kart to keep in the centre of the frame, as an index in grid order; ``None`` shows
+        follow: kart to keep in the center of the frame, as an index in grid order; ``None`` shows
             the whole track.
         panel: whether to show the standings, if the frame is wide enough.
         ghost: kart of an earlier race to show as a ring, if any.
@@ -70,7 +70,7 @@ class MapView:
         self._panel = panel_width(size) if panel else 0
         self._width, self._height = size[0] - self._panel, size[1]
         self._trail: deque[npt.NDArray[np.float32]] = deque(maxlen=_TRAIL)
-        self._scale, self._centre = self._whole_track()
+        self._scale, self._center = self._whole_track()
         if follow is not None:
             self._scale = _FINE * self._width / _FOLLOWED
         self._ground: Image | None = None
@@ -83,7 +83,7 @@ class MapView:
     def draw(self, snapshot: Snapshot) -> npt.NDArray[np.uint8]:
         """Returns the frame of a snapshot, ``(height, width, 3)`` uint8."""
         if self._follow is not None:
-            self._centre = snapshot.karts["location"][self._follow, ::2]
+            self._center = snapshot.karts["location"][self._follow, ::2]
         canvas = self._backdrop()
         draw = self._pil.ImageDraw.Draw(canvas)
         self._draw_items(draw, snapshot)
@@ -108,7 +108,7 @@ class MapView:
     def _backdrop(self) -> Image:
         if self._follow is not None:
             reach = max(self._width, self._height) * _FINE / self._scale / 2
-            return self._draw_ground(self._road.near(self._centre, reach + 5.0))
+            return self._draw_ground(self._road.near(self._center, reach + 5.0))
         if self._ground is None:
             self._ground = self._draw_ground(np.ones(len(self._road.quads), bool))
         return self._ground.copy()
@@ -125,11 +125,11 @@ class MapView:
             _outline(draw, quads[piece], kerb)
             _disc(draw, joints[piece], radii[piece] + kerb / 2, _KERB)
         shades = self._road.shades()[:, None]
-        colours = (_ROAD_LOW + shades * (_ROAD_HIGH - _ROAD_LOW)).astype(int).tolist()
+        colors = (_ROAD_LOW + shades * (_ROAD_HIGH - _ROAD_LOW)).astype(int).tolist()
         for piece in pieces:
-            colour = tuple(colours[piece])
-            draw.polygon([tuple(point) for point in quads[piece].tolist()], fill=colour)
-            _disc(draw, joints[piece], radii[piece] - kerb / 2, colour)
+            color = tuple(colors[piece])
+            draw.polygon([tuple(point) for point in quads[piece].tolist()], fill=color)
+            _disc(draw, joints[piece], radii[piece] - kerb / 2, color)
         self._draw_start(draw)
         return canvas
 
@@ -143,21 +143,21 @@ class MapView:
             for column in range(squares):
                 near = steps[column : column + 2] + self._road.forward * deep * (row - 1)
                 corners = np.concatenate([near, near[::-1] + self._road.forward * deep])
-                colour = (240, 240, 240) if (row + column) % 2 else (24, 24, 24)
-                draw.polygon([tuple(p) for p in self._pixels(corners).tolist()], fill=colour)
+                color = (240, 240, 240) if (row + column) % 2 else (24, 24, 24)
+                draw.polygon([tuple(p) for p in self._pixels(corners).tolist()], fill=color)
 
     # ------------------------------------------------------------------ moving objects
 
     def _draw_items(self, draw: Any, snapshot: Snapshot) -> None:
         places = self._pixels(snapshot.items["location"][:, ::2])
         for place, kind in zip(places, snapshot.items["type"].tolist(), strict=True):
-            colour, radius = _ITEMS.get(kind, ("#ffffff", 1.0))
+            color, radius = _ITEMS.get(kind, ("#ffffff", 1.0))
             size = max(radius * self._scale, 1.6 * _FINE)
             if kind == 0:
                 x, y = place
-                draw.rectangle([x - size, y - size, x + size, y + size], fill=rgb(colour))
+                draw.rectangle([x - size, y - size, x + size, y + size], fill=rgb(color))
             else:
-                _disc(draw, place, size, rgb(colour))
+                _disc(draw, place, size, rgb(color))
 
     def _draw_trails(self, draw: Any, snapshot: Snapshot) -> None:
         if len(self._trail) < 2 or self._trail[-1].shape[0] != len(snapshot.karts):
@@ -166,11 +166,11 @@ class MapView:
         width = max(_FINE, round(self._radius() / 2))
         longest = 12.0 * self._scale  # a longer distance is a reset of the kart
         fades = np.linspace(0.15, 0.75, len(lines))
-        for kart, name in enumerate(self._scene.colours):
-            colour = np.array(rgb(name))
+        for kart, name in enumerate(self._scene.colors):
+            color = np.array(rgb(name))
             for fade, start, end in zip(fades, lines[:-1, kart], lines[1:, kart], strict=False):
                 if np.abs(end - start).max() < longest:
-                    mixed = tuple((_ROAD_LOW + fade * (colour - _ROAD_LOW)).astype(int).tolist())
+                    mixed = tuple((_ROAD_LOW + fade * (color - _ROAD_LOW)).astype(int).tolist())
                     draw.line([tuple(start), tuple(end)], fill=mixed, width=width)
 
     def _draw_ghost(self, draw: Any, snapshot: Snapshot) -> None:
@@ -197,15 +197,15 @@ class MapView:
 
     def _draw_kart(self, draw: Any, kart: int, place: Any, way: Any) -> None:
         """Draws a disc with a pointer ahead and the agent's number."""
-        name = self._scene.colours[kart]
+        name = self._scene.colors[kart]
         radius = self._radius()
         across = np.array([-way[1], way[0]])
-        for grown, colour in ((1.35, (10, 13, 18)), (1.0, rgb(name))):
+        for grown, color in ((1.35, (10, 13, 18)), (1.0, rgb(name))):
             size = radius * grown
             tip = place + way * (radius * 1.9 + size - radius)
             nose = [tip, place + across * size * 0.92, place - across * size * 0.92]
-            draw.polygon([tuple(point) for point in nose], fill=colour)
-            _disc(draw, place, size, colour)
+            draw.polygon([tuple(point) for point in nose], fill=color)
+            _disc(draw, place, size, color)
         label = self._scene.label(kart)
         if label:
             draw.text(tuple(place), label, readable_on(name), font=self._label, anchor="mm")
@@ -217,13 +217,13 @@ class MapView:
     def _pixels(self, points: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """Converts points ``(..., 2)`` of x and z [m] to the oversampled canvas; z points up."""
         middle = np.array([self._width, self._height]) * _FINE / 2
-        flat: npt.NDArray[np.float64] = (points - self._centre) * [self._scale, -self._scale]
+        flat: npt.NDArray[np.float64] = (points - self._center) * [self._scale, -self._scale]
         return flat + middle
 
 
-def _disc(draw: Any, place: Any, radius: float, colour: Any) -> None:
+def _disc(draw: Any, place: Any, radius: float, color: Any) -> None:
     x, y = place
-    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=colour)
+    draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=color)
 
 
 def _outline(draw: Any, quad: Any, kerb: float) -> None:
@@ -247,7 +247,7 @@ class RoadOutline:
 
     Attributes:
         quads: ``(N, 4, 2)``, left and right corner at the start, then right and left at the end.
-        joints: ``(N, 2)``, centre of each segment's start.
+        joints: ``(N, 2)``, center of each segment's start.
         widths: ``(N,)`` [m].
         heights: ``(N,)`` height at each segment's middle [m].
         order: ``(N,)``, segments from the lowest to the highest.
@@ -288,10 +288,10 @@ class RoadOutline:
             return np.full(len(self.heights), 0.5, np.float32)
         return np.asarray((self.heights - low) / (high - low), np.float32)
 
-    def near(self, centre: FloatArray, reach: float) -> npt.NDArray[np.bool_]:
-        """Returns whether each segment is within ``reach`` metres of a point, ``(N,)`` bool."""
+    def near(self, center: FloatArray, reach: float) -> npt.NDArray[np.bool_]:
+        """Returns whether each segment is within ``reach`` meters of a point, ``(N,)`` bool."""
         low, high = self.quads.min(1), self.quads.max(1)
-        near: npt.NDArray[np.bool_] = ((low < centre + reach) & (high > centre - reach)).all(1)
+        near: npt.NDArray[np.bool_] = ((low < center + reach) & (high > center - reach)).all(1)
         return near
 
 

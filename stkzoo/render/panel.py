@@ -64,9 +64,9 @@ def _draw_line(
     draw: Any, line: RaceStanding, left: float, right: float, top: float, unit: int
 ) -> None:
     """Draws a badge with the rank, the name, the lap or time, and a progress bar."""
-    colour, ink = rgb(line.colour), readable_on(line.colour)
+    color, ink = rgb(line.color), readable_on(line.color)
     badge = unit * 1.5
-    draw.rounded_rectangle([left, top, left + badge, top + badge], radius=unit * 0.35, fill=colour)
+    draw.rounded_rectangle([left, top, left + badge, top + badge], radius=unit * 0.35, fill=color)
     middle = top + badge / 2
     draw.text((left + badge / 2, middle), str(line.rank), ink, font_of(unit), anchor="mm")
     small = font_of(int(unit * 0.85))
@@ -77,7 +77,7 @@ def _draw_line(
     draw.text((begin, middle - unit * 0.2), text, _TEXT, font, anchor="lm")
     bar = top + badge
     draw.rectangle([begin, bar - 2, right, bar], fill=_LINE)
-    draw.rectangle([begin, bar - 2, begin + (right - begin) * line.progress, bar], fill=colour)
+    draw.rectangle([begin, bar - 2, begin + (right - begin) * line.progress, bar], fill=color)
 
 
 def _fitted(text: str, size: int, room: float) -> tuple[str, Any]:

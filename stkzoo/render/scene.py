@@ -20,7 +20,7 @@ class Scene:
         kart_types: model of each kart, in grid order.
         kart_indices: kart of each agent; the game drives the other karts.
         names: name of each kart, in grid order; generated if left out.
-        colours: colour of each kart, in grid order; agents come first in :func:`race_palette`.
+        colors: color of each kart, in grid order; agents come first in :func:`race_palette`.
     """
 
     setup: RaceSetup
@@ -28,7 +28,7 @@ class Scene:
     kart_types: tuple[str, ...]
     kart_indices: tuple[int, ...]
     names: tuple[str, ...] = ()
-    colours: tuple[str, ...] = field(init=False)
+    colors: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         agents = {kart: number for number, kart in enumerate(self.kart_indices)}
@@ -36,7 +36,7 @@ class Scene:
         order = {**agents, **{kart: len(agents) + row for row, kart in enumerate(bots)}}
         palette = race_palette(self.num_kart)
         karts = range(self.num_kart)
-        object.__setattr__(self, "colours", tuple(palette[order[kart]] for kart in karts))
+        object.__setattr__(self, "colors", tuple(palette[order[kart]] for kart in karts))
         if not self.names:
             names = [_name(self, kart, agents.get(kart)) for kart in karts]
             object.__setattr__(self, "names", tuple(names))
@@ -72,7 +72,7 @@ class RaceStanding:
         rank: rank, 1 is first.
         kart: index in grid order.
         name: display name.
-        colour: ``"#rrggbb"``.
+        color: ``"#rrggbb"``.
         progress: completed fraction of the race, 0 to 1.
         detail: its finish time or its lap.
         has_finished: whether it has finished.
@@ -81,7 +81,7 @@ class RaceStanding:
     rank: int
     kart: int
     name: str
-    colour: str
+    color: str
     progress: float
     detail: str
     has_finished: bool
@@ -100,7 +100,7 @@ def standings(scene: Scene, snapshot: Snapshot) -> list[RaceStanding]:
                 rank=int(record["position"]),
                 kart=kart,
                 name=scene.names[kart],
-                colour=scene.colours[kart],
+                color=scene.colors[kart],
                 progress=1.0 if finished else min(distance / length, 1.0),
                 detail=clock(float(record["finish_time"])) if finished else f"lap {lap}",
                 has_finished=finished,

@@ -21,7 +21,7 @@ from stkzoo.suite.conduct import (
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.flat import FlatTask
 from stkzoo.suite.ids import id_of, register_tasks, view_of
-from stkzoo.suite.population import POPULATION, Member, behaviour
+from stkzoo.suite.population import POPULATION, Member, behavior
 from stkzoo.suite.report import (
     LearningCurve,
     RaceScore,
@@ -32,7 +32,7 @@ from stkzoo.suite.report import (
     make_report,
     write_suite_report,
 )
-from stkzoo.suite.scores import Baselines, load_baselines, normalised
+from stkzoo.suite.scores import Baselines, load_baselines, normalized
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
@@ -63,7 +63,7 @@ __all__ = [
     "SuiteReport",
     "SuiteRun",
     "Task",
-    "behaviour",
+    "behavior",
     "evaluate",
     "find_task",
     "id_of",
@@ -72,7 +72,7 @@ __all__ = [
     "make_report",
     "mean_conduct",
     "measure_conduct",
-    "normalised",
+    "normalized",
     "plan_entry",
     "race_conduct",
     "verify_entry",

@@ -24,7 +24,7 @@ from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
 from stkzoo.suite.population import draw_rivals, population_digests
-from stkzoo.suite.scores import load_baselines, normalised
+from stkzoo.suite.scores import load_baselines, normalized
 from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 
 #: Name of the file with the scores in the folder of an entry.
@@ -186,7 +186,7 @@ class Entry(BenchmarkResult):
         return {
             "metric": self.task.metric,
             "score": self.score and asdict(self.score),
-            "normalised": self.normalised_score,
+            "normalized": self.normalized_score,
             **BenchmarkResult.to_dict(self),
         }
 
@@ -196,7 +196,7 @@ class Entry(BenchmarkResult):
         return self.group().figures[self.task.metric] if self.races else None
 
     @property
-    def normalised_score(self) -> float | None:
+    def normalized_score(self) -> float | None:
         """The score between the weakest (0) and the strongest (1) driver that comes with stkzoo.
 
         ``None`` without races, if the task has no baselines, and on the training tracks, because
@@ -207,7 +207,7 @@ class Entry(BenchmarkResult):
             return None
         if not baselines.has(self.plan.task):
             return None
-        return normalised(self.plan.task, self.score.value, baselines)
+        return normalized(self.plan.task, self.score.value, baselines)
 
 
 def plan_entry(

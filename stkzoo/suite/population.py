@@ -21,7 +21,7 @@ class Member:
 
     Attributes:
         driver: its name for :func:`~stkzoo.race.find_driver`.
-        digest: see :func:`behaviour`. It identifies the driver.
+        digest: see :func:`behavior`. It identifies the driver.
         is_held_out: whether agents must not meet it during training.
     """
 
@@ -57,7 +57,7 @@ def population_digests() -> dict[str, str]:
     return {member.driver: member.digest for member in POPULATION}
 
 
-def behaviour(driver: str) -> str:
+def behavior(driver: str) -> str:
     """Returns a digest of how a driver drives: of all karts' motion in one race.
 
     The driver starts ahead of a kart of the game's AI. Every change of its decisions changes the

@@ -1,4 +1,4 @@
-"""Normalised scores: 0 is the weakest and 1 the strongest driver that comes with stkzoo."""
+"""Normalized scores: 0 is the weakest and 1 the strongest driver that comes with stkzoo."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def load_baselines() -> Baselines:
         return typed(Baselines, load_json(BASELINES_FILE))
 
 
-def normalised(task: str, score: float, baselines: Baselines | None = None) -> float:
+def normalized(task: str, score: float, baselines: Baselines | None = None) -> float:
     """Returns a score on the scale of its task: 0 is the weakest baseline, 1 the strongest.
 
     Scores can be below 0 and above 1. Where less is better, as for time ratios, the scale is
@@ -94,7 +94,7 @@ def normalised(task: str, score: float, baselines: Baselines | None = None) -> f
 def scale_ends(task: str) -> tuple[float, float]:
     """Returns the values of a task's metric that are 0 and 1 on its scale. Higher is better.
 
-    The scale is that of :func:`normalised`. Without baselines, it is the metric itself, and a time
+    The scale is that of :func:`normalized`. Without baselines, it is the metric itself, and a time
     ratio has a minus sign.
 
     Args:

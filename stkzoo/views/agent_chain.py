@@ -374,7 +374,7 @@ def _has_plain_step(wrapper: gym.Wrapper[Any, Any, Any, Any]) -> bool:
 
 
 def _is_compiled(wrapper: Any) -> bool:
-    """Whether the kernel can replace a wrapper whose class guarantees a plain behaviour."""
+    """Whether the kernel can replace a wrapper whose class guarantees a plain behavior."""
     return (
         isinstance(wrapper, CompiledWrapper)
         and wrapper.keeps_promise()

@@ -168,12 +168,12 @@ def test_a_candidate_ends_after_its_steps():
 
 
 def test_a_candidate_can_start_a_drift():
-    candidate = Candidate(shift=1, steps=3, manoeuvre=DRIFT_LEFT)
+    candidate = Candidate(shift=1, steps=3, maneuver=DRIFT_LEFT)
     assert choices_of(candidate) == [DRIFT_LEFT, 4, 0, 0]
 
 
 def test_a_candidate_starts_no_drift_without_plans():
-    candidate = Candidate(shift=1, steps=3, manoeuvre=DRIFT_LEFT)
+    candidate = Candidate(shift=1, steps=3, maneuver=DRIFT_LEFT)
     assert choices_of(candidate, missing=[DRIFT_LEFT]) == [FREE, 4, 0, 0]
 
 
@@ -194,7 +194,7 @@ def test_the_rest_of_an_ended_candidate_has_no_steps():
 def test_sampled_candidates_change_the_offset():
     random = np.random.default_rng(0)
     drawn = [draw_candidate(random, (3, 6)) for _ in range(50)]
-    assert all(own.shift and own.steps in (3, 6) and own.manoeuvre is None for own in drawn)
+    assert all(own.shift and own.steps in (3, 6) and own.maneuver is None for own in drawn)
 
 
 @pytest.mark.parametrize(

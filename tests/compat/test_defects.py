@@ -222,8 +222,8 @@ def race_histories(draw):
     num_steps = draw(st.integers(1, 12))
     finishing = st.one_of(st.none(), st.integers(0, num_steps - 1))
     finish_steps = draw(st.lists(finishing, min_size=num_kart, max_size=num_kart))
-    metres = st.floats(-300, 150, allow_nan=False, width=32)
-    row = st.lists(metres, min_size=num_kart, max_size=num_kart)
+    meters = st.floats(-300, 150, allow_nan=False, width=32)
+    row = st.lists(meters, min_size=num_kart, max_size=num_kart)
     distances = draw(st.lists(row, min_size=num_steps, max_size=num_steps))
     return np.array(distances, np.float32), finish_steps
 
@@ -580,15 +580,15 @@ def test_d15_a_lone_kart_can_race(env_id, use_ai):
 def driving_distances(track):
     """Returns distances ``(N, N)`` between the starts of segments by Floyd and Warshall [m]."""
     count = len(track.successors)
-    metres = np.full((count, count), np.inf)
-    np.fill_diagonal(metres, 0)
+    meters = np.full((count, count), np.inf)
+    np.fill_diagonal(meters, 0)
     begin = track.path_distance[:, 0].astype(float)
     for node, successors in enumerate(track.successors):
         for following in successors:
-            metres[node, following] = (begin[following] - begin[node]) % track.length
+            meters[node, following] = (begin[following] - begin[node]) % track.length
     for middle in range(count):
-        np.minimum(metres, metres[:, middle, None] + metres[middle], out=metres)
-    return metres
+        np.minimum(meters, meters[:, middle, None] + meters[middle], out=meters)
+    return meters
 
 
 @pytest.mark.parametrize("name", ["cocoa_temple", "stk_enterprise", "hacienda", "lighthouse"])
@@ -611,9 +611,9 @@ def test_d16_the_simple_view_has_the_five_nearest_segments(name):
     env = gym.make("supertuxkart/simple-v0", agent=AgentSpec(use_ai=True), num_kart=1, track=name)
     observation, _ = env.reset(seed=0)
     core = env.unwrapped.core
-    metres = driving_distances(core.track_map)
+    meters = driving_distances(core.track_map)
     for _ in range(400):
-        nearest = np.sort(metres[core.snapshot.karts["node"][0]])[:5]
+        nearest = np.sort(meters[core.snapshot.karts["node"][0]])[:5]
         begin = observation["paths_distance"][:, 0]
         length = core.track_map.length
         gaps = (begin - begin[0] + 1) % length - 1  # two branches may begin at the same place

@@ -120,13 +120,13 @@ def test_decoded_arrays_are_writable():
     assert [one[0], first[0], second[1]] == [7, 7, 7]
 
 
-class Colour(enum.IntEnum):
+class Color(enum.IntEnum):
     RED = 3
 
 
 @pytest.mark.parametrize(
     ("value", "plain"),
-    [(Colour.RED, 3), (np.str_("a"), "a"), (OrderedDict(a=1), {"a": 1})],
+    [(Color.RED, 3), (np.str_("a"), "a"), (OrderedDict(a=1), {"a": 1})],
     ids=str,
 )
 def test_subclasses_of_plain_types_become_plain(value, plain):

@@ -54,7 +54,7 @@ AGENTS = {
     ),
     "syntax": ("def get_actor(\n", "SyntaxError", 'File "syntax.py", line 1'),
     "imports": ("import no_such_module\n", "No module named 'no_such_module'", ""),
-    "chain": ("import neighbour\n", "ZeroDivisionError", 'File "neighbour.py", line 1'),
+    "chain": ("import neighbor\n", "ZeroDivisionError", 'File "neighbor.py", line 1'),
     "missing": ("x = 1\n", "has no function get_actor", ""),
     "signature": (
         "def get_actor():\n    pass\n",
@@ -74,7 +74,7 @@ AGENTS = {
 def failures(tmp_path_factory):
     """Returns the first failure of each agent by name, all from one race."""
     folder = tmp_path_factory.mktemp("agents")
-    (folder / "neighbour.py").write_text("1 / 0\n")
+    (folder / "neighbor.py").write_text("1 / 0\n")
     for name, (code, *_) in AGENTS.items():
         (folder / f"{name}.py").write_text(code)
     drivers = [str(folder / f"{name}.py") for name in AGENTS]

@@ -18,7 +18,7 @@ from stkzoo import (
     race_v0,
 )
 from stkzoo.agents.heuristic import create_state
-from stkzoo.engine.starting import CentreLine
+from stkzoo.engine.starting import CenterLine
 from stkzoo.env.starts import draw_starts
 
 
@@ -183,8 +183,8 @@ def test_a_race_from_the_grid_is_not_affected_by_starts():
 def test_a_place_without_ground_is_refused_and_the_next_race_starts():
     with race() as env:
         env.reset(seed=1)
-        half = CentreLine(env.track_map).half_width(300.0)
-        with pytest.raises(ConfigError, match=r"20\.0 m beside the centre line .* has room for"):
+        half = CenterLine(env.track_map).half_width(300.0)
+        with pytest.raises(ConfigError, match=r"20\.0 m beside the center line .* has room for"):
             env.reset(options={"start": Start(distance=300.0, offset=20.0)})
         with pytest.raises(ConfigError, match=r"expected at most 879\.9 m, the length of the lap"):
             env.reset(options={"start": 5000.0})
@@ -459,7 +459,7 @@ def test_a_random_start_that_is_refused_is_drawn_again():
             assert abs(start.offset) < 6.0
             assert env.snapshot.karts[0]["is_on_road"]
         beside = RandomStart(share=(0.3, 0.3), offset=(18.0, 20.0))
-        with pytest.raises(ConfigError, match="beside the centre line"):
+        with pytest.raises(ConfigError, match="beside the center line"):
             env.reset(seed=1, options={"start": beside})
 
 

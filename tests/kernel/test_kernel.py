@@ -592,7 +592,7 @@ def test_the_kernel_checks_its_arguments():
     with pytest.raises(ValueError, match="2 of 1 segments"):
         KartObserver(("energy",)).observe(track_of([[0]]), 2, ("tux",), snapshot.data, one)
     with pytest.raises(ValueError, match="no entry named"):
-        KartObserver(("colour",))
+        KartObserver(("color",))
     with pytest.raises(ValueError, match="a fixed size"):
         KartObserver(("energy",), flat=True)
     with pytest.raises(ValueError, match="table"):
@@ -928,7 +928,7 @@ def test_measured_damaged_messages_match_the_reference_implementation(name, leng
 def test_both_implementations_refuse_invalid_arguments():
     for make in (KartObserver, KartObserverTwin):
         with pytest.raises(ValueError, match="no entry named"):
-            make(("colour",))
+            make(("color",))
         with pytest.raises(ValueError, match="a fixed size"):
             make(("energy",), flat=True)
 

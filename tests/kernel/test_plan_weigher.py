@@ -74,19 +74,19 @@ class Ways:
         self.along, self.across, _, _, turns = drive(
             table, plan_rules(RULES).costs, motion, rows, karts, marks, columns
         )
-        exists = table.manoeuvres[rows[0]] >= 0
+        exists = table.maneuvers[rows[0]] >= 0
         self.along, self.across = self.along[:, 0, exists], self.across[:, 0, exists]
         self.turns = turns[0, exists]
         self.lanes = table.lanes[rows[0]][:, exists]
         self.drifts = table.drifts[rows[0]][:, exists] > 0
-        self.items, self.manoeuvres, self.boosts = (
-            column[rows[0]][exists] for column in (table.items, table.manoeuvres, table.boosts)
+        self.items, self.maneuvers, self.boosts = (
+            column[rows[0]][exists] for column in (table.items, table.maneuvers, table.boosts)
         )
 
     @property
     def free(self):
         """Mask of the plans without a drift, brake or item."""
-        return (self.boosts < 0) & (self.manoeuvres != BRAKE) & (self.items < 0)
+        return (self.boosts < 0) & (self.maneuvers != BRAKE) & (self.items < 0)
 
     @property
     def kept(self):
@@ -111,7 +111,7 @@ def test_a_plan_can_change_its_lane():
 def test_a_plan_reaches_its_item():
     ways = Ways(straight_road(), items=(3.3, -1.7))
     for item, across in enumerate((3.3, -1.7)):
-        chosen = (ways.items == item) & (ways.boosts < 0) & (ways.manoeuvres != BRAKE)
+        chosen = (ways.items == item) & (ways.boosts < 0) & (ways.maneuvers != BRAKE)
         assert ways.across[-1, chosen] == pytest.approx(across, abs=0.5)
     spans = plan_table(RULES.lane_changes).spans
     assert ways.along[-1].max() == pytest.approx(SPEED * spans.sum(), rel=0.02)
@@ -125,7 +125,7 @@ def test_the_inner_side_of_a_bend_is_shorter():
 
 def test_brakes_cost_distance():
     ways = Ways(straight_road())
-    brakes = ways.manoeuvres == BRAKE
+    brakes = ways.maneuvers == BRAKE
     assert ways.along[-1, brakes].max() < ways.along[-1, ~brakes].min()
 
 
@@ -142,7 +142,7 @@ def test_in_the_network_boosts_are_faster_and_brakes_are_slower():
     ways = Ways(straight_road(), state=(1, 11, 0), motion=learned_motion())
     boosted = ways.free & (ways.lanes[0] == 0)  # ends a drift that has earned a boost
     assert ways.along[-1, ways.boosts == 0].max() > SPEED * 2.0
-    assert ways.along[-1, ways.manoeuvres == BRAKE].max() < SPEED * 1.9
+    assert ways.along[-1, ways.maneuvers == BRAKE].max() < SPEED * 1.9
     assert boosted.sum() <= 1
 
 

@@ -204,9 +204,9 @@ def test_play_plot_draws_the_given_values(monkeypatch, tmp_path):
 
         gym_play.play(env, fps=100_000, callback=look, seed=1)
         env.close()
-        rewards, metres = plot.data
+        rewards, meters = plot.data
         assert len(rewards) == 40
-        assert metres[-1] > 3
+        assert meters[-1] > 3
         plot.fig.savefig(tmp_path / "plot.png")
         pyplot.close("all")
     assert (tmp_path / "plot.png").stat().st_size > 1000

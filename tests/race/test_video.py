@@ -55,18 +55,18 @@ def video_writer(path):
 def overfill(writer, times=1000):
     """Adds more frames than fit in the pipe to ffmpeg."""
     for _ in range(times):
-        writer.add(colour(1))
+        writer.add(color(1))
 
 
 def interrupted(path):
     """Writes a video and raises an error before its end."""
     with video_writer(path) as writer:
-        writer.add(colour(1))
+        writer.add(color(1))
         assert path.read_bytes() == b"an older video"
         raise ZeroDivisionError
 
 
-def colour(number, size=(64, 48)):
+def color(number, size=(64, 48)):
     return np.full((size[1], size[0], 3), number, np.uint8)
 
 
@@ -78,7 +78,7 @@ def test_every_format_keeps_its_frames(tmp_path, ending):
     path = tmp_path / f"race{ending}"
     with video_writer(path) as writer:
         for number in range(0, 200, 10):
-            writer.add(colour(number))
+            writer.add(color(number))
     pictures, rate = read(path)
     assert (len(pictures), rate) == (20, 10)
     means = pictures.mean(axis=(1, 2, 3))
@@ -97,7 +97,7 @@ def test_no_file_appears_before_the_end_or_after_an_error(tmp_path):
 
 def test_an_ffmpeg_that_died_is_an_error_and_leaves_no_file(tmp_path):
     writer = VideoWriter(tmp_path / "race.mp4", 10)
-    writer.add(colour(1))
+    writer.add(color(1))
     os.kill(writer._process.pid, signal.SIGKILL)
     with pytest.raises(VideoError, match=r"could not be written: ffmpeg .* No file was left"):
         overfill(writer)
@@ -109,7 +109,7 @@ def test_an_ffmpeg_that_died_is_an_error_and_leaves_no_file(tmp_path):
 def test_an_ffmpeg_that_hangs_is_killed(tmp_path, monkeypatch):
     monkeypatch.setattr(encoder, "_STALL_LIMIT", 0.3)
     writer = VideoWriter(tmp_path / "race.mp4", 10)
-    writer.add(colour(1))
+    writer.add(color(1))
     os.kill(writer._process.pid, signal.SIGSTOP)
     with pytest.raises(VideoError, match=r"took no picture for 0 s"):
         overfill(writer)
@@ -151,9 +151,9 @@ def test_an_invalid_path_is_refused_before_the_race(tmp_path, name, match):
 
 def test_frames_with_another_size_or_dtype_are_refused(tmp_path):
     with video_writer(tmp_path / "a.mp4") as video:
-        video.add(colour(1))
+        video.add(color(1))
         with pytest.raises(ConfigError, match="resize it"):
-            video.add(colour(1, (32, 32)))
+            video.add(color(1, (32, 32)))
         with pytest.raises(ConfigError, match="expected uint8"):
             video.add(np.zeros((4, 4, 3)))
     with pytest.raises(VideoError, match="no picture"):
@@ -207,7 +207,7 @@ def test_interpolated_snapshots_end_with_the_step(moments):
 @pytest.mark.parametrize(("number", "grid"), [(1, (1, 1)), (2, (2, 1)), (3, (2, 2)), (8, (3, 3))])
 def test_tiles_fill_a_grid(number, grid):
     assert grid_of(number) == grid
-    whole = tiled([colour(10 * (i + 1)) for i in range(number)], (120, 96))
+    whole = tiled([color(10 * (i + 1)) for i in range(number)], (120, 96))
     assert set(np.unique(whole)) <= {0, *(10 * (i + 1) for i in range(number))}
     assert whole.shape == (96, 120, 3)
 

@@ -19,9 +19,9 @@ def race():
         return env.scene, snapshots
 
 
-def count(picture, colour, near=30):
+def count(picture, color, near=30):
     """Returns the number of pixels with approximately the given color."""
-    away = np.abs(picture.astype(int) - np.array(rgb(colour))).max(axis=2)
+    away = np.abs(picture.astype(int) - np.array(rgb(color))).max(axis=2)
     return int((away < near).sum())
 
 
@@ -37,7 +37,7 @@ def test_every_kart_is_drawn_in_its_color(race):
     scene, snapshots = race
     moved = replace_places(snapshots[-1], scene)
     picture = MapView(scene, (640, 480), panel=False).draw(moved)
-    assert all(count(picture, colour) > 40 for colour in scene.colours)
+    assert all(count(picture, color) > 40 for color in scene.colors)
 
 
 def replace_places(snapshot, scene):
@@ -56,7 +56,7 @@ def test_a_kart_is_drawn_where_it_is(race):
     view = MapView(scene, (400, 400), follow=1, panel=False)
     picture = view.draw(snapshots[-1])
     middle = picture[190:210, 190:210]
-    assert count(middle, scene.colours[1]) > 60
+    assert count(middle, scene.colors[1]) > 60
 
 
 def test_the_map_is_not_mirrored(race):
@@ -67,8 +67,8 @@ def test_the_map_is_not_mirrored(race):
     karts["location"][1] = karts["location"][0] + [20, 0, 0]  # east
     karts["location"][2] = karts["location"][0] + [0, 0, 20]  # north
     picture = view.draw(type(moved).of(moved.header, karts, moved.items))
-    assert count(picture[180:220, 260:320], scene.colours[1]) > 60
-    assert count(picture[80:140, 180:220], scene.colours[2]) > 60
+    assert count(picture[180:220, 260:320], scene.colors[1]) > 60
+    assert count(picture[80:140, 180:220], scene.colors[2]) > 60
 
 
 def test_moving_karts_change_the_picture_but_not_the_ground(race):
@@ -106,16 +106,16 @@ def test_the_standings_have_the_games_order(race):
 
 def test_colors_are_distinct_and_stable():
     for number in (1, 8, 40):
-        colours = race_palette(number)
-        assert len(set(colours)) == number
-        assert colours == race_palette(64)[:number]
+        colors = race_palette(number)
+        assert len(set(colors)) == number
+        assert colors == race_palette(64)[:number]
     assert readable_on("#f0e442") != readable_on("#0072b2")
 
 
 def test_agents_have_the_first_colors_in_their_own_order(race):
     scene, _ = race
     other = replace(scene, kart_indices=(2, 0))
-    assert [other.colours[kart] for kart in (2, 0, 1)] == list(race_palette(3))
+    assert [other.colors[kart] for kart in (2, 0, 1)] == list(race_palette(3))
 
 
 def test_a_clock_has_minutes_seconds_and_tenths():

@@ -98,9 +98,9 @@ def test_dqn_learns_by_self_play():
 @pytest.mark.slow
 def test_ppo_learns_from_normalized_races_although_one_crashes():
     envs = make()
-    normalised = VecNormalize(envs, norm_obs_keys=["continuous"])
+    normalized = VecNormalize(envs, norm_obs_keys=["continuous"])
     model = PPO(
-        "MultiInputPolicy", normalised, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING
+        "MultiInputPolicy", normalized, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING
     )
     model.learn(128)
     os.kill(envs.races.races[0]._session.pid, signal.SIGKILL)

@@ -10,7 +10,7 @@ from pettingzoo.test import parallel_api_test
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.suite import POPULATION, TASKS, behaviour, find_task, id_of, plan_entry
+from stkzoo.suite import POPULATION, TASKS, behavior, find_task, id_of, plan_entry
 from stkzoo.suite.population import draw_rivals
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
 
@@ -96,7 +96,7 @@ def test_a_team_shares_its_rewards_and_hears_only_its_words():
 
 @pytest.mark.parametrize("member", POPULATION, ids=lambda member: member.driver)
 def test_a_member_of_the_population_still_drives_the_same(member):
-    assert behaviour(member.driver) == member.digest
+    assert behavior(member.driver) == member.digest
 
 
 @pytest.mark.parametrize("name", DIGESTS)

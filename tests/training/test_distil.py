@@ -75,7 +75,7 @@ def run(tmp_path_factory):
 @pytest.mark.slow
 def test_a_run_drives_by_plans_then_by_the_network(run):
     folder, log = run
-    assert [line["driver"] for line in log] == ["the plans", "behaviour cloning"]
+    assert [line["driver"] for line in log] == ["the plans", "behavior cloning"]
     assert [line["examples"] for line in log] == pytest.approx([300, 600], abs=60)
     assert log[1]["loss"] < log[0]["loss"]
     assert [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()] == log

@@ -94,7 +94,7 @@ def imitated(tmp_path_factory):
 @pytest.mark.slow
 def test_a_run_clones_drives_and_learns_from_the_teachers_labels(imitated):
     folder, log = imitated
-    assert [line["driver"] for line in log] == ["pursuit", "behaviour cloning", "DAgger, round 1"]
+    assert [line["driver"] for line in log] == ["pursuit", "behavior cloning", "DAgger, round 1"]
     assert log[0]["finished"] == 1.0
     assert log[1]["examples"] > log[0]["examples"]
     assert all(0.5 < line["time_ratio"] <= 2.0 for line in log)

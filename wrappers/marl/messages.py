@@ -54,7 +54,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         super().__init__(env)
         self.words = None if words is None else check_whole("words", words, 2)
         self.size = self.words or check_whole("size", size, 1)
-        self.reach = check_number("reach", reach, unit="metres", is_finite=False)
+        self.reach = check_number("reach", reach, unit="meters", is_finite=False)
         self._message_space: spaces.Space[Any] = (
             spaces.Discrete(self.words) if self.words else spaces.Box(-1, 1, (self.size,))
         )

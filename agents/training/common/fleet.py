@@ -41,7 +41,7 @@ _GRACE = 8.0
 #: Longest distance per step [m]; a longer one is a jump at the start line or at a rescue.
 _LONGEST_STEP = 8.0
 #: Reward per meter.
-_METRE = 0.05
+_METER = 0.05
 #: Upper limit of an estimated time ratio.
 _WORST_RATIO = 10.0
 #: Time ratio of a kart that does not finish.
@@ -259,7 +259,7 @@ class FleetRace:
         moved = new["distance_down_track"] - old["distance_down_track"]
         moved = (moved + half) % self.length - half
         moved[np.abs(moved) > _LONGEST_STEP] = 0.0
-        rewards = _METRE * moved + self._place_reward * (old["position"] - new["position"])
+        rewards = _METER * moved + self._place_reward * (old["position"] - new["position"])
         finished = self.racing & (new["has_finished_race"] > 0)
         time = float(self.snapshot.header["time"])
         if finished.any() and self.first_finish is None:

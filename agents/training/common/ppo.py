@@ -37,7 +37,7 @@ _VALUE_RATE = 4.0
 #: Largest norm of the gradient of policy or value network.
 _MAX_GRADIENT = 0.5
 #: Parts of a network with a PyTorch state.
-_PARTS = ("policy", "value", "optimiser")
+_PARTS = ("policy", "value", "optimizer")
 
 
 class PPONetwork(LearningNetwork):
@@ -54,7 +54,7 @@ class PPONetwork(LearningNetwork):
         torch: the module ``torch``.
         policy: layers of the policy.
         value: layers of the value network.
-        optimiser: optimizer of both; its first parameter group is the policy's.
+        optimizer: optimizer of both; its first parameter group is the policy's.
         penalty_coef: weight of the penalty in the loss.
         mean: mean of the value network's inputs, by which they are normalized.
         scale: factor by which they are normalized.
@@ -79,7 +79,7 @@ class PPONetwork(LearningNetwork):
         self.value = _make_layers(torch, value_sizes, torch.nn.ReLU, 1.0)
         size = value_sizes[0]
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
-        self.optimiser = torch.optim.Adam(
+        self.optimizer = torch.optim.Adam(
             [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
         )
 
@@ -98,13 +98,13 @@ class PPONetwork(LearningNetwork):
 
     def descend(self, loss: Any) -> None:
         """Makes a gradient step on a loss."""
-        self.optimiser.zero_grad()
+        self.optimizer.zero_grad()
         loss.backward()
         for layers in (self.policy, self.value):
             self.torch.nn.utils.clip_grad_norm_(layers.parameters(), _MAX_GRADIENT)
-        self.optimiser.step()
+        self.optimizer.step()
 
-    def normalised(self, inputs: FloatArray) -> FloatArray:
+    def normalized(self, inputs: FloatArray) -> FloatArray:
         """Returns inputs ``(N, F)`` of the value network, normalized and clipped."""
         found: FloatArray = np.clip((inputs - self.mean) * self.scale, -INPUT_CLIP, INPUT_CLIP)
         return found
@@ -222,7 +222,7 @@ class OverlappedPPO(OverlappedLearner):
 
     def _anneal(self) -> tuple[float, float]:
         """Sets the learning rates; returns the policy's and the entropy coefficient."""
-        settings, groups = self.arguments, self._network.optimiser.param_groups
+        settings, groups = self.arguments, self._network.optimizer.param_groups
         left = max(1.0 - self.kart_steps / settings.anneal_timesteps, 0.0)
         rate = settings.learning_rate * max(left, 0.05)
         is_warming = self.iteration < settings.warm_up

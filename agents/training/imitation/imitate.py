@@ -89,7 +89,7 @@ class TeacherArguments(ImitationArguments):
         if find_driver(self.teacher, inline=True).is_game_ai and self.rounds:
             raise ConfigError(
                 "the game's AI cannot be asked what it would do in a kart that it does not drive; "
-                "give --rounds 0 (behaviour cloning alone), or another --teacher"
+                "give --rounds 0 (behavior cloning alone), or another --teacher"
             )
 
 

@@ -200,7 +200,7 @@ def _policy(folder: Path, number: int) -> Path:
 
 def _driven(number: int, teacher: str, lesson: Lesson) -> dict[str, Any]:
     """Returns the log line of a round's races."""
-    ratios, names = lesson.ratios, (teacher, "behaviour cloning")
+    ratios, names = lesson.ratios, (teacher, "behavior cloning")
     return {
         "round": number,
         "driver": names[number] if number < 2 else f"DAgger, round {number - 1}",

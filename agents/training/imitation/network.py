@@ -101,17 +101,17 @@ def fit(
     inputs = torch.from_numpy(both[0].astype(np.float32))
     targets = torch.from_numpy(both[1].astype(np.int64))
     bells = torch.from_numpy(_bells())
-    optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
+    optimizer = torch.optim.Adam(network.parameters(), lr=learning_rate)
     total = max(n_epochs * -(-len(targets) // batch_size), 1)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, total)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, total)
     for _ in range(n_epochs):
         order = torch.from_numpy(random.permutation(len(targets)))
         for rows in order.split(batch_size):
             steer, *others = targets[rows].T
             loss = sum(_losses(_logits(network, inputs[rows]), [bells[steer], *others]))
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss.backward()
-            optimiser.step()
+            optimizer.step()
             schedule.step()
     return _judge(torch, network, observations[is_left_out], actions[is_left_out])
 

@@ -148,11 +148,11 @@ def _cell(one: str, other: str, matches: Sequence[MatchRecord]) -> str:
     share, count = payoff(one, other, matches)
     if not count:
         return '<td title="they have not met">&middot;</td>'
-    colour = "good" if share >= 0.5 else "bad"
+    color = "good" if share >= 0.5 else "bad"
     depth = 0.12 + 0.9 * abs(share - 0.5)
     title = html.escape(f"{one} before {other}: {share:.0%} of {count}")
     return (
-        f'<td title="{title}" style="background:rgba(var(--{colour}),{depth:.2f})">'
+        f'<td title="{title}" style="background:rgba(var(--{color}),{depth:.2f})">'
         f"{100 * share:.0f}</td>"
     )
 

@@ -66,7 +66,7 @@ class ActorCritic(PPONetwork):
         """See :class:`..common.learner.LearningNetwork`."""
         return self.arrays(self.policy), self.arrays(self.value)
 
-    def fit_normalisation(self, inputs: FloatArray) -> None:
+    def fit_normalization(self, inputs: FloatArray) -> None:
         """Sets mean and scale from inputs ``(N, F)``, equal for a race and its mirror image."""
         both = np.concatenate([inputs, mirrored_inputs(inputs)])
         self.mean = both.mean(axis=0)
@@ -78,12 +78,12 @@ class ActorCritic(PPONetwork):
         See :class:`..common.learner.LearningNetwork`.
         """
         if not self._is_given:
-            self.fit_normalisation(seen["inputs"])
+            self.fit_normalization(seen["inputs"])
         return not self._is_given
 
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns inputs ``(N, F)``, normalized, prior and choices in rows of a rollout."""
-        inputs = self.normalised(seen["inputs"])
+        inputs = self.normalized(seen["inputs"])
         arrays = inputs, seen["prior"].copy(), seen["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 

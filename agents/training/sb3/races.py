@@ -69,14 +69,14 @@ class RaceEnd:
 def way_and_places() -> Reward:
     """Returns the reward: 0.1 per meter driven, and 0.3 per place gained."""
 
-    def metres(step: Any) -> Any:
+    def meters(step: Any) -> Any:
         driven = step.distance - step.distance_before
         return np.where(np.abs(driven) > _LONGEST_STEP, 0.0, driven) / 10.0
 
     def places(step: Any) -> Any:
         return 0.3 * (step.before.karts["position"] - step.position.astype(np.float64))
 
-    return Reward({"metres": metres, "places": places})
+    return Reward({"meters": meters, "places": places})
 
 
 class _SelfPlayRace:

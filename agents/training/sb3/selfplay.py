@@ -312,7 +312,7 @@ class SB3Run:
             "recent": [asdict(end) for end in self._recent],
         }
         policy = self._model.policy
-        state = {"policy": policy.state_dict(), "optimiser": policy.optimizer.state_dict()}
+        state = {"policy": policy.state_dict(), "optimizer": policy.optimizer.state_dict()}
         save_checkpoint(self.folder, facts, state)
 
     def save_agent(self) -> Path:
@@ -458,7 +458,7 @@ class SB3Run:
         ends: Any = importlib.import_module("stkzoo.agents.training.sb3.races").RaceEnd
         self._recent.extend(typed(ends, end) for end in facts.recent)
         self._model.policy.load_state_dict(state["policy"])
-        self._model.policy.optimizer.load_state_dict(state["optimiser"])
+        self._model.policy.optimizer.load_state_dict(state["optimizer"])
         for rival in self._snapshots.opponents:
             self._make_ready(rival.name)
 

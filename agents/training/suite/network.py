@@ -56,7 +56,7 @@ class TaskNetwork(PPONetwork):
 
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns inputs ``(N, F)``, those of the value network, scaled, and choices ``(N, 5)``."""
-        central = self.normalised(critic_inputs(seen))
+        central = self.normalized(critic_inputs(seen))
         arrays = seen["inputs"].copy(), central, seen["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 

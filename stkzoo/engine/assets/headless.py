@@ -28,7 +28,7 @@ from stkzoo.errors import AssetError
 _KINDS = dict.fromkeys((".flac", ".mp3", ".oga", ".ogg", ".wav"), "sound")
 _KINDS |= {".jpeg": "jpeg", ".jpg": "jpeg", ".png": "png"}
 
-#: A grey picture of 4x4 pixels, as a PNG and as a baseline JPEG file.
+#: A gray picture of 4x4 pixels, as a PNG and as a baseline JPEG file.
 PLACEHOLDER_PNG = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAQAAAAECAIAAAAmkwkpAAAADklEQVR42mNoQAIMxHEAcFIYAZ6uvm8AAAAASUVO"
     "RK5CYII="

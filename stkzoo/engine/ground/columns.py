@@ -31,7 +31,7 @@ _APART = 0.5
 _FLAT, _STEEP = 0.35, 0.8
 #: Heights above the ground at which karts collide with faces [m].
 _HEIGHTS = (0.45, 0.8)
-#: Horizontal directions (x, z) in which walls are searched from the centre of a column.
+#: Horizontal directions (x, z) in which walls are searched from the center of a column.
 _ACROSS = np.array([[1.0, 0.0], [0.0, 1.0], [0.5**0.5, 0.5**0.5], [0.5**0.5, -(0.5**0.5)]])
 #: Number of pairs of a face and a column that are processed together.
 _CHUNK = 400_000
@@ -57,7 +57,7 @@ class Ground:
 
     Args:
         faces: the solid faces of the track.
-        line: ``(N, 3)`` points of the driving lines [m], world frame, at most one metre apart.
+        line: ``(N, 3)`` points of the driving lines [m], world frame, at most one meter apart.
     """
 
     def __init__(self, faces: Faces, line: npt.NDArray[np.floating]) -> None:
@@ -185,7 +185,7 @@ class _Near:
         return cell[..., 0], cell[..., 1], is_inside
 
     def middles(self, rows: IntArray, columns: IntArray) -> FloatArray:
-        """Returns the centres of columns, ``(P, 2)``: x and z [m], world frame."""
+        """Returns the centers of columns, ``(P, 2)``: x and z [m], world frame."""
         middles: FloatArray = self._corner + (np.stack([rows, columns], axis=1) + 0.5) * _CELL
         return middles
 
@@ -198,12 +198,12 @@ class _Near:
     def pairs(
         self, corners: FloatArray, who: IntArray, margin: float
     ) -> Iterator[tuple[IntArray, IntArray, IntArray]]:
-        """Yields candidate pairs of a face and a column whose centre it may cover, in chunks.
+        """Yields candidate pairs of a face and a column whose center it may cover, in chunks.
 
         Args:
             corners: ``(F, 3, 3)`` corners of all faces [m].
             who: indices of the faces to use.
-            margin: maximum distance between a column's centre and a face's bounding box [m].
+            margin: maximum distance between a column's center and a face's bounding box [m].
 
         Yields:
             Indices of the faces, rows and columns of the pairs.
@@ -309,7 +309,7 @@ def ground_of(track: TrackMap, name: str, root: Path, *, reverse: bool = False) 
 
 
 def _line(track: TrackMap) -> npt.NDArray[np.float64]:
-    """Returns points on the centre lines of all segments, ``(N, 3)`` [m]."""
+    """Returns points on the center lines of all segments, ``(N, 3)`` [m]."""
     pieces = []
     for start, end in track.path_nodes.astype(np.float64):
         count = max(int(np.linalg.norm(end - start) / _SPACING) + 1, 2)

@@ -1,7 +1,7 @@
 """A reader of the game's meshes, ``.spm`` files.
 
 A file contains, in little-endian order: ``SP``; a byte with the version (upper five bits, 1) and
-the kind (lower three bits, 1: with joints); a byte of flags (1: normals, 2: colours, 4: tangents);
+the kind (lower three bits, 1: with joints); a byte of flags (1: normals, 2: colors, 4: tangents);
 a bounding box of six floats; the materials, with two texture names each; and the parts.
 """
 
@@ -17,9 +17,9 @@ import numpy.typing as npt
 from stkzoo.errors import AssetError
 
 _VERSION, _WITH_JOINTS = 1, 1
-_NORMALS, _COLOURS, _TANGENTS = 1, 2, 4
+_NORMALS, _COLORS, _TANGENTS = 1, 2, 4
 _BOX = 24
-#: First byte of a colour that is white and has no further bytes. Other colours have three more.
+#: First byte of a color that is white and has no further bytes. Other colors have three more.
 _WHITE = 128
 
 
@@ -96,7 +96,7 @@ def _part(file: _MeshReader, textures: list[tuple[str, str]], flags: int, has_jo
     first, second = textures[material]
     before = 12 + 4 * bool(flags & _NORMALS)
     after = bool(first) * (4 + 4 * bool(second) + 4 * bool(flags & _TANGENTS)) + 16 * has_joints
-    starts = _starts(file, vertices, before, after, with_colours=bool(flags & _COLOURS))
+    starts = _starts(file, vertices, before, after, with_colors=bool(flags & _COLORS))
     raw = np.frombuffer(file.data, np.uint8)
     corners = raw[starts[:, None] + np.arange(12)].copy().view("<f4")
     triangles = file.array("<u2" if vertices > 255 else "u1", indices)
@@ -107,10 +107,10 @@ def _part(file: _MeshReader, textures: list[tuple[str, str]], flags: int, has_jo
 
 
 def _starts(
-    file: _MeshReader, count: int, before: int, after: int, *, with_colours: bool
+    file: _MeshReader, count: int, before: int, after: int, *, with_colors: bool
 ) -> npt.NDArray[np.intp]:
     """Returns the byte offsets of vertices. Vertices that are not white are longer than others."""
-    if not with_colours:
+    if not with_colors:
         begin, size = file.at, before + after
         file.at += count * size
         return begin + size * np.arange(count)

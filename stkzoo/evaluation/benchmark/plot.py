@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from stkzoo.evaluation.plotting import (
     BLUE,
-    GREY,
+    GRAY,
     INK,
     PALETTE,
     draw_intervals,
@@ -51,12 +51,12 @@ def plot_benchmark(
     height = 1.9 + len(rows) * (0.2 + 0.12 * len(drawn))
     with two_panels(path, _title(drawn), 10, height, (3, 2)) as (times, wins):
         _draw(times, drawn, rows, "time_ratio")
-        times.axvline(1.0, color=GREY, linewidth=1, linestyle="--", zorder=0)
+        times.axvline(1.0, color=GRAY, linewidth=1, linestyle="--", zorder=0)
         style_axes(times, "Time as a multiple of the AI's; less is better")
         _draw(wins, drawn, contests, "win_rate", scale=100)
         for row, (_, name) in enumerate(contests):
             chance, ends = 100 * (chances[name] or 0.0), [row - 0.35, row + 0.35]
-            wins.plot([chance, chance], ends, color=GREY, linewidth=2, zorder=0)
+            wins.plot([chance, chance], ends, color=GRAY, linewidth=2, zorder=0)
         wins.set_xlim(-3, 103)
         style_axes(wins, "Races won [%]; the mark is chance")
         if len(drawn) > 1:
@@ -106,12 +106,12 @@ def plot_time_trial(result: TimeTrialResult, path: str | os.PathLike[str]) -> No
     tracks = sorted(result.tracks, key=lambda track: track.ratio)
     figure = new_figure(7, 1.4 + 0.24 * len(tracks))
     axes = figure.subplots()
-    colors = [BLUE if track.finished == track.races else GREY for track in tracks]
+    colors = [BLUE if track.finished == track.races else GRAY for track in tracks]
     bars = axes.barh(range(len(tracks)), [track.ratio for track in tracks], color=colors)
     labels = [f"{track.ratio:.2f}" for track in tracks]
     axes.bar_label(bars, labels, padding=3, fontsize=8, color=INK)
     axes.axvline(1.0, color=INK, linewidth=1)
     axes.set_yticks(range(len(tracks)), [track.track for track in tracks])
     axes.set_ylim(len(tracks) - 0.4, -0.6)
-    style_axes(axes, f"{result.label}: time as a multiple of the human record; grey: unfinished")
+    style_axes(axes, f"{result.label}: time as a multiple of the human record; gray: unfinished")
     save_figure(figure, path)

@@ -26,7 +26,7 @@ _OWN_ROAD = ' fill="none" stroke="#b3bdcb" stroke-linecap="round"'
 _LOOP = 'begin="0s" repeatCount="indefinite"'
 
 #: A coordinate [m].
-_Metres = Annotated[float, Within(-1e6, 1e6)]
+_Meters = Annotated[float, Within(-1e6, 1e6)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class MapFilm(Document):
         track: name of the track.
         interval: game time between two moments [s].
         width: median width of the road [m].
-        road: start and end of each segment of the centre line: x, z, x, z.
+        road: start and end of each segment of the center line: x, z, x, z.
         karts: by label of the agent, x and z of its kart at each moment, in one sequence.
     """
 
@@ -47,8 +47,8 @@ class MapFilm(Document):
     track: str
     interval: Positive
     width: Annotated[float, Within(0, 1e6, is_above=True)]
-    road: Annotated[tuple[tuple[_Metres, _Metres, _Metres, _Metres], ...], Within(1)]
-    karts: Annotated[Mapping[str, tuple[_Metres, ...]], Within(1, 256)]
+    road: Annotated[tuple[tuple[_Meters, _Meters, _Meters, _Meters], ...], Within(1)]
+    karts: Annotated[Mapping[str, tuple[_Meters, ...]], Within(1, 256)]
 
     def __post_init__(self) -> None:
         if len({len(way) for way in self.karts.values()}) > 1 or any(
@@ -117,7 +117,7 @@ def draw_film(film: MapFilm, name: str, *, is_looped: bool = False) -> tuple[str
         is_looped: whether the film is a separate file that plays automatically in a loop.
 
     Returns:
-        The SVG, and the colour of each agent by label.
+        The SVG, and the color of each agent by label.
     """
     road = np.array(film.road).reshape(-1, 2, 2)
     low, high = road.min((0, 1)) - film.width, road.max((0, 1)) + film.width
@@ -131,10 +131,10 @@ def draw_film(film: MapFilm, name: str, *, is_looped: bool = False) -> tuple[str
     ends = pixels(road).T.reshape(-1, 4).tolist()
     path = "".join("M{} {}L{} {}".format(*end) for end in ends)
     width, height = ((high - low) * scale).astype(int).tolist()
-    colours = dict(zip(film.karts, race_palette(len(film.karts)), strict=True))
+    colors = dict(zip(film.karts, race_palette(len(film.karts)), strict=True))
     timing = _LOOP if is_looped else f'begin="{name}.click" fill="freeze"'
     karts = "".join(
-        _moving(pixels(way), colours[label], timing, film.interval)
+        _moving(pixels(way), colors[label], timing, film.interval)
         for label, way in reversed([*film.karts.items()])
     )
     play = (
@@ -147,10 +147,10 @@ def draw_film(film: MapFilm, name: str, *, is_looped: bool = False) -> tuple[str
         f'stroke-width="{max(film.width * scale, 8):.0f}" d="{path}"/>{karts}'
         f"{play * (not is_looped)}</svg>"
     )
-    return picture, colours
+    return picture, colors
 
 
-def _moving(way: npt.NDArray[np.int64], colour: str, timing: str, interval: float) -> str:
+def _moving(way: npt.NDArray[np.int64], color: str, timing: str, interval: float) -> str:
     """Returns the SVG of a dot that moves along pixels ``(2, moments)``."""
     seconds = max((way.shape[1] - 1) * interval / _SPEED, 0.1)
     moves = "".join(
@@ -160,6 +160,6 @@ def _moving(way: npt.NDArray[np.int64], colour: str, timing: str, interval: floa
     )
     x, y = way[:, 0].tolist()
     return (
-        f'<circle cx="{x}" cy="{y}" r="{_SIZE // 50}" fill="{colour}" stroke="black">'
+        f'<circle cx="{x}" cy="{y}" r="{_SIZE // 50}" fill="{color}" stroke="black">'
         f"{moves}</circle>"
     )

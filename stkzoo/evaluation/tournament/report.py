@@ -217,9 +217,9 @@ class TournamentReport:
 
     def _figure(self, number: int, film: MapFilm) -> str:
         race = self.races[number]
-        picture, colours = draw_film(film, f"film-{number}")
+        picture, colors = draw_film(film, f"film-{number}")
         lines = "".join(
-            f'<li><i class="dot" style="background:{colours.get(row.driver, "grey")}"></i>'
+            f'<li><i class="dot" style="background:{colors.get(row.driver, "gray")}"></i>'
             f"{row.rank}. {self._link(row.driver)} {escape(_outcome(row))}"
             for row in race.agents
         )

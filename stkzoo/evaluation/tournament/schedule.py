@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 #: A node of the graph in :func:`_grids`: a race, or a group of races of one agent.
 Node = tuple[str, int]
-#: The other end of each coloured edge, by node and place.
+#: The other end of each colored edge, by node and place.
 Ends = dict[tuple[Node, int], Node]
 #: Number of attempted swaps to balance meetings of agents, per seat in a race; and the maximum.
 _TRIES, _MOST_TRIES = 60, 200_000
@@ -36,7 +36,7 @@ class ScheduledRace:
 def make_schedule(
     num_agents: int, tracks: Sequence[str], num_races: int, per_race: int, seed: int = 0
 ) -> tuple[ScheduledRace, ...]:
-    """Returns a schedule that favours no agent.
+    """Returns a schedule that favors no agent.
 
     The following counts differ by at most one: the number of races on each track; the number of
     races of each agent, in total and on each track; and the number of races of an agent from each
@@ -161,9 +161,9 @@ def _grids(
     """Returns the agents of each race in grid order, with each agent equally often at each place.
 
     The races of each agent, sorted by track, are split into groups with as many races as there are
-    places. Within a group, each place occurs at most once. This is an edge colouring of the
-    bipartite graph of races and groups, with places as colours. König's theorem says that it
-    exists; exchanging two colours along an alternating path finds it.
+    places. Within a group, each place occurs at most once. This is an edge coloring of the
+    bipartite graph of races and groups, with places as colors. König's theorem says that it
+    exists; exchanging two colors along an alternating path finds it.
     """
     size = len(races[0][1]) if races else 0
     group_of: dict[tuple[int, int], int] = {}
@@ -178,14 +178,14 @@ def _grids(
     chance.shuffle(edges)
     ends: Ends = {}
     for edge in edges:
-        _colour(("race", edge[0]), ("group", group_of[edge]), ends, size, chance)
+        _color(("race", edge[0]), ("group", group_of[edge]), ends, size, chance)
     return [
         tuple(ends[("race", number), place][1] % num_agents for place in range(size))
         for number in range(len(races))
     ]
 
 
-def _colour(race: Node, group: Node, ends: Ends, size: int, chance: random.Random) -> None:
+def _color(race: Node, group: Node, ends: Ends, size: int, chance: random.Random) -> None:
     """Assigns to another edge a place that is free at both ends, after an exchange if needed."""
     free_here = [place for place in range(size) if (race, place) not in ends]
     free_there = [place for place in range(size) if (group, place) not in ends]

@@ -22,7 +22,7 @@ DoubleArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 Arrays = tuple[npt.NDArray[Any], ...]
 
-_MANOEUVRES, _BRAKE, _OFFSETS = 4, 1, 7
+_MANEUVERS, _BRAKE, _OFFSETS = 4, 1, 7
 
 
 class _ViewRules(NamedTuple):
@@ -376,12 +376,12 @@ def present_plans(
     is_straight = (np.abs(angle) < known.straight_aim) & (straightness < known.straight_angle)
     fire = is_safe & is_straight & (is_useful > 0) & (remembered.since_fire >= known.fire_every)
     offsets, buttons = logits
-    prior[:, :_MANOEUVRES] = np.maximum(known.worth_scale * behind, known.never)
-    prior[:, _MANOEUVRES : _MANOEUVRES + _OFFSETS] = offsets
+    prior[:, :_MANEUVERS] = np.maximum(known.worth_scale * behind, known.never)
+    prior[:, _MANEUVERS : _MANEUVERS + _OFFSETS] = offsets
     prior[:, -4:-2], prior[:, -2:] = (buttons[own.astype(np.intp)] for own in (nitro, fire))
     if not inputs.shape[1]:
         return
-    numbers = inputs[:, first : first + 4 * _MANOEUVRES + 3]
+    numbers = inputs[:, first : first + 4 * _MANEUVERS + 3]
     numbers[:, 0:-3:4] = behind > known.never / known.worth_scale * 10
     numbers[:, 1:-3:4] = np.maximum(behind / 10.0, -2.0)
     numbers[:, 2:-3:4] = turns

@@ -14,9 +14,9 @@ DoubleArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 Arrays = tuple[npt.NDArray[Any], ...]
 
-#: Number of manoeuvres with which plans begin, and the manoeuvre that brakes.
-_MANOEUVRES, _BRAKE = 4, 1
-#: Worth of a manoeuvre with which no plan begins.
+#: Number of maneuvers with which plans begin, and the maneuver that brakes.
+_MANEUVERS, _BRAKE = 4, 1
+#: Worth of a maneuver with which no plan begins.
 _NEVER = -1e4
 #: Largest turn per step [rad] and lowest speed [m/s] of plans simulated by the network.
 _MOST_YAW, _LEAST_SPEED = np.float32(0.4), np.float32(2.0)
@@ -57,7 +57,7 @@ def weigh_plans(
     rivals: DoubleArray,
     out: FloatArray,
 ) -> None:
-    """Finds the best plan of each manoeuvre for ``A`` karts.
+    """Finds the best plan of each maneuver for ``A`` karts.
 
     A kart steers toward a point of its lane ahead, within the turning limits of its plan.
 
@@ -90,7 +90,7 @@ def weigh_plans(
         rivals: ``(A, R, 5)``: whether there is another kart, its distance along the road and its
             offset from the middle [m], its speed along the road relative to the observing kart, and
             its speed across the road [m/s].
-        out: ``(3, A, 4)``, which is written, for the best plan that begins with each manoeuvre: its
+        out: ``(3, A, 4)``, which is written, for the best plan that begins with each maneuver: its
             worth [m], its current turn [fraction of full lock], and its cost beyond the edge of the
             road [m].
     """
@@ -103,17 +103,17 @@ def weigh_plans(
     worth += _item_gain(items, along, across, costs)
     if costs.bump_cost:
         worth -= _bumps(plans.spans, rivals, along, across, speed, costs)
-    manoeuvres = plans.manoeuvres[rows]
+    maneuvers = plans.maneuvers[rows]
     may_drift, may_brake = karts[:, 9:10] > 0, karts[:, 10:11] > 0
-    is_there = (manoeuvres >= 0) & (may_drift | ~plans.needs_drift[rows])
-    is_there &= may_brake | (manoeuvres != _BRAKE)
-    for manoeuvre in range(_MANOEUVRES):
-        own = is_there & (manoeuvres == manoeuvre)
+    is_there = (maneuvers >= 0) & (may_drift | ~plans.needs_drift[rows])
+    is_there &= may_brake | (maneuvers != _BRAKE)
+    for maneuver in range(_MANEUVERS):
+        own = is_there & (maneuvers == maneuver)
         best = np.where(own, worth, _NEVER).argmax(axis=1)[:, None]
         exists = own.any(axis=1)
         for part, (values, missing) in enumerate(((worth, _NEVER), (turns, 0), (danger, 0))):
             found = np.take_along_axis(values, best, axis=1)[:, 0]
-            out[part, :, manoeuvre] = np.where(exists, found, missing)
+            out[part, :, maneuver] = np.where(exists, found, missing)
 
 
 class _Course:
@@ -250,7 +250,7 @@ def drive_by_network(
     of_karts = (drift_side, drift_steps, release, drift_turn, boost, big_boost, 0)
     own = MotionState(*(zeros + x for x in (speed, slide, yaw, own_turn, own_turn, *of_karts)))
     half = np.float32(0.5 * settings.step)
-    brakers = (known.manoeuvres[rows] == _BRAKE).astype(np.float32)
+    brakers = (known.maneuvers[rows] == _BRAKE).astype(np.float32)
     step = 0
     for moment, end in enumerate(np.cumsum(known.spans, dtype=np.float32)):
         middle = known.least[rows, moment] + known.most[rows, moment]

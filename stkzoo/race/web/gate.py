@@ -45,7 +45,7 @@ class ConnectionGate:
         self._viewers: dict[asyncio.BaseTransport, str] = {}
 
     async def run(self, make_protocol: Callable[[], asyncio.Protocol]) -> None:
-        """Accepts connections until the task is cancelled.
+        """Accepts connections until the task is canceled.
 
         Args:
             make_protocol: creates the protocol of each connection.

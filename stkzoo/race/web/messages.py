@@ -55,8 +55,8 @@ def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> 
             "agent": agents.get(kart),
             "source": sources.get(agents.get(kart, ""), ""),
             "model": scene.kart_types[kart],
-            "colour": scene.colours[kart],
-            "ink": readable_on(scene.colours[kart]),
+            "color": scene.colors[kart],
+            "ink": readable_on(scene.colors[kart]),
             "label": scene.label(kart),
         }
         for kart in range(scene.num_kart)

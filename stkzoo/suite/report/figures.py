@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo.evaluation.plotting import (
-    GREY,
+    GRAY,
     INK,
     draw_intervals,
     new_figure,
@@ -157,7 +157,7 @@ def _curves(
                 axis.fill_between(x, band.low, band.high, color=color, alpha=0.18, linewidth=0)
         axis.set_xlabel(x_label, fontsize=9, color=INK)
         axis.set_ylabel(y_label, fontsize=9, color=INK)
-        axis.grid(color=GREY, alpha=0.25)
+        axis.grid(color=GRAY, alpha=0.25)
     for axis in axes[len(panels) :]:
         axis.remove()
     figure.legend(
@@ -186,7 +186,7 @@ def _intervals(
     axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=counts)[:, 0]
     for axis, (title, rows) in zip(axes, panels.items(), strict=True):
         if mark is not None:
-            axis.axvline(mark, color=GREY, linewidth=1.2, linestyle="--", zorder=0)
+            axis.axvline(mark, color=GRAY, linewidth=1.2, linestyle="--", zorder=0)
         for place, (_, algorithm, estimate) in enumerate(rows):
             draw_intervals(axis, {place: estimate}, color=styles[algorithm][0])
         axis.set_yticks(range(len(rows)), [label for label, _, _ in rows])

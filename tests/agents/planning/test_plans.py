@@ -22,13 +22,13 @@ def plans_of(drift_side=0, drift_steps=0, release_steps=0):
     """Returns the columns of the plans available in a state, by plan or by time and plan."""
     state = (np.array([number]) for number in (drift_side, drift_steps, release_steps))
     (row,) = table_rows(*state, (RELEASE_STEPS, LONGEST_DRIFT))
-    exists = TABLE.manoeuvres[row] >= 0
+    exists = TABLE.maneuvers[row] >= 0
     names = TABLE._fields[1:]
     return {name: getattr(TABLE, name)[row][..., exists] for name in names}
 
 
 def begins(**state):
-    return set(plans_of(**state)["manoeuvres"].tolist())
+    return set(plans_of(**state)["maneuvers"].tolist())
 
 
 def test_the_state_limits_how_plans_start():
@@ -42,18 +42,18 @@ def test_the_state_limits_how_plans_start():
 @pytest.mark.parametrize("release", range(1, RELEASE_STEPS + 1))
 def test_no_drift_starts_while_the_last_one_still_turns_the_kart(release):
     plans = plans_of(release_steps=release)
-    assert set(plans["manoeuvres"].tolist()) == {FREE, BRAKE}
+    assert set(plans["maneuvers"].tolist()) == {FREE, BRAKE}
     assert not plans["drifts"][0].any()
     assert (plans["boosts"] == 0).any()  # drifts start later
 
 
 def test_only_long_drifts_earn_boosts():
     begin = plans_of()
-    starts = np.isin(begin["manoeuvres"], (DRIFT_LEFT, DRIFT_RIGHT))
+    starts = np.isin(begin["maneuvers"], (DRIFT_LEFT, DRIFT_RIGHT))
     assert begin["boost_steps"][starts] == pytest.approx(BOOST_STEPS[0])
     assert begin["needs_drift"][starts].all()
     too_short = plans_of(drift_side=1, drift_steps=4)
-    ends_now = too_short["manoeuvres"] == FREE
+    ends_now = too_short["maneuvers"] == FREE
     assert not (too_short["boosts"][ends_now] >= 0).any()
     done = plans_of(drift_side=1, drift_steps=BOOST_STEPS[1])
     assert (done["boosts"] == 1).any()

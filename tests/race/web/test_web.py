@@ -139,7 +139,7 @@ def test_a_viewer_gets_the_race_then_its_past_then_its_present():
         "kart_1": "random",
         "kart_2": "Rolf",
     }
-    assert len({kart["colour"] for kart in form["karts"]}) == 3
+    assert len({kart["color"] for kart in form["karts"]}) == 3
     assert moment["steps"] == 0
     assert sorted(moment["karts"]["rank"]) == [1, 2, 3]
     assert {len(column) for column in moment["karts"].values()} == {3}

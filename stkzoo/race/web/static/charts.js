@@ -1,6 +1,6 @@
 // Charts of the race's history, with one line per kart and the chosen kart in front.
 
-import { colour, fitted, lineColour } from "./theme.js";
+import { color, fitted, lineColor } from "./theme.js";
 
 const CHARTS = [
   { name: "speed", title: "Speed", unit: "m/s", digits: 1, low: 0 },
@@ -92,7 +92,7 @@ export class Charts {
       if (k < 0) continue;
       draw.globalAlpha = k === chosen ? 1 : chart.isAction ? 0.25 : 0.75;
       draw.lineWidth = k === chosen ? 2.2 : 1.2;
-      draw.strokeStyle = lineColour(this.race.karts[k].colour);
+      draw.strokeStyle = lineColor(this.race.karts[k].color);
       draw.setLineDash(DASHES[Math.floor(k / 8) % DASHES.length]);
       draw.beginPath();
       for (let n = first; n < rows.length; n++) {
@@ -111,7 +111,7 @@ export class Charts {
       const part = (this.cursor * width - EDGE.left) / (width - EDGE.left - EDGE.right);
       const step = least + part * (last - least);
       for (at = first; at < rows.length - 1 && this.steps[at] < step; at++);
-      draw.strokeStyle = colour("faint");
+      draw.strokeStyle = color("faint");
       draw.setLineDash([2, 2]);
       draw.beginPath();
       draw.moveTo(x(this.steps[at]), EDGE.top);
@@ -122,7 +122,7 @@ export class Charts {
     const value = rows[at]?.[chosen];
     const text = value === undefined ? "" : value.toFixed(chart.digits);
     if (value !== undefined) {
-      draw.fillStyle = lineColour(this.race.karts[chosen].colour);
+      draw.fillStyle = lineColor(this.race.karts[chosen].color);
       draw.beginPath();
       draw.arc(x(this.steps[at]), y(value), 3, 0, 7);
       draw.fill();
@@ -150,8 +150,8 @@ export class Charts {
 
 function drawGrid(draw, { low, high, chart, width, height, y, x, least, last, step }) {
   draw.font = "10px system-ui, sans-serif";
-  draw.fillStyle = colour("faint");
-  draw.strokeStyle = colour("line");
+  draw.fillStyle = color("faint");
+  draw.strokeStyle = color("line");
   draw.lineWidth = 1;
   draw.textBaseline = "middle";
   draw.textAlign = "right";

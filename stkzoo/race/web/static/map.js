@@ -1,6 +1,6 @@
 // Top-down map of the race, with x to the right and z up.
 
-import { colour, fitted, mixed } from "./theme.js";
+import { color, fitted, mixed } from "./theme.js";
 
 const FOLLOWED = 110; // [m], width of the map section when it follows a kart
 const TRAIL = 25; // moments
@@ -87,11 +87,11 @@ export class RaceMap {
     draw.translate(-x, -z);
     draw.lineJoin = "round";
     draw.lineWidth = Math.max(3 / scale, 0.7);
-    draw.strokeStyle = colour("kerb");
+    draw.strokeStyle = color("kerb");
     for (const { path } of this.road) draw.stroke(path);
     draw.lineWidth = 0.6 / scale;
     for (const { path, shade } of this.road) {
-      draw.fillStyle = draw.strokeStyle = mixed(colour("road-low"), colour("road-high"), shade);
+      draw.fillStyle = draw.strokeStyle = mixed(color("road-low"), color("road-high"), shade);
       draw.fill(path);
       draw.stroke(path);
     }
@@ -116,7 +116,7 @@ export class RaceMap {
     draw.lineWidth = 3;
     draw.lineCap = "round";
     this.race.karts.forEach((kart, k) => {
-      draw.strokeStyle = kart.colour;
+      draw.strokeStyle = kart.color;
       for (let n = 1; n < this.trail.length; n++) {
         const [a, b] = [this.trail[n - 1], this.trail[n]];
         if (Math.hypot(a.x[k] - b.x[k], a.z[k] - b.z[k]) > 3 * LEAP) continue;
@@ -138,7 +138,7 @@ export class RaceMap {
       draw.beginPath();
       draw.arc(0, 0, radius * 2.1, 0, 7);
       draw.lineWidth = 2;
-      draw.strokeStyle = colour("text");
+      draw.strokeStyle = color("text");
       draw.stroke();
     }
     draw.rotate(way);
@@ -148,9 +148,9 @@ export class RaceMap {
     draw.closePath();
     draw.lineWidth = 4;
     draw.lineJoin = "round";
-    draw.strokeStyle = colour("rim");
+    draw.strokeStyle = color("rim");
     draw.stroke();
-    draw.fillStyle = kart.colour;
+    draw.fillStyle = kart.color;
     draw.fill();
     draw.rotate(-way);
     draw.fillStyle = kart.ink;

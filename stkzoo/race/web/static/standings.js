@@ -21,7 +21,7 @@ export class Standings {
         return part;
       });
       const [badge, name, detail, way] = parts;
-      badge.style.background = kart.colour;
+      badge.style.background = kart.color;
       badge.style.color = kart.ink;
       name.textContent = kart.name;
       const sub = document.createElement("span");
@@ -29,7 +29,7 @@ export class Standings {
       sub.textContent = ` ${kart.agent ?? "game's AI"}`;
       name.append(sub);
       const bar = document.createElement("i");
-      bar.style.background = kart.colour;
+      bar.style.background = kart.color;
       way.append(bar);
       button.addEventListener("click", () => this.onChoose(k));
       row.append(button);

@@ -1,10 +1,10 @@
-// The page's colours for canvases, and line colours with enough contrast in both colour schemes.
+// The page's colors for canvases, and line colors with enough contrast in both color schemes.
 
 const isDark = matchMedia("(prefers-color-scheme: dark)");
 let known = {};
 isDark.addEventListener("change", () => (known = {}));
 
-export function colour(name) {
+export function color(name) {
   known[name] ??= getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   return known[name];
 }
@@ -27,11 +27,11 @@ function luminance(hex) {
   return 0.2126 * r + 0.7152 * g + 0.0722 * b;
 }
 
-// Returns the colour, darkened on a light ground or lightened on a dark one to enough contrast.
-export function lineColour(hex) {
+// Returns the color, darkened on a light ground or lightened on a dark one to enough contrast.
+export function lineColor(hex) {
   const key = `line ${hex}`;
   if (known[key]) return known[key];
-  const ground = luminance(colour("sunk"));
+  const ground = luminance(color("sunk"));
   const away = isDark.matches ? "#ffffff" : "#000000";
   for (let part = 0; part <= 0.7; part += 0.1) {
     const values = rgb(hex).map((value, at) => Math.round(value + part * (rgb(away)[at] - value)));
