@@ -33,7 +33,7 @@ _MAX_RUN_TICKS = 600
 _ROLLING = 0.01  # minimum throttle with which the game does not stop a kart
 
 #: Turns of bots while they are lowered [rad]. Speed gained in one direction is lost in the
-#: opposite one, and tyres prevent sideways movement.
+#: opposite one, and tires prevent sideways movement.
 _SPINS = (math.pi / 2, -math.pi / 2, math.pi, 0.0)
 _EDGE = 0.5  # half a kart's width [m]
 

@@ -73,7 +73,7 @@ PARSED = {
 def enter_folder(path, monkeypatch):
     """Creates a folder with the agents that the pages mention, and changes to it."""
     agent, team, *_ = (b for b in blocks("docs/reference/agents.md", "python") if b.file)
-    for name in ("my_agent", "my_team", "agents/one", "agents/swift"):
+    for name in ("my_agent", "my_driver", "my_team", "agents/one", "agents/swift"):
         (path / name).mkdir(parents=True)
         code = team.code if name == "my_team" else agent.code
         (path / name / "pystk_actor.py").write_text(code)

@@ -1,4 +1,4 @@
-"""A curriculum over tracks, then reversed tracks and bot difficulties."""
+"""A curriculum over tracks and bot difficulties, then reversed tracks."""
 
 from __future__ import annotations
 
