@@ -53,14 +53,14 @@ and the shipped drivers use all 15. Pass `--track train_only` to a training comm
 out. The four were chosen to differ: the narrowest track with the most bends (*minigolf*), a hilly
 one without forks (*snowtuxpeak*), a long and hilly one with two forks (*ravenbridge_mansion*), and
 a wide one with three forks (*gran_paradiso_island*). Together they are about as hard as the test
-tracks: the plans without learning take 0.87 of the AI's time alone and 0.94 against four AI karts
-there, and the *heuristic* 0.88 and 0.95 on the test tracks.
+tracks: on the validation tracks, the plans without learning take 0.87 of the AI's time alone and
+0.94 against four AI karts; on the test tracks, the *heuristic* takes 0.88 and 0.95.
 
 Do not train or tune on the six test tracks, in either direction. They resemble the training
-tracks: short and long, with and without forks, with few and many items, easy and hard for drivers
-that follow the line. A [log](../explanation/research-log.md#visits-to-the-test-tracks) lists every
-benchmark on them. *black_forest*, the longest, is a training track; a lap there takes as long as
-two on most others.
+tracks: they are short and long, with and without forks, with few and many items, easy and hard for
+drivers that follow the line. A [log](../explanation/research-log.md#visits-to-the-test-tracks)
+lists every benchmark on them. *black_forest*, the longest, is a training track; a lap there takes
+as long as two on most others.
 
 """
 
@@ -71,7 +71,7 @@ _ABOUT = """\
 [`stkzoo benchmark`](benchmark-protocol.md) divides by them. The best and worst times are in
 `stkzoo/evaluation/benchmark/ai_times.json`.
 
-The AI is faster at higher difficulties partly because all karts, also those of agents, have
+The AI is faster at higher difficulties partly because all karts, including those of agents, have
 stronger engines.
 
 """
