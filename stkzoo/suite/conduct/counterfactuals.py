@@ -62,7 +62,7 @@ class ContactTrials:
     Attributes:
         latest: latest start from which the contact is avoided [s before it]; ``None`` if there is
             none, or if it is earlier than :data:`CLOSE_STARTS` times that of the other kart.
-        closing: speed towards the other kart before they touch [m/s].
+        closing: speed toward the other kart before they touch [m/s].
         braking: whether the reference drivers braked. Then one that avoids the contact is enough;
             otherwise, every one must.
     """
@@ -156,7 +156,7 @@ class CounterfactualJudge(RaceListener):
             self._kept.pop(step).state.close()
 
     def _closing(self, contact: Contact) -> tuple[float, float]:
-        """Returns the speed of either kart towards the other before they touch [m/s]."""
+        """Returns the speed of either kart toward the other before they touch [m/s]."""
         karts = self._before.karts[[self._karts[number] for number in contact.karts]]
         way = karts["location"][1].astype(float) - karts["location"][0]
         speeds = karts["velocity"].astype(float) @ way / max(float(np.linalg.norm(way)), 1e-6)

@@ -45,7 +45,7 @@ class JudgedContact:
         latest: latest start from which the reference drivers in either kart avoid the contact [s
             before it]; ``None`` if they do not, or only from a much earlier start than in the
             other kart.
-        closing: speed of either kart towards the other before they touch [m/s].
+        closing: speed of either kart toward the other before they touch [m/s].
         braking: whether the reference drivers braked, because otherwise they do not avoid the
             contact in either kart.
     """
