@@ -185,7 +185,7 @@ def _with_progress(tracks: list[str], seed: int) -> Iterator[Result]:
         for track in tracks:
             progress.update(task, description=track)
             result = examine(track, seed)
-            verdict = "as it should be" if result.is_right else "NOT the same race"
+            verdict = "reproduced" if result.is_right else "NOT the same race"
             progress.console.print(f"{track} ({result.seconds:.0f} s): {verdict}", highlight=False)
             progress.advance(task)
             yield result

@@ -81,7 +81,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    words.add_argument("--inputs", type=int, default=1_000_000, metavar="N", help="in all")
+    words.add_argument(
+        "--inputs",
+        type=int,
+        default=1_000_000,
+        metavar="N",
+        help="total number of inputs (default: 1,000,000)",
+    )
     words.add_argument("--readers", nargs="+", choices=SHARES, default=list(SHARES))
     words.add_argument("--plain", action="store_true", help="change inputs at random")
     words.add_argument("--output", type=Path, default=RESULTS, help="where the counts are kept")
@@ -246,9 +252,9 @@ def _again(finding: Path) -> int:
     for name, target in TARGETS.items():
         if finding.name.startswith(f"finding-{name.replace(' ', '-')}-"):
             feed_measured(target, finding.read_bytes())
-            print(f"{name}: all is well")
+            print(f"{name}: no problem")
             return 0
-    print(f"{finding.name} is of no reader", file=sys.stderr)
+    print(f"{finding.name} does not name a reader", file=sys.stderr)
     return 2
 
 

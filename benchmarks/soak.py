@@ -133,7 +133,7 @@ def _race(plan: Plan) -> dict[str, Any]:
         if plan.number % _AGAIN_EVERY == 7:
             row["again"] = True
             if _drive(plan)[1] != first:
-                row["problem"] = "driven again, it was another race"
+                row["problem"] = "the race differs when it is run again"
     except StkzooError as error:
         row["events"] = [f"{type(error).__name__}: {error}"[:500]]
     except NotFiniteError as error:

@@ -287,9 +287,9 @@ def draw(responses: dict[str, Any], path: Path) -> None:
         (line,) = wheels.plot(times, row["angle"], "o-", ms=3, label=f"{row['target']:g}")
         wheels.plot(times, row["target"] * times, color=line.get_color(), ls=":")
     titles = (
-        (speeds, "speed [m/s], dotted: asked for", "time [s]", "m/s"),
-        (accls, "accl [m/s²]: speed, dotted: asked for", "time [s]", "m/s"),
-        (circles, "steering_angle: circles, asked for and driven", "m", "m"),
+        (speeds, "speed [m/s], dotted: requested", "time [s]", "m/s"),
+        (accls, "accl [m/s²]: speed, dotted: requested", "time [s]", "m/s"),
+        (circles, "steering_angle: requested and driven circles", "m", "m"),
         (wheels, "steering_speed [rad/s]: angle of the wheels", "time [s]", "rad"),
     )
     for axes, title, across, up in titles:
