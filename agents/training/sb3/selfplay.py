@@ -29,12 +29,11 @@ race`` accepts:
 from __future__ import annotations
 
 import importlib
-import subprocess
 import sys
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -62,8 +61,9 @@ from ..common.run_folder import (
 )
 from ..export import export_policy
 from ..plot import RunRatings
-from ..rate import EVALUATIONS, RATINGS
+from ..rate import RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum
+from .evaluation import BackgroundEvaluation
 
 #: Arguments that have the same name in Stable-Baselines3's PPO.
 _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
@@ -136,71 +136,6 @@ class SB3Arguments(PPOArguments):
             ordered = (track for track in EASY_TO_HARD if track in self.tracks)
             others = (track for track in self.tracks if track not in EASY_TO_HARD)
             object.__setattr__(self, "tracks", (*ordered, *others))
-
-
-# ---------------------------------------------------------------------- evaluation
-
-
-class BackgroundEvaluation:
-    """Evaluates saved policies one after another with :mod:`stkzoo.agents.training.rate`.
-
-    Args:
-        run: folder of the run.
-        tracks: tracks of the races.
-        races: races per policy.
-
-    Attributes:
-        failures: number of failed evaluations.
-    """
-
-    def __init__(self, run: Path, tracks: Sequence[str], races: int) -> None:
-        self._run, self._tracks, self._races = run, tuple(tracks), races
-        self._started: set[str] = set()
-        self._process: subprocess.Popen[bytes] | None = None
-        self.failures = 0
-
-    def poll(self, names: Sequence[str], wait: float = 0.0) -> bool:
-        """Starts the next evaluation if none is running.
-
-        Args:
-            names: policies to evaluate; each is evaluated once.
-            wait: maximum time to wait for the current evaluation [s].
-
-        Returns:
-            Whether an evaluation has finished since the last call.
-        """
-        is_finished = False
-        if self._process is not None:
-            try:
-                code = self._process.wait(wait)
-            except subprocess.TimeoutExpired:
-                return False
-            self._process = None
-            self.failures += code != 0
-            is_finished = code == 0
-        done = self._started | {path.stem for path in (self._run / EVALUATIONS).glob("*.json")}
-        if left := [name for name in names if name not in done]:
-            self._start(left[0])
-        return is_finished
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether an evaluation is running."""
-        return self._process is not None
-
-    def close(self) -> None:
-        """Stops the current evaluation."""
-        if self._process is not None:
-            self._process.terminate()
-            self._process.wait()
-
-    def _start(self, name: str) -> None:
-        self._started.add(name)
-        words = ["-m", "stkzoo.agents.training.rate", str(self._run), "--policy", name]
-        words += ["--matches", str(self._races), "--track", *self._tracks]
-        self._process = subprocess.Popen(  # noqa: S603 - this program
-            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
-        )
 
 
 # ---------------------------------------------------------------------- the run
