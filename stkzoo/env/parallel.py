@@ -44,7 +44,7 @@ from stkzoo.views.walker import StepParts
 
 if TYPE_CHECKING:
     from stkzoo.drivers import Driver
-    from stkzoo.env.opponents import OpponentChoice
+    from stkzoo.env.opponent_choice import OpponentChoice
 
 
 Observations = dict[str, Any]
@@ -580,7 +580,7 @@ def _opponents(
     """Reads the ``opponents`` argument; returns the choice and the number of opponents."""
     if opponents is None:
         return None, 0
-    from stkzoo.env.opponents import OpponentChoice
+    from stkzoo.env.opponent_choice import OpponentChoice
 
     choice = OpponentChoice.of(opponents)
     given = len(agents) if isinstance(agents, Sequence) else agents

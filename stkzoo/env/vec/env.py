@@ -120,7 +120,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         wants_prefetch = cpu_count() > num_races if prefetch is None else prefetch
         self.prefetch = wants_prefetch and num_starts is None
         if options.get("opponents") is not None:
-            from stkzoo.env.opponents import OpponentChoice
+            from stkzoo.env.opponent_choice import OpponentChoice
 
             options["opponents"] = OpponentChoice.of(options["opponents"])  # one for all races
         self.races = tuple(BatchRace(view=view, **options) for _ in range(num_races))
