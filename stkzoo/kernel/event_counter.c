@@ -26,7 +26,7 @@ enum {
 #define NEAR 0.25     /* a jolt this close to another kart is not a wall contact [m] */
 #define STUCK 3.0     /* a kart that stays within this distance is stuck [m] */
 #define BACKWARDS 1.0 /* minimum speed against the road's direction [m/s] */
-#define NITRO 0.4     /* a bottle adds at least 1, of which a step burns at most 0.15 */
+#define NITRO 0.4     /* a bottle adds at least 1; a step burns at most 0.15 */
 #define CANNON 15.0   /* cannons are faster, rescues and explosions slower [m/s] */
 #define TUMBLE 1.7    /* explosions rotate karts faster; rescues do not rotate them [rad/s] */
 #define GUM_REACH 3.0 /* maximum distance of bubble gum from the kart that drove over it [m] */

@@ -107,12 +107,12 @@ def test_an_interrupted_command_saves_a_partial_race(tmp_path):
     assert program.returncode == 130, said
     assert "interrupted; the last race is incomplete" in said
     assert "Traceback" not in said
-    told = RaceResult.from_json(result.read_text())
-    assert told.status == "interrupted"
-    assert json.loads(result.read_text())["steps"] == told.steps > 0
+    reported = RaceResult.from_json(result.read_text())
+    assert reported.status == "interrupted"
+    assert json.loads(result.read_text())["steps"] == reported.steps > 0
     kept = load_replay(replay)
     assert kept.is_partial
-    assert told.steps - kept.steps in (0, 1)  # Ctrl-C may arrive before the last step is saved
+    assert reported.steps - kept.steps in (0, 1)  # Ctrl-C may arrive before the last step is saved
     assert "heuristic" in shown
 
 

@@ -297,7 +297,7 @@ def test_a_zip_with_deeply_nested_folders_is_refused(tmp_path):
 
 
 def test_a_zip_with_a_long_directory_is_refused_with_little_memory(tmp_path):
-    """The zip's directory has 200,000 entries, for each of which Python would create an object."""
+    """Python would create an object for each of the 200,000 entries in the zip's directory."""
     count, entry = 200_000, b"PK\1\2" + bytes(42)
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)
     (tmp_path / "a.zip").write_bytes(count * entry + end)

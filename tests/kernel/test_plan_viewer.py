@@ -51,7 +51,7 @@ def memory_of(chance, count):
 
 
 def scene_arguments(seed, count=60, num_karts=6, num_items=14, rivals=RIVALS):
-    """Returns arguments for karts among rivals, some of which they saw in the previous step."""
+    """Returns arguments for karts that saw some of their rivals in the previous step."""
     chance = np.random.default_rng(seed)
     line, own = winding_road(chance, count), own_of(chance, count)
     karts, items = (

@@ -300,7 +300,7 @@ def test_the_game_or_else_the_map_draws_without_changing_the_race(caplog):
 
 @functools.cache
 def drawn_by_the_game(size, cameras):
-    """Returns the first frames of a race of five karts, of which only kart_0 is red."""
+    """Returns the first frames of a race of five karts; only kart_0 is red."""
     agents = [AgentSpec(kart="tux"), *[AgentSpec(kart="puffy")] * 4]
     options = {"num_cameras": cameras, "render_mode": "rgb_array", "render_size": size}
     with race_v0.parallel_env(num_kart=5, agents=agents, track="hacienda", **options) as env:

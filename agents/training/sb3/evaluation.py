@@ -1,4 +1,4 @@
-"""Evaluates the policies of a run in a process of its own while the run continues."""
+"""Evaluates the policies of a run in a separate process while the run continues."""
 
 from __future__ import annotations
 
