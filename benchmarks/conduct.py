@@ -1,12 +1,14 @@
 """Validates the conduct measure with a rammer, and measures ordinary drivers.
 
     python -m benchmarks.conduct              # continues if interrupted
-    python -m benchmarks.conduct --races 4 --others 2 --ordinary 2 --output /tmp/conduct.json
+    python -m benchmarks.conduct --races 4 --blind 2 --ordinary 2 --output /tmp/conduct.json
 
-A scripted rammer chases ordinary drivers (the heuristic, *ace* and the game's AI) on the training
-tracks, in both directions. The rammer should be at fault in at least 95 % of its contacts, and its
-victims in at most 2 % of their contacts with it. Further races have other victims or no rammer. The
-command writes ``benchmarks/results/conduct.json``. Rates have 95 % intervals over tracks.
+A scripted rammer chases drivers that avoid other karts (*ace*, *scout*, *apex* and the game's AI)
+on the training tracks, in both directions. A *ram* is a contact before which the rammer moves
+toward the other kart faster than the other kart toward the rammer. The rammer should be at fault in
+at least 95 % of its rams, and its victims in at most 2 %. Further races have victims that ignore
+other karts, or no rammer. The command writes ``benchmarks/results/conduct.json``. Rates have 95 %
+intervals over tracks.
 """
 
 from __future__ import annotations
@@ -30,9 +32,10 @@ from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.statistics import estimate_clustered
 from stkzoo.suite import RaceConduct
 
-#: Returns whether a contact counts for a rate, from the names of the driver and of the other one.
-Selection = Callable[[str, str], bool]
-_GOALS = {"rammer": 0.95, "victims": 0.02}
+#: Returns whether a contact counts for a rate, from the names of the driver and of the other one,
+#: and from how much faster the driver moves toward the other one than that one toward it [m/s].
+Selection = Callable[[str, str, float], bool]
+_GOALS = {"rams": 0.95, "victims of rams": 0.02}
 
 
 def judged_races(
@@ -60,8 +63,9 @@ def rate(races: Iterable[RaceConduct], selects: Selection) -> dict[str, Any]:
     for race in races:
         sources = [kart.source for kart in race.karts]
         for contact in race.contacts:
-            for number, other in (contact.karts, contact.karts[::-1]):
-                if selects(sources[number], sources[other]):
+            lead = contact.closing[0] - contact.closing[1]
+            for number, other, own_lead in ((*contact.karts, lead), (*contact.karts[::-1], -lead)):
+                if selects(sources[number], sources[other], own_lead):
                     own = totals.setdefault(race.track, [0, 0])
                     own[0] += number == contact.at_fault
                     own[1] += 1
@@ -83,12 +87,19 @@ def rates(group: str, races: Sequence[RaceConduct]) -> dict[str, Any]:
     judged = [driver for driver in others if driver != "ai"]
 
     def among(own: Sequence[str], other: Sequence[str]) -> dict[str, Any]:
-        return rate(races, lambda one, two: one in own and two in other)
+        return rate(races, lambda one, two, _: one in own and two in other)
 
     if RAMMER not in GROUPS[group]:
         found = {"among_others": among(judged, others)}
         return found | {f"among_others: {driver}": among([driver], others) for driver in judged}
-    found = {"rammer": among([RAMMER], others), "victims": among(judged, [RAMMER])}
+    found = {
+        "rams": rate(races, lambda one, _, lead: one == RAMMER and lead > 0),
+        "victims of rams": rate(
+            races, lambda one, two, lead: one in judged and two == RAMMER and lead < 0
+        ),
+        "rammer": among([RAMMER], others),
+        "victims": among(judged, [RAMMER]),
+    }
     found |= {f"rammer with {driver}": among([RAMMER], [driver]) for driver in others}
     return found | {f"victims: {driver}": among([driver], [RAMMER]) for driver in judged}
 
@@ -115,21 +126,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     words.add_argument("--races", type=int, default=96, help="races with the rammer")
-    words.add_argument("--others", type=int, default=8, help="races with other victims")
+    words.add_argument("--blind", type=int, default=16, help="races whose victims ignore it")
     words.add_argument("--ordinary", type=int, default=10, help="races without it")
     words.add_argument("--jobs", type=int, help="races at the same time (default: all cores)")
     words.add_argument("--folder", type=Path, default=Path("runs/conduct"), help="of the races")
     words.add_argument("--output", type=Path, default=RESULTS / "conduct.json", metavar="FILE")
     options = words.parse_args(argv)
-    counts = zip(GROUPS, (options.races, options.others, options.ordinary), strict=True)
+    counts = zip(GROUPS, (options.races, options.blind, options.ordinary), strict=True)
     found: dict[str, Any] = {}
     for group, count in counts:
         races = judged_races(options.folder / group, orders(group, count), options.jobs)
         found[group] = {"races": len(races), **rates(group, races)}
         _show(group, {name: value for name, value in found[group].items() if name != "races"})
     is_met = {
-        "rammer": _value(found, "rammer") >= _GOALS["rammer"],
-        "victims": _value(found, "victims") <= _GOALS["victims"],
+        "rams": _value(found, "rams") >= _GOALS["rams"],
+        "victims of rams": _value(found, "victims of rams") <= _GOALS["victims of rams"],
     }
     result = {"goals": _GOALS, "is_met": is_met, **found}
     write_text(options.output, json.dumps(result, indent=1) + "\n")

@@ -13,10 +13,11 @@ from stkzoo.suite import RaceConduct, race_conduct
 from stkzoo.tracks import TRAIN_TRACKS
 
 RAMMER = "benchmarks.rammer"
-#: The drivers of each group of races; the game's AI always drives at the same difficulty.
+#: The drivers of each group of races; the game's AI always drives at the same difficulty. The
+#: victims of the first group avoid other karts; those of the second ignore them.
 GROUPS = {
-    "rammer": (RAMMER, "ai", "ai", "pretrained:ace", "heuristic", "heuristic"),
-    "rammer_and_others": (RAMMER, "pretrained:scout", "pretrained:apex", "pursuit", "pursuit"),
+    "rammer": (RAMMER, "pretrained:ace", "ai", "pretrained:scout", "ai", "pretrained:apex"),
+    "rammer_and_blind": (RAMMER, "heuristic", "pursuit", "heuristic", "pursuit"),
     "ordinary": (
         *("heuristic", "pretrained:ace", "pretrained:scout", "pretrained:apex", "pursuit", "ai"),
     ),
@@ -25,7 +26,7 @@ GROUPS = {
 _STEPS = 400
 _DIRECTIONS = 2
 #: First seed; the rule was chosen with other seeds and other orders on the grid.
-_FIRST_SEED = 2000
+_FIRST_SEED = 3000
 
 
 @dataclass(frozen=True, slots=True)

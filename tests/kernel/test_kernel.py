@@ -43,6 +43,7 @@ from stkzoo.kernel.reference import (
 )
 from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
 from stkzoo.kernel.reference.racing_observer import RacingObserver as RacingObserverTwin
+from stkzoo.kernel.reference.track_graph import TrackGraph as TrackGraphTwin
 from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
@@ -552,13 +553,13 @@ def test_batches_of_actions_match_the_reference_implementation():
     assert 250 < num_taken < 500
 
 
-def track_of(successors, length=20.0, count=None):
+def track_of(successors, length=20.0, count=None, kind=TrackGraph):
     begins = np.cumsum([0, *map(len, successors)]).astype(np.intp)
     ends = np.array([node for nodes in successors for node in nodes], np.intp)
     count = len(successors) if count is None else count
     sizes = (6, 1, 2)
     arrays = (np.arange(size * count, dtype=np.float32) for size in sizes)
-    return TrackGraph(*arrays, begins, ends, length)
+    return kind(*arrays, begins, ends, length)
 
 
 #: Arguments of a ``StepScorer`` with one agent.
@@ -630,7 +631,9 @@ FIRST, TWO = np.zeros(1, np.intp), np.arange(2)
 
 
 def observe_into(observer, where, batch, who=TWO):
-    observer.observe_into(track_of([[0]]), 1, ("tux", "gnu"), KARTS, who, where, batch)
+    kind = TrackGraph if isinstance(observer, KartObserver) else TrackGraphTwin
+    track = track_of([[0]], kind=kind)
+    observer.observe_into(track, 1, ("tux", "gnu"), KARTS, who, where, batch)
 
 
 def test_an_observer_checks_a_batch():
@@ -694,10 +697,9 @@ def test_a_flat_observer_checks_a_batch():
     for wrong in (vectors[:, 1:].copy(), batch, None, vectors.astype(np.float64)):
         with pytest.raises((ValueError, TypeError)):
             observe_into(joined, TWO, wrong)
-    with pytest.raises(IndexError, match="choice 0"):
-        observe_into(
-            KartObserver(names, 0, 0, 0, flat=True, joined=FIRST), TWO, vectors[:, :1].copy()
-        )
+    for kind in (KartObserver, KartObserverTwin):
+        with pytest.raises(IndexError, match="choice 0"):
+            observe_into(kind(names, 0, 0, 0, flat=True, joined=FIRST), TWO, vectors[:, :1].copy())
 
 
 def test_racing_rows_are_checked():

@@ -68,6 +68,9 @@ def test_vectors_are_stacked_and_padded():
     road_tracer.stack_vectors(rows, np.inf, theirs)
     np.testing.assert_array_equal(ours, theirs)
     assert ours[:, :, 0].tolist() == [[1, 1], [2, np.inf], [np.inf, np.inf]]
+    for module in (kernel, road_tracer):
+        with pytest.raises(ValueError, match="same number of vectors"):
+            module.stack_vectors(rows, np.inf, np.empty((2, 2, 3), np.float32))
 
 
 @pytest.mark.parametrize(

@@ -164,9 +164,12 @@ class KartObserver:
         mask = {} if self._nitro is None else {"action_mask": self._mask(batch)}
         if self._joined is None:
             return {**mask, "continuous": continuous, "discrete": choices}
-        ones = [
-            np.eye(n, dtype=np.float32)[c] for n, c in zip(self._joined, choices.T, strict=True)
-        ]
+        ones = []
+        for number, size in enumerate(self._joined.tolist()):
+            column = choices[:, number]
+            if np.any((column < 0) | (column >= size)):
+                raise IndexError(f"choice {number} is out of its range")
+            ones.append(np.eye(size, dtype=np.float32)[column])
         vector = np.concatenate([continuous, *ones], axis=1)
         return {**mask, "observation": vector} if mask else vector
 

@@ -104,6 +104,8 @@ def look_along(
 
 def stack_vectors(rows: Vectors, blank: float, out: FloatArray) -> None:
     """Writes the vectors of each row, ``(A, n, 3)``, padded with ``blank``."""
+    if len(out) != len(rows):
+        raise ValueError("out must have the same number of vectors in each row")
     out[:] = blank
     for number, row in enumerate(rows):
         own = _vectors(row, 3)[: out.shape[1]]

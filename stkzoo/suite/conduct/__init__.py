@@ -1,7 +1,7 @@
 """Conduct: contacts, faults, time off the road and overtakes of karts in recorded races."""
 
+from stkzoo.suite.conduct.counterfactuals import JudgedContact
 from stkzoo.suite.conduct.races import (
-    JudgedContact,
     KartConduct,
     MeanConduct,
     RaceConduct,

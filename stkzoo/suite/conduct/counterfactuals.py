@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._schema import Count, Seconds
 from stkzoo.drivers import Actor, find_driver
 from stkzoo.drivers.code import AgentCode
 from stkzoo.env.state import RaceState
@@ -56,20 +57,45 @@ class _KeptMoment:
 
 
 @dataclass(frozen=True, slots=True)
-class ContactTrials:
-    """The outcome of the trials of a contact, for each of its karts.
+class JudgedContact:
+    """Touches of two karts within a second of each other, and who is at fault.
 
     Attributes:
-        latest: latest start from which the contact is avoided [s before it]; ``None`` if there is
-            none, or if it is earlier than :data:`CLOSE_STARTS` times that of the other kart.
-        closing: speed toward the other kart before they touch [m/s].
-        braking: whether the reference drivers braked. Then one that avoids the contact is enough;
-            otherwise, every one must.
+        step: step of the race in which the karts first touch, from 1.
+        karts: numbers of the two agents.
+        counts: number of contacts that the environment counts for each of them.
+        latest: latest start from which the reference drivers in either kart avoid the contact [s
+            before it]; ``None`` if there is none, or if it is earlier than :data:`CLOSE_STARTS`
+            times that of the other kart.
+        closing: speed of either kart toward the other before they touch [m/s].
+        braking: whether the reference drivers braked, because otherwise they do not avoid the
+            contact in either kart. Then one that avoids the contact is enough; otherwise, every
+            one must.
     """
 
-    latest: tuple[float | None, float | None]
+    step: Count
+    karts: tuple[Count, Count]
+    counts: tuple[Count, Count]
+    latest: tuple[Seconds | None, Seconds | None]
     closing: tuple[float, float]
     braking: bool = False
+
+    @property
+    def at_fault(self) -> int | None:
+        """Number of the agent at fault; ``None`` if nobody is.
+
+        It is the one in whose place the reference drivers avoid the contact from a later start. If
+        both starts are about as late, it is the one that closes the gap; with braking, only equal
+        starts count as that, and then nobody is at fault.
+        """
+        (one, other), (first, second) = self.latest, self.karts
+        if one is None or other is None:
+            return first if one is not None else second if other is not None else None
+        if self.braking and one == other:
+            return None
+        if self.braking or max(one, other) > CLOSE_STARTS * min(one, other):
+            return first if one < other else second
+        return first if self.closing[0] >= self.closing[1] else second
 
 
 class CounterfactualJudge(RaceListener):
@@ -83,7 +109,7 @@ class CounterfactualJudge(RaceListener):
         contacts: the contacts to judge.
 
     Attributes:
-        trials: the outcome for each contact.
+        judged: the contacts that are judged, in the order of the race.
     """
 
     def __init__(self, replay: Replay, contacts: Sequence[Contact]) -> None:
@@ -95,7 +121,7 @@ class CounterfactualJudge(RaceListener):
         }
         self._kept: dict[int, _KeptMoment] = {}
         self._resources = ExitStack()
-        self.trials: dict[Contact, ContactTrials] = {}
+        self.judged: list[JudgedContact] = []
 
     def env_options(self) -> dict[str, Any]:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -123,8 +149,7 @@ class CounterfactualJudge(RaceListener):
         if not self._contacts:
             return
         while self._contacts and self._contacts[0].step == race.steps:
-            contact = self._contacts.pop(0)
-            self.trials[contact] = self._judge(contact)
+            self.judged.append(self._judge(self._contacts.pop(0)))
         self._events.count(self._before, race.snapshot)
         self._before = race.snapshot
         self._forget(race.steps - max(self._starts.values()))
@@ -162,13 +187,15 @@ class CounterfactualJudge(RaceListener):
         speeds = karts["velocity"].astype(float) @ way / max(float(np.linalg.norm(way)), 1e-6)
         return round(float(speeds[0]), 3), round(-float(speeds[1]), 3)
 
-    def _judge(self, contact: Contact) -> ContactTrials:
+    def _judge(self, contact: Contact) -> JudgedContact:
         """Tries a contact without braking and, if it is avoided in neither kart, with it."""
-        closing = self._closing(contact)
-        trials = ContactTrials(self._latest(contact, braking=False), closing)
-        if trials.latest == (None, None):
-            return ContactTrials(self._latest(contact, braking=True), closing, braking=True)
-        return trials
+        latest = self._latest(contact, braking=False)
+        braking = latest == (None, None)
+        if braking:
+            latest = self._latest(contact, braking=True)
+        return JudgedContact(
+            contact.step, contact.karts, contact.counts, latest, self._closing(contact), braking
+        )
 
     def _latest(self, contact: Contact, *, braking: bool) -> tuple[float | None, float | None]:
         """Tries earlier and earlier starts until it is clear which kart avoids it later."""

@@ -25,54 +25,13 @@ from stkzoo.race.listeners import RaceListener
 from stkzoo.race.replay import Replay, ReplayError, load_replay, play_replay
 from stkzoo.race.settings import RaceSettings
 from stkzoo.suite.conduct.contacts import ConductCounter, merge_touches
-from stkzoo.suite.conduct.counterfactuals import CLOSE_STARTS, CounterfactualJudge
+from stkzoo.suite.conduct.counterfactuals import CounterfactualJudge, JudgedContact
 
 #: Touches of the same two karts within this time are one contact for the judge [s].
 MERGED_WITHIN = 1.0
 #: Maximum number of contacts of a race that are judged, from the start of the race.
 MAX_JUDGED = 200
 _ENDING = ".stkz"
-
-
-@dataclass(frozen=True, slots=True)
-class JudgedContact:
-    """Touches of two karts within a second of each other, and who is at fault.
-
-    Attributes:
-        step: step of the race in which the karts first touch, from 1.
-        karts: numbers of the two agents.
-        counts: number of contacts that the environment counts for each of them.
-        latest: latest start from which the reference drivers in either kart avoid the contact [s
-            before it]; ``None`` if they do not, or only from a much earlier start than in the
-            other kart.
-        closing: speed of either kart toward the other before they touch [m/s].
-        braking: whether the reference drivers braked, because otherwise they do not avoid the
-            contact in either kart.
-    """
-
-    step: Count
-    karts: tuple[Count, Count]
-    counts: tuple[Count, Count]
-    latest: tuple[Seconds | None, Seconds | None]
-    closing: tuple[float, float]
-    braking: bool = False
-
-    @property
-    def at_fault(self) -> int | None:
-        """Number of the agent at fault; ``None`` if nobody is.
-
-        It is the one in whose place the reference drivers avoid the contact from a later start. If
-        both starts are about as late, it is the one that closes the gap; with braking, only equal
-        starts count as that, and then nobody is at fault.
-        """
-        (one, other), (first, second) = self.latest, self.karts
-        if one is None or other is None:
-            return first if one is not None else second if other is not None else None
-        if self.braking and one == other:
-            return None
-        if self.braking or max(one, other) > CLOSE_STARTS * min(one, other):
-            return first if one < other else second
-        return first if self.closing[0] >= self.closing[1] else second
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,27 +150,17 @@ def race_conduct(
     judge = CounterfactualJudge(replay, chosen[:MAX_JUDGED])
     if chosen:
         _play(file, replay, judge)
-    judged = tuple(
-        JudgedContact(
-            contact.step,
-            contact.karts,
-            contact.counts,
-            found.latest,
-            found.closing,
-            found.braking,
-        )
-        for contact, found in judge.trials.items()
-    )
     return RaceConduct(
         replay=str(file),
         track=replay.track,
         reverse=replay.reverse,
         steps=replay.steps,
         karts=tuple(
-            _kart(replay, number, row, judged) for number, row in enumerate(counter.sums.tolist())
+            _kart(replay, number, row, judge.judged)
+            for number, row in enumerate(counter.sums.tolist())
         ),
-        contacts=judged,
-        not_judged=len(contacts) - len(judged),
+        contacts=tuple(judge.judged),
+        not_judged=len(contacts) - len(judge.judged),
     )
 
 
