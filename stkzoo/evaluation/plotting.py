@@ -153,9 +153,11 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     file = Path(path)
     kind = file.suffix[1:] or "png"
     metadata = {"Date": None} if kind == "svg" else None
-    fixed_ids = import_extra("matplotlib", "the plot needs", "benchmark").rc_context(
-        {"svg.hashsalt": "stkzoo"}
-    )
+    matplotlib = import_extra("matplotlib", "the plot needs", "benchmark")
+    fixed_ids = matplotlib.rc_context({"svg.hashsalt": "stkzoo"})
+    for text in figure.findobj(matplotlib.text.Text):
+        if "$" in text.get_text():  # a name of an agent, not a formula
+            text.set_parse_math(False)
     with write_whole(file, "the plot") as part, fixed_ids:
         try:
             figure.savefig(part, format=kind, dpi=110, metadata=metadata)

@@ -182,7 +182,7 @@ class RacingDriver:
 
     def _record(self, error: Exception, step: int, kind: str) -> None:
         """Stores a failure, or raises it if ``error_handling`` is ``"raise"``."""
-        text = printable(in_words(error))
+        text = printable(in_words(error)) or "(no message)"
         trace = str(error.trace) if isinstance(error, AgentError) else ""
         trace = printable(bounded(trace, _MAX_TRACE))
         if self._settings.error_handling == "raise":

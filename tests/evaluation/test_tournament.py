@@ -19,6 +19,7 @@ from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     BatchError,
+    TournamentPlan,
     load_tournament,
     plan_tournament,
     plot_tournament,
@@ -407,6 +408,22 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
     shutil.rmtree(agent)
     with pytest.raises(ConfigError, match="files of agent 'Plain' have changed"):
         resume_tournament(folder)
+
+
+def test_a_plan_keeps_digests_of_files_with_unprintable_names(tmp_path):
+    agent = tmp_path / "mine"
+    shutil.copytree(AGENTS / "plain", agent)
+    (agent / "a\x01b").write_text("")
+    (agent / os.fsdecode(b"\xff")).write_text("")
+    plan = plan_tournament(["ai", str(agent)], tracks=["lighthouse"], races=1, per_race=2)
+    assert {"mine/a?b", "mine/?"} <= set(plan.entrants[1].files)
+    assert TournamentPlan.from_json(plan.to_json()) == plan
+
+
+def test_a_pipe_as_lock_is_refused_without_waiting(tmp_path):
+    os.mkfifo(tmp_path / "lock")
+    with pytest.raises(ConfigError, match="cannot be used"):
+        run_tournament(THREE, output=tmp_path, **SMALL)
 
 
 @pytest.mark.parametrize("source", ["module_home/bare_module_agent.py", "alpha", "weights"])

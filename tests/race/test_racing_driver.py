@@ -5,7 +5,7 @@ import time
 import pytest
 
 from stkzoo.errors import AgentTimeout, ConfigError
-from stkzoo.race import Driver, run_race
+from stkzoo.race import Driver, RaceResult, run_race
 from tests.support.paths import AGENTS
 
 SLOW = str(AGENTS / "hostile" / "slow.py")
@@ -50,6 +50,17 @@ def test_failed_decisions_count():
     result = race(driver, time_budget=0.5, error_handling="catch", max_steps=9)
     assert [failure.step for failure in result.agents[0].errors] == [0, 1, 2]
     assert "time budget" in result.agents[0].errors[-1].message
+
+
+@pytest.mark.parametrize("text", ["", "\x1b[2J"])
+def test_a_failure_without_a_printable_message_has_one_in_the_result(text):
+    def make(*_):
+        raise ConfigError(text)
+
+    result = race(Driver.of_actor("failing", make), max_steps=3)
+    (failure,) = result.agents[0].errors
+    assert failure.message.isprintable()
+    assert RaceResult.from_json(result.to_json()) == result
 
 
 def test_raise_ends_the_race_when_a_time_budget_is_used_up():

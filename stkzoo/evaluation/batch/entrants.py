@@ -11,7 +11,7 @@ from pathlib import Path, PurePath
 from typing import Annotated
 
 from stkzoo._os import file_digest
-from stkzoo._schema import Within
+from stkzoo._schema import Within, plain_text
 from stkzoo.drivers.driver import declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import find_files, installed_module
@@ -158,7 +158,7 @@ def fingerprint(source: str) -> dict[str, str]:
     if home is None:
         return {}
     files = itertools.islice(_files(home), _MOST_FILES)
-    return {file.relative_to(home.parent).as_posix(): _digest(file) for file in files}
+    return {plain_text(file.relative_to(home.parent).as_posix()): _digest(file) for file in files}
 
 
 def _home(source: str) -> Path | None:

@@ -188,11 +188,16 @@ def _run_orders(
     return results, errors
 
 
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Opens a file; a pipe without a reader is an error."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+
+
 @contextmanager
 def _locked(folder: Path, noun: str) -> Iterator[None]:
     try:
         (folder / RACES).mkdir(parents=True, exist_ok=True)
-        lock = (folder / "lock").open("a")
+        lock = open(folder / "lock", "a", opener=_open_without_waiting)  # noqa: SIM115
     except OSError as error:
         raise ConfigError(
             f"the {noun}'s folder {folder} cannot be used: {reason(error)}; choose another --output"
