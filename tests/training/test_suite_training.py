@@ -9,6 +9,7 @@ from stkzoo.agents.training.common.ppo import advantages_of
 from stkzoo.agents.training.suite.actor import (
     KartRace,
     TaskActor,
+    TaskRollout,
     reward_shares,
     rollout_type,
 )
@@ -250,6 +251,22 @@ def test_v_trace_clips_large_ratios_and_discounts_small_ones():
             0.25 * (4.0 + 0.5 * 40.0 - 30.0),
         ]
     )
+
+
+@pytest.mark.parametrize("own_steps", [(0, 0, 0, 0), (0, 0, 16, 0), (1, 0, 0, 0), (16, 16, 16, 1)])
+def test_v_trace_learns_beside_karts_that_wait_for_the_end_of_their_race(tmp_path, own_steps):
+    learner = small_run(tmp_path, IMPALA)
+    rollout, last_values = random_rollout(16, 4)
+    rollout["active"] = rollout["driven"] = np.arange(16)[:, None] < own_steps
+    driven = [TaskRollout(last_values, [])]
+    try:
+        figures = learner._update([rollout], driven)
+        weights = arrays_of(learner)
+    finally:
+        learner.close()
+    assert all(np.isfinite(value) for value in figures.values())
+    assert all(np.isfinite(array).all() for array in weights.values())
+    assert ("kl" in figures) == (max(own_steps) > 1)
 
 
 def exploiter(folder, **changes):

@@ -41,14 +41,18 @@ class IMPALA(TaskLearner):
         rate, ent_coef = self._anneal()
         rollout = np.concatenate(rollouts, axis=1)
         last_values = np.concatenate([own.last_values for own in driven])
+        counted = (rollout["active"] & rollout["driven"]).sum(axis=0)
         size = max(settings.batch_size // settings.n_steps, 1)
-        lines = []
+        figures: dict[str, list[float]] = {}
         for _ in range(settings.n_epochs):
-            order = self._random.permutation(rollout.shape[1])
+            order = self._random.permutation(np.flatnonzero(counted))
             for begin in range(0, len(order), size):
                 slots = order[begin : begin + size]
-                lines.append(self._step_on(rollout[:, slots], last_values[slots], ent_coef))
-        means = {name: float(np.mean([line[name] for line in lines])) for name in lines[0]}
+                if counted[slots].sum() > 1:  # the spread of one advantage is undefined
+                    found = self._step_on(rollout[:, slots], last_values[slots], ent_coef)
+                    for name, value in found.items():
+                        figures.setdefault(name, []).append(value)
+        means = {name: float(np.mean(values)) for name, values in figures.items()}
         return {**means, "learning_rate": rate}
 
     def _step_on(
