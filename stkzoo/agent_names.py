@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import TypeVar
 
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ActionError, ConfigError, shortened, unknown_name
 
-__all__ = ["by_agent", "find_agent", "of_agent"]
+__all__ = ["by_agent", "check_actions", "find_agent", "of_agent"]
 
 Value = TypeVar("Value")
 
@@ -70,3 +70,21 @@ def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str,
             raise ConfigError(f"agent {agent!r} is named twice; the second time as {name!r}.")
         found[agent] = value
     return found
+
+
+def check_actions(actions: object, agents: Collection[str]) -> None:
+    """Checks that actions are a dict.
+
+    Args:
+        actions: the actions.
+        agents: ids of the agents that act.
+
+    Raises:
+        ActionError: the actions are of another type.
+    """
+    if not isinstance(actions, Mapping):
+        raise ActionError(
+            f"the actions have to be a dict by agent: {', '.join(agents)}; found "
+            f"{shortened(actions, 200)}",
+            next(iter(agents), ""),
+        )

@@ -156,11 +156,11 @@ class RaceVecEnv(VecEnv):
         Returns:
             Observations of all slots.
         """
+        seeds, self._race_seeds = self._race_seeds, [None] * self.races.num_races
         options = [dict(given) for given in self._options[:: self.races.num_agents]]
-        steps = self.races.reset_slots(self._race_seeds, options)
-        self.reset_infos = [self._first_info(steps, slot) for slot in range(self.num_envs)]
-        self._race_seeds = [None] * self.races.num_races
         self._reset_options()
+        steps = self.races.reset_slots(seeds, options)
+        self.reset_infos = [self._first_info(steps, slot) for slot in range(self.num_envs)]
         return self._batch(steps.observations)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
@@ -317,8 +317,9 @@ class ActiveRolloutBuffer(RolloutBuffer):
     """A rollout buffer that leaves out the steps of idle slots.
 
     Pass it as ``rollout_buffer_class`` to PPO or A2C with a :class:`RaceVecEnv`. It recognizes an
-    idle step as an episode of length one, which no race produces, so it also works with wrapped
-    environments. Batches have the usual size; there are fewer of them.
+    idle step as an episode of length one, so it also works with wrapped environments. The step of a
+    race that ends in its first step is left out, too. Batches have the usual size; there are fewer
+    of them.
 
     Attributes:
         active: indices of the real steps in the flattened buffer, slot by slot. Set by
@@ -333,11 +334,19 @@ class ActiveRolloutBuffer(RolloutBuffer):
         Args:
             last_values: value estimates of the last observations, ``(num_envs,)``.
             dones: ``(num_envs,)`` whether the last step ended each slot's episode.
+
+        Raises:
+            ConfigError: no episode has more than one step.
         """
         super().compute_returns_and_advantage(last_values, dones)
         starts = self.episode_starts.astype(np.bool_)
         ends = np.vstack([starts[1:], dones.astype(np.bool_)[None]])
         self.active = np.flatnonzero(~(starts & ends).T)  # slot after slot, as steps lie flat
+        if not len(self.active):
+            raise ConfigError(
+                "all episodes of the rollout have one step, and this buffer leaves such steps out; "
+                "raise max_cycles, or leave out rollout_buffer_class"
+            )
 
     def get(self, batch_size: int | None = None) -> Generator[Any, None, None]:
         """Yields the real steps in random order, in batches of ``batch_size``."""

@@ -273,6 +273,8 @@ class BranchingRace(ClonableEnv):
                 f"scenario is {scenario!r}, expected a Scenario or the path of its file"
             )
         self._check_roster("scenario", scenario.roster)
+        if not scenario.agents:
+            raise ApiOrderError("the scenario was saved when all agents had left; nobody can act")
         drivers = self._drivers_in(scenario)
         if scenario.setup.track not in self._assets.tracks:
             raise ConfigError(

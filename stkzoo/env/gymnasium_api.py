@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
+from stkzoo.agent_names import check_actions
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
@@ -22,7 +23,7 @@ from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
-from stkzoo.errors import ActionError, ApiOrderError, shortened, unknown_name
+from stkzoo.errors import ActionError, ApiOrderError, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
@@ -339,11 +340,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     def _step(
         self, action: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        if not isinstance(action, Mapping):
-            raise ActionError(
-                f"the actions have to be a dict by agent: {', '.join(self._names)}; found "
-                f"{shortened(action, 200)}"
-            )
+        check_actions(action, self._names)
         try:
             actions = {self._names[key]: value for key, value in action.items()}
         except KeyError as error:

@@ -25,6 +25,7 @@ from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import CameraMode
 from stkzoo.views import AgentChains, ViewFactory, base_space, full_with
 from stkzoo.views.chains import ChainsMemory
+from stkzoo.views.walker import Failures
 
 logger = logging.getLogger(__name__)
 
@@ -155,7 +156,11 @@ class RaceOpponents:
                 self.attempt(started, partial(self._get_ready, started, request))
         self._present = tuple(self._opponents)
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self._present}
-        self._observations, _ = self._chains.reset(self._present, episode, infos, seed=seed)
+        failed: Failures = {}
+        self._observations, _ = self._chains.reset(
+            self._present, episode, infos, seed=seed, failed=failed
+        )
+        self._drop(failed)
 
     @property
     def is_driving(self) -> bool:
@@ -265,6 +270,12 @@ class RaceOpponents:
         who = name_of(opponent.driver)
         logger.warning("opponent %s of %s is out of the race: %s", who, opponent.agent, text)
 
+    def _drop(self, failed: Failures) -> None:
+        """Removes opponents whose wrappers failed."""
+        for agent, error in failed.items():
+            self.retire(self._opponents[agent], error)
+        self._present = tuple(agent for agent in self._present if agent in self._opponents)
+
     # ------------------------------------------------------------------ a step
 
     def ask(self, episode: Episode) -> list[tuple[Opponent, Any]]:
@@ -307,8 +318,11 @@ class RaceOpponents:
             seen = self._chains.observe(acted, episode)
             infos: dict[str, dict[str, Any]] = {agent: {} for agent in acted}
             no = dict.fromkeys(acted, False)
-            self._chains.finish(acted, (seen, dict.fromkeys(acted, 0.0), no, dict(no), infos))
+            parts = seen, dict.fromkeys(acted, 0.0), no, dict(no), infos
+            failed: Failures = {}
+            self._chains.finish(acted, parts, failed)
             self._observations = seen
+            self._drop(failed)
         finished = episode.snapshot.karts["has_finished_race"]
         if finished.any():
             karts = episode.karts(self._present).tolist()

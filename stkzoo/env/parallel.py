@@ -442,9 +442,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ConfigError: ``agents`` is not a list of agents.
         """
         episode = self._running("observe_batch")
-        if isinstance(agents, str) or not isinstance(agents, Sequence) or not agents:
+        if not agents:
             raise ConfigError(f"agents is {agents!r}, expected a list of one agent or more")
-        return episode.observe_batch([find_agent(agent, self.possible_agents) for agent in agents])
+        return episode.observe_batch(self._ids_of(agents))
 
     def observe(self, agents: Sequence[str]) -> Observations:
         """Returns the agents' current observations, before custom wrappers.
@@ -454,8 +454,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
         Raises:
             ApiOrderError: called before the first ``reset``.
+            ConfigError: ``agents`` is not a list of agents.
         """
-        return self._chains.observe(agents, self._running("observe"))
+        return self._chains.observe(self._ids_of(agents), self._running("observe"))
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Returns the agents' current infos, before their wrappers.
@@ -465,10 +466,20 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
         Raises:
             ApiOrderError: called before the first ``reset``.
+            ConfigError: ``agents`` is not a list of agents.
         """
-        return self._running("infos").infos(agents)
+        return self._running("infos").infos(self._ids_of(agents))
 
     # ------------------------------------------------------------------ helpers
+
+    def _ids_of(self, agents: Sequence[str]) -> list[str]:
+        if isinstance(agents, str) or not isinstance(agents, Sequence):
+            raise ConfigError(f"agents is {agents!r}, expected a list of agents")
+        known = self._chains.observation_spaces
+        return [
+            agent if isinstance(agent, str) and agent in known else find_agent(agent, known)
+            for agent in agents
+        ]
 
     def _new_race(self, options: RaceOptions, asked: Mapping[str, Any]) -> Episode:
         random = self.np_random

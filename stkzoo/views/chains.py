@@ -14,7 +14,7 @@ from stkzoo.errors import ActionError, AgentException, shortened
 from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, RowObserver, ViewPlan
-from stkzoo.views.walker import ChainWalker, Factories, StepParts
+from stkzoo.views.walker import ChainWalker, Factories, Failures, StepParts
 
 IntArray = npt.NDArray[np.intp]
 FloatArray = npt.NDArray[np.float32]
@@ -274,6 +274,7 @@ class AgentChains:
         *,
         seed: int | None = None,
         options: dict[str, Any] | None = None,
+        failed: Failures | None = None,
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Resets all wrappers with the race's first observations.
 
@@ -283,6 +284,8 @@ class AgentChains:
             infos: infos by agent.
             seed: seed of the wrappers' ``np_random``: agent ``n`` gets ``seed + n``.
             options: passed to the ``reset`` of every wrapper.
+            failed: gets the errors of agents whose wrappers fail. Without it, the first one is
+                raised.
 
         Returns:
             Observations and infos by agent.
@@ -295,23 +298,26 @@ class AgentChains:
         observations = self.observe(agents, source)
         new_infos = {agent: dict(infos[agent]) for agent in agents}
         walked = self._roster(agents).walked
-        self._walker.reset(walked, observations, new_infos, seed, options)
+        self._walker.reset(walked, observations, new_infos, seed, options, failed)
         return observations, new_infos
 
-    def finish(self, agents: Sequence[str], parts: StepParts) -> None:
+    def finish(
+        self, agents: Sequence[str], parts: StepParts, failed: Failures | None = None
+    ) -> None:
         """Runs the second half of the wrappers' steps; call it once after each :meth:`decode`.
 
         Args:
             agents: the agents that acted.
             parts: result of the step, with observations from :meth:`observe`; the wrapped results
                 replace it in place.
+            failed: see :meth:`reset`.
 
         Raises:
             AgentException: a wrapper failed.
         """
         walked = self._roster(agents).walked
         if walked:
-            self._walker.finish_step(walked, parts)
+            self._walker.finish_step(walked, parts, failed)
 
     def memory(self) -> ChainsMemory:
         """Returns a copy of the state of all agents' wrappers.
@@ -342,14 +348,15 @@ class AgentChains:
         """Restores the wrappers' state from :meth:`memory` of these or equal chains.
 
         Args:
-            memory: a memory that :meth:`check_memory` accepts.
+            memory: a memory that :meth:`check_memory` accepts. It may include more agents.
 
         Raises:
             AgentException: a wrapper's memory cannot be copied.
         """
         for agent, chain in self._chains.items():
             chain.recall(memory.wrappers[agent])
-        self._cars[:] = memory.cars
+        agents = list(memory.wrappers)
+        self._cars[:] = memory.cars[[agents.index(agent) for agent in self._chains]]
 
     def close(self) -> None:
         """Closes all wrappers."""

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.agent_names import by_agent
-from stkzoo.errors import ConfigError
+from stkzoo.errors import AgentException, ConfigError
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.registry import find_view
 from stkzoo.views.split_step import AgentStep
@@ -28,6 +28,9 @@ StepParts: TypeAlias = tuple[
 #: Views by agent (id, number or number as a string), as :func:`~stkzoo.views.find_view` accepts
 #: them; ``None`` adds no wrappers.
 Factories: TypeAlias = Mapping[Any, object]
+
+#: Errors of agents' wrappers, by agent.
+Failures: TypeAlias = dict[str, AgentException]
 
 _Dicts: TypeAlias = tuple[dict[str, Any], ...]
 
@@ -78,6 +81,7 @@ class ChainWalker:
         infos: dict[str, dict[str, Any]],
         seed: int | None,
         options: Mapping[str, Any] | None,
+        failed: Failures | None = None,
     ) -> None:
         """Resets the wrappers of some agents.
 
@@ -87,15 +91,21 @@ class ChainWalker:
             infos: first infos of the race by agent; replaced by the wrapped ones.
             seed: agent ``n`` gets ``seed + n``.
             options: passed to the ``reset`` of every wrapper.
+            failed: gets the errors of agents whose wrappers fail. Without it, the first one is
+                raised.
+
+        Raises:
+            AgentException: a wrapper failed.
         """
         for number, (agent, chain) in enumerate(self.chains.items()):
             if agent in agents:
-                observations[agent], infos[agent] = chain.reset(
-                    observations[agent],
-                    infos.get(agent, {}),
-                    seed=None if seed is None else seed + number,
-                    options=None if options is None else dict(options),
-                )
+                with _kept(agent, failed):
+                    observations[agent], infos[agent] = chain.reset(
+                        observations[agent],
+                        infos.get(agent, {}),
+                        seed=None if seed is None else seed + number,
+                        options=None if options is None else dict(options),
+                    )
 
     def begin_step(self, actions: Mapping[str, Any], agents: Collection[str]) -> dict[str, Any]:
         """Runs the first half of the wrappers' steps.
@@ -124,21 +134,25 @@ class ChainWalker:
                     chain.begin_step(create_zero_array(chain.action_space))
         return base
 
-    def finish_step(self, agents: Collection[str], parts: StepParts) -> None:
+    def finish_step(
+        self, agents: Collection[str], parts: StepParts, failed: Failures | None = None
+    ) -> None:
         """Runs the second half of the wrappers' steps; call it once after :meth:`begin_step`.
 
         Args:
             agents: the agents.
             parts: result of the step; replaced by the wrapped results.
+            failed: see :meth:`reset`.
 
         Raises:
             AgentException: a wrapper failed.
         """
         with self._abandoned_after_failure():
             for agent in agents:
-                own = self.chains[agent].finish_step(_part(parts, agent))
-                for part, value in zip(cast(_Dicts, parts), own, strict=True):
-                    part[agent] = value
+                with _kept(agent, failed):
+                    own = self.chains[agent].finish_step(_part(parts, agent))
+                    for part, value in zip(cast(_Dicts, parts), own, strict=True):
+                        part[agent] = value
 
     @contextmanager
     def _abandoned_after_failure(self) -> Iterator[None]:
@@ -158,6 +172,17 @@ class ChainWalker:
         """Closes all wrappers."""
         for chain in self.chains.values():
             chain.close()
+
+
+@contextmanager
+def _kept(agent: str, failed: Failures | None) -> Iterator[None]:
+    """Stores the error of an agent's wrapper, if there is a place for it."""
+    try:
+        yield
+    except AgentException as error:
+        if failed is None:
+            raise
+        failed[agent] = error
 
 
 def _part(result: StepParts, agent: str) -> AgentStep:

@@ -6,6 +6,7 @@ import logging
 import pickle
 from contextlib import ExitStack, closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -19,11 +20,14 @@ from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.export import export_policy
 from stkzoo.drivers import Driver, find_driver
 from stkzoo.errors import AgentException, ConfigError
+from stkzoo.views import VIEWS
 from tests.support.networks import small_network
 
 AGENTS = Path(__file__).parents[1] / "data" / "agents"
 RACE = {"agents": 1, "track": "lighthouse", "view": "flattened_continuous_actions"}
 FORWARD = np.array([1.0, 0.0], np.float32)
+#: An action of the view `racing`.
+CHOICES = np.array([10, 0, 0, 0, 0])
 
 
 def forward(observation):
@@ -167,6 +171,39 @@ def test_an_opponent_whose_wrapper_fails_drops_out(wrapper, why, tmp_path, caplo
         assert why in caplog.text
 
 
+class _Counts(gym.ObservationWrapper):
+    """Fails at an observation with a number; the first one is that of the reset."""
+
+    def __init__(self, env, fails_at):
+        super().__init__(env)
+        self.count, self._fails_at = 0, fails_at
+
+    def observation(self, observation):
+        self.count += 1
+        if self.count == self._fails_at:
+            raise ValueError("no more")
+        return observation
+
+
+@pytest.mark.parametrize("fails_at", [1, 4])
+def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
+    made = []
+
+    def view(env, fails_at=99):
+        made.append(_Counts(VIEWS["racing"](env), fails_at))
+        return made[-1]
+
+    fails = Driver.of_policy(lambda _: CHOICES, view=partial(view, fails_at=fails_at))
+    with against([fails, Driver.of_policy(lambda _: CHOICES, view=view), "ai"]) as env:
+        with caplog.at_level(logging.WARNING, "stkzoo.env.opponents"):
+            env.reset(seed=1)
+            drive(env, 6)
+        assert "kart_1 is out" in caplog.text
+        assert "no more" in caplog.text
+        assert [own.agent for own, _ in env._opponents.ask(env._episode)] == ["kart_2"]
+        assert made[-1].count == 7
+
+
 def test_policies_of_opponents_get_no_images():
     with (
         against([forward], view="camera") as env,
@@ -221,6 +258,18 @@ def test_a_saved_state_includes_the_memory_of_opponents():
             other = race_v0.parallel_env(**RACE, num_kart=5)
             with other, pytest.raises(ConfigError, match="one with the same opponents"):
                 other.reset(options={"state": state})
+
+
+def test_a_saved_state_excludes_opponents_that_dropped_out():
+    with against([Fails(), Driver.of_policy(lambda _: CHOICES, view="racing")]) as env:
+        env.reset(seed=1)
+        drive(env, 20)
+        with env.save_state() as state:
+            end = drive(env, 20)
+            env.restore_state(state)
+            assert (drive(env, 20) == end).all()
+            env.reset(options={"state": state})
+            assert (drive(env, 20) == end).all()
 
 
 def test_a_scenario_starts_opponents_at_its_step(tmp_path):

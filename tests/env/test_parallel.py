@@ -130,3 +130,14 @@ def test_the_keys_of_the_agents_dict_are_the_agents_names():
             assert "kart_" not in str(caught.value)
         with pytest.raises(ActionError, match="have to be a dict by agent: 0, 1, 2"):
             env.step([good["0"]])
+
+
+def test_unknown_agents_of_observations_and_infos_are_refused():
+    with race_v0.parallel_env(num_kart=2, agents=1, track="lighthouse") as env:
+        env.reset(seed=1)
+        for ask in (env.observe, env.infos, env.observe_batch):
+            with pytest.raises(ConfigError, match="unknown agent 'kart_9'"):
+                ask(["kart_9"])
+            with pytest.raises(ConfigError, match="expected a list"):
+                ask("kart_0")
+        assert env.infos([0]).keys() == {"kart_0"}

@@ -410,6 +410,15 @@ def test_invalid_scenarios_are_refused(tmp_path):
         env.reset(options={"scenario": scenario})
 
 
+def test_a_scenario_of_a_race_without_agents_is_refused():
+    with race(max_cycles=2) as env:
+        env.reset(seed=1)
+        coast(env, 2)
+        scenario = env.scenario()
+        with pytest.raises(ApiOrderError, match="nobody can act"):
+            env.reset(options={"scenario": scenario})
+
+
 def test_a_scenario_that_does_not_reproduce_its_race_is_an_error():
     with race() as env:
         env.reset(seed=1)

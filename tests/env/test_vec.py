@@ -534,6 +534,37 @@ def test_a_reset_mask_is_refused():
     envs.close()
 
 
+@pytest.mark.parametrize("options", ["x", [{}, {}], 3])
+def test_options_that_are_no_dict_are_refused(options):
+    envs = make()
+    with pytest.raises(ConfigError, match="expected a dict from names of options"):
+        envs.reset(options=options)
+    envs.close()
+
+
+@pytest.mark.parametrize("starts", [{}, {"num_starts": 2}])
+@pytest.mark.parametrize("seed", [-5, [1.5, None], [None, -1], True])
+def test_invalid_seeds_are_refused(seed, starts):
+    envs = make(**starts)
+    with pytest.raises(ConfigError, match="seed is"):
+        envs.reset(seed=seed)
+    envs.close()
+
+
+def test_large_whole_numbers_in_infos_keep_all_digits():
+    class Marks(gym.Wrapper):
+        def step(self, action):
+            *parts, info = self.env.step(action)
+            return *parts, {**info, "big": 2**60 + 1, "small": 0.5}
+
+    envs = make(view=lambda env: Marks(VIEWS["flattened_discrete"](env)))
+    envs.reset(seed=1)
+    infos = envs.step([700] * 4)[-1]
+    assert infos["big"].tolist() == [2**60 + 1] * 4
+    assert infos["big"].dtype == np.int64
+    envs.close()
+
+
 def test_a_list_of_seeds_of_another_length_is_refused():
     envs = make()
     with pytest.raises(ConfigError, match="one a race"):

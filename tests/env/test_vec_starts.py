@@ -73,6 +73,20 @@ def test_the_seed_determines_the_starts():
         envs.close()
 
 
+@pytest.mark.parametrize("seed", [None, [None, None]])
+def test_a_reset_without_seeds_keeps_the_starts(seed):
+    envs = make()
+    try:
+        drive(envs, 1)
+        met = set(waiting(envs))
+        assert len(met) == 2
+        for _ in range(4):
+            envs.reset(seed=seed)
+        assert set(waiting(envs)) == met
+    finally:
+        envs.close()
+
+
 def test_new_options_apply_to_the_next_races_and_old_starts_end():
     envs = make(num_starts=2)
     try:

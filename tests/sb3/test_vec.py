@@ -248,6 +248,17 @@ def test_options_of_the_races_persist_and_infos_name_the_track():
     envs.close()
 
 
+def test_a_reset_that_was_refused_does_not_affect_the_next():
+    envs = make()
+    envs.set_options({"speed": 3})
+    with pytest.raises(ConfigError, match="speed"):
+        envs.reset()
+    with pytest.raises(ConfigError, match="seed is -10"):
+        envs.seed(-10)
+    envs.reset()
+    envs.close()
+
+
 def test_set_options_applies_to_one_reset():
     envs = make()
     envs.set_options({"track": "zengarden"})
@@ -332,6 +343,11 @@ def test_the_buffer_returns_batches_of_the_requested_size():
     buffer = filled_buffer(ActiveRolloutBuffer)
     assert [len(batch.actions) for batch in buffer.get(4)] == [4, 4, 2]
     assert [len(batch.actions) for batch in buffer.get()] == [10]
+
+
+def test_a_buffer_with_nothing_but_single_steps_is_refused():
+    with pytest.raises(ConfigError, match="raise max_cycles"):
+        filled_buffer(ActiveRolloutBuffer, np.ones((3, 2)), np.array([1, 1]))
 
 
 def test_a_buffer_without_idle_steps_returns_all():

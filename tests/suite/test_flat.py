@@ -90,4 +90,6 @@ def test_invalid_arguments_and_actions_are_refused():
         env.step({"kart_0": 18})
     with pytest.raises(ActionError, match="the action of 'kart_0' is None"):
         env.step({})
+    with pytest.raises(ActionError, match="dict by agent: kart_0; found None"):
+        env.step(None)
     env.close()

@@ -13,6 +13,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
+from stkzoo.agent_names import check_actions
 from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.marl.teams import Teams
@@ -95,6 +96,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         Raises:
             ActionError: a message is missing or invalid; the race has not advanced.
         """
+        check_actions(actions, self.env.agents)
         said = {agent: self._message(agent, actions) for agent in self.env.agents}
         bare = {agent: action["action"] for agent, action in actions.items() if agent in said}
         observations, rewards, terminations, truncations, infos = self.env.step(bare)
@@ -115,9 +117,13 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
                 agent,
             )
         message: Any = parts["message"]
+        is_readable = True
         if self.words is None:
-            message = np.array(message, np.float32)
-        if not self._message_space.contains(message):
+            try:
+                message = np.array(message, np.float32)
+            except (TypeError, ValueError):
+                is_readable = False
+        if not is_readable or not self._message_space.contains(message):
             raise ActionError(
                 f"the message of {agent!r} is {message!r:.200}, not in {self._message_space!r}",
                 agent,

@@ -184,7 +184,11 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ConfigError: a seed or an option is invalid.
             EngineError: the game crashed several times in a row.
         """
-        if isinstance(options, Mapping) and "reset_mask" in options:
+        if options is not None and not isinstance(options, Mapping):
+            raise ConfigError(
+                f"options is {options!r}, expected a dict from names of options to values"
+            )
+        if options is not None and "reset_mask" in options:
             raise ConfigError(
                 "options have a reset_mask, but races start again by themselves, all slots of "
                 "a race at once; leave it out"
@@ -217,7 +221,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self._require_open("reset")
         seeds = seeds_of_races(seed, self.num_races)
         if self._starts is not None:
-            if seed is not None:
+            if any(own is not None for own in seeds):
                 self._starts.reseed(seeds)
             seeds = [self._next_seed() for _ in seeds]
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
@@ -412,10 +416,10 @@ def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> l
     if seed is None:
         return [None] * num_races
     if isinstance(seed, (int, np.integer)):
-        return [int(seed) + number for number in range(num_races)]
+        return [check_whole("seed", seed, 0) + number for number in range(num_races)]
     if not isinstance(seed, Sequence) or len(seed) != num_races:
         raise ConfigError(f"seed is {seed!r}, expected a whole number or {num_races}, one a race")
-    return list(seed)
+    return [own if own is None else check_whole("seed", own, 0) for own in seed]
 
 
 def _shared(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Space[Any]:

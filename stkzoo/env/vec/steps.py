@@ -7,7 +7,7 @@ agents, which are stacked (:class:`StackedObservations`, :class:`InfoDicts`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -228,19 +228,19 @@ class InfoDicts:
         slots = [slot for slot, info in enumerate(self._dicts) if info]
         infos = [self._dicts[slot] for slot in slots]
         keys = list(infos[0]) if infos else []
-        is_table = all(list(info) == keys for info in infos)
+        is_table = bool(infos) and all(list(info) == keys for info in infos)
         table = np.array([list(info.values()) for info in infos] if is_table else [])
+        kinds = [np.asarray(value).dtype for value in infos[0].values()] if is_table else []
         columns: dict[str, Any] = {}
-        if table.ndim != 2 or table.dtype.kind not in "biuf":
+        if table.ndim != 2 or table.dtype.kind not in "biuf" or _loses_digits(table, kinds):
             for slot, info in zip(slots, infos, strict=True):
                 columns = self._add(columns, dict(info), slot)
             return columns
         numbers = np.zeros((len(keys), len(self._dicts)), table.dtype)
         masks = np.zeros(numbers.shape, np.bool_)
         numbers[:, slots], masks[:, slots] = table.T, True
-        values = infos[0].values()
-        for key, value, row, mask in zip(keys, values, numbers, masks, strict=True):
-            columns[key] = row.astype(np.asarray(value).dtype, copy=False)
+        for key, kind, row, mask in zip(keys, kinds, numbers, masks, strict=True):
+            columns[key] = row.astype(kind, copy=False)
             columns[f"_{key}"] = mask
         return columns
 
@@ -251,3 +251,11 @@ class InfoDicts:
     def value(self, slot: int, key: str) -> Any:
         """Returns one value of a slot's info; raises ``KeyError`` if there is none."""
         return self._dicts[slot][key]
+
+
+def _loses_digits(table: npt.NDArray[Any], kinds: Sequence[np.dtype[Any]]) -> bool:
+    """Returns whether whole numbers of some columns are too large for the floats of a table."""
+    if table.dtype.kind != "f":
+        return False
+    whole = [number for number, kind in enumerate(kinds) if kind.kind in "iu"]
+    return bool((np.abs(table[:, whole]) >= 2.0**53).any())
