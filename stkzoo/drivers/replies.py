@@ -13,6 +13,8 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 from stkzoo.drivers import codec
@@ -90,7 +92,7 @@ class ReplyChannel:
 
         Raises:
             OSError: the connection is closed, or the deadline has passed (``TimeoutError``).
-            ProtocolError: the message is not plain data.
+            ProtocolError: the message is not plain data, or a reply is already there.
         """
         data = codec.encode(message)
         self._sent, self._arrived = time.monotonic(), math.inf
@@ -120,6 +122,7 @@ class ReplyChannel:
         data = bytes(memoryview(self._buffer)[LENGTH.size :])
         self._buffer, self._missing = bytearray(), LENGTH.size
         return codec.decode(data)
+        self._check_for_early_reply()
 
     def fileno(self) -> int:
         """Returns the socket's file descriptor."""
@@ -172,6 +175,14 @@ class ReplyChannel:
         events = poll.poll(None if left == math.inf else math.ceil(1000 * left))
         for descriptor, _ in events:
             if descriptor in waiting:
+    def _check_for_early_reply(self) -> None:
+        """Rejects a reply that was sent before its request, since its time cannot be measured."""
+        with suppress(BlockingIOError):
+            if self._connection.recv(1, socket.MSG_PEEK):
+                raise ProtocolError(
+                    "a reply came before its request; expected one reply to each request"
+                )
+
                 waiting[descriptor].receive_available()
 
 
