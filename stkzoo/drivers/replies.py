@@ -13,6 +13,8 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Protocol
 
 from stkzoo.drivers import codec
@@ -21,6 +23,8 @@ from stkzoo.errors import ProtocolError
 #: Header of a message: its length [bytes].
 LENGTH = struct.Struct("<I")
 _BLOCK = 65536
+#: Interval of the checks during a wait [s].
+_CHECK_INTERVAL = 0.1
 
 
 class Receiver(Protocol):
@@ -36,10 +40,11 @@ class Receiver(Protocol):
 
 
 class PendingReplies(threading.local):
-    """Receivers of one thread that wait for a reply."""
+    """Receivers of one thread that wait for a reply, and checks to run while it waits."""
 
     def __init__(self) -> None:
         self.receivers: set[Receiver] = set()
+        self.checks: set[Callable[[], None]] = set()
 
 
 _pending = PendingReplies()
@@ -48,6 +53,29 @@ _pending = PendingReplies()
 def pending_replies() -> set[Receiver]:
     """Returns this thread's receivers that wait for a reply; each adds and removes itself."""
     return _pending.receivers
+
+
+def checks_while_waiting() -> set[Callable[[], None]]:
+    """Returns functions that this thread calls at least every 0.1 s while it waits for replies.
+
+    They never raise. Their owners add and remove them.
+    """
+    return _pending.checks
+
+
+def run_checks(seconds: float) -> int | None:
+    """Runs this thread's checks before it waits.
+
+    Args:
+        seconds: time for which the thread wants to wait; ``math.inf`` for no limit.
+
+    Returns:
+        Time for which it may wait until the next checks [ms]; ``None`` for no limit.
+    """
+    for check in [*_pending.checks]:
+        check()
+    longest = min(seconds, _CHECK_INTERVAL) if _pending.checks else seconds
+    return None if longest == math.inf else math.ceil(1000 * max(longest, 0.0))
 
 
 def receive_pending() -> None:
@@ -90,10 +118,11 @@ class ReplyChannel:
 
         Raises:
             OSError: the connection is closed, or the deadline has passed (``TimeoutError``).
-            ProtocolError: the message is not plain data.
+            ProtocolError: the message is not plain data, or a reply is already there.
         """
         data = codec.encode(message)
         self._sent, self._arrived = time.monotonic(), math.inf
+        self._check_for_early_reply()
         rest = memoryview(LENGTH.pack(len(data)) + data)
         while rest:
             try:
@@ -146,6 +175,14 @@ class ReplyChannel:
         if len(self._buffer) == LENGTH.size:
             self._missing = length_in(self._buffer)
 
+    def _check_for_early_reply(self) -> None:
+        """Rejects a reply that was sent before its request, since its time cannot be measured."""
+        with suppress(BlockingIOError):
+            if self._connection.recv(1, socket.MSG_PEEK):
+                raise ProtocolError(
+                    "a reply came before its request; expected one reply to each request"
+                )
+
     def close(self) -> None:
         """Closes the socket; may be called more than once."""
         self._pending.discard(self)
@@ -163,14 +200,14 @@ class ReplyChannel:
         left = math.inf if self.deadline is None else self.deadline - time.monotonic()
         if left <= 0:
             raise TimeoutError
+        milliseconds = run_checks(left)
         poll = select.poll()
         waiting = {receiver.fileno(): receiver for receiver in self._pending}
         for descriptor in waiting:
             poll.register(descriptor, select.POLLIN)
         if event != select.POLLIN:
             poll.register(self._connection, event)
-        events = poll.poll(None if left == math.inf else math.ceil(1000 * left))
-        for descriptor, _ in events:
+        for descriptor, _ in poll.poll(milliseconds):
             if descriptor in waiting:
                 waiting[descriptor].receive_available()
 

@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from stkzoo._os import atomic_write, check_writable
 from stkzoo.engine.assets import find, find_assets, install, pack
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.race import run_race
@@ -300,6 +301,21 @@ def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
     with pytest.raises(ConfigError, match="not a regular file"):
         ReplayWriter(pipe)
     assert [path.is_fifo() for path in tmp_path.iterdir()] == [True]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_no_writer_replaces_a_pipe_or_a_device(kind, tmp_path):
+    place = tmp_path / "place"
+    if kind == "pipe":
+        os.mkfifo(place)
+    else:
+        place.symlink_to(os.devnull)
+    with pytest.raises(FileExistsError, match="not a regular file"), atomic_write(place):
+        pytest.fail("it must not be written")
+    with pytest.raises(ConfigError, match="not a regular file"):
+        check_writable(place, "the result")
+    assert [*tmp_path.iterdir()] == [place]
+    assert place.is_fifo() if kind == "pipe" else place.is_char_device()
 
 
 def join(*parts):

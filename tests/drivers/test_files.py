@@ -15,6 +15,7 @@ from stkzoo.drivers import files
 from stkzoo.drivers.code import load_agent
 from stkzoo.drivers.files import find_files
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation import plan_tournament
 from stkzoo.race import find_driver, run_race
 from tests.support.paths import AGENTS, ROOT
 
@@ -165,6 +166,25 @@ def test_an_invalid_agent_is_refused_before_the_race(source, message, tmp_path):
     zip_of(tmp_path / "empty", tmp_path / "empty.zip")
     with pytest.raises(ConfigError, match=message):
         find_driver(source.format(tmp_path))
+
+
+@pytest.mark.slow
+def test_an_agent_does_not_run_when_it_is_named_or_planned(tmp_path):
+    mark, folder = tmp_path / "mark", tmp_path / "stranger"
+    folder.mkdir()
+    (folder / "pystk_actor.py").write_text(
+        f"open({str(mark)!r}, 'w').close()\n"
+        "def get_actor(*_):\n"
+        "    return lambda state, observation: None\n"
+    )
+    packed = zip_of(folder, tmp_path / "packed.zip")
+    single = shutil.copy(folder / "pystk_actor.py", tmp_path / "single.py")
+    for source in map(str, (folder, packed, single)):
+        find_driver(source)
+        plan_tournament([source, "ai"])
+        assert not mark.exists()
+        run_race([source], track="lighthouse", max_steps=1, sandbox="off")
+        mark.unlink()  # a race runs it
 
 
 @pytest.mark.parametrize(

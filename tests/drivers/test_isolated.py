@@ -1,17 +1,19 @@
 """Isolated agents: a failing agent affects only its own kart (D23, D25)."""
 
 import contextlib
+import itertools
 import os
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
+import time
 
 import pytest
 
 from stkzoo.errors import AgentError, AgentTimeout
-from stkzoo.race import run_race
+from stkzoo.race import RaceListener, run_race
 from tests.support.paths import AGENTS
 from tests.support.processes import children_of, measured, process_exists, wait_until
 
@@ -114,6 +116,29 @@ def test_output_printed_by_an_agent_is_harmless():
 def test_an_agent_that_breaks_its_connection_is_retired(name):
     result = race(hostile(name), "ai", max_steps=5)
     assert by_driver(result)[name].num_errors == 1
+
+
+@pytest.mark.slow
+def test_an_agent_has_no_connection_other_than_its_own():
+    """The forger writes to every socket of its process, and breaks only its own connection."""
+    rows = by_driver(race(hostile("forger"), str(AGENTS / "plain"), "heuristic", max_steps=5))
+    assert [rows[name].num_errors for name in ("forger", "Plain", "heuristic")] == [1, 0, 0]
+
+
+@pytest.mark.slow
+def test_an_agent_that_never_answers_delays_the_race_by_its_timeout_once():
+    moments = []
+
+    class Watcher(RaceListener):
+        def started(self, _):
+            moments.append(time.monotonic())
+
+        stepped = started
+
+    race(hostile("loop"), "ai", listeners=[Watcher()], action_timeout=0.5, max_steps=5)
+    delays = [end - begin for begin, end in itertools.pairwise(moments)]
+    assert len(delays) == 5
+    assert 0.5 <= delays[0] < 10.0
 
 
 @pytest.mark.slow
@@ -284,6 +309,17 @@ def test_a_killed_keeper_leaves_no_threads_or_file_descriptors(monkeypatch, tmp_
     for pid in map(int, (tmp_path / "pids").read_text().split()):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_daemon_of_an_agent_that_kills_its_keeper_outlives_the_race(monkeypatch, tmp_path):
+    """The page on the threat model says so; a sandbox prevents it."""
+    pids = tmp_path / "pids"
+    monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
+    race("ai", hostile("escapes"), sandbox="off", max_steps=3, start_timeout=2.0)
+    (daemon,) = map(int, pids.read_text().split())
+    assert process_exists(daemon)
+    os.kill(daemon, signal.SIGKILL)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import jsonschema
 import pytest
 
 from stkzoo.drivers.replies import ReplyChannel
+from stkzoo.errors import ProtocolError
 from stkzoo.race import run_race
 from tests.support.paths import AGENTS, ROOT
 
@@ -56,13 +57,38 @@ def channel():
         channel.close()
 
 
-def test_a_reply_sent_before_the_request_takes_no_time(channel):
+def test_a_reply_sent_before_its_request_is_refused(channel):
     ours, theirs = channel
     theirs.sendall(b"\1\0\0\0\x07")
-    time.sleep(0.05)
+    with pytest.raises(ProtocolError, match="a reply came before its request; expected"):
+        ours.send("now")
+
+
+def test_a_second_reply_to_a_request_is_refused(channel):
+    ours, theirs = channel
     ours.send("now")
+    theirs.sendall(b"\1\0\0\0\x07" * 2)
     assert ours.receive() == 7
-    assert 0 <= ours.seconds < 0.04
+    with pytest.raises(ProtocolError, match="came before its request"):
+        ours.send("now")
+
+
+@pytest.mark.slow
+def test_an_agent_that_answers_one_step_ahead_is_retired():
+    """Its answers to later requests are all there before the requests."""
+    result = race(hostile("ahead"), "ai")
+    row = next(row for row in result.agents if row.driver == "ahead")
+    assert row.status == "retired"
+    assert row.errors[0].step == 1
+    assert "came before its request" in row.errors[0].message
+
+
+@pytest.mark.slow
+def test_an_agent_can_think_between_its_decisions():
+    """Its thread works while the race waits for the slow agent."""
+    result = race(hostile("slow"), hostile("ponders"))
+    assert not result.has_errors
+    assert times(result)["ponders"].mean < 0.15
 
 
 def test_a_reply_in_single_bytes_does_not_extend_its_deadline(channel):

@@ -259,6 +259,25 @@ def test_a_resumed_tournament_has_the_same_result(tmp_path):
 
 
 @pytest.mark.slow
+def test_resuming_a_plan_runs_the_agents_that_it_names(tmp_path):
+    """Also without a sandbox, if the plan says so."""
+    mark, agent, folder = tmp_path / "mark", tmp_path / "stranger", tmp_path / "cup"
+    agent.mkdir()
+    (agent / "pystk_actor.py").write_text(
+        f"open({str(mark)!r}, 'w').close()\n"
+        "def get_actor(module_dir, observation_space, action_space):\n"
+        "    return lambda state, observation: action_space.sample()\n"
+    )
+    settings = {name: value for name, value in SMALL.items() if name != "plot"}
+    plan = plan_tournament(["ai", str(agent)], **{**settings, "per_race": 2}, sandbox="off")
+    folder.mkdir()
+    (folder / "plan.json").write_text(plan.to_json())
+    assert not mark.exists()
+    resume_tournament(folder, plot=False)
+    assert mark.exists()
+
+
+@pytest.mark.slow
 def test_ctrl_c_shows_how_to_resume(tmp_path):
     folder = tmp_path / "cup"
     command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]

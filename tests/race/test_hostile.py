@@ -182,6 +182,14 @@ def get_actor(module_dir, observation_space, action_space):
     return actor
 """
 
+#: Attacks that the page on the threat model names.
+ON_THE_PAGE = (
+    *("kills everyone", "kills its parent", "stops its parent"),
+    *("shares memory", "hides memory", "spreads memory"),
+    *("fills its folders", "writes sparse files", "makes many files"),
+    *("leaves daemons", "leaves finalizers"),
+)
+
 FORK_BOMB = """
 def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
@@ -291,11 +299,12 @@ def test_an_agent_without_a_sandbox_is_not_confined(bench):
 
 @needs_bubblewrap
 def test_attacks_affect_only_their_own_karts(tmp_path):
-    """Runs 27 attacks at once beside two drivers.
+    """Runs 26 attacks at once beside two drivers, among them those that the page names.
 
     ``python -m benchmarks.adversaries`` runs all 54 attacks 200 times.
     """
-    names, mark = [*adversaries.ADVERSARIES][::2], f"stkzoo-test-{os.getpid()}"
+    others = [name for name in adversaries.ADVERSARIES if name not in ON_THE_PAGE]
+    names, mark = [*ON_THE_PAGE, *others[::3]], f"stkzoo-test-{os.getpid()}"
     quiet = attacks.race([adversaries.write_quitter(tmp_path, name) for name in names])
     before = attacks.left_behind(mark)
     result = attacks.race([adversaries.write_adversary(tmp_path, name, mark) for name in names])

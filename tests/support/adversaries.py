@@ -111,7 +111,7 @@ ADVERSARIES = {
     # the connection
     "closes everything": Adversary("os.closerange(0, 4096)", "closed its connection|exited"),
     "replaces its descriptors": Adversary(
-        "[os.dup2(os.open('/dev/zero', 0), n) for n in range(3, 64)]" + FAIL,
+        "[os.dup2(os.open('/dev/zero', 0), n) for n in range(3, 256)]" + FAIL,
         "closed its connection|exited",
     ),
     "is its own echo": Adversary(

@@ -9,6 +9,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 
@@ -195,19 +196,64 @@ def zmtp_socket(address, identity=b""):
     """Returns a plain socket after a handshake with a ZeroMQ server; it can send any bytes."""
     host, port = address.removeprefix("tcp://").rsplit(":", 1)
     one = socket.create_connection((host, int(port)), timeout=10)
+    one.sendall(zmtp_greeting("DEALER", identity))
+    return one
+
+
+def zmtp_greeting(kind, identity=b""):
+    """Returns the bytes with which a ZeroMQ socket of a kind opens a connection."""
     mechanism = b"NULL".ljust(20, b"\0")
-    one.sendall(b"\xff" + b"\0" * 8 + b"\x7f\x03\x00" + mechanism + b"\0" * 32)
-    properties = b"\x0bSocket-Type\0\0\0\x06DEALER"
+    properties = b"\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind.encode()
     if identity:
         properties += b"\x08Identity" + struct.pack(">I", len(identity)) + identity
     ready = b"\x05READY" + properties
-    one.sendall(bytes([4, len(ready)]) + ready)
-    return one
+    greeting = b"\xff" + b"\0" * 8 + b"\x7f\x03\x00" + mechanism + b"\0" * 32
+    return greeting + bytes([4, len(ready)]) + ready
 
 
 def zmtp_frame(data, *, more=False, command=False):
     """Returns a ZMTP frame."""
     return bytes([2 | more | 4 * command]) + struct.pack(">Q", len(data)) + data
+
+
+@contextlib.contextmanager
+def endless_server(*messages, most=512 << 20):
+    """Runs a server that sends each client some messages, then one that does not end.
+
+    Args:
+        messages: messages before the endless one, each a list of frames.
+        most: number of bytes after which the server only keeps the connection open.
+
+    Yields:
+        The server's address.
+    """
+    start = b""
+    for *first, last in messages:
+        start += b"".join(zmtp_frame(frame, more=True) for frame in first) + zmtp_frame(last)
+    block = zmtp_frame(bytes(1 << 20), more=True)
+
+    def serve(client):
+        with client, contextlib.suppress(OSError):
+            client.sendall(zmtp_greeting("ROUTER"))
+            heard = b""
+            while b"READY" not in heard:  # messages before the end of the handshake are refused
+                heard += client.recv(1 << 16) or b"READY"
+            client.sendall(start)
+            for _ in range(most // len(block)):
+                client.sendall(block)
+                time.sleep(0.002)
+            while client.recv(1 << 16):
+                pass
+
+    def accept():
+        with contextlib.suppress(OSError):
+            while True:
+                threading.Thread(target=serve, args=listener.accept()[:1], daemon=True).start()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=accept, daemon=True).start()
+        yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        listener.shutdown(socket.SHUT_RDWR)
 
 
 #: A heartbeat; the other end answers it.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -12,11 +12,11 @@ from typing import Any
 from stkzoo.drivers.codec import decode, encode
 from stkzoo.drivers.failures import printable, reported_error
 from stkzoo.drivers.instances import Decision
-from stkzoo.drivers.replies import pending_replies
+from stkzoo.drivers.replies import checks_while_waiting, pending_replies, run_checks
 from stkzoo.errors import AgentError, ProtocolError, RemoteError, shortened
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.sockets import client_socket, zmq_module
+from stkzoo.race.remote.sockets import MAX_UNREAD, UnreadData, client_socket, zmq_module
 
 #: Time limit for ZeroMQ to send the last message in the background [ms].
 _GOODBYE = 500
@@ -67,13 +67,7 @@ class Connection:
         self.failure = ""
         #: Fields of the server's welcome message; empty until it arrives.
         self.welcome: dict[str, Any] = {}
-        self._socket = client_socket(context, server.address, keys, server.key)
-        self._monitor = self._socket.get_monitor_socket(
-            self._zmq.EVENT_DISCONNECTED
-            | self._zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-            | self._zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-            | self._zmq.EVENT_HANDSHAKE_FAILED_AUTH
-        )
+        self._socket, self._monitor = client_socket(context, server.address, keys, server.key)
         self._poller = self._zmq.Poller()
         self._poller.register(self._socket, self._zmq.POLLIN)
         self._poller.register(self._monitor, self._zmq.POLLIN)
@@ -85,6 +79,8 @@ class Connection:
         self._seats: set[int] = set()
         self._pending = pending_replies()
         self._flushed = time.monotonic()
+        self._unread, self._events = UnreadData(), deque[int]()
+        checks_while_waiting().add(self._check_unread)
         self._send(protocol.HELLO, protocol=protocol.VERSION, stkzoo=version("stkzoo"))
 
     # ------------------------------------------------------------------ requests
@@ -139,6 +135,7 @@ class Connection:
 
     def flush(self) -> None:
         """Sends all buffered observations in one message; never raises."""
+        self.receive_available()  # a reply to this step that is already there is an error
         if not self._observations or self.failure:
             return
         observations, self._observations = self._observations, []
@@ -164,6 +161,7 @@ class Connection:
     def close(self) -> None:
         """Notifies the server and closes the connection; may be called more than once."""
         self._pending.discard(self)
+        checks_while_waiting().discard(self._check_unread)
         if self._socket.closed:
             return
         if not self.failure:
@@ -196,20 +194,24 @@ class Connection:
         while not is_there():
             self._require()
             time_left = deadline - time.monotonic()
-            events = self._poll(max(0, math.ceil(time_left * 1000)))
+            events = self._poll(time_left)
+            self._require()
             if time_left < -_READING or (time_left <= 0 and not events):
                 remedy = (
                     "; start it, or check its address and the keys" if what == "connect" else ""
                 )
                 self._fail(f"{self.server.address} did not {what} in time{remedy}")
-            for socket, _ in events:
-                if socket is self._socket:
-                    self._receive()
-                elif not self._has_mail():
-                    self._receive_event()
+            if (self._socket, self._zmq.POLLIN) in events:
+                self._receive()
+            self._read_events()
+            if self._events and not self._has_mail():
+                self._handle_event(self._events.popleft())
 
-    def _poll(self, milliseconds: int) -> list[tuple[Any, int]]:
+    def _poll(self, seconds: float) -> list[tuple[Any, int]]:
         """Waits for events of this connection and receives other drivers' replies meanwhile."""
+        milliseconds = run_checks(seconds)
+        if self._socket.closed:
+            return []
         others = {other.fileno(): other for other in self._pending - {self}}
         if not others:
             return list(self._poller.poll(milliseconds))
@@ -237,10 +239,18 @@ class Connection:
         """Returns whether a message is unread, which is possible even after a disconnect."""
         return bool(self._socket.getsockopt(self._zmq.EVENTS) & self._zmq.POLLIN)
 
-    def _receive_event(self) -> None:
+    def _read_events(self) -> None:
+        """Reads ZeroMQ's events, and keeps those that :meth:`_handle_event` handles."""
         from zmq.utils.monitor import parse_monitor_message
 
-        event = parse_monitor_message(self._monitor.recv_multipart())["event"]
+        while self._monitor.poll(0):
+            message = parse_monitor_message(self._monitor.recv_multipart())
+            if message["event"] == self._zmq.EVENT_CONNECTED:
+                self._unread.connected(message["value"])
+            else:
+                self._events.append(message["event"])
+
+    def _handle_event(self, event: int) -> None:
         if event == self._zmq.EVENT_DISCONNECTED:
             # Before its welcome, the server may still be starting or checking the key.
             if self.welcome:
@@ -253,11 +263,24 @@ class Connection:
 
     def _receive(self) -> None:
         frames = self._socket.recv_multipart()
+        self._unread.count(frames)
         try:
             self._handle(frames)
         except Exception as error:  # noqa: BLE001 - a server must not end the race
             text = str(error) if isinstance(error, ProtocolError) else shortened(error, 200)
             self._fail(f"{self.server.address} sent an invalid message: {text}")
+
+    def _check_unread(self) -> None:
+        """Closes the connection if the server sends a message without end."""
+        if self._socket.closed:
+            return
+        self._read_events()
+        if self._unread.is_too_much():
+            self._fail(
+                f"{self.server.address} sent a message of more than {MAX_UNREAD >> 20} MiB, "
+                f"expected at most {protocol.LIMITS.max_bytes >> 20} MiB; use another server"
+            )
+            self.close()
 
     def _fail(self, text: str) -> None:
         self.failure = self.failure or text

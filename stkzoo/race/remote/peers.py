@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo._os import max_descriptors, network_of
-from stkzoo.race.remote.sockets import zmq_module
+from stkzoo.race.remote.sockets import MAX_UNREAD, bytes_received, zmq_module
 
 #: Connections use at most 1/4 of the process's file descriptors; agents need the others.
 _SHARE = 4
@@ -22,12 +22,10 @@ _MOST, _LEAST = 1024, 16
 _SPARE = 32
 #: Time after which a connection without a session is closed [s].
 IDLE = 30.0
-#: Maximum unread data of a connection with a session, and total data of one without [bytes].
-_MAX_UNREAD, _MAX_UNREAD_IDLE = 96 << 20, 16 << 20
+#: Maximum total data of a connection without a session [bytes].
+_MAX_UNREAD_IDLE = 16 << 20
 #: Time limit for a closing connection to receive its last message [s].
 _FAREWELL = 0.2
-#: Position of the number of received bytes in Linux's ``struct tcp_info``.
-_BYTES_RECEIVED = struct.Struct("@128xQ")
 
 _TOO_MANY = "the server has too many connections, and this one has no race; try again later"
 _IDLE_TOO_LONG = f"the connection had no race for {IDLE:g} s; connect again when a race starts"
@@ -227,17 +225,12 @@ class PeerTable:
 
     def _unread(self, descriptor: int, peer: _Peer) -> int:
         """Returns by how much a connection exceeds its data limit [bytes]; 0 if unknown."""
-        if not hasattr(socket, "TCP_INFO"):
-            return 0
         try:
             with self._window.onto(descriptor) as connection:
-                info = connection.getsockopt(
-                    socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED.size
-                )
-                received: int = _BYTES_RECEIVED.unpack(info)[0]
-        except (OSError, struct.error):  # the connection is closed, or does not use TCP
+                received = bytes_received(connection)
+        except OSError:  # the connection is closed
             return 0
-        limit = _MAX_UNREAD_IDLE if peer.num_read is None else peer.num_read + _MAX_UNREAD
+        limit = _MAX_UNREAD_IDLE if peer.num_read is None else peer.num_read + MAX_UNREAD
         return max(0, received - limit)
 
     def _shut(self, descriptor: int, peer: _Peer) -> None:

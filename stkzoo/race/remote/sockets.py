@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import socket
+import struct
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -78,6 +81,10 @@ _LIMITS = {
 #: Time limit for the handshake, in which a client proves that it has its keys [ms].
 _HANDSHAKE = 5000
 _DOMAIN = b"stkzoo"
+#: Maximum unread data of a connection that carries a race [bytes].
+MAX_UNREAD = 96 << 20
+#: Position of the number of received bytes in Linux's ``struct tcp_info``.
+_BYTES_RECEIVED = struct.Struct("@128xQ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,19 +126,31 @@ def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> 
     if keys.own is not None:
         secret = keys.own.secret.encode()
         options |= {"ZAP_DOMAIN": _DOMAIN, "CURVE_SERVER": 1, "CURVE_SECRETKEY": secret}
-    return _open_socket(context, "ROUTER", address, options)
+    router = _new_socket(context, "ROUTER", address, options)
+    try:
+        router.bind(address)
+    except zmq_module().ZMQError as error:
+        router.close(0)
+        raise ConfigError(
+            f"cannot listen on {address}: {_why(error)}; choose another address, or end the "
+            "program that uses it"
+        ) from error
+    return router
 
 
 def client_socket(
     context: zmq.Context[Any], address: str, keys: KeyPair | None, server_key: str | None
-) -> zmq.Socket[Any]:
-    """Returns a DEALER socket that connects and reconnects automatically.
+) -> tuple[zmq.Socket[Any], zmq.Socket[Any]]:
+    """Returns a DEALER socket that connects and reconnects automatically, and its monitor.
 
     Args:
         context: ZeroMQ context.
         address: address of the server.
         keys: the client's keys; required with ``server_key``.
         server_key: the server's public key; ``None`` for no encryption.
+
+    Returns:
+        The socket, and a socket with the events of all its connections.
 
     Raises:
         RemoteError: a connection to the address is impossible.
@@ -142,27 +161,90 @@ def client_socket(
         options["CURVE_SERVERKEY"] = server_key.encode()
         options["CURVE_PUBLICKEY"] = keys.public.encode()
         options["CURVE_SECRETKEY"] = keys.secret.encode()
-    return _open_socket(context, "DEALER", address, options)
+    lib, dealer = zmq_module(), _new_socket(context, "DEALER", address, options)
+    monitor: zmq.Socket[Any] = dealer.get_monitor_socket(
+        lib.EVENT_CONNECTED
+        | lib.EVENT_DISCONNECTED
+        | lib.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+        | lib.EVENT_HANDSHAKE_FAILED_PROTOCOL
+        | lib.EVENT_HANDSHAKE_FAILED_AUTH
+    )
+    try:
+        dealer.connect(address)
+    except lib.ZMQError as error:
+        dealer.disable_monitor()
+        monitor.close(0)
+        dealer.close(0)
+        raise RemoteError(f"cannot connect to {address}: {_why(error)}") from error
+    return dealer, monitor
 
 
-def _open_socket(
+def _new_socket(
     context: zmq.Context[Any], kind: str, address: str, options: dict[str, Any]
 ) -> zmq.Socket[Any]:
-    lib, is_server = zmq_module(), kind == "ROUTER"
-    socket: zmq.Socket[Any] = context.socket(getattr(lib, kind))
+    lib = zmq_module()
+    new: zmq.Socket[Any] = context.socket(getattr(lib, kind))
     for name, value in {**_LIMITS, "IPV6": int("[" in address), **options}.items():
-        socket.setsockopt(getattr(lib, name), value)
+        new.setsockopt(getattr(lib, name), value)
+    return new
+
+
+def _why(error: Exception) -> str:
+    """Returns ZeroMQ's reason without the address, which the error text already has."""
+    return str(error).partition(" (addr=")[0]
+
+
+def bytes_received(connection: socket.socket) -> int:
+    """Returns how many bytes a TCP connection has received; 0 if the system does not report it."""
+    if not hasattr(socket, "TCP_INFO"):
+        return 0
     try:
-        (socket.bind if is_server else socket.connect)(address)
-    except lib.ZMQError as error:
-        socket.close(0)
-        error_type, attempt = (
-            (ConfigError, "listen on") if is_server else (RemoteError, "connect to")
-        )
-        why = str(error).partition(" (addr=")[0]
-        remedy = "; choose another address, or end the program that uses it" if is_server else ""
-        raise error_type(f"cannot {attempt} {address}: {why}{remedy}") from error
-    return socket
+        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED.size)
+        received: int = _BYTES_RECEIVED.unpack(info)[0]
+    except (OSError, struct.error):  # the connection is closed, or does not use TCP
+        return 0
+    return received
+
+
+class UnreadData:
+    """Measures the data that a client's connection has received and the program has not read.
+
+    ZeroMQ limits the size of a frame, but not the number of frames in a message, and it returns a
+    message only when it is complete.
+    """
+
+    def __init__(self) -> None:
+        self._descriptor = -1
+        self._ends: tuple[Any, Any] | None = None
+        self._num_read = 0
+
+    def connected(self, descriptor: int) -> None:
+        """Begins to measure a new connection.
+
+        Args:
+            descriptor: ZeroMQ's file descriptor of the connection.
+        """
+        self._descriptor, self._num_read = descriptor, 0
+        self._ends = self._look()[0]
+
+    def count(self, frames: list[bytes]) -> None:
+        """Records that the program has read a message."""
+        self._num_read += sum(map(len, frames))
+
+    def is_too_much(self) -> bool:
+        """Returns whether there is more unread data than any server needs to send."""
+        ends, received = self._look()
+        return ends == self._ends and received > self._num_read + MAX_UNREAD
+
+    def _look(self) -> tuple[tuple[Any, Any] | None, int]:
+        """Returns both addresses of the connection, and how many bytes it has received."""
+        try:
+            # ZeroMQ can close its descriptor at any time, so this uses a duplicate.
+            with socket.socket(fileno=os.dup(self._descriptor)) as connection:
+                ends = connection.getsockname(), connection.getpeername()
+                return ends, bytes_received(connection)
+        except OSError:  # the connection is closed
+            return None, 0
 
 
 class ClientAuthenticator:

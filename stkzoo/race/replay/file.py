@@ -151,6 +151,8 @@ _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 
 #: Maximum size of each member of the zip [bytes].
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
+#: Number of steps that are checked at once, to limit the memory for intermediate results.
+_BLOCK = 4096
 #: Fields that are also options of the environment.
 _SETTINGS = ("track", "reverse", "mode", "laps", "difficulty", "max_paths", "step_size")
 
@@ -224,9 +226,14 @@ def _controls(data: bytes, count: int) -> npt.NDArray[np.float32]:
     if len(data) % row:
         raise Unreadable(f"{_CONTROLS} has {len(data)} bytes, expected a multiple of {row}")
     controls = np.frombuffer(data, "<f4").reshape(-1, count, len(CONTROLS))
+    blocks = (controls[start : start + _BLOCK] for start in range(0, len(controls), _BLOCK))
+    if not all(map(_are_valid, blocks)):
+        raise Unreadable(f"{_CONTROLS} has invalid controls")
+    return controls.astype(np.float32, copy=False)
+
+
+def _are_valid(controls: npt.NDArray[np.float32]) -> bool:
     low = np.array([0, -1, 0, 0, 0, 0, 0], np.float32)
     is_button = np.arange(len(CONTROLS)) >= 2
     good = (controls >= low) & (controls <= 1)  # false for NaN
-    if not (good & (~is_button | (controls == np.round(controls)))).all():
-        raise Unreadable(f"{_CONTROLS} has invalid controls")
-    return controls.astype(np.float32)
+    return bool((good & (~is_button | (controls == np.round(controls)))).all())

@@ -2,6 +2,8 @@
 
 import os
 import random
+import re
+import sys
 import threading
 import time
 
@@ -10,12 +12,16 @@ import pytest
 
 from stkzoo.drivers.codec import encode
 from stkzoo.errors import RemoteError
-from stkzoo.race import find_driver, run_race
+from stkzoo.race import RaceListener, find_driver, run_race
 from stkzoo.race.remote import RemoteDriverGroup
+from stkzoo.race.remote.connection import Server
+from stkzoo.race.remote.drivers import ServedAgent
 from stkzoo.race.remote.protocol import VERSION, pack, unpack
 from tests.fuzz.messages import bad_messages, flood, resident_memory
 from tests.support.bombs import bomb
-from tests.support.processes import measured
+from tests.support.floods import endless_server
+from tests.support.paths import AGENTS
+from tests.support.processes import measured, wait_until
 from tests.support.remote_race import LyingServer, raw_client, server_process, server_thread
 
 TRACK = {"track": "lighthouse", "seed": 3}
@@ -224,6 +230,74 @@ def test_a_server_cannot_hide_or_invent_its_agents_times(claimed):
         result = run_race(group.drivers, max_steps=5, **TRACK)
     times = result.agents[0].action_time
     assert 0.1 <= times.mean <= times.max < 30
+
+
+def test_a_reply_that_a_server_sends_before_the_observation_is_refused():
+    """Otherwise the server's time for it would be 0."""
+
+    class Ahead(LyingServer):
+        def _serve(self):
+            while not self._end.is_set():
+                if not self._socket.poll(50):
+                    continue
+                identity, kind, *_ = self._socket.recv_multipart()
+                if kind == b"H":
+                    fields = {"protocol": VERSION, "agents": [["liar", "lies", []]]}
+                    self._socket.send_multipart([identity, b"W", pack(**fields)])
+                elif kind == b"O":
+                    self._socket.send_multipart([identity, b"P", OPENED])
+                elif kind == b"A":
+                    for step in (1, 2):
+                        frames = lies()(b"A", {"step": step})
+                        self._socket.send_multipart([identity, *frames])
+
+    with Ahead(None) as server, RemoteDriverGroup([server.address]) as group:
+
+        class Waiting(RaceListener):
+            def stepped(self, _):
+                """Waits until the reply to the next step is there."""
+                connection = group.connection(group.agents[0].server)
+                assert wait_until(connection._has_mail)
+
+        result = run_race([*group.drivers, "ai"], listeners=[Waiting()], max_steps=2, **TRACK)
+    row = next(row for row in result.agents if row.agent == "kart_0")
+    assert [error.step for error in row.errors] == [1]
+    assert "an answer to step 2, expected 1" in row.errors[0].message
+
+
+TOO_LONG = r"sent a message of more than 96 MiB, expected at most 4 MiB"
+needs_byte_counts = pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux reports how much a connection received"
+)
+
+
+@pytest.mark.slow
+@needs_byte_counts
+def test_an_endless_message_from_a_server_is_cut_off():
+    with (
+        endless_server() as address,
+        measured() as cost,
+        pytest.raises(RemoteError, match=TOO_LONG),
+    ):
+        RemoteDriverGroup([address])
+    assert cost["memory"] < 400 << 20
+
+
+@pytest.mark.slow
+@needs_byte_counts
+def test_an_endless_message_affects_only_its_servers_karts():
+    """It arrives while the race waits for another agent to load."""
+    loading = str(AGENTS / "hostile" / "sleeps.py")
+    welcome = [b"W", pack(protocol=VERSION, agents=[["endless", "", []]])]
+    with endless_server(welcome) as address:
+        served = ServedAgent(Server(address), 0, "endless", "")
+        with RemoteDriverGroup(agents=[served]) as group, measured() as cost:
+            drivers = [loading, *group.drivers, "heuristic"]
+            result = run_race(drivers, start_timeout=4.0, max_steps=5, **TRACK)
+    rows = {row.driver: row for row in result.agents}
+    assert re.search(TOO_LONG, rows["endless"].errors[0].message)
+    assert not rows["heuristic"].errors
+    assert cost["memory"] < 400 << 20
 
 
 @pytest.mark.parametrize(

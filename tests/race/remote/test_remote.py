@@ -11,10 +11,12 @@ import pytest
 from stkzoo.errors import ConfigError, RemoteError
 from stkzoo.race import DriverLimits, RaceListener, find_driver, run_race
 from stkzoo.race.remote import RaceServer, RemoteDriverGroup
+from stkzoo.race.remote import server as server_module
+from stkzoo.race.remote.protocol import VERSION, pack
 from stkzoo.race.remote.server import _PATIENCE
 from stkzoo.race.remote.session import ClientSession
 from stkzoo.race.remote.sockets import _QUEUE
-from tests.support.remote_race import server_process, server_thread, write_agent
+from tests.support.remote_race import raw_client, server_process, server_thread, write_agent
 
 TRACK = {"track": "lighthouse", "seed": 3}
 
@@ -252,6 +254,21 @@ def test_a_disconnected_client_frees_its_place(tmp_path):
                 return
             time.sleep(0.5)
     pytest.fail("the server still kept the place of a client that is gone")
+
+
+def test_a_silent_client_loses_its_place(monkeypatch):
+    monkeypatch.setattr(server_module, "_PATIENCE", 0.2)
+    opening = pack(protocol=VERSION, seat=0, driver=0, agent="a", extras=[], seed=1)
+    with (
+        server_thread([find_driver("heuristic")], max_sessions=1) as server,
+        raw_client(server.address) as client,
+    ):
+        client.send_multipart([b"O", opening])
+        assert client.recv_multipart()[0] == b"P"
+        kind, body = client.recv_multipart()
+        assert (kind, b"no message from the client for 0.2 s" in body) == (b"E", True)
+        with RemoteDriverGroup([server.address]) as group:
+            assert not run_race([*group.drivers, "ai"], max_steps=3, **TRACK).has_errors
 
 
 def test_a_paused_client_is_not_flooded_with_pings():

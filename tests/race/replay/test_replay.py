@@ -3,9 +3,11 @@
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from dataclasses import replace
 
@@ -15,7 +17,7 @@ import pytest
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, RaceSettings, run_race
-from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, play_replay
+from stkzoo.race.replay import ReplayError, ReplayWriter, file, load_replay, play_replay
 from stkzoo.race.replay.file import DIGEST_SIZE
 from tests.support.paths import AGENTS
 
@@ -300,6 +302,34 @@ def test_a_replay_that_unpacks_beyond_its_limits_is_refused(small):
     with pytest.raises(ReplayError, match=r"digests\.u1 has more than"):
         load_replay(repacked(small, digests_u1=bytes(20 << 20)))
     assert small.stat().st_size < 100_000
+
+
+@pytest.mark.parametrize("member", ["race.json", "controls.f4", "digests.u1"])
+def test_each_member_of_a_replay_has_a_size_limit(small, member, monkeypatch):
+    monkeypatch.setitem(file._MAX_MEMBER, member, 20)
+    with pytest.raises(ReplayError, match=rf"{re.escape(member)} has more than"):
+        load_replay(small)
+
+
+def test_a_replay_with_more_steps_than_its_race_stops_at_the_first_difference(small):
+    """Only with ``to_the_end`` does it continue, for the number of steps in the file."""
+    with zipfile.ZipFile(small) as archive:
+        controls, digests = archive.read("controls.f4"), archive.read("digests.u1")
+    repacked(small, controls_f4=controls * 2, digests_u1=digests + bytes(30 * DIGEST_SIZE))
+    replay = load_replay(repacked(small, about={"steps": 60}))
+    playback = play_replay(replay)
+    assert (playback.steps, playback.first_difference) == (31, 31)
+    assert play_replay(replay, to_the_end=True).steps == 60
+
+
+def test_checking_the_controls_of_a_long_replay_takes_little_memory():
+    data = bytes(28 * 400_000)
+    tracemalloc.start()
+    try:
+        assert len(file._controls(data, 1)) == 400_000
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
