@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.errors import ConfigError, StkzooError, reason
 
 try:
     import fcntl
@@ -36,10 +36,12 @@ __all__ = [
     "has_display",
     "ip_address_of",
     "is_loopback",
+    "make_folder",
     "max_descriptors",
     "network_of",
     "remove_stale_directories",
     "try_lock",
+    "using_folder",
     "write_text",
     "write_whole",
     "write_zip",
@@ -114,6 +116,39 @@ def check_writable(path: str | os.PathLike[str], noun: str) -> Path:
     else:
         return file
     raise ConfigError(f"{noun} cannot be written to {str(path)!r}: {remedy}")
+
+
+@contextlib.contextmanager
+def using_folder(folder: Path, noun: str) -> Iterator[None]:
+    """Converts each OSError of a block that creates or opens an ``--output`` folder.
+
+    Args:
+        folder: the folder.
+        noun: what the folder is for, such as ``"run"``.
+
+    Raises:
+        ConfigError: the folder cannot be used.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(
+            f"the {noun}'s folder {folder} cannot be used: {reason(error)}; choose another --output"
+        ) from error
+
+
+def make_folder(folder: Path, noun: str) -> None:
+    """Creates an ``--output`` folder, unless it exists.
+
+    Args:
+        folder: the folder.
+        noun: what the folder is for, such as ``"run"``.
+
+    Raises:
+        ConfigError: the folder cannot be created.
+    """
+    with using_folder(folder, noun):
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 @contextlib.contextmanager

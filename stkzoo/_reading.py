@@ -9,6 +9,7 @@ import math
 import os
 import stat
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -171,14 +172,18 @@ def _decoded(data: bytes) -> str:
 
 
 def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
-    """Returns the value of a JSON text. Unlike Python's own reader, it accepts only finite numbers.
+    """Returns the value of a JSON text.
+
+    Unlike Python's own reader, it accepts only finite numbers, and each key of an object only
+    once, because readers disagree about which value of a repeated key counts.
 
     Args:
         text: the text, or its UTF-8 bytes.
         max_bytes: maximum length of the text [characters], which also limits its number of values.
 
     Raises:
-        Unreadable: the text is not JSON, is too long or too deeply nested, or has too many values.
+        Unreadable: the text is not JSON, is too long or too deeply nested, has too many values, or
+            has a repeated key.
     """
     if isinstance(text, bytes):
         text = _decoded(text)
@@ -188,7 +193,9 @@ def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
     if count > most:
         raise Unreadable(f"it has about {count:,} values, expected at most {most:,}")
     try:
-        return json.loads(text, parse_constant=_finite, parse_float=_finite)
+        return json.loads(
+            text, parse_constant=_finite, parse_float=_finite, object_pairs_hook=_object
+        )
     except RecursionError:
         raise Unreadable("it is nested too deep") from None
     except Unreadable:
@@ -197,6 +204,14 @@ def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
         raise Unreadable(f"it is not JSON: {error}") from None
     except ValueError as error:  # a whole number with more digits than Python accepts
         raise Unreadable(f"it has a number that is too long: {error!s:.100}") from None
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = Counter(key for key, _ in pairs)
+        raise Unreadable(f"it has the key {shortened(keys.most_common(1)[0][0])} more than once")
+    return found
 
 
 def _finite(text: str) -> float:

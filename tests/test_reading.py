@@ -88,6 +88,7 @@ def test_text_in_another_encoding_is_refused(tmp_path):
         ("9" * 100_000, "a number that is too long"),
         ("[" + "0," * MEGABYTE + "0]", "it has about .* values, expected at most"),
         (b"\xff", "byte 0 is not UTF-8"),
+        ('[{"a": {"b": 1, "c": 2, "b": 1}}]', "it has the key 'b' more than once"),
     ],
 )
 def test_unusable_json_is_refused(text, problem):

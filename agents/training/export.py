@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 import stkzoo
 from stkzoo._arguments import option, positional
-from stkzoo._os import write_text
+from stkzoo._os import make_folder, write_text
 from stkzoo._reading import load_json, reading
 from stkzoo._schema import Count, typed
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -131,9 +131,9 @@ def export_policy(
     sources = [Path(weights)] if isinstance(weights, (str, Path)) else [Path(w) for w in weights]
     target = Path(folder)
     arrays, view, rules = _agent_of(sources, ensemble_weight, plans)
-    if target.exists() and any(target.iterdir()) and not (target / CARD).exists():
+    make_folder(target, "agent")
+    if any(target.iterdir()) and not (target / CARD).exists():
         raise ConfigError(f"{str(target)!r} is not the folder of an agent; give another --output")
-    target.mkdir(parents=True, exist_ok=True)
     save_weights(target / WEIGHTS, arrays)
     facts: dict[str, Any] = {
         "name": name,

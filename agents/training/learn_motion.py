@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option
+from stkzoo._os import make_folder
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.kart import RELEASE_TURN
 from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, WEIGHTS
@@ -300,6 +301,7 @@ def _by_arcs(log: Drive, start: int, kept: BoolArray) -> FloatArray:
 
 def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
     """Trains the network, saves it and prints its errors."""
+    make_folder(options.output, "network")
     rules = DriverParameters(learned_motion=arguments.learned_motion)
     logs = []
     with ProgressBar(arguments.rounds, unit="rounds") as bar:
@@ -308,7 +310,6 @@ def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
             bar.report(len(logs), f"{sum(len(inputs) for inputs, _ in logs):,} steps")
     inputs, outputs = (np.concatenate(column) for column in zip(*logs, strict=True))
     layers = fit(inputs, outputs, arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
     save_weights(options.output / WEIGHTS.name, dict(zip(LAYERS, layers, strict=True)))
     tests = list(drive(SPLITS["validation"], 4, rules, arguments.seed + 1))
     pairs = [misses(log, layers) for log in tests]

@@ -30,6 +30,7 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo._arguments import option, positional
+from stkzoo._os import make_folder
 from stkzoo._schema import Count, Positive
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -182,7 +183,7 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
     names = sorted(drivers)
     if len(names) < SEATS:
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "rating")
     file = folder / _MATCHES
     records = read_json_lines(file, MatchRecord)
     if unknown := {name for r in records for name in r.order} - {*names, AI}:

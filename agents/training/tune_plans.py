@@ -30,6 +30,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from stkzoo._arguments import option
+from stkzoo._os import make_folder
 from stkzoo._schema import Within
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -172,7 +173,7 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     cma = training_library("cma")
     limit_threads()
     folder, read = options.output, partial(from_unit, learned_motion=arguments.learned_motion)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "search")
     present = to_unit(DriverParameters())
     settings = {"popsize": arguments.population, "seed": arguments.seed + 1}
     strategy = cma.CMAEvolutionStrategy(

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
 
 from stkzoo._os import file_digest
-from stkzoo._schema import Count, Matching, Within
+from stkzoo._schema import Count, Matching, Within, plain_text
 from stkzoo.drivers.driver import GAME_AI, find_driver
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError, check_whole, shortened, unknown_name
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import BatchPlan
 from stkzoo.evaluation.batch.run import RunOptions, run_batch
@@ -35,7 +35,9 @@ DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths")
 TEST, TRAIN = "test", "train"
 _BEATEN = FigureKind(BEATEN, lambda race: race.beaten, (0.0, 1.0))
 _Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
-_Text = Annotated[str, Within(0, 2000)]
+#: Maximum length of a text about an entry [characters], and maximum number of kart-steps.
+_MAX_TEXT, _MAX_KART_STEPS = 2000, 2**62
+_Text = Annotated[str, Within(0, _MAX_TEXT)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +60,32 @@ class About:
     """What an entry says about itself. Nothing of it can be verified.
 
     Attributes:
-        authors: names of the authors.
-        description: how the agent was made, and where to find it.
+        authors: names of the authors, at most 2,000 characters.
+        description: how the agent was made, and where to find it; at most 2,000 characters.
         kart_steps: number of kart-steps that it learned from; ``None`` if unknown.
+
+    Raises:
+        ConfigError: a value is invalid.
     """
 
     authors: _Text = ""
     description: _Text = ""
     kart_steps: Count | None = None
+
+    def __post_init__(self) -> None:
+        # A value that the reader of entries refuses or changes would make the entry worthless.
+        for name in ("authors", "description"):
+            text = getattr(self, name)
+            if not isinstance(text, str):
+                raise ConfigError(f"{name} is {shortened(text)}, expected text")
+            if len(text) > _MAX_TEXT:
+                raise ConfigError(
+                    f"{name} has {len(text):,} characters, expected at most {_MAX_TEXT:,}; shorten "
+                    "it, or give the address of a longer text"
+                )
+            object.__setattr__(self, name, plain_text(text))
+        if self.kart_steps is not None:
+            check_whole("kart_steps", self.kart_steps, 0, _MAX_KART_STEPS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,13 +252,15 @@ def plan_entry(
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of ``settings``.
 
     Raises:
-        ConfigError: the task, the split or the agent does not exist, a setting is invalid, or the
-            agent talks and the task has other words or none.
+        ConfigError: the task, the split or the agent does not exist, a setting is invalid, the
+            agent requires another difficulty than the races have, or it talks and the task has
+            other words or none.
         AssetError: the game's data is missing.
     """
     task = find_task(task) if isinstance(task, str) else task
     if split not in (TEST, TRAIN):
         raise unknown_name("split", split, (TEST, TRAIN))
+    _check_level(task, agent)
     is_test = split == TEST
     base = plan_benchmark(
         agent,
@@ -256,6 +278,18 @@ def plan_entry(
         task_digest=task.digest,
         population=population_digests(),
         about=about or About(),
+    )
+
+
+def _check_level(task: Task, agent: str) -> None:
+    """Refuses the game's AI at a difficulty of its own, which would change that of the races."""
+    driver = find_driver(agent)
+    if driver.difficulty is None or (driver.difficulty == DIFFICULTY and not task.has_population):
+        return
+    own = "one that depends on the race" if task.has_population else f"difficulty {DIFFICULTY}"
+    raise ConfigError(
+        f"{driver.source!r} requires difficulty {driver.difficulty}, and {task.name} has {own}; "
+        "name ai, which has the difficulty of each race"
     )
 
 

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._os import cpu_count
-from stkzoo._reading import read_text, reading
+from stkzoo._reading import read_json, read_text, reading
 from stkzoo.drivers.driver import GAME_AI
 from stkzoo.errors import StkzooError, shortened
+from stkzoo.evaluation.batch.entrants import NAME_MARK
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.batch.run import BatchProgress
@@ -23,7 +24,7 @@ from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import Replay, load_replay, play_replay
 from stkzoo.race.replay.file import controls_of
-from stkzoo.race.result import RaceResult
+from stkzoo.race.result import AgentResult, RaceResult
 from stkzoo.suite.entry import ENTRY_FILE, Entry, EntryPlan, plan_entry, replay_digest
 from stkzoo.suite.tasks import SUITE, find_task
 
@@ -43,6 +44,8 @@ class EntryRefused(StkzooError):
 class VerifyOrder(RaceOrder):
     """A recorded race to run again: the agent's karts by their recorded controls, the others live.
 
+    If the agent is the game's AI, its karts are live too.
+
     Attributes:
         replay: SHA-256 of the replay.
     """
@@ -57,9 +60,7 @@ class VerifyOrder(RaceOrder):
             order: the other order.
             replay: SHA-256 of its replay.
         """
-        own = order.wait_for or ()
-        drivers = tuple("" if n in own else text for n, text in enumerate(order.drivers))
-        return cls(order.number, drivers, order.settings, own, replay=replay)
+        return cls(order.number, order.drivers, order.settings, order.wait_for or (), replay=replay)
 
     def run(self, folder: Path) -> RaceResult:
         """Runs the race again in a worker process.
@@ -87,6 +88,19 @@ class VerifyOrder(RaceOrder):
             raise EntryRefused(f"the replay is not the one of {ENTRY_FILE} (SHA-256)")
         if watch.first_other_action is not None:
             raise EntryRefused(f"step {watch.first_other_action} has other controls of a rival")
+        _refuse_others(
+            {
+                "kart_types": (replay.kart_types, watch.kart_types),
+                "names of the drivers": (
+                    [agent.name for agent in replay.agents],
+                    [row.driver for row in _rows(playback.measured)],
+                ),
+                "drivers and rescues of the result": (
+                    _claims(replay.result),
+                    _claims(playback.measured),
+                ),
+            }
+        )
         self._check_end(replay, watch.last_finish)
         return playback.measured
 
@@ -113,24 +127,55 @@ class VerifyOrder(RaceOrder):
     def _check_facts(self, replay: Replay) -> None:
         """Checks that a replay is of this race."""
         facts = {name: (getattr(replay, name), getattr(self.settings, name)) for name in _SETTINGS}
-        count = len(self.drivers)
+        count, own = len(self.drivers), self.wait_for or ()
+        drivers = [_source_and_label(text) for text in self.drivers]
+        sources = [source for source, _ in drivers]
         facts |= {
             "step_size": (replay.step_size, _STEP_SIZE),
             "num_tracks": (replay.num_tracks, 1),
             "start_positions": (replay.start_positions, tuple(range(1, count + 1))),
             "number of karts": (len(replay.agents), count),
+            "sources of the drivers": ([agent.source for agent in replay.agents], sources),
+            "names of the agent's karts": (
+                [agent.name for n, agent in enumerate(replay.agents) if n in own],
+                [label for n, (_, label) in enumerate(drivers) if n in own],
+            ),
             "karts of the game's AI": (
                 [n for n, agent in enumerate(replay.agents) if agent.is_game_ai],
-                [n for n, text in enumerate(self.drivers) if text in GAME_AI],
+                [n for n, source in enumerate(sources) if source in GAME_AI],
             ),
             "is_partial": (replay.is_partial, False),
             "is_too_long": (replay.steps > (self.settings.max_steps or 0), False),
         }
-        for name, (found, expected) in facts.items():
-            if found != expected:
-                raise EntryRefused(
-                    f"step 0: {name} is {shortened(found)}, expected {shortened(expected)}"
-                )
+        _refuse_others(facts)
+
+
+def _refuse_others(facts: Mapping[str, tuple[object, object]]) -> None:
+    """Raises an error for the first fact that is not as expected.
+
+    Args:
+        facts: what was found and what was expected, by name.
+    """
+    for name, (found, expected) in facts.items():
+        if found != expected:
+            raise EntryRefused(
+                f"step 0: {name} is {shortened(found)}, expected {shortened(expected)}"
+            )
+
+
+def _source_and_label(driver: str) -> tuple[str, str]:
+    source, mark, label = driver.rpartition(NAME_MARK)
+    return (source, label) if mark else (driver, "")
+
+
+def _rows(result: RaceResult | None) -> list[AgentResult]:
+    """Returns the rows of a result in the order of the agents."""
+    return sorted(result.agents, key=lambda row: (len(row.agent), row.agent)) if result else []
+
+
+def _claims(result: RaceResult | None) -> list[tuple[str, str, int | None]]:
+    """Returns the facts of a result that playing a replay does not compare, for each agent."""
+    return [(row.driver, row.source, row.rescues) for row in _rows(result)]
 
 
 class _RaceWatch(RaceListener):
@@ -142,6 +187,7 @@ class _RaceWatch(RaceListener):
         rivals: numbers of the karts of drivers that act again.
 
     Attributes:
+        kart_types: model of each kart, in grid order.
         last_finish: step in which the last of the agent's karts finishes; ``None`` if some have
             not finished.
         first_other_action: first step in which a rival's action differs from the recording.
@@ -151,8 +197,13 @@ class _RaceWatch(RaceListener):
         self._replay = replay
         self._own = {f"kart_{number}" for number in own}
         self._rivals = {f"kart_{number}": number for number in rivals}
+        self.kart_types: tuple[str, ...] = ()
         self.last_finish: int | None = None
         self.first_other_action: int | None = None
+
+    def started(self, race: RaceProgress) -> None:
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        self.kart_types = race.race_info.kart_types
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -175,11 +226,13 @@ def verify_entry(
 ) -> Entry:
     """Runs all races of an entry again and compares every number, without the agent's code.
 
-    The agent's karts repeat their recorded controls; the game's AI and the population drive again.
-    All positions, rotations and velocities must be equal to the last bit.
+    The agent's karts repeat their recorded controls, unless the agent is the game's AI; the game's
+    AI and the population drive again. All positions, rotations and velocities must be equal to the
+    last bit.
 
-    Verified are the races and their results. Not verified are who chose the controls, the number
-    of failures of the agent, and what the entry says about itself.
+    Verified are the races, their results and the names of their drivers. Not verified are who chose
+    the controls, the failures and decision times of the agent, and what the entry says about itself
+    and its software.
 
     Args:
         folder: folder of the entry, with ``entry.json`` and ``replays``.
@@ -213,7 +266,7 @@ def verify_entry(
                 last = results[number] = RaceResult.from_json(outcome.result)
             report(BatchProgress(len(results), len(orders), last, outcome.error))
     _refuse([problems[number] for number in sorted(problems)])
-    _compare(entry, json.loads(text), results)
+    _compare(entry, read_json(text, Entry.max_bytes), results)
     return entry
 
 
@@ -298,7 +351,11 @@ def _difference(claimed: Any, found: Any, place: str = "") -> str:
     if isinstance(claimed, dict) and isinstance(found, dict):
         for name in sorted({*claimed, *found}):
             inner = f"{place}.{name}" if place else name
-            if text := _difference(claimed.get(name), found.get(name), inner):
+            if name not in found:
+                return f"{inner} is not a field of an entry"
+            if name not in claimed:
+                return f"{inner} is missing"
+            if text := _difference(claimed[name], found[name], inner):
                 return text
         return ""
     if isinstance(claimed, list) and isinstance(found, list) and len(claimed) == len(found):

@@ -110,6 +110,13 @@ def test_invalid_benchmarks_are_refused(options, message):
         plan_benchmark("heuristic", **options)
 
 
+def test_an_agent_that_changes_the_difficulty_of_the_races_is_refused():
+    message = "'ai:1' requires difficulty 1, and the races have difficulty 3; name ai or ai:3"
+    with pytest.raises(ConfigError, match=message):
+        plan_benchmark("ai:1")
+    assert plan_benchmark("ai:1", difficulty=1, split="lighthouse").settings.difficulty == 1
+
+
 def test_an_unknown_agent_is_refused():
     with pytest.raises(ConfigError, match="unknown driver 'nobody'"):
         plan_benchmark("nobody")

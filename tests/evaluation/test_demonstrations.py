@@ -250,6 +250,8 @@ def test_the_command_records_and_checks(tmp_path, capsys):
         (["nobody"], "unknown driver 'nobody'"),
         (["ai", "--view", "full"], "differ in size"),
         (["ai", "--view", "racin"], "Did you mean 'racing'"),
+        (["ai:1"], "'ai:1' requires difficulty 1, and the races have difficulty 2"),
+        (["ai", "--rivals", "ai:3"], "'ai:3' requires difficulty 3"),
         (["ai", "--output", "d.csv"], "ends in .npz"),
         (["ai", "--seeds", "0"], "seeds is 0"),
         (["ai", "--check"], "--check cannot drive the game's AI again"),

@@ -4,7 +4,7 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.suite import TASKS, Entry, EntryRefused, plan_entry, verify_entry
+from stkzoo.suite import TASKS, About, Entry, EntryRefused, plan_entry, verify_entry
 from stkzoo.suite.entry import ENTRY_FILE
 
 
@@ -43,3 +43,39 @@ def test_an_evaluation_on_the_training_tracks_is_not_an_entry(name, tmp_path):
 def test_an_evaluation_on_the_training_tracks_does_not_continue_as_an_entry():
     entry, other = plan_entry("solo-1", "random"), plan_entry("solo-1", "random", split="train")
     assert entry.differences(other)
+
+
+@pytest.mark.parametrize(
+    ("name", "agent", "message"),
+    [
+        ("versus", "ai:1", r"'ai:1' requires difficulty 1, and versus has difficulty 3; name ai"),
+        ("selfplay-5", "ai:3@:Tux", r"'ai:3' requires .* selfplay-5 has one that depends on the"),
+    ],
+)
+def test_an_agent_that_changes_the_difficulty_of_the_races_is_refused(name, agent, message):
+    with pytest.raises(ConfigError, match=message):
+        plan_entry(name, agent)
+
+
+@pytest.mark.parametrize(("name", "agent"), [("versus", "ai:3"), ("selfplay-5", "ai")])
+def test_the_games_ai_at_the_difficulty_of_the_races_is_an_agent(name, agent):
+    assert plan_entry(name, agent).agent.source == agent
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        ({"kart_steps": -1}, "kart_steps is -1, expected a whole number from 0"),
+        ({"kart_steps": 1.5}, "kart_steps is 1.5"),
+        ({"authors": "x" * 2001}, "authors has 2,001 characters, expected at most 2,000"),
+        ({"description": None}, "description is None, expected text"),
+    ],
+)
+def test_invalid_facts_about_an_entry_are_refused_before_its_races(about, message):
+    with pytest.raises(ConfigError, match=message):
+        About(**about)
+
+
+def test_an_entry_with_unprintable_authors_reads_as_it_was_written():
+    entry = Entry(plan_entry("solo-1", "random", about=About(authors="Ada\x1b[2J\xa0Lovelace")), ())
+    assert Entry.from_json(entry.to_json()).plan.about == entry.plan.about

@@ -187,6 +187,9 @@ def changed(file, **changes):
         ({"seed": -1}, "seed is -1"),
         ({"cores": "two"}, "cores is 'two'"),
         ({"train": None}, "train is None"),
+        ({"kart_steps": 200_000_000}, "and the curve ends at 2,000,000; expected the same"),
+        ({"budget": 2_000_001}, "kart_steps is 2,000,000, expected 2,000,001 (the budget) to"),
+        ({"budget": 1_899_999}, "expected 1,899,999 (the budget) to 1,999,999; end the training"),
     ],
 )
 def test_an_invalid_field_is_an_error_that_names_the_file(two_runs, changes, text):
@@ -236,7 +239,7 @@ def test_the_same_run_twice_is_refused(two_runs, tmp_path):
 
 
 def test_runs_with_different_budgets_are_refused(two_runs):
-    changed(two_runs[1], budget=10_000_000)
+    changed(two_runs[1], budget=1_950_000)
     with pytest.raises(ConfigError, match="write a report for each budget"):
         load_runs(two_runs)
 

@@ -194,3 +194,52 @@ def test_controls_that_a_rival_did_not_choose_are_refused(entry):
     name_replays(entry)
     expected = f"race {WITH_DRIVER} (lighthouse forward): step 101 has other controls of a rival"
     assert expected in refusal(entry)
+
+
+@pytest.mark.slow
+def test_other_names_in_the_replays_are_refused(entry):
+    """Measures of conduct are by the names in the replays."""
+
+    def rename(**changes):
+        return lambda header: [agent.update(changes) for agent in header["agents"]]
+
+    def change_result(**changes):
+        return lambda header: header["result"]["agents"][0].update(changes)
+
+    changed = [
+        (rename(name="pretrained:apex"), "step 0: names of the agent's karts is"),
+        (rename(source="nothing"), "step 0: sources of the drivers is"),
+        (
+            lambda header: header["agents"][0].update(name="nobody"),  # the rival
+            "step 0: names of the drivers is ['nobody', 'Ada'], expected ['heuristic', 'Ada']",
+        ),
+        (change_result(driver="Eve"), "step 0: drivers and rescues of the result is"),
+        (change_result(rescues=7), "step 0: drivers and rescues of the result is"),
+        (lambda header: header.update(kart_types=["gnu"] * 2), "step 0: kart_types is"),
+    ]
+    for number, (change, _) in enumerate(changed):
+        change_header(entry, number, change)
+    name_replays(entry)
+    text = refusal(entry)
+    for number, (_, problem) in enumerate(changed):
+        assert re.search(rf"race {number} .*: {re.escape(problem)}", text)
+
+
+def test_an_entry_with_a_repeated_key_is_refused(entry):
+    file = entry / "entry.json"
+    file.write_text('{"score": {"value": 0.99},' + file.read_text().lstrip()[1:])
+    with pytest.raises(ConfigError, match="it has the key 'score' more than once"):
+        verify_entry(entry)
+
+
+@pytest.mark.slow
+def test_an_empty_field_that_entries_do_not_have_is_refused(entry):
+    write_entry(entry, {**read_entry(entry), "verified": None})
+    assert "entry.json: verified is not a field of an entry" in refusal(entry)
+
+
+@pytest.mark.slow
+def test_an_entry_of_the_games_ai_is_verified(tmp_path, monkeypatch):
+    monkeypatch.setitem(TASKS, SMALL.name, SMALL)
+    written = evaluate(SMALL, "ai", output=tmp_path, plot=False)
+    assert verify_entry(tmp_path).score == written.score

@@ -301,3 +301,12 @@ def test_league_is_a_command_with_its_own_help(capsys):
     assert "stkzoo league --output leagues/first" in capsys.readouterr().out
     assert command_line(["league"]) == 2
     assert "--output" in capsys.readouterr().err
+
+
+def test_a_file_as_output_is_an_error_with_a_remedy(tmp_path, capsys):
+    file = tmp_path / "file"
+    file.touch()
+    assert command_line(["league", "--output", str(file)]) == 1
+    error = capsys.readouterr().err
+    assert f"the league's folder {file} cannot be used: " in error
+    assert "choose another --output" in error

@@ -304,3 +304,13 @@ def test_an_exploiter_starts_from_an_agent(tmp_path):
 def test_an_unknown_algorithm_is_refused(capsys):
     assert main(["suite", "train", "solo-1", "ipo"]) == 2
     assert "unknown algorithm 'ipo'. Did you mean 'ippo'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [("train", "solo-1", "ippo"), ("exploit", "heuristic")])
+def test_a_file_as_output_is_an_error_with_a_remedy(tmp_path, capsys, words):
+    file = tmp_path / "file"
+    file.touch()
+    assert main(["suite", *words, "--output", str(file)]) == 2
+    error = capsys.readouterr().err
+    assert f"the run's folder {file} cannot be used: " in error
+    assert "choose another --output" in error

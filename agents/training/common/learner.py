@@ -17,6 +17,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import make_folder
 from stkzoo._schema import Count, Within
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
@@ -105,7 +106,8 @@ class OverlappedLearner(ABC):
         remedy: another remedy to suggest if the run had other arguments.
 
     Raises:
-        ConfigError: the folder contains a run with other arguments, or an argument is invalid.
+        ConfigError: the folder cannot be created, or contains a run with other arguments; or an
+            argument is invalid.
     """
 
     remedy: ClassVar[str] = ""
@@ -120,7 +122,7 @@ class OverlappedLearner(ABC):
         may_change: bool = False,
     ) -> None:
         self.folder, self.arguments = Path(folder), arguments
-        self.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(self.folder, "run")
         self._network = self._new_network()
         self.kart_steps = self.iteration = 0
         self._recent: deque[Any] = deque(maxlen=_RECENT)

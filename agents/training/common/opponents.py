@@ -3,7 +3,7 @@
 Prioritized fictitious self-play (Vinyals et al., "Grandmaster level in StarCraft II using
 multi-agent reinforcement learning", 2019) draws an opponent that is beaten with probability p with
 weight (1 - p)^2. This avoids forgetting and spends little time on opponents that the learner beats
-anyway.
+anyway. Here, the weight is (1 - p)^2 + 0.02, so that every opponent can be drawn.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from stkzoo._schema import Count, Share, typed
 
 #: Weight of one race in the win rate against an opponent.
 _RATE = 0.1
-#: Minimum weight, so that every opponent can be drawn.
+#: Added to each weight, so that every opponent can be drawn.
 _LEAST_WEIGHT = 0.02
 
 

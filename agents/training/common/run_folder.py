@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from stkzoo._os import atomic_write, write_text
+from stkzoo._os import atomic_write, make_folder, write_text
 from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
 from stkzoo._schema import Count, Within, typed
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -105,14 +105,14 @@ def keep_arguments(
         remedy: see :func:`check_resumed`.
 
     Raises:
-        ConfigError: see :func:`check_resumed`.
+        ConfigError: see :func:`check_resumed`; or the folder cannot be created.
     """
     now = {name: value for name, value in asdict(arguments).items() if name not in free}
     file = folder / ARGUMENTS
     if file.exists():
         check_resumed(folder, read_run_file(dict[str, Any], file), now, remedy)
         return
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder, "run")
     write_json(file, now)
 
 

@@ -30,7 +30,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from stkzoo._arguments import option
-from stkzoo._os import write_text
+from stkzoo._os import using_folder, write_text
 from stkzoo._schema import Count, Matching, Within, typed
 from stkzoo.agents.pretrained.policy import RacingPolicy, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
@@ -195,8 +195,8 @@ class League:
         page: file of the page.
 
     Raises:
-        ConfigError: a library is missing, an argument is invalid, or the folder contains another
-            league.
+        ConfigError: a library is missing, an argument is invalid, or the folder cannot be created
+            or contains another league.
     """
 
     def __init__(self, folder: str | Path, arguments: LeagueArguments) -> None:
@@ -204,7 +204,8 @@ class League:
         self.folder, self.arguments = Path(folder), arguments
         self.page = self.folder / _PAGE
         self._policies = _MemberPolicies(self.folder / _MEMBERS)
-        self._policies.folder.mkdir(parents=True, exist_ok=True)
+        with using_folder(self.folder, "league"):
+            self._policies.folder.mkdir(parents=True, exist_ok=True)
         self._state = _LeagueState()
         if (self.folder / LEAGUE).exists():
             self._restore()

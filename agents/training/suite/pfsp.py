@@ -3,7 +3,8 @@
     stkzoo suite train selfplay-5 pfsp
 
 Like fictitious self-play (:mod:`.fsp`), but a past policy that is beaten with probability p is
-drawn with weight (1 - p)^2 (Vinyals et al., 2019).
+drawn with weight (1 - p)^2 (Vinyals et al., 2019). Each weight is 0.02 higher here, so that every
+policy can be drawn.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from stkzoo._os import file_digest
 from stkzoo._schema import Within, plain_text
-from stkzoo.drivers.driver import declared_name, driver_names, find_driver
+from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import find_files, installed_module
 from stkzoo.drivers.sandbox import say_what_is_missing
@@ -88,13 +88,14 @@ def find_entrants(
         taken: labels of other agents in the batch.
 
     Raises:
-        ConfigError: an agent does not exist, two agents were given the same name, or the sandbox
-            is not available.
+        ConfigError: an agent does not exist or requires another difficulty than the races have,
+            two agents were given the same name, or the sandbox is not available.
     """
     labels = [*taken]
     entrants = []
     for text in agents:
         driver = find_driver(text, inline=settings.inline, adapter=settings.adapter)
+        check_level(driver, settings)
         if driver.is_from_files and not settings.inline:
             say_what_is_missing(settings.sandbox)
         given = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
@@ -105,6 +106,26 @@ def find_entrants(
         labels.append(_unique(agent.name or _short(agent.source), labels))
         entrants.append(Entrant(labels[-1], agent.place, served=agent))
     return tuple(entrants)
+
+
+def check_level(driver: Driver, settings: RaceSettings) -> None:
+    """Checks that a driver does not change the difficulty of the races of a batch.
+
+    Races with such a driver would have another difficulty than the plan says.
+
+    Args:
+        driver: the driver.
+        settings: settings of the races.
+
+    Raises:
+        ConfigError: the driver requires another difficulty.
+    """
+    if driver.difficulty not in (None, settings.difficulty):
+        raise ConfigError(
+            f"{driver.source!r} requires difficulty {driver.difficulty}, and the races have "
+            f"difficulty {settings.difficulty}; name ai or ai:{settings.difficulty}, or change the "
+            "difficulty of the races"
+        )
 
 
 def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: str = "") -> str:

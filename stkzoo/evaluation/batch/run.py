@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from stkzoo._os import PART_FILES, cpu_count, try_lock, write_text
-from stkzoo.errors import ConfigError, StkzooError, check_number, check_whole, reason
+from stkzoo._os import PART_FILES, cpu_count, try_lock, using_folder, write_text
+from stkzoo.errors import ConfigError, StkzooError, check_number, check_whole
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, BatchPlan, Plan, Result
 from stkzoo.evaluation.batch.pool import run_in_parallel
@@ -195,13 +195,9 @@ def _open_without_waiting(path: str, flags: int) -> int:
 
 @contextmanager
 def _locked(folder: Path, noun: str) -> Iterator[None]:
-    try:
+    with using_folder(folder, noun):
         (folder / RACES).mkdir(parents=True, exist_ok=True)
         lock = open(folder / "lock", "a", opener=_open_without_waiting)  # noqa: SIM115
-    except OSError as error:
-        raise ConfigError(
-            f"the {noun}'s folder {folder} cannot be used: {reason(error)}; choose another --output"
-        ) from error
     with lock:
         if not try_lock(lock.fileno()):
             raise ConfigError(

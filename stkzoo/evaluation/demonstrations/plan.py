@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar
 from stkzoo._schema import Count, OneOf, Within
 from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
+from stkzoo.evaluation.batch.entrants import Entrant, check_level, find_entrants
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, check_directions, check_num_races, find_tracks
 from stkzoo.evaluation.batch.run import RunOptions, run_batch
@@ -205,6 +205,8 @@ def plan_demonstrations(
     DemoView(view)
     (entrant,) = find_entrants([agent], chosen)
     drivers = [find_driver(text, inline=chosen.inline) for text in (entrant.source, *rivals)]
+    for driver in drivers:
+        check_level(driver, chosen)
     return DemoPlan(
         agent=entrant,
         karts=karts,

@@ -27,6 +27,8 @@ from stkzoo.suite.tasks import SUITE, TIME_RATIO, Task, find_task
 _Algorithm = Annotated[str, Matching(r"[\w.+-]{1,40}", "letters, digits and any of _ . + -")]
 _Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
 _TOLERANCE = 1e-9
+#: Maximum number of kart-steps of an iteration. A run ends with the one that spends its budget.
+_MAX_ITERATION = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +134,8 @@ class SuiteRun(Document):
         algorithm: name of the algorithm.
         seed: seed of the run.
         budget: number of kart-steps to learn from.
-        kart_steps: number of kart-steps learned from, which ends with a whole iteration.
+        kart_steps: number of kart-steps learned from, which ends with a whole iteration: at least
+            the budget, and at most 100,000 more.
         curve: the learning curve.
         test: scores on the test tracks.
         train: scores on the training tracks.
@@ -169,8 +172,22 @@ class SuiteRun(Document):
             raise ConfigError(f"it is of another definition of {task.name}; run it again")
         if self.population != population_of(task):
             raise ConfigError(f"it is of another population of {task.name}; evaluate it again")
+        self._check_kart_steps()
         for split, scores in ((TEST, self.test), (TRAIN, self.train)):
             _check_scores(task, split, scores)
+
+    def _check_kart_steps(self) -> None:
+        if self.kart_steps != self.curve.kart_steps[-1]:
+            raise ConfigError(
+                f"kart_steps is {self.kart_steps:,}, and the curve ends at "
+                f"{self.curve.kart_steps[-1]:,}; expected the same"
+            )
+        most = self.budget + _MAX_ITERATION
+        if not self.budget <= self.kart_steps <= most:
+            raise ConfigError(
+                f"kart_steps is {self.kart_steps:,}, expected {self.budget:,} (the budget) to "
+                f"{most:,}; end the training with the iteration that spends the budget"
+            )
 
     @property
     def name(self) -> str:

@@ -11,8 +11,7 @@ from statistics import fmean
 
 import numpy as np
 
-from stkzoo._os import write_text
-from stkzoo.errors import ConfigError
+from stkzoo._os import make_folder, write_text
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
 from stkzoo.suite.report.document import (
     NORMALIZED,
@@ -232,10 +231,7 @@ def write_suite_report(
     runs = load_runs(paths)
     report = make_report(runs)
     folder = Path(output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"the report cannot be written to {str(folder)!r}: {error}") from error
+    make_folder(folder, "report")
     figures = draw_figures(report, folder)
     write_text(folder / "report.json", report.to_json() + "\n")
     write_text(folder / "marl_eval.json", marl_eval_json(runs))
