@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 from stkzoo.errors import ActionError, ConfigError, shortened, unknown_name
 
-__all__ = ["by_agent", "check_actions", "find_agent", "of_agent"]
+__all__ = ["by_agent", "find_agent", "of_agent", "require_actions"]
 
 Value = TypeVar("Value")
 
@@ -72,19 +72,28 @@ def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str,
     return found
 
 
-def check_actions(actions: object, agents: Collection[str]) -> None:
-    """Checks that actions are a dict.
+def require_actions(actions: object, agents: Sequence[str], optional: Collection[str] = ()) -> None:
+    """Checks that there is an action for every agent.
 
     Args:
-        actions: the actions.
+        actions: actions by agent.
         agents: ids of the agents that act.
+        optional: agents that need no action.
 
     Raises:
-        ActionError: the actions are of another type.
+        ActionError: an action is missing, or the actions are not a dict.
     """
     if not isinstance(actions, Mapping):
         raise ActionError(
             f"the actions have to be a dict by agent: {', '.join(agents)}; found "
             f"{shortened(actions, 200)}",
-            next(iter(agents), ""),
+            agents[0] if agents else "",
+        )
+    missing = [agent for agent in agents if agent not in actions and agent not in optional]
+    if missing:
+        came = ", ".join(map(repr, actions)) or "none"
+        raise ActionError(
+            f"no action for agent {', '.join(map(repr, missing))}; actions came for {came}. "
+            "Send one for every agent in env.agents.",
+            missing[0],
         )

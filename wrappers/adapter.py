@@ -12,7 +12,7 @@ from gymnasium.wrappers.utils import create_zero_array
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.agent_names import of_agent
+from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
@@ -115,7 +115,8 @@ class GymAgentAdapter(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Converts the agents' actions, steps the environment and wraps the results."""
-        base = self._walker.begin_step(actions, self._present)
+        checked = self._walker.read_actions(actions, self._present)
+        base = self._walker.begin_step(checked, self._present)
         try:
             observations, reward, terminated, truncated, info = self.env.step(base)
             originals = self._handed_out(observations)
@@ -208,11 +209,18 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         return self._with_originals(observations, originals), infos
 
     def step(self, actions: dict[str, Any]) -> StepParts:
-        """Converts the agents' actions, steps the environment and wraps the results."""
+        """Converts the agents' actions, steps the environment and wraps the results.
+
+        Raises:
+            ActionError: an action is missing or invalid; neither the environment nor a wrapper has
+                changed.
+        """
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
-        base = self._walker.begin_step(actions, agents)
+        # The actions of agents that the game drives are optional in a race.
+        require_actions(actions, agents, getattr(self.env.unwrapped, "_ai_agents", ()))
+        base = self._walker.begin_step(self._walker.read_actions(actions, agents), agents)
         for agent in self._retired.intersection(self.env.agents):
             base[agent] = create_zero_array(self.env.action_space(agent))
         try:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from stkzoo.agent_names import check_actions
+from stkzoo.agent_names import require_actions
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
@@ -174,7 +174,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         with self.core._turn.of("reset"):
             gym.Env.reset(self, seed=seed)
             self.core.np_random = self.np_random
-            return self.core.reset(options=options)
+            return self.core._reset(seed, options)
 
     def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
         if self.core.snapshot is not None and not self.core.agents:
@@ -340,7 +340,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     def _step(
         self, action: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        check_actions(action, self._names)
+        require_actions(action, [*self._names], optional=self._names)
         try:
             actions = {self._names[key]: value for key, value in action.items()}
         except KeyError as error:

@@ -16,7 +16,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.agent_names import check_actions
+from stkzoo.agent_names import require_actions
 from stkzoo.errors import ActionError, ConfigError, unknown_name
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.racing import BRAKE, CHOICES, STEERS
@@ -126,7 +126,7 @@ class FlatTask(BaseParallelWrapper[str, Any, Any]):
         Raises:
             ActionError: an action is missing or invalid; the race has not advanced.
         """
-        check_actions(actions, self.env.agents)
+        require_actions(actions, self.env.agents)
         racing = {agent: self._action(agent, actions.get(agent)) for agent in self.env.agents}
         observations, *rest = self.env.step(racing)
         return (self._flattened(observations), *rest)

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ActionError, AgentException, shortened
+from stkzoo.agent_names import require_actions
+from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, RowObserver, ViewPlan
@@ -64,6 +65,24 @@ class _Roster:
     agents: tuple[str, ...]
     groups: tuple[_Group, ...]
     walked: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class CheckedActions:
+    """Valid actions of one step, before any wrapper has run.
+
+    Attributes:
+        roster: the agents that act.
+        rows: row of each agent in ``controls``.
+        controls: base actions of the agents whose wrappers all run in the kernel, but actions in
+            physical units as they came.
+        walked: actions of the agents with Python wrappers.
+    """
+
+    roster: _Roster
+    rows: IntArray
+    controls: FloatArray
+    walked: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,10 +158,9 @@ class AgentChains:
         num_rows: int | None = None,
         source: ObservationSource | None = None,
     ) -> FloatArray:
-        """Converts the agents' actions to base actions.
+        """Converts the agents' actions to base actions: :meth:`check`, then :meth:`convert`.
 
-        All actions are checked before any wrapper runs. Actions of agents not in ``agents`` are
-        ignored.
+        Actions of agents not in ``agents`` are ignored.
 
         Args:
             actions: actions by agent, in each agent's ``action_spaces``.
@@ -160,28 +178,42 @@ class AgentChains:
             ActionError: an action is missing or not in its space.
             AgentException: a wrapper failed.
         """
-        roster = self._roster(agents)
         rows = np.arange(len(agents)) if rows is None else rows
         count = len(agents) if num_rows is None else num_rows
-        controls = np.zeros((count, len(self._columns)), np.float32)
+        return self.convert(self.check(actions, agents, rows, count), source)
+
+    def check(
+        self, actions: Mapping[str, Any], agents: Sequence[str], rows: IntArray, num_rows: int
+    ) -> CheckedActions:
+        """First half of :meth:`decode`: checks the actions and changes nothing.
+
+        Args:
+            actions: see :meth:`decode`.
+            agents: see :meth:`decode`.
+            rows: see :meth:`decode`.
+            num_rows: see :meth:`decode`.
+
+        Raises:
+            ActionError: an action is missing or not in its space.
+        """
+        roster = self._roster(agents)
+        controls = np.zeros((num_rows, len(self._columns)), np.float32)
+        walked: Mapping[str, Any] = {}
         unread = [
             group
             for group in roster.groups
             if not group.reader.read(actions, group.acting, rows[group.acting_rows], controls)
         ]
         if unread or roster.walked:
-            self._require_actions(actions, agents)
+            require_actions(actions, agents, self._ignored)
             for group in unread:
                 usual = {a: self._chains[a].read_action(actions[a]) for a in group.acting}
                 group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
-            asked = {a: actions[a] for a in roster.walked if a not in self._ignored}
-            base = self._walker.begin_step(asked, roster.walked)
-            for group in roster.groups:
-                group.reader.read(base, group.walking, rows[group.walking_rows], controls)
-        self._drive_cars(roster, rows, controls, source)
-        return controls
+            asked = [agent for agent in roster.walked if agent not in self._ignored]
+            walked = self._walker.read_actions(actions, asked)
+        return CheckedActions(roster, rows, controls, walked)
 
-    def decode_batch(
+    def check_batch(
         self,
         batch: Any,
         slots: IntArray,
@@ -189,9 +221,8 @@ class AgentChains:
         agents: Sequence[str],
         rows: IntArray,
         num_rows: int,
-        source: ObservationSource,
-    ) -> FloatArray | None:
-        """Converts a batch of actions to base actions, if no wrapper runs in Python.
+    ) -> CheckedActions | None:
+        """Does the same as :meth:`check` for a batch of actions, if no wrapper runs in Python.
 
         Args:
             batch: an array with one row per slot, or a dict of such arrays.
@@ -200,11 +231,10 @@ class AgentChains:
             agents: see :meth:`decode`.
             rows: see :meth:`decode`.
             num_rows: see :meth:`decode`.
-            source: see :meth:`decode`.
 
         Returns:
-            See :meth:`decode`. ``None`` if an action is invalid or in an unusual form, which
-                :meth:`decode` converts or rejects.
+            The actions. ``None`` if an action is invalid or in an unusual form, which
+                :meth:`check` converts or rejects.
         """
         roster = self._roster(agents)
         if roster.walked:
@@ -215,6 +245,27 @@ class AgentChains:
             own = slots[acting], rows[acting]
             if not group.reader.read_batch(batch, num_slots, *own, controls):
                 return None
+        return CheckedActions(roster, rows, controls, {})
+
+    def convert(self, checked: CheckedActions, source: ObservationSource | None) -> FloatArray:
+        """Second half of :meth:`decode`: runs the wrappers of the agents that act.
+
+        Args:
+            checked: actions from :meth:`check` or :meth:`check_batch`; used up by this call.
+            source: see :meth:`decode`.
+
+        Returns:
+            See :meth:`decode`.
+
+        Raises:
+            ActionError: a wrapper returned an action outside its agent's base space.
+            AgentException: a wrapper failed.
+        """
+        roster, rows, controls = checked.roster, checked.rows, checked.controls
+        if roster.walked:
+            base = self._walker.begin_step(checked.walked, roster.walked)
+            for group in roster.groups:
+                group.reader.read(base, group.walking, rows[group.walking_rows], controls)
         self._drive_cars(roster, rows, controls, source)
         return controls
 
@@ -283,7 +334,7 @@ class AgentChains:
             source: the race at its first moment.
             infos: infos by agent.
             seed: seed of the wrappers' ``np_random``: agent ``n`` gets ``seed + n``.
-            options: passed to the ``reset`` of every wrapper.
+            options: passed to the ``reset`` of every wrapper, with the ``step_size`` of the race.
             failed: gets the errors of agents whose wrappers fail. Without it, the first one is
                 raised.
 
@@ -294,10 +345,11 @@ class AgentChains:
             AgentException: a wrapper failed.
         """
         self._walker.abandon()
-        self._reset_cars(options or {})
+        self._reset_cars(source.step_size)
         observations = self.observe(agents, source)
         new_infos = {agent: dict(infos[agent]) for agent in agents}
         walked = self._roster(agents).walked
+        options = {**(options or {}), "step_size": source.step_size}
         self._walker.reset(walked, observations, new_infos, seed, options, failed)
         return observations, new_infos
 
@@ -362,11 +414,11 @@ class AgentChains:
         """Closes all wrappers."""
         self._walker.close()
 
-    def _reset_cars(self, options: Mapping[str, Any]) -> None:
+    def _reset_cars(self, step_size: float) -> None:
         self._cars[:] = 0.0
         for number, plan in enumerate(self._plans.values()):
             if plan.car is not None:
-                self._cars[number, 2] = options.get("step_size", plan.car.step_size)
+                self._cars[number, 2] = step_size
 
     def _roster(self, agents: Sequence[str]) -> _Roster:
         key = tuple(agents)
@@ -410,22 +462,6 @@ class AgentChains:
     def __getstate__(self) -> dict[str, Any]:
         # The kernel objects are rebuilt from the plans on demand.
         return {**self.__dict__, "_made": {}, "_present": None}
-
-    def _require_actions(self, actions: Mapping[str, Any], agents: Sequence[str]) -> None:
-        if not isinstance(actions, Mapping):
-            raise ActionError(
-                f"the actions have to be a dict by agent: {', '.join(agents)}; found "
-                f"{shortened(actions, 200)}",
-                agents[0] if agents else "",
-            )
-        missing = [a for a in agents if a not in actions and a not in self._ignored]
-        if missing:
-            came = ", ".join(map(repr, actions)) or "none"
-            raise ActionError(
-                f"no action for agent {', '.join(map(repr, missing))}; actions came for {came}. "
-                "Send one for every agent in env.agents.",
-                missing[0],
-            )
 
 
 def _observer_of(plan: ViewPlan) -> Observer:

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.agent_names import check_actions
+from stkzoo.agent_names import require_actions
 from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.marl.teams import Teams
@@ -96,7 +96,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         Raises:
             ActionError: a message is missing or invalid; the race has not advanced.
         """
-        check_actions(actions, self.env.agents)
+        require_actions(actions, self.env.agents)
         said = {agent: self._message(agent, actions) for agent in self.env.agents}
         bare = {agent: action["action"] for agent, action in actions.items() if agent in said}
         observations, rewards, terminations, truncations, infos = self.env.step(bare)
