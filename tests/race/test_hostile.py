@@ -381,6 +381,26 @@ def _removed(folder):
     return not agent_folders(folder)
 
 
+@pytest.mark.parametrize("command", ["race", "tournament"])
+def test_a_command_in_an_agents_folder_runs_no_file_of_it_by_the_name_of_a_python_module(
+    command, tmp_path
+):
+    folder, proof = tmp_path / "agent", tmp_path / "proof"
+    shutil.copytree(AGENTS / "plain", folder)
+    for name in ("json", "types"):
+        (folder / f"{name}.py").write_text(f"open({str(proof)!r}, 'w').write('ran')")
+    program = tmp_path / "program.py"  # like the command, it searches its own folder
+    program.write_text("import sys, stkzoo.cli; sys.exit(stkzoo.cli.main())")
+    words = [command, ".", "ai", "--track", "lighthouse", "--max-steps", "3", "--sandbox", "off"]
+    words += ["--output", str(tmp_path / "result")]
+    words += ["--races", "2"] if command == "tournament" else []
+    done = subprocess.run(
+        [sys.executable, str(program), *words], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert not proof.exists()
+
+
 def test_an_agent_without_a_sandbox_is_not_confined(bench):
     home, _, write, _ = bench
     harmless = {name: probe for name, probe in PROBES.items() if name not in HARMFUL}
