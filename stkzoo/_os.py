@@ -7,13 +7,13 @@ import errno
 import hashlib
 import ipaddress
 import os
-import shutil
 import sys
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from stkzoo._removal import open_folder, remove_tree
 from stkzoo.errors import ConfigError, StkzooError, reason
 
 try:
@@ -366,7 +366,7 @@ class LockedTemporaryDirectory:
 
     def close(self) -> None:
         """Removes the directory. Can be called again."""
-        shutil.rmtree(self.path, ignore_errors=True)
+        remove_tree(self.path)
         self.release()
 
     def release(self) -> None:
@@ -396,10 +396,10 @@ def remove_stale_directories() -> None:
 
 
 def _remove_if_unlocked(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    handle = open_folder(folder)
     try:
         if os.fstat(handle).st_uid == os.geteuid() and try_lock(handle):
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_tree(folder)
     finally:
         os.close(handle)
 

@@ -31,7 +31,9 @@ LAYERS = [
             "stkzoo._lazy",
             "stkzoo._logs",
             "stkzoo._os",
+            "stkzoo._python",
             "stkzoo._reading",
+            "stkzoo._removal",
             "stkzoo._schema",
             "stkzoo._turns",
             "stkzoo.kernel",
@@ -236,6 +238,12 @@ def test_class_names_are_unique():
     shared = {name: modules for name, modules in homes.items() if len(modules) > 1}
     assert {name: shared[name] for name in shared if name not in SHARED_CLASS_NAMES} == {}
     assert [name for name in SHARED_CLASS_NAMES if name not in shared] == []
+
+
+def test_code_for_a_new_interpreter_never_searches_the_current_folder():
+    direct = re.compile(r'sys\.executable,\s*"-[cm]"')
+    found = [module_name(path) for path in SOURCES if direct.search(path.read_text())]
+    assert found == [], "use stkzoo._python.python_command"
 
 
 # ---------------------------------------------------------------------- light imports

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pickle
 import subprocess
-import sys
 import tempfile
 import traceback
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from typing import Any
 
 import cloudpickle  # type: ignore[import-untyped]
 
+from stkzoo._python import python_command, search_path
 from stkzoo.checks.play import NotApplicable, expect
 
 _TIMEOUT = 600.0
@@ -36,7 +36,7 @@ def run_fresh(function: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
     with tempfile.TemporaryDirectory(prefix="stkzoo-check-") as folder:
         Path(folder, "call").write_bytes(cloudpickle.dumps((function, arguments)))
         run = subprocess.run(  # noqa: S603 - our own interpreter on our own code
-            [sys.executable, "-c", _CHILD, folder],
+            python_command(_CHILD, folder),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -91,5 +91,5 @@ def descendants() -> frozenset[int]:
 
 
 def _environment() -> dict[str, str]:
-    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    path = os.pathsep.join(search_path())
     return {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "1"}

@@ -26,6 +26,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from stkzoo._installation import extra_requirements, install_command, pip_install
+from stkzoo._python import python_command
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.errors import AssetError
 from stkzoo.kernel import IS_COMPILED
@@ -190,7 +191,7 @@ def _probe(program: str, variables: dict[str, str]) -> tuple[int, str]:
     """
     try:
         process = subprocess.run(  # noqa: S603 - our own interpreter
-            [sys.executable, "-c", program],
+            python_command(program),
             env={**os.environ, **variables},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

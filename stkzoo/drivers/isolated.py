@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, NoReturn
 
+from stkzoo._python import python_command, search_path
 from stkzoo.drivers import keeper
 from stkzoo.drivers.failures import OutputTail, reported_error
 from stkzoo.drivers.files import AgentFiles
@@ -220,9 +221,9 @@ class IsolatedInstance:
         life, end = socket.socketpair()
         self._resources.callback(life.close)
         memory = (self._limits.memory or 0) << 20
-        path = json.dumps([path or os.getcwd() for path in sys.path])
+        path = json.dumps(search_path())
         with theirs, end:
-            code = [sys.executable, "-c", _CODE, path, str(theirs.fileno()), str(memory)]
+            code = python_command(_CODE, path, str(theirs.fileno()), str(memory))
             command = [*shell.command, *code]
             if _HAS_KEEPER:
                 arguments = map(str, (os.getpid(), theirs.fileno(), memory))

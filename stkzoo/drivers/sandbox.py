@@ -15,12 +15,12 @@ import shutil
 import site
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from stkzoo._os import LockedTemporaryDirectory
 from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
@@ -102,7 +102,7 @@ def enclose(
     changed = own if adapter else []  # an adapter's prepare_module_dir may change them
     home = "/tmp"  # noqa: S108 - inside the sandbox
     if kind == LANDLOCK:
-        home = resources.enter_context(tempfile.TemporaryDirectory(prefix="stkzoo-agent-"))
+        home = str(resources.enter_context(LockedTemporaryDirectory("sandbox")).path)
     environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
     environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
     if kind == LANDLOCK:

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._os import LockedTemporaryDirectory, OwnDescriptor
+from stkzoo._python import python_command
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 
@@ -48,7 +49,6 @@ ONE_THREAD = dict.fromkeys(
 #: engine's modules would also import Gymnasium and the rest of the library.
 _BOOTSTRAP = """
 import sys, types
-sys.path[:] = [path for path in sys.path if path]
 sys.modules["stkzoo"] = package = types.ModuleType("stkzoo")
 package.__path__ = [sys.argv[1]]
 from stkzoo.engine.{module} import main
@@ -213,7 +213,7 @@ def spawn_interpreter(
     code = _BOOTSTRAP.format(module=module)
     with _fixed_addresses():
         return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
-            [sys.executable, "-c", code, str(package), str(channel)],
+            python_command(code, str(package), str(channel)),
             stdin=subprocess.DEVNULL,
             stdout=log.fileno(),
             stderr=log.fileno(),

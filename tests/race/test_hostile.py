@@ -4,11 +4,15 @@ import os
 import re
 import shutil
 import socket
+import subprocess
+import sys
+import textwrap
 from pathlib import Path
 
 import pytest
 
 from benchmarks import adversaries as attacks
+from stkzoo._os import remove_stale_directories
 from stkzoo.drivers import landlock, sandbox, seccomp
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -285,6 +289,116 @@ def test_landlock_confines_an_agent(bench, monkeypatch):
     assert "temporary files" not in result.protections
     assert reached_in(result) <= LANDLOCK_ALLOWS
     sandbox.say_what_is_missing.cache_clear()
+
+
+NESTS = """
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        os.chdir({place})
+        for _ in range(1200):
+            os.mkdir("x")
+            os.chdir("x")
+        1 / 0
+    return actor
+"""
+
+
+@pytest.fixture
+def own_temporary_folder(tmp_path_factory, monkeypatch):
+    """Makes a folder for the race's temporary folders."""
+    folder = tmp_path_factory.mktemp("temporary")
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    yield folder
+    subprocess.run(["rm", "-rf", folder], check=True)  # pytest cannot remove nested folders
+
+
+def agent_folders(folder):
+    """Returns the temporary folders of agents; those of the game's processes exist longer."""
+    return [*folder.glob("stkzoo-*sandbox-*"), *folder.glob("stkzoo-*agent-*")]
+
+
+@needs_landlock
+def test_an_agent_that_nests_thousands_of_temporary_folders_affects_only_its_kart(
+    bench, own_temporary_folder, monkeypatch
+):
+    home, _, write, _ = bench
+    monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "a test")
+    nests = write("nests", NESTS.format(place='os.environ["TMPDIR"]'))
+    result = race(str(home / "rival"), nests, max_steps=5, action_timeout=60.0)
+    assert "ZeroDivisionError" in by_driver(result)["nests"].errors[0].message
+    assert not by_driver(result)["Plain"].num_errors
+    assert agent_folders(own_temporary_folder) == []
+
+
+@needs_bubblewrap
+def test_an_unpacked_agent_that_nests_thousands_of_folders_affects_only_its_kart(
+    bench, own_temporary_folder
+):
+    home, _, write, _ = bench
+    write("nests", NESTS.format(place="module_dir"))
+    agent = shutil.make_archive(str(home / "packed"), "zip", home / "nests", "pystk_actor.py")
+    (home / "adapter.py").write_text("def create_actor(get, *given):\n    return get(*given)\n")
+    settings = {"adapter": str(home / "adapter.py"), "sandbox": "on", "action_timeout": 60.0}
+    result = race("ai", agent, max_steps=5, **settings)
+    assert "ZeroDivisionError" in by_driver(result)["packed"].errors[0].message
+    assert agent_folders(own_temporary_folder) == []
+
+
+SLEEPS = """
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        open(os.environ["TMPDIR"] + "/races", "w").close()
+        time.sleep(600)
+    return actor
+"""
+
+
+@needs_landlock
+def test_the_next_race_removes_the_temporary_folder_of_an_agent_whose_race_was_killed(
+    bench, own_temporary_folder
+):
+    write = bench[2]
+    code = f"""
+        from stkzoo.drivers import sandbox
+        from stkzoo.race import run_race
+        sandbox.bubblewrap_problem = lambda: "a test"
+        run_race([{write("sleeps", SLEEPS)!r}], track="lighthouse", action_timeout=None)
+    """
+    program = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)],
+        env={**os.environ, "TMPDIR": str(own_temporary_folder)},
+    )
+    try:
+        assert wait_until(lambda: [*own_temporary_folder.glob("*/races")], 60)
+    finally:
+        program.kill()
+        program.wait()
+    assert wait_until(lambda: _removed(own_temporary_folder))
+
+
+def _removed(folder):
+    remove_stale_directories()
+    return not agent_folders(folder)
+
+
+@pytest.mark.parametrize("command", ["race", "tournament"])
+def test_a_command_in_an_agents_folder_runs_no_file_of_it_by_the_name_of_a_python_module(
+    command, tmp_path
+):
+    folder, proof = tmp_path / "agent", tmp_path / "proof"
+    shutil.copytree(AGENTS / "plain", folder)
+    for name in ("json", "types"):
+        (folder / f"{name}.py").write_text(f"open({str(proof)!r}, 'w').write('ran')")
+    program = tmp_path / "program.py"  # like the command, it searches its own folder
+    program.write_text("import sys, stkzoo.cli; sys.exit(stkzoo.cli.main())")
+    words = [command, ".", "ai", "--track", "lighthouse", "--max-steps", "3", "--sandbox", "off"]
+    words += ["--output", str(tmp_path / "result")]
+    words += ["--races", "2"] if command == "tournament" else []
+    done = subprocess.run(
+        [sys.executable, str(program), *words], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert not proof.exists()
 
 
 def test_an_agent_without_a_sandbox_is_not_confined(bench):

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +17,7 @@ from email import message_from_string
 from pathlib import Path
 from typing import Any
 
+from stkzoo._python import python_command
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
 from stkzoo.engine.assets.overlay import adapt
 from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder
@@ -236,7 +236,7 @@ def fetch_upstream(work: Path, progress: Progress) -> Path:
     variables = {name: text for name, text in os.environ.items() if name != DATADIR_VARIABLE}
     try:
         _run(
-            [sys.executable, "-c", _PROGRAM],
+            python_command(_PROGRAM),
             folder=work,
             watch=watch,
             name="the download of pystk2",

@@ -20,6 +20,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from stkzoo._os import remove_stale_directories
+from stkzoo._python import python_command, search_path
 from stkzoo._schema import typed
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.sandbox import SHARED_CORES
@@ -202,14 +203,13 @@ class _Worker:
 
 def _start(*, is_alone: bool) -> tuple[subprocess.Popen[bytes], OutputTail]:
     cores = {} if is_alone else {SHARED_CORES: "1"}  # parallel races would pin the same cores
-    paths = [path for path in sys.path if path]
     process = subprocess.Popen(  # noqa: S603 - our own program
-        [sys.executable, "-c", _WORKER],
+        python_command(_WORKER),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         # The worker must find the same modules as this program.
-        env={**os.environ, **cores, "PYTHONPATH": os.pathsep.join(paths)},
+        env={**os.environ, **cores, "PYTHONPATH": os.pathsep.join(search_path())},
         start_new_session=True,  # Ctrl-C must reach only this program, which ends its workers
     )
     return process, OutputTail(process.stderr)

@@ -1,0 +1,96 @@
+"""Removal of folders whose content is not trusted."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+__all__ = ["open_folder", "remove_tree"]
+
+
+def remove_tree(folder: Path) -> None:
+    """Removes a folder and its content as far as possible; no content makes it raise.
+
+    :func:`shutil.rmtree` recurses, so it fails if an agent nests thousands of folders. This
+    function moves each nested folder to the top before it opens it, so neither the depth nor the
+    length of a path is limited. It does not follow links, and removes folders without permissions.
+
+    Args:
+        folder: the folder; if it does not exist, nothing happens.
+    """
+    if sys.platform == "win32":  # no descriptors of folders; agents have no processes there
+        shutil.rmtree(folder, ignore_errors=True)
+        return
+    with suppress(OSError):
+        top = open_folder(folder)
+        try:
+            waiting = _empty(top, top)
+            while waiting:
+                waiting += _remove(waiting.pop(), top)
+        finally:
+            os.close(top)
+        folder.rmdir()
+
+
+def open_folder(path: str | Path, parent: int | None = None) -> int:
+    """Opens a folder. If this user owns it, the user also gets all permissions for it.
+
+    Args:
+        path: the folder.
+        parent: descriptor of the folder to which ``path`` is relative.
+
+    Returns:
+        A descriptor of the folder.
+
+    Raises:
+        OSError: the folder does not exist, cannot be opened, or is a link.
+    """
+    _permit(path, parent)
+    return os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=parent)
+
+
+def _permit(path: str | Path, parent: int | None) -> None:
+    if sys.platform != "linux":
+        os.chmod(path, 0o700, dir_fd=parent, follow_symlinks=False)
+        return
+    # Linux has no chmod that does not follow links.
+    handle = os.open(path, os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=parent)
+    try:
+        if os.fstat(handle).st_uid == os.geteuid():
+            os.chmod(f"/proc/self/fd/{handle}", 0o700)
+    finally:
+        os.close(handle)
+
+
+def _remove(name: str, top: int) -> list[str]:
+    """Removes a folder in the top folder; returns the new names of its nested folders there."""
+    nested: list[str] = []
+    with suppress(OSError):
+        folder = open_folder(name, top)
+        try:
+            nested = _empty(folder, top)
+        finally:
+            os.close(folder)
+        os.rmdir(name, dir_fd=top)
+    return nested
+
+
+def _empty(folder: int, top: int) -> list[str]:
+    """Removes the files of a folder and moves its nested folders; returns their new names."""
+    nested = []
+    with os.scandir(folder) as entries:
+        found = list(entries)
+    for entry in found:
+        with suppress(OSError):
+            if not entry.is_dir(follow_symlinks=False):
+                os.unlink(entry.name, dir_fd=folder)
+                continue
+            _permit(entry.name, folder)  # a folder that is not writable cannot be moved
+            name = secrets.token_hex()  # unknown to the agent, so it does not exist
+            os.rename(entry.name, name, src_dir_fd=folder, dst_dir_fd=top)
+            nested.append(name)
+    return nested
