@@ -22,6 +22,7 @@ from pathlib import Path
 
 from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo._os import write_whole
+from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS, split_of
@@ -83,6 +84,7 @@ class TrackFacts:
     record_laps: int | None
 
 
+@usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Prints a table or JSON, or draws a map."""
     names = _chosen(arguments)

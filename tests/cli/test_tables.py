@@ -41,7 +41,7 @@ def test_tracks_of_a_split_are_shown(capsys):
 
 
 def test_an_unknown_track_is_reported_with_the_nearest_name(capsys):
-    assert main(["tracks", "lighthous"]) == 1
+    assert main(["tracks", "lighthous"]) == 2
     assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
 
 
@@ -64,8 +64,15 @@ def test_a_map_is_drawn(tmp_path, capsys):
     ],
 )
 def test_impossible_maps_are_refused(words, text, capsys):
-    assert main(["tracks", *words]) == 1
+    assert main(["tracks", *words]) == 2
     assert text in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_written_is_reported_without_temporary_names(capsys):
+    main(["tracks", "lighthouse", "--map", "/nowhere/map.png"])
+    assert "/nowhere/map.png cannot be written: No such file or directory\n" in (
+        capsys.readouterr().err
+    )
 
 
 def test_karts_match_the_game(capsys):
