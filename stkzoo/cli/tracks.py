@@ -1,7 +1,7 @@
 """List the tracks.
 
-Shows the game's tracks: the length of a lap, the parts and forks of the driving line, the items
-at the start, the lap time of the game's AI, forward and reversed (median of 25 karts at
+Shows the game's tracks: the length of a lap, the segments and forks of the driving line, the
+items at the start, the lap time of the game's AI, forward and reversed (median of 25 karts at
 --difficulty), and the human world record in the game's time trial with its number of laps. Do not
 train on the tracks of "test".
 
@@ -143,7 +143,7 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
         return TrackFacts(
             track=track,
             split=split_of(track),
-            length=round(road.length, 1),
+            length=round(road.length, 2),
             segments=road.num_nodes,
             forks=sum(len(nodes) > 1 for nodes in road.successors),
             items=len(snapshot.items),
@@ -158,7 +158,7 @@ def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
     from stkzoo.cli._console import show_table
 
     columns = (
-        *("track", "split", "length [m]", "parts", "forks", "items"),
+        *("track", "split", "length [m]", "segments", "forks", "items"),
         *("AI [s]", "reversed", "record"),
     )
     rows = []

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -15,6 +16,7 @@ from rich.console import Console
 from stkzoo._installation import install_command
 from stkzoo.cli import COMMANDS, build_parser, main
 from stkzoo.tracks import SPLITS
+from tests.support.paths import ROOT
 
 
 def test_tracks_shows_the_data_of_tracks(capsys):
@@ -43,6 +45,15 @@ def test_tracks_of_a_split_are_shown(capsys):
 def test_an_unknown_track_is_reported_with_the_nearest_name(capsys):
     assert main(["tracks", "lighthous"]) == 2
     assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
+
+
+def test_lengths_are_rounded_as_on_the_page_of_tracks(capsys):
+    page = (ROOT / "docs" / "reference" / "tracks.md").read_text()
+    names = ("hacienda", "ravenbridge_mansion")  # their lengths end with about half a meter
+    main(["tracks", *names])
+    table = {row[0]: row[2] for row in map(str.split, capsys.readouterr().out.splitlines())}
+    for name in names:
+        assert re.search(rf"\| {name} \| \w+ \| (\d+) \|", page)[1] == table[name]
 
 
 @pytest.mark.slow

@@ -474,7 +474,8 @@ def test_a_damaged_race_file_is_an_error(tmp_path):
 @pytest.mark.parametrize(
     ("agents", "plan", "message"),
     [
-        (["ai"], {}, "expected a list of at least two"),
+        ("ai", {}, "expected a list of at least two"),
+        (["ai"], {}, "needs at least two agents, such as my_agent and ai; this one has 1"),
         (["ai", "ai"], {}, "2 agents are called 'ai'; give each a name of its own"),
         (["ai", "nobody"], {}, "unknown driver 'nobody'"),
         (THREE, {"tracks": ["lighthous"]}, "Did you mean 'lighthouse'"),
