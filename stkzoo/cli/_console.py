@@ -75,15 +75,17 @@ def show_table(
         _width_range(name, [row[number] for row in rows], is_text=name in left)
         for number, name in enumerate(columns)
     ]
-    framed, bare = 3 * len(columns) + 1, 2 * (len(columns) - 1)  # what frame and gaps take
-    is_framed = console.is_terminal and framed + sum(low for low, _ in ranges) <= console.width
-    around = framed if is_framed else bare
-    widths = [high for _, high in ranges]
+    gaps = len(columns) - 1
+    framed, loose, tight = 3 * gaps + 4, 2 * gaps, gaps  # space between and around the columns
+    around, widths = loose, [high for _, high in ranges]
     if console.is_terminal:
+        room = console.width - sum(low for low, _ in ranges)
+        around = next((space for space in (framed, loose) if space <= room), tight)
         widths = _shrunk(ranges, console.width - around)
     table = Table(
-        box=box.ROUNDED if is_framed else None,
-        pad_edge=is_framed,
+        box=box.ROUNDED if around == framed else None,
+        pad_edge=around == framed,
+        collapse_padding=around == tight,
         title=escape(title),
         caption=escape(caption),
     )

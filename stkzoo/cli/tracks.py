@@ -165,7 +165,7 @@ def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
     for fact in facts:
         numbers = (round(fact.length), fact.segments, fact.forks, fact.items)
         times = ("-" if t is None else f"{t:.1f}" for t in (fact.time, fact.reversed_time))
-        record = f"{fact.record:.1f} / {fact.record_laps}" if fact.record else "-"
+        record = f"{fact.record:.1f}/{fact.record_laps}" if fact.record else "-"
         rows.append((fact.track, fact.split, *map(str, numbers), *times, record))
     caption = f"AI times at difficulty {difficulty}; human world records [s] / their laps"
     show_table(columns, rows, left=columns[:2], caption=caption)

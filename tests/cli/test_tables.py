@@ -206,7 +206,7 @@ def test_a_table_has_a_frame_only_where_it_fits():
 
 def test_lines_end_without_spaces_which_a_narrow_terminal_would_wrap():
     rows = [("1", "a"), ("2", "a_long_name")]
-    assert shown(8, ("rank", "name"), rows, left=("name",)).splitlines()[1] == "   1  a"
+    assert shown(8, ("rank", "name"), rows, left=("name",)).splitlines()[1] == "   1 a"
 
 
 def test_a_row_is_one_line_in_a_pipe():
