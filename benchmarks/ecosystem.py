@@ -80,7 +80,7 @@ LIBRARIES = (
         "MaskablePPO",
     ),
     Example(
-        "CleanRL's manner (torch)",
+        "CleanRL style (torch)",
         "torch",
         "cleanrl_ppo",
         "main",
@@ -91,7 +91,12 @@ LIBRARIES = (
         "TorchRL", "torchrl", "torchrl_mappo", "main", "box_discrete", "check_env_specs, MAPPO"
     ),
     Example(
-        "Tianshou", "tianshou", "tianshou_dqn", "main", "masked_discrete", "DQN against chance, AEC"
+        "Tianshou",
+        "tianshou",
+        "tianshou_dqn",
+        "main",
+        "masked_discrete",
+        "DQN against a random agent, AEC",
     ),
     Example(
         "Minari",

@@ -65,7 +65,7 @@ as long as two on most others.
 """
 
 _ABOUT = """\
-*Nodes* are the segments of the driving line, *forks* the segments with more than one successor.
+*Segments* are those of the driving line, *forks* the segments with more than one successor.
 *Items* are those on the track at the start. *AI times* are the medians in seconds at difficulty
 0 / 1 / 2 / 3, of {karts} karts in races of five AI karts.
 [`stkzoo benchmark`](benchmark-protocol.md) divides by them. The best and worst times are in
@@ -136,10 +136,10 @@ _BESIDE, _SPACING = 12.0, 0.3
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Length of a track [m], and numbers of its nodes, forks and items."""
+    """Length of a track [m], and numbers of its segments, forks and items."""
 
     length: float
-    nodes: int
+    segments: int
     forks: int
     items: int
 
@@ -219,14 +219,14 @@ def page(facts: dict[str, Facts], times: AiTimes) -> str:
 
 def _table(facts: dict[str, Facts], times: AiTimes) -> str:
     lines = [
-        "| track | split | length [m] | nodes | forks | items | AI times, forwards | reversed |",
+        "| track | split | length [m] | segments | forks | items | AI times, forwards | reversed |",
         "| :-- | :-- | --: | --: | --: | --: | --: | --: |",
     ]
     for track, found in facts.items():
         split = split_of(track)
         split = "**test**" if split == "test" else split
         lines.append(
-            f"| {track} | {split} | {found.length:.0f} | {found.nodes} | {found.forks} | "
+            f"| {track} | {split} | {found.length:.0f} | {found.segments} | {found.forks} | "
             f"{found.items} | {_times(track, False, times)} | {_times(track, True, times)} |"
         )
     return "\n".join(lines) + "\n"

@@ -63,10 +63,14 @@ class _HelpFormatter(argparse.HelpFormatter):
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose errors are one line, with a suggestion for an unknown name."""
+    """A parser whose errors are one line, with a suggestion for an unknown name.
+
+    Options have no abbreviations: ``--karts`` would mean ``--karts-finished``.
+    """
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(**{"formatter_class": _HelpFormatter, **options})
+        defaults = {"formatter_class": _HelpFormatter, "allow_abbrev": False}
+        super().__init__(**{**defaults, **options})
 
     def group(self, title: str) -> argparse._ArgumentGroup:
         """Returns the group of options with a title, which is created if needed.
@@ -106,7 +110,10 @@ class CommandParser(argparse.ArgumentParser):
         if unknown:
             name = unknown[0].partition("=")[0]
             if name.startswith("-"):
-                self.error(_unknown("option", name, self._option_string_actions))
+                known = self._option_string_actions
+                if longer := next((own for own in known if own.startswith(name)), None):
+                    self.error(f"unknown option {name!r}. Did you mean {longer!r}?")
+                self.error(_unknown("option", name, known))
             self.error(f"unexpected argument {name!r}")
         return found, unknown
 

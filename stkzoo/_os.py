@@ -169,7 +169,10 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     if file.exists() and not file.is_file():  # replacing a device would destroy it
         raise FileExistsError(errno.EEXIST, "it exists and is not a regular file", str(file))
     folder = file.absolute().parent
-    handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=folder)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=folder)
+    except OSError as error:  # without the temporary name, which means nothing to users
+        raise OSError(error.errno, error.strerror) from error
     os.close(handle)
     part = Path(name)
     try:
@@ -203,7 +206,8 @@ def write_whole(
         with atomic_write(path) as part:
             yield part
     except OSError as error:
-        raise error_type(f"{noun} {path} cannot be written: {error}".lstrip()) from error
+        why = str(error) if error.filename else reason(error)
+        raise error_type(f"{noun} {path} cannot be written: {why}".lstrip()) from error
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

@@ -98,7 +98,10 @@ COMMANDS = [
     ),
     ("race {here}/empty.zip", "empty.zip"),
     ("race {here}/extra", "install it, or put it into the agent's folder"),
-    ("tournament", "expected a list of at least two"),
+    (
+        "tournament",
+        "a tournament needs at least two agents, such as my_agent and ai; this one has 0",
+    ),
     ("tournament ai heuristik", "Did you mean 'heuristic'?"),
     ("tournament ai random --track lighthose", "Did you mean 'lighthouse'?"),
     ("tournament ai random --races 0", "races is 0, expected a whole number from 1 to 100000"),

@@ -60,6 +60,8 @@ def _section(parser: argparse.ArgumentParser, level: int) -> Iterator[str]:
 def _row(parser: argparse.ArgumentParser, action: argparse.Action) -> Iterator[str]:
     if isinstance(action, (argparse._HelpAction, argparse._SubParsersAction)):
         return
+    if action.help == argparse.SUPPRESS:
+        return
     shown = parser._get_formatter()
     default = (action.option_strings or [action.metavar or action.dest])[0].lstrip("-").upper()
     values = "" if action.nargs == 0 else shown._format_args(action, default)

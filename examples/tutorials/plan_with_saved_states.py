@@ -46,7 +46,7 @@ def act(observation, offset=0.0):
 
 
 def follow(race, observation, steps, offset=0.0):
-    """Drives on; the way driven, the distance [m], and what is seen in the end."""
+    """Drives on. Returns the path, the distance [m] and the last observation."""
     kart, way = race.race.kart_indices[0], []
     for _ in range(steps):
         if not race.agents:
@@ -141,7 +141,7 @@ print(f"without looking ahead {plain_time:.1f} s, with it {planned_time:.1f} s (
 figure, axes = plt.subplots(figsize=(7, 3))
 axes.plot(np.arange(len(plain)) / 10, plain, label="by its rule")
 axes.plot(np.arange(len(planned)) / 10, planned, label="looking ahead")
-axes.set(xlabel="time [s]", ylabel="way driven [m]")
+axes.set(xlabel="time [s]", ylabel="distance [m]")
 axes.legend()
 axes.grid(alpha=0.3)
 plt.show()

@@ -46,8 +46,8 @@ first steps:
 `stkzoo COMMAND --help` has examples of each.
 
 exit codes:
-  0 success, 1 failure, 2 invalid command line, 3 the race ran but an agent
-  failed, 130 interrupted
+  0 success, 1 failure, 2 invalid command line, 3 an agent failed,
+  130 interrupted
 """
 
 

@@ -25,13 +25,14 @@ Result = TypeVar("Result")
 
 
 def run_batch(
-    arguments: argparse.Namespace, run: Callable[[RunOptions], Result]
+    arguments: argparse.Namespace, run: Callable[[RunOptions], Result], *, is_saved: bool = True
 ) -> tuple[Result | None, int]:
     """Runs a batch with a progress bar.
 
     Args:
         arguments: arguments of the command, with ``jobs`` and ``race_timeout``.
         run: function that runs the batch.
+        is_saved: whether the batch saves each race, so that the same command resumes it.
 
     Returns:
         The result and the exit code. The result is ``None`` if there is no result to show.
@@ -60,11 +61,9 @@ def run_batch(
             print(f"stkzoo: {error}", file=sys.stderr)
             return error.result, 1
         except KeyboardInterrupt:
-            print(
-                f"stkzoo: interrupted after {done} of {total} races, which are kept; resume with: "
-                "the same command",
-                file=sys.stderr,
-            )
+            saved = f"{done} of {total} races are saved; run the same command to resume"
+            text = saved if is_saved and total else "nothing was saved"
+            print(f"stkzoo: interrupted; {text}", file=sys.stderr)
             return None, _INTERRUPTED
 
 
@@ -84,7 +83,7 @@ def run_replays(
     def rerun(options: RunOptions) -> Result:
         return run(jobs=options.jobs, race_timeout=options.race_timeout, on_race=options.on_race)
 
-    return run_batch(arguments, rerun)
+    return run_batch(arguments, rerun, is_saved=False)
 
 
 def run_plan(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Sequence
 from itertools import zip_longest
-from typing import Any, Literal
+from typing import Literal
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import (
@@ -21,6 +22,7 @@ from rich.progress import (
 )
 from rich.progress import Progress as Bars
 from rich.table import Table
+from rich.text import Text
 from typing_extensions import Self  # a dependency of gymnasium
 
 from stkzoo.engine.assets import Progress
@@ -48,32 +50,79 @@ def show_table(
     *,
     left: Collection[str],
     styles: Iterable[str | None] = (),
+    title: str = "",
+    caption: str = "",
     console: Console | None = None,
-    is_narrow: bool = False,
-    **options: Any,
 ) -> None:
-    """Prints a table of results, with a frame on a terminal and without in a file.
+    """Prints a table of results.
 
-    If the table is too wide, texts wrap, but numbers do not.
+    In a file or pipe, each row is one line. On a terminal, the table has a frame if there is space
+    for it, and texts wrap between words. Numbers and words are never cut: if they do not fit, lines
+    are longer than the terminal is wide.
 
     Args:
         columns: headings of the columns.
         rows: texts of each row.
         left: headings of columns with text. Other columns contain numbers and are right-aligned.
         styles: style of each row.
+        title: line above the table.
+        caption: line below the table.
         console: where to print; stdout by default.
-        is_narrow: draw no frame even on a terminal, because there is no space for it.
-        **options: further arguments of ``rich.table.Table``.
     """
     console = console or make_console()
-    is_framed = console.is_terminal and not is_narrow
-    table = Table(box=box.ROUNDED if is_framed else None, pad_edge=is_framed, **options)
-    for name in columns:
+    rows = list(rows)
+    ranges = [
+        _width_range(name, [row[number] for row in rows], is_text=name in left)
+        for number, name in enumerate(columns)
+    ]
+    gaps = len(columns) - 1
+    framed, loose, tight = 3 * gaps + 4, 2 * gaps, gaps  # space between and around the columns
+    around, widths = loose, [high for _, high in ranges]
+    if console.is_terminal:
+        room = console.width - sum(low for low, _ in ranges)
+        around = next((space for space in (framed, loose) if space <= room), tight)
+        widths = _shrunk(ranges, console.width - around)
+    table = Table(
+        box=box.ROUNDED if around == framed else None,
+        pad_edge=around == framed,
+        collapse_padding=around == tight,
+        title=escape(title),
+        caption=escape(caption),
+    )
+    for name, width in zip(columns, widths, strict=True):
         justify: Literal["left", "right"] = "left" if name in left else "right"
-        table.add_column(escape(name), justify=justify, overflow="fold", no_wrap=name not in left)
+        table.add_column(escape(name), justify=justify, overflow="fold", width=width)
     for row, style in zip_longest(rows, styles):
         table.add_row(*map(escape, row), style=style)
-    console.print(table)
+    options = console.options.update(width=sum(widths) + around)
+    for line in console.render_lines(table, options, pad=False):
+        text = Text.assemble(*((part.text, part.style or "") for part in line))
+        text.rstrip()  # a terminal would wrap spaces at the end of a long line
+        console.print(text, soft_wrap=True)
+
+
+def _width_range(name: str, cells: Sequence[str], *, is_text: bool) -> tuple[int, int]:
+    """Returns the smallest width of a column that cuts nothing, and its width without wrapping."""
+    lines = [line for cell in cells for line in cell.splitlines()]
+    whole = [
+        *name.split(),
+        *(word for line in lines for word in (line.split() if is_text else [line])),
+    ]
+    return max(map(cell_len, ["", *whole])), max(map(cell_len, [name, *lines]))
+
+
+def _shrunk(ranges: Sequence[tuple[int, int]], room: int) -> list[int]:
+    """Returns widths of columns within their ranges. The widest shrink until all fit, if they can.
+
+    Args:
+        ranges: smallest and largest width of each column.
+        room: space for all columns.
+    """
+    for limit in range(max(high for _, high in ranges), 0, -1):
+        widths = [max(low, min(high, limit)) for low, high in ranges]
+        if sum(widths) <= room:
+            return widths
+    return [low for low, _ in ranges]
 
 
 def make_bars(*columns: ProgressColumn | str, vanish: bool = True) -> Bars:

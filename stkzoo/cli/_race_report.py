@@ -108,9 +108,10 @@ def show_race(result: RaceResult) -> None:
     columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
     styles = map(_style_of, result.agents)
     show_table(columns, map(_race_cells, result.agents), left=_TEXT_COLUMNS, styles=styles)
+    steps = "1 step" if result.steps == 1 else f"{result.steps} steps"
     reason = _ENDINGS.get(result.status, result.status)
     say(
-        f"Ended after {result.steps} steps, in {result.race_time:.1f} s of game time"
+        f"Ended after {steps}, in {result.race_time:.1f} s of game time"
         f"{f' ({reason})' if reason else ''}; it took {result.wall_time:.1f} s."
     )
     for row in result.agents:

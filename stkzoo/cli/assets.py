@@ -7,7 +7,8 @@ this order:
   2. stkzoo's cache (the environment variable STKZOO_CACHE sets its folder):
      the headless pack, then the full data
   3. the cache of pystk2
-  4. an installed game (/usr/share/games/supertuxkart)
+  4. an installed game (/usr/share/games/supertuxkart, then
+     /usr/share/supertuxkart)
 
 The headless pack has no textures, music or sound. Races with it are bit-identical and
 faster; drawing needs the full data. Only `stkzoo assets install` downloads anything.
@@ -97,7 +98,7 @@ def _install(arguments: argparse.Namespace) -> int:
     """Install the data, with a download if needed.
 
     Uses the data on this machine or downloads it, and builds the headless pack. The download is
-    about 630 MB. It needs 1.5 GB of disk space temporarily, and 750 MB afterwards. Administrator
+    about 630 MB. It needs 2 GB of disk space temporarily, and 750 MB afterwards. Administrator
     rights are not needed. You can interrupt and repeat this command, and run it several times at
     once.
 

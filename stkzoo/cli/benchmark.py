@@ -345,21 +345,16 @@ def _show_figures(
         groups: the groups.
         sign: sign option for formatting numbers; ``"+"`` shows the sign of positive ones.
     """
-    from rich.console import Console
+    from stkzoo.cli._console import make_console, show_table
 
-    from stkzoo.cli._console import show_table
-
-    console = Console(emoji=False)
-    if not console.is_terminal:  # a file has no limit on its width
-        console = Console(width=max(console.width, _WIDTH))
-    is_wide = console.width >= _WIDTH
+    console = make_console()
+    is_wide = not console.is_terminal or console.width >= _WIDTH
     show_table(
         (*columns, *_TITLES),
         [(*row, *_cells(g.figures, is_wide, sign)) for row, g in zip(rows, groups, strict=True)],
         left=("agent", "races on"),
         styles=["bold" if group.by == "all" else None for group in groups],
         console=console,
-        is_narrow=not is_wide,
     )
 
 

@@ -22,7 +22,8 @@ _SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments."""
-    parser.add_argument("shell", choices=_SHELLS, help="the shell")
+    shells = f"{', '.join(_SHELLS[:-1])} or {_SHELLS[-1]}"
+    parser.add_argument("shell", metavar="SHELL", choices=_SHELLS, help=shells)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -66,12 +66,19 @@ def _write_table(findings: list[Finding], ready: bool) -> None:
     from stkzoo.cli._console import say, show_table
 
     rows, styles = [], []
+    remedies: dict[str, list[str]] = {}
     for finding in findings:
         verdict = "ok" if finding.ok else "missing" if finding.required else "without"
-        rows.append((verdict, finding.name, finding.found, finding.remedy))
+        rows.append((verdict, finding.name, finding.found))
         styles.append(None if finding.ok else "red" if finding.required else "yellow")
-    columns = ("", "check", "found", "remedy")
+        if finding.remedy:
+            remedies.setdefault(finding.remedy, []).append(finding.name)
+    columns = ("", "check", "found")
     show_table(columns, rows, left=columns, styles=styles)
+    if remedies:
+        say("Remedies:")
+    for remedy, names in remedies.items():  # outside the table, where a command would wrap
+        say(f"  {', '.join(names)}: {remedy}")
     say(
         "A headless race can run here."
         if ready
@@ -121,7 +128,7 @@ def _diagnose() -> list[Finding]:
         _look("engine", _engine, pip_install("PySuperTuxKart2"), required=True),
         _look("race data", _race_data, install, required=True),
         _look("engine starts", partial(_start, install), install, required=True),
-        _look("headless pack", _pack, f"{prefix}stkzoo assets pack"),
+        _look("headless pack", partial(_pack, f"{prefix}stkzoo assets pack"), install),
         _look("full data", _full_data, install),
         _look("fork", _fork, "use Linux"),
         _look("kernel", _kernel, _KERNEL_REMEDY),
@@ -209,9 +216,9 @@ def _last_line(text: str) -> str:
     return lines[-1] if lines else "it wrote nothing"
 
 
-def _pack() -> str:
+def _pack(build: str) -> str:
     if not find_assets().headless:
-        raise NotFound("not in use: races start slower")
+        raise NotFound("not in use: races start slower", build)
     return "in use: races start faster"
 
 

@@ -17,7 +17,7 @@ import argparse
 from pathlib import Path
 
 from stkzoo._arguments import CommandParser
-from stkzoo.cli._arguments import add_actions
+from stkzoo.cli._arguments import add_actions, usage_errors
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -34,6 +34,7 @@ def add_arguments(parser: CommandParser) -> None:
     show.add_argument("file", type=Path, metavar="FILE", help="a .secret or .public file")
 
 
+@usage_errors
 def _new(arguments: argparse.Namespace) -> int:
     """Make a key pair."""
     from stkzoo.race.remote import new_key_files, read_public
@@ -44,6 +45,7 @@ def _new(arguments: argparse.Namespace) -> int:
     return 0
 
 
+@usage_errors
 def _show(arguments: argparse.Namespace) -> int:
     """Show the public key of a key file."""
     from stkzoo.race.remote import read_publics

@@ -1,8 +1,8 @@
 """Create a starter agent.
 
-Writes a small commented driver to a new folder, as a starting point for your own. It finishes
-easy tracks such as lighthouse. With another view than simple, its actions are random until you add
-a policy. Existing files are never overwritten.
+Writes a small commented driver to a new folder, as a starting point for your own, and a README.md
+with the next steps. The driver finishes easy tracks such as lighthouse. With another view than
+simple, its actions are random until you add a policy. Existing files are never overwritten.
 
 Examples:
   stkzoo new my_agent                create my_agent/pystk_actor.py
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stkzoo._arguments import CommandParser, add_options, option, positional
+from stkzoo._os import write_text
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import ConfigError
 
@@ -132,6 +133,7 @@ def run(arguments: argparse.Namespace) -> int:
     from stkzoo.views import find_view
 
     find_view(arguments.view)
+    _check_name(arguments.folder)
     folder = Path(arguments.folder)
     name = folder.resolve().name
     try:
@@ -145,10 +147,10 @@ def run(arguments: argparse.Namespace) -> int:
     archive = shlex.quote(f"{name}.zip")
     actor = _ACTOR if arguments.view == "simple" else _POLICY
     source = actor.format(name=json.dumps(name, ensure_ascii=False), view=arguments.view)
-    (folder / "pystk_actor.py").write_text(source, encoding="utf-8")
+    write_text(folder / "pystk_actor.py", source)
     readme = _README.format(name=name, folder=quoted, zip=archive)
-    (folder / "README.md").write_text(readme, encoding="utf-8")
-    print(f"Created {folder / 'pystk_actor.py'}. Next:")
+    write_text(folder / "README.md", readme)
+    print(f"Created {folder / 'pystk_actor.py'} and README.md. Next:")
     for command, purpose in (
         (f"stkzoo race {quoted} ai ai", "race it against the game's AI"),
         (f"stkzoo check {quoted}", "see what a tournament would say"),
@@ -156,3 +158,15 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         print(f"  {command}\n      {purpose}")
     return 0
+
+
+def _check_name(folder: str) -> None:
+    """Refuses a folder that commands would not recognize as an agent."""
+    from stkzoo.drivers.driver import driver_names
+
+    if "@:" in folder:
+        raise ConfigError(
+            f"{folder!r} contains @:, which sets a driver's name; choose another folder"
+        )
+    if folder in driver_names() or folder.startswith(("ai:", "pretrained:")):
+        raise ConfigError(f"{folder!r} is the name of a driver of stkzoo; choose another folder")

@@ -67,7 +67,10 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def _race(arguments: argparse.Namespace) -> int:
-    """Run a race of agents."""
+    """Run a race of agents.
+
+    Runs a race of agents. `stkzoo race --help` describes the drivers.
+    """
     _translate(arguments)
     return race.run(arguments)
 
@@ -79,7 +82,11 @@ def _race_client(arguments: argparse.Namespace) -> int:
 
 
 def _race_server(arguments: argparse.Namespace) -> int:
-    """Serve agents to races on this or other machines."""
+    """Serve agents to races on this or other machines.
+
+    Serves agents to races on this or other machines. `stkzoo race-server --help` describes the
+    agents.
+    """
     return race_server.run(arguments)
 
 

@@ -272,20 +272,20 @@ def _report(
             if arguments.json:
                 print(text, end="\n" if text else "")
             elif results:
-                _show(results, arguments, is_clean=not code)
+                _show(results, arguments)
     except StkzooError as error:
         problems.append(error)
     return code
 
 
-def _show(results: Sequence[RaceResult], arguments: argparse.Namespace, *, is_clean: bool) -> None:
+def _show(results: Sequence[RaceResult], arguments: argparse.Namespace) -> None:
     from stkzoo.cli._race_report import show_race, show_series
 
     if arguments.races > 1:
         show_series(results)
     else:
         show_race(results[0])
-    if arguments.demo or (sys.stdout.isatty() and is_clean):
+    if arguments.demo:
         print(f"\n{_NEXT_STEPS}", end="")
 
 

@@ -195,7 +195,7 @@ def _train(arguments: argparse.Namespace) -> int:
       ippo     independent PPO: learns from each kart's own view and reward
       mappo    the same with a value network that sees the whole race
       fsp      fictitious self-play: ippo that also meets all its past policies
-      pfsp     the same, which meets those most often that it beats least
+      pfsp     like fsp, but prefers the past policies that it beats least often
       impala   V-trace: one pass over each rollout, with importance weights
 
     Examples:

@@ -1,7 +1,7 @@
 """List the tracks.
 
-Shows the game's tracks: the length of a lap, the parts and forks of the driving line, the items
-at the start, the lap time of the game's AI, forward and reversed (median of 25 karts at
+Shows the game's tracks: the length of a lap, the segments and forks of the driving line, the
+items at the start, the lap time of the game's AI, forward and reversed (median of 25 karts at
 --difficulty), and the human world record in the game's time trial with its number of laps. Do not
 train on the tracks of "test".
 
@@ -22,6 +22,7 @@ from pathlib import Path
 
 from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo._os import write_whole
+from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS, split_of
@@ -83,6 +84,7 @@ class TrackFacts:
     record_laps: int | None
 
 
+@usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Prints a table or JSON, or draws a map."""
     names = _chosen(arguments)
@@ -141,7 +143,7 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
         return TrackFacts(
             track=track,
             split=split_of(track),
-            length=round(road.length, 1),
+            length=round(road.length, 2),
             segments=road.num_nodes,
             forks=sum(len(nodes) > 1 for nodes in road.successors),
             items=len(snapshot.items),
@@ -156,14 +158,14 @@ def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
     from stkzoo.cli._console import show_table
 
     columns = (
-        *("track", "split", "length [m]", "parts", "forks", "items"),
+        *("track", "split", "length [m]", "segments", "forks", "items"),
         *("AI [s]", "reversed", "record"),
     )
     rows = []
     for fact in facts:
         numbers = (round(fact.length), fact.segments, fact.forks, fact.items)
         times = ("-" if t is None else f"{t:.1f}" for t in (fact.time, fact.reversed_time))
-        record = f"{fact.record:.1f} / {fact.record_laps}" if fact.record else "-"
+        record = f"{fact.record:.1f}/{fact.record_laps}" if fact.record else "-"
         rows.append((fact.track, fact.split, *map(str, numbers), *times, record))
     caption = f"AI times at difficulty {difficulty}; human world records [s] / their laps"
     show_table(columns, rows, left=columns[:2], caption=caption)

@@ -63,6 +63,8 @@ def test_only_the_arguments_of_the_given_command_are_declared(command):
         (["race", "heuristic", "--trak", "lighthouse"], "--track"),
         (["race", "heuristic", "--outptu=a.json"], "--output"),
         (["assets", "pack", "--outptu", "x"], "--output"),
+        (["race", "ai", "--karts", "1"], "--karts-finished"),
+        (["race", "ai", "--err", "catch"], "--error-handling"),
         (["race", "ai", "--error-handling", "ctch"], "catch"),
     ],
 )

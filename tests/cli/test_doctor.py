@@ -57,6 +57,22 @@ def test_every_failed_check_has_a_remedy(capsys):
     assert all(check["remedy"] for check in checks.values() if not check["ok"])
 
 
+@pytest.mark.usefixtures("no_data")
+def test_without_data_the_remedy_for_the_pack_is_to_install_the_data(capsys):
+    _, _, checks = report(capsys)
+    assert checks["headless pack"]["remedy"] == "stkzoo assets install"
+
+
+@pytest.mark.usefixtures("no_data")
+def test_a_remedy_is_one_line_on_a_narrow_terminal_too(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    main(["doctor"])
+    assert "race data, engine starts, headless pack, full data: stkzoo assets install\n" in (
+        capsys.readouterr().out
+    )
+
+
 def test_installed_extra_is_found(capsys):
     assert report(capsys)[2]["extra [sb3]"]["ok"]
 

@@ -1,6 +1,8 @@
 """The commands ``stkzoo new`` and ``stkzoo check``."""
 
+import errno
 import json
+import tempfile
 import zipfile
 
 import pytest
@@ -53,6 +55,23 @@ def test_new_refuses_a_path_that_is_a_file(tmp_path, capsys):
     (tmp_path / "taken").touch()
     assert main(["new", str(tmp_path / "taken")]) == 2
     assert "cannot create" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["heuristic", "ai", "random", "ai:7", "pretrained:apex", "a@:b"])
+def test_new_refuses_names_that_mean_other_drivers(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", name]) == 2
+    assert "choose another folder" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_new_reports_a_folder_without_write_permission(tmp_path, monkeypatch, capsys):
+    def refuse(**_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(tempfile, "mkstemp", refuse)  # root may write everywhere
+    assert main(["new", str(tmp_path)]) == 2
+    assert "Permission denied" in capsys.readouterr().err
 
 
 def test_check_measures_a_zip(starter, tmp_path, capsys):

@@ -106,6 +106,13 @@ def test_command_writes_json(tmp_path):
     assert RaceResult.from_json(file.read_text()).agents[0].driver == "ai"
 
 
+def test_a_race_on_a_terminal_ends_with_its_result(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert main(["race", "ai", "--track", "olivermath", "--max-steps", "1"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("Ended after 1 step, in 0.1 s")
+
+
 @pytest.mark.slow
 def test_command_writes_only_json_to_stdout_on_request(capsys):
     assert main(["race", "ai", "--track", "olivermath", "--json"]) == 0

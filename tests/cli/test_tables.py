@@ -1,6 +1,8 @@
 """``stkzoo tracks``, ``stkzoo karts`` and ``stkzoo completion``."""
 
+import io
 import json
+import re
 import shlex
 import shutil
 import subprocess
@@ -9,10 +11,12 @@ import sys
 import numpy as np
 import pytest
 from PIL import Image
+from rich.console import Console
 
 from stkzoo._installation import install_command
 from stkzoo.cli import COMMANDS, build_parser, main
 from stkzoo.tracks import SPLITS
+from tests.support.paths import ROOT
 
 
 def test_tracks_shows_the_data_of_tracks(capsys):
@@ -39,8 +43,17 @@ def test_tracks_of_a_split_are_shown(capsys):
 
 
 def test_an_unknown_track_is_reported_with_the_nearest_name(capsys):
-    assert main(["tracks", "lighthous"]) == 1
+    assert main(["tracks", "lighthous"]) == 2
     assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
+
+
+def test_lengths_are_rounded_as_on_the_page_of_tracks(capsys):
+    page = (ROOT / "docs" / "reference" / "tracks.md").read_text()
+    names = ("hacienda", "ravenbridge_mansion")  # their lengths end with about half a meter
+    main(["tracks", *names])
+    table = {row[0]: row[2] for row in map(str.split, capsys.readouterr().out.splitlines())}
+    for name in names:
+        assert re.search(rf"\| {name} \| \w+ \| (\d+) \|", page)[1] == table[name]
 
 
 @pytest.mark.slow
@@ -62,8 +75,15 @@ def test_a_map_is_drawn(tmp_path, capsys):
     ],
 )
 def test_impossible_maps_are_refused(words, text, capsys):
-    assert main(["tracks", *words]) == 1
+    assert main(["tracks", *words]) == 2
     assert text in capsys.readouterr().err
+
+
+def test_a_file_that_cannot_be_written_is_reported_without_temporary_names(capsys):
+    main(["tracks", "lighthouse", "--map", "/nowhere/map.png"])
+    assert "/nowhere/map.png cannot be written: No such file or directory\n" in (
+        capsys.readouterr().err
+    )
 
 
 def test_karts_match_the_game(capsys):
@@ -149,16 +169,51 @@ def test_every_example_in_the_help_texts_can_be_parsed():
                     build_parser().parse_args(words)
 
 
-def test_long_names_wrap_and_numbers_do_not(capsys, monkeypatch):
+def shown(width, columns, rows, **options):
+    """Returns a table as a terminal shows it; with the width None, as a pipe gets it."""
     from stkzoo.cli._console import show_table
 
-    monkeypatch.setenv("COLUMNS", "80")
-    columns = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
-    name = "a_driver_whose_name_has_forty_characters"
-    row = ("1", name, "kart_0", "not finished", "880", "-123.4", "1000.55")
-    show_table(columns, [row], left=("driver", "kart"))
-    shown = capsys.readouterr().out
-    assert all(len(line) <= 80 for line in shown.splitlines())
-    assert all(number in shown for number in ("not finished", "880", "-123.4", "1000.55"))
-    driver = "".join(line.split()[1 if "880" in line else 0] for line in shown.splitlines()[1:])
-    assert driver == name
+    file = io.StringIO()
+    terminal = width is not None
+    console = Console(file=file, force_terminal=terminal, width=width or 30, color_system=None)
+    show_table(columns, rows, console=console, **options)
+    return file.getvalue()
+
+
+COLUMNS = ("rank", "driver", "kart", "time [s]", "distance [m]", "reward", "think [ms]")
+NAME = "a_driver_whose_name_has_forty_characters"
+ROW = ("1", NAME, "kart_0", "not finished", "880", "-123.4", "1000.55")
+
+
+@pytest.mark.parametrize("width", [40, 80, 160, None])
+def test_names_and_numbers_are_not_cut_at_any_width(width):
+    text = shown(width, COLUMNS, [ROW], left=("driver", "kart"))
+    assert all(cell in text for cell in ROW)
+
+
+def test_texts_wrap_between_words_on_a_terminal():
+    row = ("1", "my agent with a long name", *ROW[2:])
+    text = shown(80, COLUMNS, [row], left=("driver", "kart"))
+    assert all(len(line) <= 80 for line in text.splitlines())
+    assert row[1] not in text
+    assert all(word in text for word in row[1].split())
+
+
+def test_a_table_has_a_frame_only_where_it_fits():
+    assert "│" in shown(160, COLUMNS, [ROW], left=("driver", "kart"))
+    assert "│" not in shown(80, COLUMNS, [ROW], left=("driver", "kart"))
+
+
+def test_lines_end_without_spaces_which_a_narrow_terminal_would_wrap():
+    rows = [("1", "a"), ("2", "a_long_name")]
+    assert shown(8, ("rank", "name"), rows, left=("name",)).splitlines()[1] == "   1 a"
+
+
+def test_a_row_is_one_line_in_a_pipe():
+    row = ("1", "my agent with a long name", *ROW[2:])
+    assert len(shown(None, COLUMNS, [row], left=("driver", "kart")).splitlines()) == 2
+
+
+def test_brackets_in_titles_captions_and_cells_are_shown():
+    text = shown(None, ("x [s]",), [("1 [m] and more",)], left=(), title="[a]", caption="[b]")
+    assert all(part in text for part in ("x [s]", "1 [m]", "[a]", "[b]"))

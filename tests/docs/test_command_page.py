@@ -12,3 +12,7 @@ def test_the_page_matches_the_parsers():
         f"## stkzoo {name}" for name in COMMANDS
     ]
     assert "| `--track TRACK` |" in text
+
+
+def test_options_that_the_help_hides_are_not_on_the_page():
+    assert "SUPPRESS" not in extension("command_page").page()

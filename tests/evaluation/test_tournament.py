@@ -288,7 +288,8 @@ def test_ctrl_c_shows_how_to_resume(tmp_path):
     program.send_signal(signal.SIGINT)
     said = program.communicate(timeout=60)[1]
     assert program.returncode == 130, said
-    assert "resume with: the same command" in said
+    assert "races are saved; run the same command to resume" in said
+    assert "suspects" not in said
     assert wait_until(lambda: not any(map(process_exists, workers)))
 
 
@@ -303,6 +304,15 @@ def test_a_race_whose_process_is_killed_runs_again(tmp_path):
     assert (first.error, second.error) == ("", "")
     assert RaceResult.from_json(second.result).seed == 1
     outcomes.close()
+
+
+@pytest.mark.slow
+def test_no_agent_is_suspected_when_the_batch_is_ended(tmp_path, caplog):
+    plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=2, max_steps=300)
+    outcomes = run_in_parallel(plan.orders(), tmp_path, 1, 100)
+    next(outcomes)  # the second race is running
+    outcomes.close()
+    assert caplog.messages == []
 
 
 def cmdline(pid):
@@ -483,7 +493,8 @@ def test_a_damaged_race_file_is_an_error(tmp_path):
 @pytest.mark.parametrize(
     ("agents", "plan", "message"),
     [
-        (["ai"], {}, "expected a list of at least two"),
+        ("ai", {}, "expected a list of at least two"),
+        (["ai"], {}, "needs at least two agents, such as my_agent and ai; this one has 1"),
         (["ai", "ai"], {}, "2 agents are called 'ai'; give each a name of its own"),
         (["ai", "nobody"], {}, "unknown driver 'nobody'"),
         (["ai:0", "random"], {}, "'ai:0' requires difficulty 0, and the races have difficulty 2"),

@@ -128,6 +128,21 @@ def test_the_command_writes_a_report_with_the_chosen_animations(cup, capsys):
     assert "report.html" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_the_public_report_never_replaces_the_tables_of_the_tournament(cup):
+    table = (cup / "cup" / "races.csv").read_text()
+    with pytest.raises(ConfigError, match="choose another folder to publish"):
+        write_report(cup / "cup", publish=cup / "public" / ".." / "cup")
+    assert (cup / "cup" / "races.csv").read_text() == table
+
+
+@pytest.mark.slow
+def test_a_file_as_the_folder_to_publish_is_refused(cup):
+    (cup / "page.txt").touch()
+    with pytest.raises(ConfigError, match=r"page.txt cannot be used: .*; choose another folder"):
+        write_report(cup / "cup", publish=cup / "page.txt")
+
+
 def test_a_folder_without_a_tournament_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="has no tournament plan"):
         write_report(tmp_path)

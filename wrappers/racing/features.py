@@ -63,7 +63,7 @@ MEANINGS: dict[str, tuple[str, str]] = {
     "jumping": ("", "1 in the air, else 0"),
     "powerup_type": ("", f"1 for the power-up that the kart holds: {_POWERUPS}"),
     "powerup_count": ("3", "how often it can fire"),
-    "attachment": ("", f"1 for what hangs on the kart, all 0 for nothing: {_HANGING}"),
+    "attachment": ("", f"1 for what is attached to the kart, all 0 for nothing: {_HANGING}"),
     "line_position": ("10 m", "the nearest point of the road's line: right, up, ahead"),
     "line_room": ("10 m", "from that point to the edge of the road"),
     "marks_direction": ("", f"points on the line {_MARKS} m ahead: position over distance"),

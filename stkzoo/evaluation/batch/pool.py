@@ -112,7 +112,7 @@ class _Worker:
         put the blame on another. In this case, the race with isolated agents counts.
         """
         outcome, is_over = self._run_once(order)
-        if is_over:
+        if is_over or self._is_closed:  # close() ended the process, not an agent
             return outcome
         suspects, was_late = order.suspects(), self._was_late
         self._report(order, outcome, suspects)

@@ -226,7 +226,7 @@ def _keep_plan(plan: Plan, folder: Path) -> Plan:
     if differences := kept.differences(plan):
         raise ConfigError(
             f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another folder, "
-            f"or correct that and resume: {plan.resume_command.format(folder=folder)}"
+            f"or undo the change and resume: {plan.resume_command.format(folder=folder)}"
         )
     if kept != started:
         write_text(file, kept.to_json() + "\n")

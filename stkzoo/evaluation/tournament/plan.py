@@ -229,10 +229,11 @@ def plan_tournament(
         AssetError: the game's data is missing.
     """
     served, access = _ask(servers)
-    if isinstance(agents, str) or len(agents) + len(served) < 2:
+    if isinstance(agents, str):
+        raise ConfigError(f"agents is {shortened(agents, 80)}, expected a list of at least two")
+    if (count := len(agents) + len(served)) < 2:
         raise ConfigError(
-            f"agents is {shortened(agents, 80)}, expected a list of at least two, such as "
-            "my_agent and ai"
+            f"a tournament needs at least two agents, such as my_agent and ai; this one has {count}"
         )
     chosen = TournamentPlan.choose_settings(settings, changes)
     entrants = find_entrants(agents, chosen, served)

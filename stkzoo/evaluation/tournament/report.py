@@ -325,10 +325,10 @@ def write_report(
         The path of the page.
 
     Raises:
-        ConfigError: there is no tournament, no race has ended, the file of a race is damaged, or
-            a file cannot be written.
+        ConfigError: there is no tournament, no race has ended, the file of a race is damaged, a
+            file cannot be written, or ``publish`` is the tournament's folder.
     """
-    from stkzoo.errors import ConfigError
+    from stkzoo.errors import ConfigError, reason
     from stkzoo.evaluation.tournament.plan import load_races
 
     home = Path(folder)
@@ -340,6 +340,16 @@ def write_report(
             raise ConfigError(f"race {number} has not been run; choose numbers of races.csv")
     report = TournamentReport(home, result, races, publish is not None, title, films)
     place, page = (home, "report.html") if publish is None else (Path(publish), "index.html")
-    place.mkdir(parents=True, exist_ok=True)
+    if publish is not None and place.resolve() == home.resolve():
+        raise ConfigError(
+            f"the public report would replace the tables of the tournament in {home}; choose "
+            "another folder to publish"
+        )
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(
+            f"the report's folder {place} cannot be used: {reason(error)}; choose another folder"
+        ) from error
     report.write(place, page)
     return place / page

@@ -162,6 +162,6 @@ def _write(file: Path, text: str, mode: int = 0o600) -> None:
             out.write(text)
         os.link(beside, file) if hasattr(os, "link") else os.rename(beside, file)
     except OSError as error:
-        raise ConfigError(f"the key {file} cannot be written: {error}") from error
+        raise ConfigError(f"the key {file} cannot be written: {reason(error)}") from error
     finally:
         beside.unlink(missing_ok=True)

@@ -141,5 +141,5 @@ def test_the_command_makes_and_shows_keys(tmp_path, capsys):
     assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 0
     assert main(["keys", "show", str(tmp_path / "ada.secret")]) == 0
     assert read_public(tmp_path / "ada.public") in capsys.readouterr().out
-    assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 1
-    assert main(["keys", "show", str(tmp_path / "none")]) == 1
+    assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 2
+    assert main(["keys", "show", str(tmp_path / "none")]) == 2
