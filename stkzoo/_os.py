@@ -13,7 +13,6 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from stkzoo._removal import open_folder, remove_tree
 from stkzoo.errors import ConfigError, StkzooError, reason
 
 try:
@@ -24,7 +23,6 @@ except ImportError:  # Windows
 
 __all__ = [
     "PART_FILES",
-    "LockedTemporaryDirectory",
     "OwnDescriptor",
     "above_standard_streams",
     "atomic_write",
@@ -39,7 +37,6 @@ __all__ = [
     "make_folder",
     "max_descriptors",
     "network_of",
-    "remove_stale_directories",
     "try_lock",
     "using_folder",
     "write_text",
@@ -49,8 +46,6 @@ __all__ = [
 
 #: Glob pattern of the temporary files of :func:`atomic_write`.
 PART_FILES = ".*.part"
-
-_PREFIX = "stkzoo-run-"
 
 
 def cpu_count() -> int:
@@ -338,74 +333,6 @@ class OwnDescriptor:
     def __del__(self) -> None:
         with contextlib.suppress(Exception):  # the interpreter may be shutting down
             self.close()
-
-
-class LockedTemporaryDirectory:
-    """A temporary directory that is removed even if its program is killed.
-
-    The directory is locked while the program runs, and the system releases the lock of a killed
-    program. Whenever a new directory is created, all unlocked ones are removed. This class is a
-    context manager.
-
-    Args:
-        kind: purpose of the directory, which is part of its name.
-
-    Attributes:
-        path: the directory.
-    """
-
-    def __init__(self, kind: str) -> None:
-        remove_stale_directories()
-        self._lock: OwnDescriptor | None = None
-        is_locked = False
-        while not is_locked:  # another program can remove the directory before it is locked
-            self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
-            is_locked = fcntl is None or self._acquire()
-
-    def __enter__(self) -> LockedTemporaryDirectory:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Removes the directory. Can be called again."""
-        remove_tree(self.path)
-        self.release()
-
-    def release(self) -> None:
-        """Releases the lock but keeps the directory."""
-        lock, self._lock = self._lock, None
-        if lock is not None:
-            lock.close()
-
-    def _acquire(self) -> bool:
-        with contextlib.suppress(FileNotFoundError, BlockingIOError):
-            self._lock = OwnDescriptor(os.open(self.path, os.O_RDONLY))
-            fcntl.flock(self._lock.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-            if self.path.exists():
-                return True
-        self.release()
-        return False
-
-
-def remove_stale_directories() -> None:
-    """Removes the temporary directories of programs that were killed."""
-    if fcntl is None:
-        return
-    with contextlib.suppress(OSError):
-        for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
-            with contextlib.suppress(OSError):
-                _remove_if_unlocked(folder)
-
-
-def _remove_if_unlocked(folder: Path) -> None:
-    handle = open_folder(folder)
-    try:
-        if os.fstat(handle).st_uid == os.geteuid() and try_lock(handle):
-            remove_tree(folder)
-    finally:
-        os.close(handle)
 
 
 def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePosixPath
 
-from stkzoo._os import LockedTemporaryDirectory
 from stkzoo._reading import Unreadable, is_there, open_zip
+from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.errors import ConfigError
 
 #: Name of the module that contains an agent.

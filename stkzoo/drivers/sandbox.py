@@ -20,7 +20,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stkzoo._os import LockedTemporaryDirectory
+from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.files import (
     ACTOR_MODULE,

@@ -13,7 +13,7 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from stkzoo._os import LockedTemporaryDirectory
+from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     LOST_CONNECTION,

@@ -24,8 +24,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import LockedTemporaryDirectory, OwnDescriptor
+from stkzoo._os import OwnDescriptor
 from stkzoo._python import python_command
+from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import LockedTemporaryDirectory, file_identity
+from stkzoo._os import file_identity
+from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (

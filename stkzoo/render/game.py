@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import LockedTemporaryDirectory
+from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine.assets import find_assets, link_without_dial
 from stkzoo.engine.render_session import TICK, Footage, RenderSession, check_graphics_libraries
 from stkzoo.engine.setup import KartSetup, RaceSetup

@@ -7,11 +7,11 @@ import threading
 
 import pytest
 
-from stkzoo._os import LockedTemporaryDirectory, remove_stale_directories
+from stkzoo._temporary import LockedTemporaryDirectory, remove_stale_directories
 
 PROGRAM = """
 import os, time
-from stkzoo._os import LockedTemporaryDirectory
+from stkzoo._temporary import LockedTemporaryDirectory
 folder = LockedTemporaryDirectory("test")
 (folder.path / "file").write_text("x")
 print(folder.path, flush=True)

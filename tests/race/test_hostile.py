@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import adversaries as attacks
-from stkzoo._os import remove_stale_directories
+from stkzoo._temporary import remove_stale_directories
 from stkzoo.drivers import landlock, sandbox, seccomp
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race

@@ -19,9 +19,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from stkzoo._os import remove_stale_directories
 from stkzoo._python import python_command, search_path
 from stkzoo._schema import typed
+from stkzoo._temporary import remove_stale_directories
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.sandbox import SHARED_CORES
 from stkzoo.errors import StkzooError

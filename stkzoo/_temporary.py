@@ -1,4 +1,4 @@
-"""Removal of folders whose content is not trusted."""
+"""Temporary directories, and the removal of folders whose content is not trusted."""
 
 from __future__ import annotations
 
@@ -6,10 +6,88 @@ import os
 import secrets
 import shutil
 import sys
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["open_folder", "remove_tree"]
+from stkzoo._os import OwnDescriptor, try_lock
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["LockedTemporaryDirectory", "remove_stale_directories", "remove_tree"]
+
+_PREFIX = "stkzoo-run-"
+
+
+class LockedTemporaryDirectory:
+    """A temporary directory that is removed even if its program is killed.
+
+    The directory is locked while the program runs, and the system releases the lock of a killed
+    program. Whenever a new directory is created, all unlocked ones are removed. This class is a
+    context manager.
+
+    Args:
+        kind: purpose of the directory, which is part of its name.
+
+    Attributes:
+        path: the directory.
+    """
+
+    def __init__(self, kind: str) -> None:
+        remove_stale_directories()
+        self._lock: OwnDescriptor | None = None
+        is_locked = False
+        while not is_locked:  # another program can remove the directory before it is locked
+            self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
+            is_locked = fcntl is None or self._acquire()
+
+    def __enter__(self) -> LockedTemporaryDirectory:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Removes the directory. Can be called again."""
+        remove_tree(self.path)
+        self.release()
+
+    def release(self) -> None:
+        """Releases the lock but keeps the directory."""
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            lock.close()
+
+    def _acquire(self) -> bool:
+        with suppress(FileNotFoundError, BlockingIOError):
+            self._lock = OwnDescriptor(os.open(self.path, os.O_RDONLY))
+            fcntl.flock(self._lock.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+            if self.path.exists():
+                return True
+        self.release()
+        return False
+
+
+def remove_stale_directories() -> None:
+    """Removes the temporary directories of programs that were killed."""
+    if fcntl is None:
+        return
+    with suppress(OSError):
+        for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+            with suppress(OSError):
+                _remove_if_unlocked(folder)
+
+
+def _remove_if_unlocked(folder: Path) -> None:
+    handle = _open_folder(folder)
+    try:
+        if os.fstat(handle).st_uid == os.geteuid() and try_lock(handle):
+            remove_tree(folder)
+    finally:
+        os.close(handle)
 
 
 def remove_tree(folder: Path) -> None:
@@ -26,7 +104,7 @@ def remove_tree(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
         return
     with suppress(OSError):
-        top = open_folder(folder)
+        top = _open_folder(folder)
         try:
             waiting = _empty(top, top)
             while waiting:
@@ -36,7 +114,7 @@ def remove_tree(folder: Path) -> None:
         folder.rmdir()
 
 
-def open_folder(path: str | Path, parent: int | None = None) -> int:
+def _open_folder(path: str | Path, parent: int | None = None) -> int:
     """Opens a folder. If this user owns it, the user also gets all permissions for it.
 
     Args:
@@ -70,7 +148,7 @@ def _remove(name: str, top: int) -> list[str]:
     """Removes a folder in the top folder; returns the new names of its nested folders there."""
     nested: list[str] = []
     with suppress(OSError):
-        folder = open_folder(name, top)
+        folder = _open_folder(name, top)
         try:
             nested = _empty(folder, top)
         finally:

@@ -6,8 +6,7 @@ import sys
 
 import pytest
 
-from stkzoo._os import LockedTemporaryDirectory
-from stkzoo._removal import remove_tree
+from stkzoo._temporary import LockedTemporaryDirectory, remove_tree
 from tests.support.processes import run_program
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs descriptors of folders")
@@ -76,7 +75,7 @@ def test_folders_without_permissions_are_removed():
     code = """
         import os, tempfile
         from pathlib import Path
-        from stkzoo._removal import remove_tree
+        from stkzoo._temporary import remove_tree
         if os.geteuid() == 0:
             os.seteuid(65534)  # root needs no permissions
         folder = Path(tempfile.mkdtemp(dir="/tmp"))
