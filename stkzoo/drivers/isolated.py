@@ -111,8 +111,12 @@ class IsolatedInstance:
         """Waits until the agent is loaded and returns the name that it declares."""
         reply = self._receive("start")
         name, paths = reply.get("name"), reply.get("paths_used")
-        if not isinstance(name, str) or not (paths is None or isinstance(paths, int)):
-            self._fail(f"its process answered with {shortened(reply, 200)}; expected its name")
+        is_number = type(paths) is int and paths >= 0
+        if not isinstance(name, str) or not (paths is None or is_number):
+            self._fail(
+                f"its process answered with {shortened(reply, 200)}; expected its name and the "
+                "number of track segments that it uses"
+            )
         self.paths_used = paths
         return name[:100]
 

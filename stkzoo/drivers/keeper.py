@@ -19,6 +19,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
+#: Lines of ``/proc/PROCESS/status`` for a process's own memory and its page tables.
+_OWN = ("RssAnon:", "VmPTE:")
 #: Interval between two checks of the agent's processes [ms].
 _INTERVAL = 100
 #: Maximum number of processes of one agent.
@@ -141,7 +143,7 @@ def _in_time(measure: Callable[[], int], otherwise: int) -> int:
 
 def _resident(processes: Sequence[int]) -> int:
     """Returns the memory of processes [bytes]; counts shared memory once per process."""
-    own = sum(memory_of(process, "status", ("RssAnon:",)) for process in processes)
+    own = sum(memory_of(process, "status", _OWN) for process in processes)
     shared = sum(memory_of(process, "status", ("RssShmem:",)) for process in processes)
     return own + max(shared, _files_in_memory(processes))
 
@@ -152,7 +154,10 @@ def _shares(processes: Sequence[int]) -> int:
         sum(memory_of(process, "smaps_rollup", (name,)) for process in processes)
         for name in ("Pss_Anon:", "Pss_Shmem:")
     )
-    return own + max(shared, _files_in_memory(processes)) if own else _resident(processes)
+    if not own:
+        return _resident(processes)
+    tables = sum(memory_of(process, "status", ("VmPTE:",)) for process in processes)
+    return own + tables + max(shared, _files_in_memory(processes))
 
 
 def _files_in_memory(processes: Sequence[int]) -> int:

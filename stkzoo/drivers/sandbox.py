@@ -45,7 +45,7 @@ _SYSTEM = (
 )
 #: Paths of the kernel that programs need. Bubblewrap mounts its own.
 _KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
-_DEVICES = ("/dev/null", "/dev/zero")
+_DEVICES = ("/dev/null",)
 #: Environment variables that agents get. Others may contain secrets.
 _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "STKZOO_KERNEL")
 #: Environment variable that is set in processes that share the machine with other races.
@@ -210,6 +210,9 @@ def _bubblewrap_command(paths: Sequence[str], writable: Sequence[str] = ()) -> l
         *(shutil.which("bwrap") or "bwrap", "--unshare-all", "--unshare-user", "--disable-userns"),
         *("--die-with-parent", "--cap-drop", "ALL", "--dev", "/dev", "--proc", "/proc"),
         *(*temporary, "/tmp", *temporary, "/dev/shm"),  # noqa: S108 - inside the sandbox
+        # A mapping of /dev/zero is shared memory, which is not counted. /dev/full reads as zeros
+        # too, but cannot be mapped.
+        *("--dev-bind", "/dev/full", "/dev/zero"),
     ]
     for path in dict.fromkeys(map(os.path.abspath, paths)):
         command += ["--bind" if path in writable else "--ro-bind-try", path, path]

@@ -1,7 +1,8 @@
 """Seccomp filter: blocks Linux system calls that no agent needs.
 
-The blocked calls access other processes, create namespaces, allocate memory that is not counted,
-change processor affinity, or have a history of kernel vulnerabilities. The library libseccomp
+The blocked calls access other processes or change their limits and priorities, create namespaces,
+allocate memory that is not counted, change processor affinity, or have a history of kernel
+vulnerabilities. The library libseccomp
 builds the filter; it is available in Debian and Ubuntu (package ``libseccomp2``).
 """
 
@@ -15,7 +16,7 @@ from typing import Any
 
 _LIBRARY = "libseccomp.so.2"
 _ALLOW, _ERRNO = 0x7FFF0000, 0x00050000
-_NOT_EQUAL, _EQUAL, _MASKED_EQUAL = 1, 4, 7  # comparisons of an argument
+_NOT_EQUAL, _MASKED_EQUAL = 1, 7  # comparisons of an argument
 _REFUSED = (
     # other processes
     *("ptrace", "process_vm_readv", "process_vm_writev", "process_madvise", "pidfd_getfd", "kcmp"),
@@ -24,14 +25,20 @@ _REFUSED = (
     *("fsopen", "fsmount", "fspick", "mount_setattr"),
     # memory that is not counted for any process
     *("shmget", "semget", "msgget", "mq_open", "add_key", "request_key", "keyctl"),
+    *("memfd_secret", "vmsplice"),
     # kernel interfaces with a large attack surface
     *("bpf", "perf_event_open", "userfaultfd", "io_uring_setup", "io_uring_enter"),
     *("io_uring_register", "fanotify_init", "name_to_handle_at", "open_by_handle_at"),
-    # use of other agents' cores
-    "sched_setaffinity",
+    # use of other agents' cores and disks
+    *("sched_setaffinity", "ioprio_set"),
 )
+#: Calls whose first argument is a process. Only 0, the caller itself, is allowed.
+_ONLY_ON_ITSELF = ("prlimit64", "sched_setscheduler", "sched_setparam", "sched_setattr")
 #: Flags ``CLONE_NEW*``, one for each kind of namespace.
 _NAMESPACES = (1 << 7, *(1 << bit for bit in (17, 25, 26, 27, 28, 29, 30)))
+_PRIO_PROCESS = 0
+_MAP_SHARED, _MAP_ANONYMOUS = 1, 0x20
+_SOL_SOCKET, _SO_ZEROCOPY = 1, 60
 _AF_UNIX, _AF_PACKET, _AF_ALG, _AF_VSOCK = 1, 17, 38, 40
 
 
@@ -71,6 +78,21 @@ def restrict(*, has_own_network: bool) -> None:
             _refuse(library, context, name)
         for flag in _NAMESPACES:
             _refuse(library, context, "clone", _ArgumentRule(0, _MASKED_EQUAL, flag, flag))
+        for name in _ONLY_ON_ITSELF:
+            _refuse(library, context, name, _ArgumentRule(0, _NOT_EQUAL, 0, 0))
+        for argument, allowed in ((0, _PRIO_PROCESS), (1, 0)):
+            rule = _ArgumentRule(argument, _NOT_EQUAL, allowed, 0)
+            _refuse(library, context, "setpriority", rule)
+        # Shared memory keeps its pages after they are unmapped, and then Linux counts them for no
+        # process. Files in /dev/shm still share memory; the size of that folder is limited.
+        anonymous = _MAP_SHARED | _MAP_ANONYMOUS
+        rule = _ArgumentRule(3, _MASKED_EQUAL, anonymous, anonymous)
+        _refuse(library, context, "mmap", rule)
+        # Libraries that create code at run time use memfd_create() where it exists.
+        _refuse(library, context, "memfd_create", result=errno.ENOSYS)
+        # Messages that are sent without a copy hold whole huge pages, which are not counted.
+        zero_copy = _int_equal(1, _SOL_SOCKET), _int_equal(2, _SO_ZEROCOPY)
+        _refuse(library, context, "setsockopt", *zero_copy)
         # clone3() passes its flags in memory, which a filter cannot read. With ENOSYS, libraries
         # fall back to clone().
         _refuse(library, context, "clone3", result=errno.ENOSYS)
@@ -78,7 +100,7 @@ def restrict(*, has_own_network: bool) -> None:
         # result 0 pretends success.
         _refuse(library, context, "setsid", result=0)
         for comparison in (
-            [_ArgumentRule(0, _EQUAL, family, 0) for family in (_AF_PACKET, _AF_ALG, _AF_VSOCK)]
+            [_int_equal(0, family) for family in (_AF_PACKET, _AF_ALG, _AF_VSOCK)]
             if has_own_network
             else [_ArgumentRule(0, _NOT_EQUAL, _AF_UNIX, 0)]
         ):
@@ -86,6 +108,11 @@ def restrict(*, has_own_network: bool) -> None:
         _check(library.seccomp_load(context))
     finally:
         library.seccomp_release(context)
+
+
+def _int_equal(argument: int, value: int) -> _ArgumentRule:
+    """Compares an argument of type ``int``, of which the kernel ignores the upper half."""
+    return _ArgumentRule(argument, _MASKED_EQUAL, 0xFFFFFFFF, value)
 
 
 def _refuse(

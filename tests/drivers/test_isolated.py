@@ -324,9 +324,31 @@ def test_a_daemon_of_an_agent_that_kills_its_keeper_outlives_the_race(monkeypatc
 
 @pytest.mark.slow
 def test_the_memory_limit_covers_all_processes_of_an_agent(monkeypatch, tmp_path):
-    """The system's limit on a process's data covers neither shared memory nor child processes."""
+    """The system's limit on a process's data covers only its own memory.
+
+    The sandbox refuses shared memory, so this race has none.
+    """
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(tmp_path / "pids"))
-    for name in ("shares", "spreads"):
-        result = race("ai", hostile(name), agent_memory=400, action_timeout=20.0, max_steps=40)
-        row = by_driver(result)[name]
+    limits = {"sandbox": "off", "agent_memory": 400, "action_timeout": 20.0}
+    for name in ("shares", "spreads", "tables"):
+        row = by_driver(race("ai", hostile(name), **limits, max_steps=40))[name]
         assert "used more than 400 MB with all its processes" in row.errors[0].message
+
+
+COUNTS = """
+from stkzoo.drivers.process import Channel
+
+send = Channel.send
+Channel.send = lambda self, reply: send(self, {{**reply, "paths_used": {count}}})
+
+def get_actor(module_dir, observation_space, action_space):
+    return lambda state, observation: action_space.sample()
+"""
+
+
+@pytest.mark.parametrize("count", ["-1", "True", "2.0", "'all'"])
+def test_an_invalid_number_of_track_segments_is_refused(tmp_path, count):
+    (tmp_path / "pystk_actor.py").write_text(COUNTS.format(count=count))
+    row = by_driver(race("ai", f"{tmp_path}@:counts", max_steps=2))["counts"]
+    assert f"'paths_used': {count}" in row.errors[0].message
+    assert "expected its name and the number of track segments" in row.errors[0].message

@@ -63,8 +63,25 @@ PROBES = {
     "join a keyring": "call(keyctl, 1, 0) >= 0",
     "hide memory in System V segments": "call(shmget, 0, 1 << 20, 0o1600) >= 0",
     "hide memory in message queues": "call(mq_open, b'stkzoo', 0o102, 0o600, 0) >= 0",
+    "change the race's limits": "resource.prlimit(RACE, 7, resource.prlimit(RACE, 7)) is not None",
+    "change the race's priority": "os.setpriority(0, RACE, os.getpriority(0, RACE)) is None",
+    "change the priority of its user": "reaches(os.setpriority, os.PRIO_USER, 1 << 30, 0)",
+    "change the race's scheduling": (
+        "os.sched_setscheduler(RACE, os.sched_getscheduler(RACE), os.sched_param(0)) is None"
+    ),
+    "change the race's scheduling parameter": "os.sched_setparam(RACE, os.sched_param(0)) is None",
+    "change the race's scheduling attributes": "call(sched_setattr, RACE, bytes(48), 0) == 0",
+    "change the race's disk priority": "call(ioprio_set, 1, RACE, 0) == 0",
+    "hide memory in unmapped pages": "mmap.mmap(-1, 1 << 20) is not None",
+    "hide memory in a mapped device": "map_device() is not None",
+    "hide memory in anonymous files": "os.memfd_create('x') >= 0",
+    "hide memory from the kernel": "call(447, 0) >= 0",
+    "hide memory in pipes": "reaches(call, vmsplice, os.pipe()[1], 0, 0, 0)",
+    "hide memory in messages": "zero_copy(60)",
+    "hide memory in messages by another number": "zero_copy(60 | 1 << 32)",
     "take other cores": "os.sched_setaffinity(0, range(os.cpu_count())) is None",
     "reach the host of a virtual machine": "socket.socket(40, 1) is not None",
+    "reach the host by another number": "reaches(call, socket_, 40 | 1 << 32, 1, 0)",
     "use the kernel's cryptography": "socket.socket(38, 5) is not None",
     "leave its session": "leave_session()",
     "open many files": "bool([os.open('/dev/null', 0) for _ in range(5000)])",
@@ -83,16 +100,20 @@ INSIDE = {"leave a temporary file", "leave shared memory", "write a file", "send
 HARMFUL = {
     *("trace the race", "trace itself"),
     *("hide memory in System V segments", "hide memory in message queues"),
+    *("change the race's scheduling attributes", "change the race's disk priority"),
 }
 #: Attacks that always succeed without a sandbox.
 ALWAYS = {
     *("signal the race", "read a file", "read a rival's file", "write a file", "change itself"),
     *("connect", "read its own environment", "leave shared memory", "see other processes"),
     *("leave its session", "take other cores", "join a keyring"),
+    *("change the race's limits", "change the race's priority", "change the race's scheduling"),
+    *("hide memory in unmapped pages", "hide memory in anonymous files", "hide memory in pipes"),
+    *("hide memory in a mapped device", "hide memory in messages"),
 }
 
 PRELUDE = """
-import ctypes, mmap, os, platform, resource, signal, socket, struct, sys, time
+import ctypes, errno, mmap, os, platform, resource, signal, socket, struct, sys, time
 import numpy, stkzoo
 
 RACE, PORT, HOME, MARK, SECRET, UID = {values}
@@ -102,12 +123,35 @@ ptrace, process_vm_readv, unshare, keyctl, shmget, mq_open = (
     if platform.machine() == "x86_64"
     else (117, 270, 97, 219, 194, 180)
 )
+sched_setattr, ioprio_set, vmsplice, socket_, setsockopt = (
+    (314, 251, 278, 41, 54) if platform.machine() == "x86_64" else (274, 30, 75, 198, 208)
+)
+
+def wide(argument):
+    return ctypes.c_long(argument) if isinstance(argument, int) else argument
 
 def call(number, *arguments):
-    result = libc.syscall(number, *arguments)
+    result = libc.syscall(number, *map(wide, arguments))
     if result < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     return result
+
+# Whether the kernel gets a call, which it may still find invalid.
+def reaches(function, *arguments):
+    try:
+        function(*arguments)
+    except OSError as error:
+        return error.errno != errno.EPERM
+    return True
+
+def map_device():
+    with open("/dev/zero", "r+b", 0) as file:
+        return mmap.mmap(file.fileno(), 4096)
+
+def zero_copy(option):
+    with socket.socket(socket.AF_INET) as out:
+        one = ctypes.byref(ctypes.c_int(1))
+        return call(setsockopt, out.fileno(), 1, option, one, 4) == 0
 
 def others():
     mine = (os.getpid(), os.getppid())
@@ -189,7 +233,7 @@ def get_actor(module_dir, observation_space, action_space):
 #: Attacks that the page on the threat model names.
 ON_THE_PAGE = (
     *("kills everyone", "kills its parent", "stops its parent"),
-    *("shares memory", "hides memory", "spreads memory"),
+    *("shares memory", "hides memory", "spreads memory", "fills page tables"),
     *("fills its folders", "writes sparse files", "makes many files"),
     *("leaves daemons", "leaves finalizers"),
 )
@@ -413,9 +457,9 @@ def test_an_agent_without_a_sandbox_is_not_confined(bench):
 
 @needs_bubblewrap
 def test_attacks_affect_only_their_own_karts(tmp_path):
-    """Runs 26 attacks at once beside two drivers, among them those that the page names.
+    """Runs half of the attacks at once beside two drivers, among them those that the page names.
 
-    ``python -m benchmarks.adversaries`` runs all 54 attacks 200 times.
+    ``python -m benchmarks.adversaries`` runs all 55 attacks 200 times.
     """
     others = [name for name in adversaries.ADVERSARIES if name not in ON_THE_PAGE]
     names, mark = [*ON_THE_PAGE, *others[::3]], f"stkzoo-test-{os.getpid()}"

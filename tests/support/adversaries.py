@@ -58,11 +58,13 @@ ADVERSARIES = {
     "never answers": Adversary("time.sleep(99)", LATE),
     # memory, files and output
     "shares memory": Adversary(
-        "[take(mmap.mmap(-1, 200 << 20), 200) for _ in range(3)]" + SLEEP, "used more than 400 MB"
+        "[take(mmap.mmap(-1, 200 << 20), 200) for _ in range(3)]" + SLEEP,
+        "used more than 400 MB|not permitted",
     ),
     "hides memory": Adversary(
-        "[hide(60) for _ in range(20)]" + SLEEP, "used more than 400 MB|File too large"
+        "[hide(60) for _ in range(20)]" + SLEEP, "used more than 400 MB|not implemented"
     ),
+    "fills page tables": Adversary("fill_tables(210 << 30)" + SLEEP, "used more than 400 MB"),
     "spreads memory": Adversary(
         "[os.fork() or (take(bytearray(150 << 20), 150), time.sleep(99)) for _ in range(4)]"
         + SLEEP,
@@ -159,6 +161,14 @@ def hide(size):
     kept.append(place)
     for _ in range(size):
         os.write(place, bytes(1 << 20))
+
+def fill_tables(size):
+    flags = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | 0x4000
+    block = mmap.mmap(-1, size, flags=flags, prot=mmap.PROT_READ)
+    block.madvise(15)  # no huge pages
+    for page in range(0, size, 2 << 20):
+        block[page]
+    kept.append(block)
 
 def fill(folder):
     while True:

@@ -343,9 +343,10 @@ class Connection:
     def _handle_acted(self, fields: dict[str, Any]) -> None:
         """Stores the decisions and failures of a step.
 
-        The server reports the duration of each decision. The part of the time until the reply that
-        the longest of them does not explain is added to each decision, so a server cannot hide
-        time.
+        The server reports the duration of each decision, so that an agent does not pay for a slower
+        agent of its server. The part of the time until the reply that the longest of them does not
+        explain is added to each decision. At least one agent is thus charged the whole time: a
+        server can shift time between its own agents, but cannot hide it.
         """
         if protocol.field(fields, "step", int) != self._step:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
@@ -364,7 +365,7 @@ class Connection:
         unexplained = 0.0 if failures else max(elapsed - longest, 0.0)
         for seat, decision in decisions:
             seconds = min(decision.seconds + unexplained, elapsed)
-            self._decide(seat, replace(decision, seconds=seconds))
+            self._decide(seat, _decoded(replace(decision, seconds=seconds)))
         if self._asked:
             raise ProtocolError(f"no answer for seats {sorted(self._asked)}")
         self._pending.discard(self)
@@ -377,12 +378,22 @@ class Connection:
 
 
 def _decision(entry: Any) -> tuple[int, Decision]:
-    """Reads a seat and its decision, with the duration that the server reports.
+    """Reads a seat and its decision: an encoded action and the duration that the server reports.
 
     Raises:
         ProtocolError: the entry is invalid.
     """
     match entry:
         case [int(seat), bytes(action), float(seconds), bool(is_clipped)] if 0 <= seconds < 1e9:
-            return seat, Decision(decode(action), seconds, is_clipped)
+            return seat, Decision(action, seconds, is_clipped)
     raise ProtocolError(f"a decision {shortened(entry, 100)}")
+
+
+def _decoded(decision: Decision) -> Decision | Failure:
+    """Decodes a decision's action; an agent may send one that is invalid, so only it fails."""
+    try:
+        return replace(decision, action=decode(decision.action))
+    except ProtocolError as error:
+        return Failure(
+            AgentError(f"its action is invalid: {error}", seconds=decision.seconds), True
+        )

@@ -16,7 +16,7 @@ from stkzoo.drivers.codec import Encoded, decode, encode
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import error_report, printable
 from stkzoo.drivers.instances import DriverInstance, DriverLimits, DriverRequest
-from stkzoo.errors import ProtocolError, shortened
+from stkzoo.errors import AgentError, ProtocolError, shortened
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.remote import protocol
 
@@ -28,6 +28,9 @@ _log.addFilter(RepeatFilter())
 _PING = 2.0
 #: Limits of a session's queue of unprocessed messages.
 _MAX_WAITING_MESSAGES, _MAX_WAITING_BYTES = 128, 16 << 20
+
+#: Maximum size of an action [bytes]. The actions of all seats take at most half of a message.
+_MAX_ACTION_BYTES = protocol.LIMITS.max_bytes // (2 * protocol.MAX_SEATS)
 
 #: Sends a message (kind and body) to the session's client; an empty kind ends the session.
 Reply = Callable[[bytes, bytes], None]
@@ -250,7 +253,14 @@ def _ask(instance: DriverInstance, data: bytes) -> bool:
 
 def _answer(instance: DriverInstance) -> tuple[bytes, float, bool]:
     decision = instance.answer()
-    return encode(decision.action), float(decision.seconds), decision.is_clipped
+    action = encode(decision.action)
+    if len(action) > _MAX_ACTION_BYTES:
+        raise AgentError(
+            f"its action has {len(action)} bytes, expected at most {_MAX_ACTION_BYTES}; return an "
+            "element of the action space",
+            seconds=decision.seconds,
+        )
+    return action, float(decision.seconds), decision.is_clipped
 
 
 def _shorter(own: float | None, requested: object) -> float | None:

@@ -204,6 +204,41 @@ def test_a_lying_server_affects_only_its_own_kart(name):
     assert len(result.to_json()) < 50_000
 
 
+AGENT = """
+import numpy
+from stkzoo.drivers.process import Channel
+
+send = Channel.send
+Channel.send = lambda self, reply: send(self, reply | ({fields} if {when!r} in reply else {{}}))
+
+def get_actor(module_dir, observation_space, action_space):
+    return lambda state, observation: action_space.sample()
+"""
+BOMB = "{'steer': [(numpy.zeros(0, 'int8'),) * 8000] * 14}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("when", "fields", "text"),
+    [
+        ("name", "{'paths_used': -1}", "expected its name and the number of track segments"),
+        ("action", "{'action': {'steer': bytes(5 << 20)}}", "bytes, expected at most 65536"),
+        ("action", f"{{'action': {BOMB}, 'padding': bytes(3 << 20)}}", "too much memory"),
+    ],
+    ids=["segments", "large action", "memory bomb"],
+)
+def test_an_agent_cannot_make_the_other_agents_of_its_server_fail(tmp_path, when, fields, text):
+    (tmp_path / "pystk_actor.py").write_text(AGENT.format(when=when, fields=fields))
+    with (
+        server_process(str(tmp_path), str(AGENTS / "plain")) as (_, address),
+        RemoteDriverGroup([address]) as group,
+    ):
+        result = run_race(group.drivers, max_steps=8, **TRACK)
+    rows = {row.agent: row for row in result.agents}
+    assert text in rows["kart_0"].errors[0].message
+    assert not rows["kart_1"].errors
+
+
 def test_a_memory_bomb_in_an_open_message_costs_the_server_little():
     with server_process("heuristic", "--quiet") as (process, address):
         assert_serves(address)
@@ -298,6 +333,26 @@ def test_an_endless_message_affects_only_its_servers_karts():
     assert re.search(TOO_LONG, rows["endless"].errors[0].message)
     assert not rows["heuristic"].errors
     assert cost["memory"] < 400 << 20
+
+
+def test_a_server_can_shift_time_only_between_its_own_karts():
+    """At least one of its karts pays for the whole time of each step."""
+    claims = {0: 0.0, 1: 1e8}
+
+    def shift(kind, asked):
+        if kind == b"O":
+            return [b"P", pack(seat=asked["seat"], name="liar", paths_used=None)]
+        time.sleep(0.1)
+        decisions = [
+            [seat, encode(ACTION), claims[seat], False] for seat, _ in asked["observations"]
+        ]
+        return [b"D", pack(step=asked["step"], decisions=decisions, failures=[])]
+
+    with LyingServer(shift) as liar, RemoteDriverGroup([liar.address]) as group:
+        result = run_race(group.drivers * 2, max_steps=5, **TRACK)
+    times = {row.agent: row.action_time for row in result.agents}
+    assert times["kart_0"].total == 0
+    assert times["kart_1"].mean >= 0.1
 
 
 @pytest.mark.parametrize(
