@@ -115,7 +115,8 @@ class GymAgentAdapter(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Converts the agents' actions, steps the environment and wraps the results."""
-        base = self._walker.begin_step(actions, self._present)
+        checked = self._walker.read_actions(actions, self._present)
+        base = self._walker.begin_step(checked, self._present)
         try:
             observations, reward, terminated, truncated, info = self.env.step(base)
             originals = self._handed_out(observations)
@@ -212,7 +213,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
-        base = self._walker.begin_step(actions, agents)
+        base = self._walker.begin_step(self._walker.read_actions(actions, agents), agents)
         for agent in self._retired.intersection(self.env.agents):
             base[agent] = create_zero_array(self.env.action_space(agent))
         try:

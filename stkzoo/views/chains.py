@@ -66,6 +66,24 @@ class _Roster:
     walked: tuple[str, ...]
 
 
+@dataclass(slots=True)
+class CheckedActions:
+    """Valid actions of one step, before any wrapper has run.
+
+    Attributes:
+        roster: the agents that act.
+        rows: row of each agent in ``controls``.
+        controls: base actions of the agents whose wrappers all run in the kernel, but actions in
+            physical units as they came.
+        walked: actions of the agents with Python wrappers.
+    """
+
+    roster: _Roster
+    rows: IntArray
+    controls: FloatArray
+    walked: Mapping[str, Any]
+
+
 @dataclass(frozen=True, slots=True)
 class ChainsMemory:
     """State of all agents' wrappers at one moment.
@@ -139,10 +157,9 @@ class AgentChains:
         num_rows: int | None = None,
         source: ObservationSource | None = None,
     ) -> FloatArray:
-        """Converts the agents' actions to base actions.
+        """Converts the agents' actions to base actions: :meth:`check`, then :meth:`convert`.
 
-        All actions are checked before any wrapper runs. Actions of agents not in ``agents`` are
-        ignored.
+        Actions of agents not in ``agents`` are ignored.
 
         Args:
             actions: actions by agent, in each agent's ``action_spaces``.
@@ -160,10 +177,27 @@ class AgentChains:
             ActionError: an action is missing or not in its space.
             AgentException: a wrapper failed.
         """
-        roster = self._roster(agents)
         rows = np.arange(len(agents)) if rows is None else rows
         count = len(agents) if num_rows is None else num_rows
-        controls = np.zeros((count, len(self._columns)), np.float32)
+        return self.convert(self.check(actions, agents, rows, count), source)
+
+    def check(
+        self, actions: Mapping[str, Any], agents: Sequence[str], rows: IntArray, num_rows: int
+    ) -> CheckedActions:
+        """First half of :meth:`decode`: checks the actions and changes nothing.
+
+        Args:
+            actions: see :meth:`decode`.
+            agents: see :meth:`decode`.
+            rows: see :meth:`decode`.
+            num_rows: see :meth:`decode`.
+
+        Raises:
+            ActionError: an action is missing or not in its space.
+        """
+        roster = self._roster(agents)
+        controls = np.zeros((num_rows, len(self._columns)), np.float32)
+        walked: Mapping[str, Any] = {}
         unread = [
             group
             for group in roster.groups
@@ -174,14 +208,11 @@ class AgentChains:
             for group in unread:
                 usual = {a: self._chains[a].read_action(actions[a]) for a in group.acting}
                 group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
-            asked = {a: actions[a] for a in roster.walked if a not in self._ignored}
-            base = self._walker.begin_step(asked, roster.walked)
-            for group in roster.groups:
-                group.reader.read(base, group.walking, rows[group.walking_rows], controls)
-        self._drive_cars(roster, rows, controls, source)
-        return controls
+            asked = [agent for agent in roster.walked if agent not in self._ignored]
+            walked = self._walker.read_actions(actions, asked)
+        return CheckedActions(roster, rows, controls, walked)
 
-    def decode_batch(
+    def check_batch(
         self,
         batch: Any,
         slots: IntArray,
@@ -189,9 +220,8 @@ class AgentChains:
         agents: Sequence[str],
         rows: IntArray,
         num_rows: int,
-        source: ObservationSource,
-    ) -> FloatArray | None:
-        """Converts a batch of actions to base actions, if no wrapper runs in Python.
+    ) -> CheckedActions | None:
+        """Does the same as :meth:`check` for a batch of actions, if no wrapper runs in Python.
 
         Args:
             batch: an array with one row per slot, or a dict of such arrays.
@@ -200,11 +230,10 @@ class AgentChains:
             agents: see :meth:`decode`.
             rows: see :meth:`decode`.
             num_rows: see :meth:`decode`.
-            source: see :meth:`decode`.
 
         Returns:
-            See :meth:`decode`. ``None`` if an action is invalid or in an unusual form, which
-                :meth:`decode` converts or rejects.
+            The actions. ``None`` if an action is invalid or in an unusual form, which
+                :meth:`check` converts or rejects.
         """
         roster = self._roster(agents)
         if roster.walked:
@@ -215,6 +244,27 @@ class AgentChains:
             own = slots[acting], rows[acting]
             if not group.reader.read_batch(batch, num_slots, *own, controls):
                 return None
+        return CheckedActions(roster, rows, controls, {})
+
+    def convert(self, checked: CheckedActions, source: ObservationSource | None) -> FloatArray:
+        """Second half of :meth:`decode`: runs the wrappers of the agents that act.
+
+        Args:
+            checked: actions from :meth:`check` or :meth:`check_batch`; used up by this call.
+            source: see :meth:`decode`.
+
+        Returns:
+            See :meth:`decode`.
+
+        Raises:
+            ActionError: a wrapper returned an action outside its agent's base space.
+            AgentException: a wrapper failed.
+        """
+        roster, rows, controls = checked.roster, checked.rows, checked.controls
+        if roster.walked:
+            base = self._walker.begin_step(checked.walked, roster.walked)
+            for group in roster.groups:
+                group.reader.read(base, group.walking, rows[group.walking_rows], controls)
         self._drive_cars(roster, rows, controls, source)
         return controls
 

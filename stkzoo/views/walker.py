@@ -107,11 +107,24 @@ class ChainWalker:
                         options=None if options is None else dict(options),
                     )
 
+    def read_actions(self, actions: Mapping[str, Any], agents: Collection[str]) -> dict[str, Any]:
+        """Checks actions and returns them in Gymnasium's form; no wrapper runs.
+
+        Args:
+            actions: actions by agent.
+            agents: the agents; those without an action are left out.
+
+        Raises:
+            ActionError: an action is not in its agent's space.
+        """
+        own = [agent for agent in agents if agent in actions]
+        return {agent: self.chains[agent].read_action(actions[agent]) for agent in own}
+
     def begin_step(self, actions: Mapping[str, Any], agents: Collection[str]) -> dict[str, Any]:
         """Runs the first half of the wrappers' steps.
 
         Args:
-            actions: actions by agent; all are checked before any wrapper runs.
+            actions: actions from :meth:`read_actions`.
             agents: agents whose wrappers run. The wrappers of agents without an action get an
                 action of zeros, and the result has no base action for them.
 
@@ -119,17 +132,15 @@ class ChainWalker:
             Checked base actions of the agents with an action.
 
         Raises:
-            ActionError: an action is not in its agent's space.
+            ActionError: a wrapper returned an action outside its agent's base space.
             AgentException: a wrapper failed.
         """
-        own = [agent for agent in agents if agent in actions]
-        checked = {agent: self.chains[agent].read_action(actions[agent]) for agent in own}
         base: dict[str, Any] = {}
         with self._abandoned_after_failure():
             for agent in agents:
                 chain = self.chains[agent]
-                if agent in checked:
-                    base[agent] = chain.begin_base_step(checked[agent])
+                if agent in actions:
+                    base[agent] = chain.begin_base_step(actions[agent])
                 else:
                     chain.begin_step(create_zero_array(chain.action_space))
         return base

@@ -5,6 +5,7 @@ import signal
 
 import numpy as np
 import pytest
+from gymnasium import ActionWrapper
 from gymnasium.wrappers import RescaleAction
 
 from stkzoo import ActionError, AgentSpec, RaceVectorEnv, Start
@@ -209,6 +210,41 @@ def test_an_invalid_action_is_an_error_before_any_race_advances():
         with pytest.raises(ActionError, match=named):
             envs.step(bad)
     assert envs.step(actions)[4]["episode/length"].tolist() == [1] * 4
+    envs.close()
+
+
+@pytest.mark.usefixtures("_each_form")
+def test_a_rejected_batch_does_not_turn_the_wheels():
+    envs = RaceVectorEnv(2, **OPTIONS | {"start": None}, view="flattened_control")
+    full_left = np.tile(np.float32([-1.0, 0.5]), (4, 1))
+    full_right = -full_left
+    full_left[3, 0] = np.nan
+    traces = []
+    for rejected in ([], [full_left] * 3):
+        trace = [envs.reset(seed=1)]
+        for bad in rejected:
+            with pytest.raises(ActionError, match="kart_1 of race 1"):
+                envs.step(bad)
+        trace.extend(envs.step(full_right) for _ in range(3))
+        traces.append(trace)
+    envs.close()
+    assert same(*traces)
+
+
+def test_a_rejected_batch_reaches_no_wrapper():
+    seen = []
+
+    class Spy(ActionWrapper):
+        def action(self, action):
+            seen.append(action)
+            return action
+
+    view = lambda env: Spy(VIEWS["flattened_discrete"](env))  # noqa: E731
+    envs = RaceVectorEnv(2, **OPTIONS | {"start": None}, view=view)
+    envs.reset(seed=1)
+    with pytest.raises(ActionError, match="kart_1 of race 1"):
+        envs.step([700, 700, 700, 1120])
+    assert seen == []
     envs.close()
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector.utils import iterate
 
-from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.vec.batch_race import BatchRace
 from stkzoo.errors import ActionError
+from stkzoo.views.chains import CheckedActions
 
 
 class ActionBatch:
@@ -54,8 +53,8 @@ class ActionBatch:
             )
         return singles
 
-    def decode_singly(self, race: RaceParallelEnv, slots: slice) -> npt.NDArray[np.float32]:
-        """Converts the actions of a race agent by agent.
+    def check_singly(self, race: BatchRace, slots: slice) -> CheckedActions:
+        """Checks the actions of a race agent by agent.
 
         Args:
             race: the race.
@@ -64,4 +63,5 @@ class ActionBatch:
         Raises:
             ActionError: an action is invalid.
         """
-        return race.decode(dict(zip(race.possible_agents, self.singles[slots], strict=True)))
+        actions = dict(zip(race.possible_agents, self.singles[slots], strict=True))
+        return race.check_actions(actions)

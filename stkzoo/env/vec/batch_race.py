@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,15 @@ import numpy.typing as npt
 
 from stkzoo.env.vec.ahead import AheadRace
 from stkzoo.env.vec.steps import InfoTables, IntArray, SlotSteps
+from stkzoo.views.chains import CheckedActions
 
 
 class BatchRace(AheadRace):
     """A race with a second form of its steps, in which nothing is made for single agents.
 
     The agents' actions and results are rows of arrays over the slots of all races. The results are
-    those of :meth:`decode` and :meth:`step_wait`, to the bit.
+    those of :meth:`decode` and :meth:`step_wait`, to the bit. Checking actions is a call of its
+    own, so that those of all races are checked before any wrapper runs.
 
     Args:
         **options: options of :class:`~stkzoo.env.vec.ahead.AheadRace`.
@@ -26,13 +29,25 @@ class BatchRace(AheadRace):
 
     @property
     def has_rows(self) -> bool:
-        """Whether the kernel runs all wrappers of all agents, so that the methods below work."""
+        """Whether the kernel runs all wrappers of all agents, so that the results can be rows."""
         return self._chains.has_rows
 
-    def decode_batch(
-        self, actions: Any, slots: IntArray, num_slots: int
-    ) -> npt.NDArray[np.float32] | None:
-        """Does the same as :meth:`decode` for a batch of actions.
+    def check_actions(self, actions: Mapping[str, Any]) -> CheckedActions:
+        """First half of :meth:`decode`: checks the actions and changes nothing.
+
+        Args:
+            actions: see :meth:`step`.
+
+        Raises:
+            ActionError: an action is missing or invalid.
+            ApiOrderError: called before the first ``reset``, or while a step is running.
+        """
+        episode, agents = self._idle_episode(), self.agents
+        rows = episode.player_rows(agents)
+        return self._chains.check(actions, agents, rows, episode.num_players)
+
+    def check_batch(self, actions: Any, slots: IntArray, num_slots: int) -> CheckedActions | None:
+        """Does the same as :meth:`check_actions` for a batch of actions; see :attr:`has_rows`.
 
         Args:
             actions: an array with one row per slot, or a dict of such arrays.
@@ -40,7 +55,7 @@ class BatchRace(AheadRace):
             num_slots: number of slots in the batch.
 
         Returns:
-            The controls; ``None`` if an action is invalid or in an unusual form.
+            The actions; ``None`` if one is invalid or in an unusual form.
 
         Raises:
             ApiOrderError: called before the first ``reset``, or while a step is running.
@@ -48,7 +63,19 @@ class BatchRace(AheadRace):
         episode, agents = self._idle_episode(), self.agents
         rows = episode.player_rows(agents)
         size = episode.num_players
-        return self._chains.decode_batch(actions, slots, num_slots, agents, rows, size, episode)
+        return self._chains.check_batch(actions, slots, num_slots, agents, rows, size)
+
+    def convert(self, actions: CheckedActions) -> npt.NDArray[np.float32]:
+        """Second half of :meth:`decode`: converts checked actions to controls.
+
+        Args:
+            actions: actions from :meth:`check_actions` or :meth:`check_batch`.
+
+        Raises:
+            ActionError: a wrapper returned an invalid action.
+            AgentException: a wrapper failed.
+        """
+        return self._chains.convert(actions, self._idle_episode())
 
     def step_into(self, steps: SlotSteps, slots: IntArray) -> None:
         """Waits for the step and writes the rewards and ends of the agents that acted.

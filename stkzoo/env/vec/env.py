@@ -306,10 +306,11 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self._require_open("step")
         batch = ActionBatch(actions, self.action_space, self._names)
         try:
-            controls = [row.decode(batch) for row in self._rows]
+            checked = [row.check(batch) for row in self._rows]
         except ActionError:
             self._name_the_race(batch.singles)
             raise
+        controls = [row.race.convert(own) for row, own in zip(self._rows, checked, strict=True)]
         drive_opponents(self.races, controls)
         for row, own in zip(self._rows, controls, strict=True):
             row.send(own)

@@ -14,6 +14,7 @@ from stkzoo.env.vec.actions import ActionBatch
 from stkzoo.env.vec.batch_race import BatchRace
 from stkzoo.env.vec.steps import BoolArray, InfoDicts, SlotSteps
 from stkzoo.errors import EngineCrashed, EngineError, EngineTimeout
+from stkzoo.views.chains import CheckedActions
 
 logger = logging.getLogger(__name__)
 
@@ -92,8 +93,8 @@ class RaceSlots(ABC):
         self._show_first(steps, *first)
 
     @abstractmethod
-    def decode(self, actions: ActionBatch) -> npt.NDArray[np.float32]:
-        """Checks one action per slot and returns the controls; ignores actions of idle slots."""
+    def check(self, actions: ActionBatch) -> CheckedActions:
+        """Checks one action per slot and changes nothing; ignores actions of idle slots."""
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
         """Starts a step in the game; :meth:`step_wait` handles its crash."""
@@ -168,11 +169,11 @@ class CompiledSlots(RaceSlots):
         super().__init__(race, number)
         self._racing_slots = np.zeros(0, np.intp)
 
-    def decode(self, actions: ActionBatch) -> npt.NDArray[np.float32]:
+    def check(self, actions: ActionBatch) -> CheckedActions:
         """See :class:`RaceSlots`."""
         slots, count = self._racing_slots, actions.num_slots
-        controls = self.race.decode_batch(actions.batch, slots, count)
-        return actions.decode_singly(self.race, self.slots) if controls is None else controls
+        checked = self.race.check_batch(actions.batch, slots, count)
+        return actions.check_singly(self.race, self.slots) if checked is None else checked
 
     def _show_first(self, steps: SlotSteps, *_: Any) -> None:
         self._find_slots()
@@ -202,9 +203,9 @@ class WalkedSlots(RaceSlots):
         super().__init__(race, number)
         self._latest: dict[str, tuple[Any, dict[str, Any]]] = {}  # observation and info by agent
 
-    def decode(self, actions: ActionBatch) -> npt.NDArray[np.float32]:
+    def check(self, actions: ActionBatch) -> CheckedActions:
         """See :class:`RaceSlots`."""
-        return actions.decode_singly(self.race, self.slots)
+        return actions.check_singly(self.race, self.slots)
 
     def _show_first(self, steps: SlotSteps, *first: Any) -> None:
         observations, infos = first
