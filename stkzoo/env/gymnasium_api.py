@@ -174,7 +174,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         with self.core._turn.of("reset"):
             gym.Env.reset(self, seed=seed)
             self.core.np_random = self.np_random
-            return self.core.reset(options=options)
+            return self.core._reset(seed, options)
 
     def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
         if self.core.snapshot is not None and not self.core.agents:

@@ -220,14 +220,15 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             EngineError: the game does not start.
         """
         with self._turn.of("reset"):
+            if seed is not None or self._np_random is None:
+                self._np_random = random_stream(seed)
             return self._reset(seed, options)
 
     def _reset(
         self, seed: int | None, options: Mapping[str, Any] | None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+        """Starts a race with the current random generator; ``seed`` is for the wrappers only."""
         self._rendering.check()
-        if seed is not None or self._np_random is None:
-            self._np_random = random_stream(seed)
         options = {} if options is None else options
         options_now = self._options_now(options)
         self._check_specs()

@@ -17,6 +17,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import stkzoo
 from stkzoo import ActionError, AgentSpec, CameraMode, ConfigError, make_stkrace_vec, race_v0
 from stkzoo.checks.play import fingerprint
+from stkzoo.env.gymnasium_api import STKRaceEnv
 
 SINGLE_IDS = [
     f"supertuxkart/{name}-v0"
@@ -137,6 +138,33 @@ def test_sync_and_async_vectors_drive_the_same_races():
         results.append(fingerprint(record))
         envs.close()
     assert results[0] == results[1]
+
+
+class Noise(gym.ObservationWrapper):
+    """Observes random numbers of its own."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.observation_space = gym.spaces.Box(0, 1, (4,))
+
+    def observation(self, _):
+        return self.np_random.random(4, np.float32)
+
+
+def test_a_seed_reaches_the_wrappers_of_a_view():
+    with race_v0.parallel_env(**OPTIONS, agents=1, view=Noise) as env:
+        expected = [env.reset(seed=seed)[0]["kart_0"].tolist() for seed in (3, None)]
+    for _ in range(2):
+        with STKRaceEnv(**OPTIONS, view=Noise) as env:
+            assert [env.reset(seed=seed)[0].tolist() for seed in (3, None)] == expected
+
+
+def test_the_random_generator_of_an_id_is_the_one_of_its_race():
+    with gym.make(SINGLE_IDS[0], **OPTIONS) as env:
+        for seed in (3, None):
+            env.reset(seed=seed)
+            assert env.unwrapped.np_random is env.unwrapped.core.np_random
+        assert env.unwrapped.np_random_seed == 3
 
 
 @pytest.mark.parametrize(
