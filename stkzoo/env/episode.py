@@ -120,6 +120,11 @@ class Episode:
         return twin
 
     @property
+    def step_size(self) -> float:
+        """Game time of one step [s]."""
+        return self.setup.step_size
+
+    @property
     def num_players(self) -> int:
         """Number of karts for which the engine expects controls."""
         return len(self._players)

@@ -333,7 +333,7 @@ class AgentChains:
             source: the race at its first moment.
             infos: infos by agent.
             seed: seed of the wrappers' ``np_random``: agent ``n`` gets ``seed + n``.
-            options: passed to the ``reset`` of every wrapper.
+            options: passed to the ``reset`` of every wrapper, with the ``step_size`` of the race.
             failed: gets the errors of agents whose wrappers fail. Without it, the first one is
                 raised.
 
@@ -344,10 +344,11 @@ class AgentChains:
             AgentException: a wrapper failed.
         """
         self._walker.abandon()
-        self._reset_cars(options or {})
+        self._reset_cars(source.step_size)
         observations = self.observe(agents, source)
         new_infos = {agent: dict(infos[agent]) for agent in agents}
         walked = self._roster(agents).walked
+        options = {**(options or {}), "step_size": source.step_size}
         self._walker.reset(walked, observations, new_infos, seed, options, failed)
         return observations, new_infos
 
@@ -412,11 +413,11 @@ class AgentChains:
         """Closes all wrappers."""
         self._walker.close()
 
-    def _reset_cars(self, options: Mapping[str, Any]) -> None:
+    def _reset_cars(self, step_size: float) -> None:
         self._cars[:] = 0.0
         for number, plan in enumerate(self._plans.values()):
             if plan.car is not None:
-                self._cars[number, 2] = options.get("step_size", plan.car.step_size)
+                self._cars[number, 2] = step_size
 
     def _roster(self, agents: Sequence[str]) -> _Roster:
         key = tuple(agents)

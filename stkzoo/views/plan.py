@@ -37,6 +37,10 @@ class ObservationSource(Protocol):
         """The track's ``TrackGraph``, the number of observed segments, and the karts' models."""
 
     @property
+    def step_size(self) -> float:
+        """Game time of one step [s]."""
+
+    @property
     def track_map(self) -> Any:
         """The :class:`~stkzoo.engine.track.TrackMap`."""
 

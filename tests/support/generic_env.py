@@ -157,6 +157,8 @@ def random_batch(rng, count, *, items=7, karts=4, paths=9, use_ai=False):
 class RandomMoment:
     """A random snapshot of karts and items on a small circular track, which can be observed."""
 
+    step_size = 0.1
+
     def __init__(self, rng, num_kart=5, num_items=7, num_nodes=9):
         karts, items = np.zeros(num_kart, KART_DTYPE), np.zeros(num_items, ITEM_DTYPE)
         for things in (karts, items):

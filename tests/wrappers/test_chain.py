@@ -518,7 +518,7 @@ def test_options_reach_the_wrappers():
             return super().reset(seed=seed, options=options)
 
     Race(make_chains(Spy)).reset(options={"track": "lighthouse"})
-    assert seen == [{"track": "lighthouse"}]
+    assert seen == [{"track": "lighthouse", "step_size": RandomMoment.step_size}]
 
 
 def test_the_given_infos_are_not_changed():

@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 import stkzoo
 from benchmarks import step_responses
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
+from stkzoo.drivers import Driver
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.race import run_race
 from stkzoo.wrappers import (
     ConstantSizedObservations,
@@ -478,6 +480,47 @@ def test_a_reset_straightens_the_wheels():
             straight.append(env.state())
     assert np.array_equal(straight[0], straight[2])
     assert not np.array_equal(straight[0], straight[1])
+
+
+class Inner(gym.ObservationWrapper):
+    """Changes nothing, but keeps the wrappers around it in Python."""
+
+    def observation(self, observation):
+        return observation
+
+
+@pytest.mark.parametrize("inner", [lambda env: env, Inner], ids=["kernel", "python"])
+def test_a_view_uses_the_step_of_its_race(inner):
+    view = ControlView(observe="full", control_input=("speed", "steering_speed"))
+
+    def turned(env):
+        """Returns how far one step turns the wheels at 1 rad/s."""
+        controls = env.decode({"kart_0": {"control": np.array([1.0, 5.0], np.float32)}})
+        return controls[0, 1] * env.snapshot.karts["max_steer_angle"][0]
+
+    race = {"num_kart": 1, "track": "lighthouse", "view": lambda env: view(inner(env))}
+    with race_v0.parallel_env(**race) as env, race_v0.parallel_env(**race, step_size=0.05) as short:
+        short.reset(seed=1)
+        angles = [turned(short)]
+        short.reset(seed=1)
+        with short.save_state() as state:
+            for options in ({"state": state}, {"scenario": short.scenario()}, {"step_size": 0.05}):
+                env.reset(seed=1, options=options)
+                angles.append(turned(env))
+    assert angles == pytest.approx([0.05] * 4)
+
+
+def test_views_of_opponents_use_the_step_of_their_race():
+    view = ControlView(observe="full", control_input=("speed", "steering_speed"))
+    driver = Driver.of_policy(lambda _: {"control": np.array([1.0, 5.0], np.float32)}, view)
+    race = {"agents": 1, "num_kart": 2, "track": "lighthouse", "step_size": 0.05}
+    with race_v0.parallel_env(**race, opponents=[driver]) as env:
+        env.reset(seed=1)
+        (kart,) = env.race.opponent_indices
+        most = env.snapshot.karts["max_steer_angle"][kart]
+        env.step({"kart_0": env.action_space("kart_0").sample()})
+        steer = env.scenario().controls[0, kart, CONTROLS.index("steer")]
+    assert steer * most == pytest.approx(0.05)
 
 
 def test_the_ids_are_registered():

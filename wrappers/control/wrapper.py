@@ -46,8 +46,8 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         buttons: some of ``drift``, ``fire``, ``nitro`` and ``rescue``.
         params: see :class:`CarAction`.
         kart: kart model whose limits apply, as in ``AgentSpec.kart``; ``params`` takes precedence.
-        step_size: game time of one step of the race [s]; ``reset`` options that change it for an
-            episode are respected.
+        step_size: game time of one step of the environment [s], unless the options of ``reset``
+            have another. Views of races always use the race's.
 
     Raises:
         ConfigError: an argument is invalid, or the environment does not fit.
@@ -163,7 +163,7 @@ class ControlView:
         normalize_act: whether to scale both numbers to [-1, 1].
         buttons: additional buttons of the game.
         kart: kart model whose limits apply, as in ``AgentSpec.kart``.
-        step_size: game time of one step of the race [s].
+        step_size: see :class:`~stkzoo.wrappers.control.ControlWrapper`.
     """
 
     observe: str = "simple"
