@@ -156,6 +156,21 @@ def test_without_prefetch_no_race_waits():
     envs.close()
 
 
+@pytest.mark.parametrize("kind", ["state", "scenario"])
+def test_no_race_is_prefetched_for_one_that_begins_at_a_moment(kind):
+    with race_v0.parallel_env(**OPTIONS) as race:
+        race.reset(seed=1)
+        with race.save_state() as state:
+            moment = {"state": state, "scenario": race.scenario()}[kind]
+            envs = make(1, prefetch=True, max_cycles=2)
+            envs.set_options({kind: moment})
+            envs.reset(seed=1)
+            for _ in range(3):
+                assert next_pids(envs) == []
+                envs.step(envs.action_space.sample())
+            envs.close()
+
+
 def test_a_prefetched_race_that_died_is_started_again():
     envs = make(1, prefetch=True)
     actions = random_actions(envs)

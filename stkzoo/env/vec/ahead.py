@@ -58,11 +58,12 @@ class AheadRace(RaceParallelEnv):
         """Starts the race for the next :meth:`reset` with the same arguments, and returns at once.
 
         The results of ``reset`` do not depend on this call. If it fails, ``reset`` starts the race
-        itself and reports the error if that fails too. With ``starts``, it does nothing.
+        itself and reports the error if that fails too. With ``starts``, or options with a state or
+        a scenario, it does nothing.
         """
         options = {} if options is None else options
         now = self.options.changed(options)
-        if "state" in options or self.starts is not None:
+        if self.starts is not None or not options.keys().isdisjoint(("state", "scenario")):
             return
         random = copy.deepcopy(self.np_random) if seed is None else random_stream(seed)
         now, _, specs = self._draw_opponents(now, options, random)
