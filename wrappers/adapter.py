@@ -14,7 +14,7 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import of_agent
 from stkzoo.errors import ConfigError, unknown_name
-from stkzoo.views.walker import ChainWalker, Factories, StepParts
+from stkzoo.views.walker import ChainWalker, Factories, StepParts, require_actions
 
 
 class MonoAgentWrapperAdapter:
@@ -209,10 +209,17 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         return self._with_originals(observations, originals), infos
 
     def step(self, actions: dict[str, Any]) -> StepParts:
-        """Converts the agents' actions, steps the environment and wraps the results."""
+        """Converts the agents' actions, steps the environment and wraps the results.
+
+        Raises:
+            ActionError: an action is missing or invalid; neither the environment nor a wrapper has
+                changed.
+        """
         agents = self.agents
         if not agents:
             return {}, {}, {}, {}, {}
+        # The actions of agents that the game drives are optional in a race.
+        require_actions(actions, agents, getattr(self.env.unwrapped, "_ai_agents", ()))
         base = self._walker.begin_step(self._walker.read_actions(actions, agents), agents)
         for agent in self._retired.intersection(self.env.agents):
             base[agent] = create_zero_array(self.env.action_space(agent))

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ActionError, AgentException, shortened
+from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.plan import ObservationSource, Observer, RowObserver, ViewPlan
-from stkzoo.views.walker import ChainWalker, Factories, Failures, StepParts
+from stkzoo.views.walker import ChainWalker, Factories, Failures, StepParts, require_actions
 
 IntArray = npt.NDArray[np.intp]
 FloatArray = npt.NDArray[np.float32]
@@ -204,7 +204,7 @@ class AgentChains:
             if not group.reader.read(actions, group.acting, rows[group.acting_rows], controls)
         ]
         if unread or roster.walked:
-            self._require_actions(actions, agents)
+            require_actions(actions, agents, self._ignored)
             for group in unread:
                 usual = {a: self._chains[a].read_action(actions[a]) for a in group.acting}
                 group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
@@ -461,22 +461,6 @@ class AgentChains:
     def __getstate__(self) -> dict[str, Any]:
         # The kernel objects are rebuilt from the plans on demand.
         return {**self.__dict__, "_made": {}, "_present": None}
-
-    def _require_actions(self, actions: Mapping[str, Any], agents: Sequence[str]) -> None:
-        if not isinstance(actions, Mapping):
-            raise ActionError(
-                f"the actions have to be a dict by agent: {', '.join(agents)}; found "
-                f"{shortened(actions, 200)}",
-                agents[0] if agents else "",
-            )
-        missing = [a for a in agents if a not in actions and a not in self._ignored]
-        if missing:
-            came = ", ".join(map(repr, actions)) or "none"
-            raise ActionError(
-                f"no action for agent {', '.join(map(repr, missing))}; actions came for {came}. "
-                "Send one for every agent in env.agents.",
-                missing[0],
-            )
 
 
 def _observer_of(plan: ViewPlan) -> Observer:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeAlias, cast
 
 from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.agent_names import by_agent
-from stkzoo.errors import AgentException, ConfigError
+from stkzoo.agent_names import by_agent, check_actions
+from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.registry import find_view
 from stkzoo.views.split_step import AgentStep
@@ -183,6 +183,30 @@ class ChainWalker:
         """Closes all wrappers."""
         for chain in self.chains.values():
             chain.close()
+
+
+def require_actions(
+    actions: Mapping[str, Any], agents: Sequence[str], optional: Collection[str] = ()
+) -> None:
+    """Checks that there is an action for every agent.
+
+    Args:
+        actions: actions by agent.
+        agents: the agents that act.
+        optional: agents that need no action.
+
+    Raises:
+        ActionError: an action is missing, or the actions are not a mapping by agent.
+    """
+    check_actions(actions, agents)
+    missing = [agent for agent in agents if agent not in actions and agent not in optional]
+    if missing:
+        came = ", ".join(map(repr, actions)) or "none"
+        raise ActionError(
+            f"no action for agent {', '.join(map(repr, missing))}; actions came for {came}. "
+            "Send one for every agent in env.agents.",
+            missing[0],
+        )
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 from pettingzoo import ParallelEnv
 from pettingzoo.test import parallel_api_test
 
-from stkzoo import race_v0
+from stkzoo import AgentSpec, race_v0
 from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.wrappers import (
@@ -346,6 +346,30 @@ def test_an_error_for_an_invalid_action_names_the_agent(form):
     with pytest.raises(ActionError, match=r"1120.*from 0 to 1119") as caught:
         env.step({agents[0]: 1120, agents[1]: STEADY})
     assert caught.value.agent == agents[0]
+
+
+def test_a_missing_action_is_an_error_before_any_wrapper_runs():
+    seen = []
+
+    class Spy(gym.ActionWrapper):
+        def action(self, action):
+            seen.append(action)
+            return action
+
+    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: Spy, 1: Spy})
+    env.reset(seed=1)
+    for actions, text in (({"kart_0": STEADY}, "no action for agent 'kart_1'"), (3, "found 3")):
+        with pytest.raises(ActionError, match=text):
+            env.step(actions)
+    assert seen == []
+
+
+def test_actions_of_agents_that_the_game_drives_are_optional():
+    agents = [AgentSpec(), AgentSpec(use_ai=True)]
+    with race_v0.parallel_env(agents=agents, num_kart=2, track="lighthouse") as race:
+        env = MonoAgentWrapperAdapter(race, wrapper_factories={0: simple, 1: simple})
+        env.reset(seed=1)
+        assert set(env.step({"kart_0": STEADY})[0]) == {"kart_0", "kart_1"}
 
 
 def test_the_adapter_can_be_pickled_during_an_episode(form):
