@@ -208,8 +208,7 @@ def learning_curve(log: Sequence[Mapping[str, Any]]) -> LearningCurve:
     steps = [line["kart_steps"] for line in log]
     lengths = np.diff(steps, prepend=0) / [line["kart_steps_per_s"] for line in log]
     seconds = np.cumsum(lengths).round(3).tolist()
-    count = min(len(log), _MAX_POINTS)
-    chosen = np.linspace(0, len(log) - 1, count).round().astype(int).tolist()
+    chosen = thinned(len(log))
 
     def figures(name: str) -> tuple[float | None, ...]:
         return tuple(log[n].get(name) for n in chosen)
@@ -221,6 +220,18 @@ def learning_curve(log: Sequence[Mapping[str, Any]]) -> LearningCurve:
         figures("finished"),
         figures("position"),
     )
+
+
+def thinned(count: int) -> list[int]:
+    """Returns the numbers of the points of a long curve to keep, with the first and the last.
+
+    Args:
+        count: number of points.
+    """
+    chosen: list[int] = (
+        np.linspace(0, count - 1, min(count, _MAX_POINTS)).round().astype(int).tolist()
+    )
+    return chosen
 
 
 if __name__ == "__main__":

@@ -443,9 +443,10 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ConfigError: ``agents`` is not a list of agents.
         """
         episode = self._running("observe_batch")
-        if not agents:
-            raise ConfigError(f"agents is {agents!r}, expected a list of one agent or more")
-        return episode.observe_batch(self._ids_of(agents))
+        ids = self._ids_of(agents)
+        if not ids:
+            raise ConfigError("agents is empty, expected a list of one agent or more")
+        return episode.observe_batch(ids)
 
     def observe(self, agents: Sequence[str]) -> Observations:
         """Returns the agents' current observations, before custom wrappers.

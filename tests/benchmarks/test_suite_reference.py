@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.suite_reference import learning_curve, main, reference_keys
+from benchmarks.suite_reference import learning_curve, main, reference_keys, thinned
 from stkzoo.agents.training.suite.learner import TaskArguments
 from stkzoo.errors import ConfigError
 from stkzoo.suite import TASKS, SuiteRun, load_runs
@@ -30,6 +30,13 @@ def test_runs_are_ordered_by_seed():
 def test_self_play_has_no_runs_in_tasks_with_one_learner():
     keys = list(reference_keys(("versus", "team-2v2"), ("ippo", "fsp"), (0,)))
     assert keys == [("versus", "ippo", 0), ("team-2v2", "ippo", 0), ("team-2v2", "fsp", 0)]
+
+
+def test_a_thinned_curve_keeps_its_ends():
+    chosen = thinned(1000)
+    assert len(chosen) == 100
+    assert (chosen[0], chosen[-1]) == (0, 999)
+    assert thinned(3) == [0, 1, 2]
 
 
 def log_line(steps, **figures):
