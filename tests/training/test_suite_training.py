@@ -289,16 +289,17 @@ def test_an_exploiter_drives_one_kart_against_the_frozen_driver(tmp_path):
 
 
 def test_an_exploiter_starts_from_an_agent(tmp_path):
-    start = TaskNetwork((8, 8), 5).weights()[0]
+    start = TaskNetwork((16, 8), 5).weights()[0]
     save_weights(tmp_path / "policy.safetensors", start)
-    learner = exploiter(tmp_path / "run", init=str(tmp_path / "policy.safetensors"))
+    init = str(tmp_path / "policy.safetensors")
+    learner = exploiter(tmp_path / "run", init=init, hidden=(16, 8))
     try:
         own = learner._network.weights()[0]
     finally:
         learner.close()
     assert all((own[name] == start[name]).all() for name in start)
-    with pytest.raises(ConfigError, match=r"layers of \(8, 8\) units, expected \(16, 16\)"):
-        start_weights(str(tmp_path / "policy.safetensors"), (16, 16))
+    with pytest.raises(ConfigError, match=r"layers of \(16, 8\) units, expected \(8, 16\)"):
+        start_weights(init, (8, 16))
 
 
 def test_an_unknown_algorithm_is_refused(capsys):
