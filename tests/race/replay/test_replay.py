@@ -27,6 +27,7 @@ class Positions(RaceListener):
 
     def __init__(self):
         self.locations, self.failures, self.names, self.result = [], {}, {}, None
+        self.failures_by_step = []
 
     def started(self, race):
         self.names = dict(race.names)
@@ -37,6 +38,7 @@ class Positions(RaceListener):
         parts = (karts["location"], karts["rotation"], karts["velocity"])
         self.locations.append(b"".join(part.tobytes() for part in parts))
         self.failures = race.failures
+        self.failures_by_step.append(race.failures)
 
     def ended(self, result):
         self.result = result
@@ -184,6 +186,18 @@ def test_errors_are_reported_again(tmp_path):
     assert result.has_errors
     assert (now.result, now.failures["kart_0"]) == (result, then.failures["kart_0"])
     assert now.names == then.names
+
+
+def test_errors_are_reported_at_their_steps(tmp_path):
+    path = tmp_path / "race.stkz"
+    agents = [str(AGENTS / "hostile" / name) for name in ("once.py", "unloadable.py")]
+    settings = {"track": "lighthouse", "max_steps": 12, "error_handling": "restart"}
+    then = record(path, *agents, **settings)[1]
+    now = Positions()
+    play_replay(load_replay(path), listeners=[now])
+    assert then.failures_by_step[0]["kart_1"]
+    assert [failure.step for failure in now.failures["kart_0"]] == [2, 5, 8, 11]
+    assert now.failures_by_step == then.failures_by_step
 
 
 def test_random_actions_that_replace_a_failed_agent_are_kept(tmp_path):
