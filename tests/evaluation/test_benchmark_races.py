@@ -22,7 +22,8 @@ from stkzoo.evaluation import (
     plot_benchmark,
     run_benchmark,
 )
-from stkzoo.race import RaceResult, run_race
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.race import RaceResult, RaceSettings, run_race
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS
 from tests.support.paths import AGENTS, ROOT
@@ -165,6 +166,14 @@ def test_a_killed_benchmark_resumes_to_the_same_result(small, tmp_path):
     assert "6 of 6 races on lighthouse" in done.stdout
     assert all((folder / "races" / name).read_bytes() == text for name, text in kept.items())
     assert load_benchmark(folder).races == whole.races
+
+
+def test_a_race_whose_result_cannot_be_read_is_not_stored(tmp_path):
+    (tmp_path / "races").mkdir()
+    order = RaceOrder(0, ("random",), RaceSettings())
+    with pytest.raises(ConfigError, match="the text has no race result"):
+        order.store(tmp_path, "{}")
+    assert not list((tmp_path / "races").iterdir())
 
 
 # ------------------------------------------------------------------ race ends

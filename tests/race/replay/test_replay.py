@@ -325,6 +325,14 @@ def test_each_member_of_a_replay_has_a_size_limit(small, member, monkeypatch):
         load_replay(small)
 
 
+def test_a_replay_that_would_be_too_large_to_read_is_not_written(small, monkeypatch):
+    replay, before = load_replay(small), small.read_bytes()
+    monkeypatch.setitem(file._MAX_MEMBER, "race.json", 20)
+    with pytest.raises(ReplayError, match=r"cannot be written .*race\.json has more than 20 bytes"):
+        file.save_replay(replay, small)
+    assert small.read_bytes() == before
+
+
 def test_a_replay_with_more_steps_than_its_race_stops_at_the_first_difference(small):
     """Only with ``to_the_end`` does it continue, for the number of steps in the file."""
     with zipfile.ZipFile(small) as archive:
