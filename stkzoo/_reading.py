@@ -23,6 +23,7 @@ __all__ = [
     "MAX_BYTES",
     "Unreadable",
     "is_there",
+    "json_size",
     "load_json",
     "open_zip",
     "read_arrays",
@@ -189,7 +190,7 @@ def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
         text = _decoded(text)
     if len(text) > max_bytes:
         raise Unreadable(f"it has {len(text):,} characters, expected at most {max_bytes:,}")
-    count, most = sum(map(text.count, ",[{")), max_bytes // _BYTES_PER_VALUE
+    count, most = _count_of_values(text), max_bytes // _BYTES_PER_VALUE
     if count > most:
         raise Unreadable(f"it has about {count:,} values, expected at most {most:,}")
     try:
@@ -204,6 +205,23 @@ def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
         raise Unreadable(f"it is not JSON: {error}") from None
     except ValueError as error:  # a whole number with more digits than Python accepts
         raise Unreadable(f"it has a number that is too long: {error!s:.100}") from None
+
+
+def json_size(text: str) -> int:
+    """Returns by how much a text in a JSON file counts toward the limits of :func:`read_json`.
+
+    Args:
+        text: the text.
+
+    Returns:
+        The size [bytes]. Commas and brackets count as values.
+    """
+    return max(len(json.dumps(text)), _BYTES_PER_VALUE * _count_of_values(text))
+
+
+def _count_of_values(text: str) -> int:
+    """Returns an upper bound of the number of values in a JSON text, which is fast to compute."""
+    return sum(map(text.count, ",[{"))
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -20,6 +21,8 @@ from stkzoo.evaluation.batch.order import RACES
 from stkzoo.evaluation.batch.plan import BatchPlan
 
 _AGENT_FAILED, _INTERRUPTED = 3, 130
+#: Leading dots, and characters that separate folders or are invalid in names on some systems.
+_UNSAFE = re.compile(r"^\.+|[/\\<>\"|?*]")
 
 Result = TypeVar("Result")
 
@@ -84,6 +87,18 @@ def run_replays(
         return run(jobs=options.jobs, race_timeout=options.race_timeout, on_race=options.on_race)
 
     return run_batch(arguments, rerun, is_saved=False)
+
+
+def file_name(label: str) -> str:
+    """Converts the label of an agent, which its code may choose, to the name of a file or folder.
+
+    Args:
+        label: the label.
+
+    Returns:
+        A name without path separators that is not ``.`` or ``..``.
+    """
+    return _UNSAFE.sub("_", label).replace(":", "-")
 
 
 def run_plan(

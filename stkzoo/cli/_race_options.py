@@ -71,7 +71,7 @@ class VideoArguments:
         cameras: number of agents with a camera, 1 to 8, or auto (default: up to 4)
         width: width of the video
         height: height of the video
-        render_sub_steps: frames per step; there are ten steps per second
+        render_sub_steps: frames per step (usually 0.1 s)
         render_backend: engine films in the game; map draws the race from above, ten times as fast;
             auto uses the game if it can draw here
         ghost: draw the winner of a replay (.stkz) of the same track on the map

@@ -137,22 +137,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _benchmark(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import run_plan
+    from stkzoo.cli._batch import file_name, run_plan
 
     plan = _plan(arguments)
-    folder = _folder(arguments, plan.agent.label)
+    folder = Path(arguments.output or Path("benchmark", file_name(plan.agent.label)))
     return run_plan(arguments, plan, folder, lambda result: show_results([result]))
 
 
-def _folder(arguments: argparse.Namespace, name: str) -> Path:
-    return Path(arguments.output or Path("benchmark", name.replace("/", "_")))
-
-
 def _time_trial(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import run_plan
+    from stkzoo.cli._batch import file_name, run_plan
 
     plan = _time_trial_plan(arguments)
-    folder = _folder(arguments, f"{plan.agent.label}-time-trial")
+    name = f"{file_name(plan.agent.label)}-time-trial"
+    folder = Path(arguments.output or Path("benchmark", name))
     return run_plan(arguments, plan, folder, _show_time_trial)
 
 

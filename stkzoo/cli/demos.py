@@ -95,7 +95,7 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Records demonstrations, and checks them on request."""
-    from stkzoo.cli._batch import run_batch
+    from stkzoo.cli._batch import file_name, run_batch
     from stkzoo.evaluation.demonstrations.minari import require_minari
     from stkzoo.evaluation.demonstrations.plan import record_plan
 
@@ -103,7 +103,7 @@ def run(arguments: argparse.Namespace) -> int:
     file = Path(arguments.output or "demos.npz")
     if arguments.format == "minari":
         require_minari()
-        label = plan.agent.label.replace(":", "-")
+        label = file_name(plan.agent.label)
         arguments.output = arguments.output or f"supertuxkart/{label}-v0"
         file = Path(f"{arguments.output.replace('/', '-')}.npz")  # deleted after the import
     demos, code = run_batch(arguments, partial(record_plan, plan, file))

@@ -272,14 +272,14 @@ def _evaluate(arguments: argparse.Namespace) -> int:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
       failed in some race, 130 interrupted
     """
-    from stkzoo.cli._batch import run_plan
+    from stkzoo.cli._batch import file_name, run_plan
     from stkzoo.suite import About, EntryPlan, plan_entry
 
     about = About(**values_of(arguments, EvaluateArguments, only=_ABOUT))
     settings = values_of(arguments, RaceSettings, without=EntryPlan.decided)
     split = arguments.split
     plan = plan_entry(arguments.task, arguments.agent, split=split, about=about, **settings)
-    name = f"{plan.task}-{plan.agent.label}".replace("/", "_").replace(":", "-")
+    name = f"{plan.task}-{file_name(plan.agent.label)}"
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
     return run_plan(arguments, plan, folder, lambda entry: show_entry(cast("Entry", entry)))

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
+from stkzoo._reading import json_size
 from stkzoo._schema import plain_text
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError, shortened
 
@@ -25,6 +26,8 @@ _MAX_FRAMES = 30
 _MAX_TEXT = 4000
 #: Maximum length of an agent's value in an error [characters]; typical actions are shorter.
 _MAX_VALUE = 1000
+#: Maximum size in JSON of the note that a text was shortened, and of a character [bytes].
+_LEFT_OUT, _LARGEST_CHARACTER = 60, 12
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
 #: Terminal escape sequences, such as colors and window titles.
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
@@ -60,6 +63,25 @@ def bounded(text: str, limit: int = _MAX_TEXT) -> str:
         return text
     half = limit // 2
     return f"{text[:half]} ... ({len(text) - 2 * half} characters left out) ... {text[-half:]}"
+
+
+def fitted(text: str, size: int) -> str:
+    """Shortens a text to a size in a JSON file.
+
+    Args:
+        text: the text.
+        size: maximum size, as :func:`~stkzoo._reading.json_size` measures it [bytes].
+
+    Returns:
+        The text or, if it is too large, its beginning and end; empty if ``size`` is too small.
+    """
+    if (found := json_size(text)) <= size:
+        return text
+    room = size - _LEFT_OUT
+    for limit in (len(text) * room // found, room // _LARGEST_CHARACTER):
+        if limit > 1 and json_size(shorter := bounded(text, limit)) <= size:
+            return shorter
+    return ""
 
 
 def value_in_words(value: object) -> str:

@@ -10,8 +10,9 @@ from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo._reading import json_size
 from stkzoo.drivers.driver import Driver
-from stkzoo.drivers.failures import bounded, in_words, printable
+from stkzoo.drivers.failures import bounded, fitted, in_words, printable
 from stkzoo.drivers.instances import DriverInstance, DriverRequest, ThinkingClock
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.race.result import AgentFailure
@@ -21,6 +22,9 @@ from stkzoo.views.actions import read_action
 _MAX_FAILURES_KEPT = 20
 #: Maximum lengths of a name, and of a traceback including the last output [characters].
 _MAX_NAME, _MAX_TRACE = 100, 8000
+#: Size of the texts of all failures of an agent, and minimum size for each message [bytes of JSON].
+#: Results and replays of races with 256 such agents can be read.
+_MAX_TEXTS, _MIN_MESSAGE = 16 << 10, 300
 _CLIPPED = (
     "an action of {} ({}) at step {} has a number outside its space, which is clipped; from now "
     "on such actions are only counted"
@@ -44,7 +48,7 @@ class RacingDriver:
     Attributes:
         agent: id of the agent.
         name: display name.
-        failures: the first 20 failures.
+        failures: the first 20 failures; texts of later ones may be shortened.
         num_failures: number of all failures.
         num_clipped: number of decisions with a clipped number.
         seconds: duration of each successful decision [s].
@@ -58,6 +62,7 @@ class RacingDriver:
         self.name = driver.name
         self.failures: list[AgentFailure] = []
         self.num_failures = self.num_clipped = 0
+        self._text_left = _MAX_TEXTS
         self.seconds: list[float] = []
         self.clock = ThinkingClock(settings.time_budget)
         self.is_retired = False
@@ -192,7 +197,14 @@ class RacingDriver:
             raise error_type(message, self.agent, trace) from error
         self.num_failures += 1
         if len(self.failures) < _MAX_FAILURES_KEPT:
-            self.failures.append(AgentFailure(step, kind, text, trace))
+            text = self._fitted(text, _MIN_MESSAGE)
+            self.failures.append(AgentFailure(step, kind, text, self._fitted(trace)))
+
+    def _fitted(self, text: str, minimum: int = 0) -> str:
+        """Shortens a text of a failure so that those of all failures have a bounded size."""
+        text = fitted(text, max(self._text_left, minimum))
+        self._text_left -= json_size(text)
+        return text
 
     def _retire(self) -> None:
         self.is_retired = True

@@ -100,7 +100,7 @@ class AgentResult:
         rescues: number of rescues of the kart; ``None`` in old results.
         num_errors: number of failures.
         num_clipped: number of actions with a clipped number.
-        errors: the first 20 failures.
+        errors: the first 20 failures; texts of later ones may be shortened.
         action_time: durations of the decisions; ``None`` for the game's AI and for agents without
             a successful decision.
     """

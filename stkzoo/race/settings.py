@@ -44,7 +44,7 @@ class RaceSettings:
         kart: kart model of all karts, as listed by `stkzoo karts` (default: the game's choice)
         seed: seed of all random numbers
         max_paths: track segments ahead that agents see (default: all)
-        max_steps: end the race after N steps; there are ten steps per second
+        max_steps: end the race after N steps (0.1 s each; for `stkzoo play`, see --rate)
         max_steps_after_first: end the race N steps after the first kart finishes
         karts_finished: end the race when N karts have finished
         error_handling: what to do when an agent fails

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.errors import ConfigError, EngineError, check_whole
+from stkzoo.errors import ConfigError, EngineError, check_number, check_whole
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import AgentResult, RaceResult
 from stkzoo.render.cards import ResultRow, end_card, with_labels
@@ -36,6 +36,7 @@ Picture = npt.NDArray[np.uint8]
 
 _MOST_CAMERAS, _USUAL_CAMERAS = 8, 4
 _MOST_SUB_STEPS = 60
+_MOST_CARD_SECONDS = 3600
 
 
 class RaceFilm:
@@ -53,7 +54,7 @@ class RaceFilm:
         backend: renderer of the frames: ``"engine"``, the game; ``"map"``, a top-down map;
             ``"auto"``, the game if it can render on this machine, otherwise the map.
         preset: graphics quality of the game: ``"ld"``, ``"sd"`` or ``"hd"``.
-        card_seconds: duration of the results at the end [s].
+        card_seconds: duration of the results at the end [s], at most 3,600.
         ghost: kart of an earlier race on the same track, drawn on the map
             (:func:`stkzoo.race.replay.ghost_of`); the frames are maps then.
 
@@ -76,6 +77,7 @@ class RaceFilm:
         if cameras is not None:
             check_whole("cameras", cameras, 1, _MOST_CAMERAS)
         check_whole("sub_steps", sub_steps, 1, _MOST_SUB_STEPS)
+        check_number("card_seconds", card_seconds, 0, _MOST_CARD_SECONDS, unit="seconds")
         if ghost and backend == "engine":
             raise ConfigError("a ghost is drawn on the map only; use the render backend map")
         self.path = check_video_path(path)

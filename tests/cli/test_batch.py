@@ -1,10 +1,11 @@
-"""What commands that run many races say after Ctrl-C."""
+"""Folders of commands that run many races, and what they say after Ctrl-C."""
 
 from argparse import Namespace
 
 import pytest
 
-from stkzoo.cli._batch import run_batch, run_replays
+from stkzoo.cli import _batch, main
+from stkzoo.cli._batch import file_name, run_batch, run_replays
 from stkzoo.evaluation import BatchProgress
 
 ARGUMENTS = Namespace(jobs=1, race_timeout=60.0)
@@ -41,3 +42,37 @@ def test_interrupted_replays_say_that_nothing_was_saved(progress, capsys):
 def test_a_batch_interrupted_while_it_is_planned_says_that_nothing_was_saved(capsys):
     run_batch(ARGUMENTS, interrupted())
     assert capsys.readouterr().err == "stkzoo: interrupted; nothing was saved\n"
+
+
+@pytest.mark.parametrize(
+    ("label", "name"),
+    [
+        ("my_agent", "my_agent"),
+        ("pretrained:ace", "pretrained-ace"),
+        ("v1.2 (new)", "v1.2 (new)"),
+        (".", "_"),
+        ("..", "_"),
+        ("../../home", "__.._home"),
+        ("..\\home", "__home"),
+        ("a/b", "a_b"),
+    ],
+)
+def test_the_label_of_an_agent_becomes_a_safe_file_name(label, name):
+    assert file_name(label) == name
+
+
+@pytest.mark.parametrize(
+    ("words", "folder"),
+    [
+        (["benchmark"], "benchmark/_"),
+        (["benchmark", "--time-trial"], "benchmark/_-time-trial"),
+        (["suite", "evaluate", "solo-1"], "suite/solo-1-_"),
+    ],
+)
+def test_an_agent_does_not_choose_the_output_folder(words, folder, tmp_path, monkeypatch):
+    agent = tmp_path / "pystk_actor.py"
+    agent.write_text('player_name = ".."\n\n\ndef get_actor(*_):\n    return None\n')
+    folders = []
+    monkeypatch.setattr(_batch, "run_plan", lambda *given: folders.append(given[2]) or 0)
+    assert main([*words, str(agent)]) == 0
+    assert [place.as_posix() for place in folders] == [folder]

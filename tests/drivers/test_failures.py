@@ -2,8 +2,9 @@
 
 import pytest
 
+from stkzoo._reading import json_size
 from stkzoo.cli import main
-from stkzoo.drivers.failures import agent_trace, bounded, printable
+from stkzoo.drivers.failures import agent_trace, bounded, fitted, printable
 from stkzoo.race import run_race
 
 ACT = "def get_actor(folder, seen, space):\n    def act(state, observation):\n{}\n    return act\n"
@@ -149,6 +150,16 @@ def test_a_long_text_keeps_its_beginning_and_end():
         == f"{'a' * 10} ... (40 characters left out) ... {'b' * 10}"
     )
     assert bounded("short", 20) == "short"
+
+
+@pytest.mark.parametrize("text", ["a" * 900, "\U0001f600" * 900, "a" * 500 + "," * 500])
+def test_a_text_fits_a_size_in_a_json_file(text):
+    assert fitted(text, json_size(text)) == text
+    shorter = fitted(text, 600)
+    assert "characters left out" in shorter
+    assert (shorter[:9], shorter[-9:]) == (text[:9], text[-9:])
+    assert json_size(shorter) <= 600
+    assert fitted(text, 10) == ""
 
 
 def test_escape_sequences_are_removed():

@@ -12,7 +12,6 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.cli import main
-from stkzoo.engine.snapshot import KART_DTYPE
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     AiTimes,
@@ -23,8 +22,8 @@ from stkzoo.evaluation import (
     plot_benchmark,
     run_benchmark,
 )
-from stkzoo.race import Driver, RaceResult, run_race
-from stkzoo.race.rescues import RescueCounter
+from stkzoo.evaluation.batch.order import RaceOrder
+from stkzoo.race import RaceResult, RaceSettings, run_race
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS
 from tests.support.paths import AGENTS, ROOT
@@ -169,7 +168,15 @@ def test_a_killed_benchmark_resumes_to_the_same_result(small, tmp_path):
     assert load_benchmark(folder).races == whole.races
 
 
-# ------------------------------------------------------------------ race ends and rescues
+def test_a_race_whose_result_cannot_be_read_is_not_stored(tmp_path):
+    (tmp_path / "races").mkdir()
+    order = RaceOrder(0, ("random",), RaceSettings())
+    with pytest.raises(ConfigError, match="the text has no race result"):
+        order.store(tmp_path, "{}")
+    assert not list((tmp_path / "races").iterdir())
+
+
+# ------------------------------------------------------------------ race ends
 
 
 @pytest.mark.slow
@@ -193,46 +200,6 @@ def test_failed_karts_are_not_awaited():
 def test_invalid_awaited_karts_are_refused(numbers):
     with pytest.raises(ConfigError, match="expected some of the drivers' numbers, 0 to 1"):
         run_race(["ai", "random"], wait_for=numbers, track="lighthouse")
-
-
-def asks_for_rescues_at(*steps):
-    """Returns a driver that stands still and requests a rescue in the given steps."""
-    buttons = dict.fromkeys(("brake", "drift", "fire", "nitro"), 0)
-    still = {name: np.zeros(1, np.float32) for name in ("acceleration", "steer")}
-
-    def make(*_):
-        count = iter(range(10**6))
-        return lambda _: {**buttons, **still, "rescue": int(next(count) in steps)}
-
-    return Driver.of_actor("caller", make)
-
-
-def test_rescues_are_counted():
-    drivers = [asks_for_rescues_at(40, 75), asks_for_rescues_at(), asks_for_rescues_at(40, 42)]
-    options = {"track": "snowtuxpeak", "start_positions": [3, 2, 1]}
-    result = run_race(drivers, max_steps=110, **options)
-    by_agent = {row.agent: row.rescues for row in result.agents}
-    assert by_agent == {"kart_0": 2, "kart_1": 0, "kart_2": 1}
-    jsonschema.validate(json.loads(result.to_json()), schema("race-result"))
-
-
-def flight(heights, speed=0.0):
-    """Yields snapshots of a kart whose body is out of the world, one per 0.1 s."""
-    for height in heights:
-        karts = np.zeros(1, KART_DTYPE)
-        karts["location"][0] = (1.0, height, 2.0)
-        karts["speed"] = speed
-        yield karts
-
-
-def test_an_explosion_does_not_count_as_a_rescue():
-    thrown = [max(0.0, 7.0 * t - 4.9 * t * t) for t in np.arange(0, 1.5, 0.1)]
-    let_down = [0.0, 0.17, 0.33, 0.5, 1.5, 1.33, 1.17, 1.0, 0.83, 0.67, 0.5]
-    for heights, speed, rescues in ((thrown, 0.0, 0), (let_down, 0.0, 1), (let_down, 3.0, 0)):
-        counter = RescueCounter(1, 0.1)
-        for karts in flight(heights, speed):
-            counter.update(karts)
-        assert counter.counts.tolist() == [rescues]
 
 
 # ------------------------------------------------------------------ the AI's times

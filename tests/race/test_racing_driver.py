@@ -1,10 +1,11 @@
 """The time budget of a driver for all its decisions together."""
 
 import time
+from dataclasses import replace
 
 import pytest
 
-from stkzoo.errors import AgentTimeout, ConfigError
+from stkzoo.errors import AgentError, AgentTimeout, ConfigError
 from stkzoo.race import Driver, RaceResult, run_race
 from tests.support.paths import AGENTS
 
@@ -61,6 +62,38 @@ def test_a_failure_without_a_printable_message_has_one_in_the_result(text):
     (failure,) = result.agents[0].errors
     assert failure.message.isprintable()
     assert RaceResult.from_json(result.to_json()) == result
+
+
+def failing_with(message):
+    """Returns a driver whose every decision fails, with the message twice in its traceback."""
+
+    def make(*_):
+        def actor(_):
+            raise AgentError(message, trace=f"{message}\n{message}")
+
+        return actor
+
+    return Driver.of_actor("failing", make)
+
+
+@pytest.mark.parametrize("letter", ["a", ",", "\u00e9", "\U0001f600"])
+def test_a_result_with_long_errors_of_256_agents_can_be_read(letter):
+    options = {"error_handling": "catch", "max_steps": 25}
+    result = race(failing_with(20_000 * letter), **options)
+    (row,) = result.agents
+    assert (row.num_errors, len(row.errors)) == (25, 20)
+    full = replace(result, agents=tuple(replace(row, agent=f"kart_{n}") for n in range(256)))
+    assert RaceResult.from_json(full.to_json()) == full
+
+
+def test_later_long_errors_of_an_agent_are_shortened():
+    message = "abc" * 1000
+    result = race(failing_with(message), error_handling="catch", max_steps=4)
+    first, *_, last = result.agents[0].errors
+    assert (first.message, first.trace) == (message, f"{message}\n{message}")
+    assert last.message.startswith("abcabc")
+    assert len(last.message) < 300
+    assert last.trace == ""
 
 
 def test_raise_ends_the_race_when_a_time_budget_is_used_up():

@@ -263,7 +263,16 @@ def test_a_race_that_fails_leaves_no_video(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("name", "value"), [("cameras", 9), ("cameras", 0), ("sub_steps", 0)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("cameras", 9),
+        ("cameras", 0),
+        ("sub_steps", 0),
+        ("card_seconds", float("nan")),
+        ("card_seconds", -1),
+    ],
+)
 def test_numbers_out_of_range_are_refused(tmp_path, name, value):
     with pytest.raises(ConfigError, match=f"{name} is {value}"):
         RaceFilm(tmp_path / "race.mp4", **{name: value})

@@ -122,10 +122,11 @@ class RaceOrder:
             The result.
 
         Raises:
-            ConfigError: the file cannot be written.
+            ConfigError: the text is not a result, or the file cannot be written.
         """
+        result = RaceResult.from_json(text)
         write_text(self.file(folder), text + "\n")
-        return RaceResult.from_json(text)
+        return result
 
     def file(self, folder: Path, ending: str = ".json") -> Path:
         """Returns the file of the race's result, or of other data about the race beside it.

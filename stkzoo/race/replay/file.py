@@ -165,7 +165,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
     """Writes a replay atomically.
 
     Raises:
-        ReplayError: the file cannot be written.
+        ReplayError: the file cannot be written, or is too large to be read.
     """
     header = {"type": _TYPE, "format": FORMAT, **replay.to_dict()}
     members = {
@@ -175,6 +175,10 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
     }
     with write_whole(path, "the replay", ReplayError) as part:
         write_zip(part, members)
+        with reading(
+            f"the replay {path} cannot be written", "a race of fewer steps or karts", ReplayError
+        ):
+            read_zip(part, _MAX_MEMBER)
 
 
 def load_replay(path: str | os.PathLike[str]) -> Replay:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from stkzoo.errors import ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay.file import Replay
+from stkzoo.race.replay.file import Replay, ReplayError
 from stkzoo.race.replay.playback import play_replay
 from stkzoo.render.ghost import Ghost
 
@@ -19,11 +19,17 @@ def ghost_of(replay: Replay) -> Ghost:
         replay: the recorded race.
 
     Raises:
-        ReplayError: the replay cannot be played; see :func:`.play_replay`.
+        ReplayError: the replay cannot be played (see :func:`.play_replay`), or the race differs
+            from the recording.
         ConfigError: the race ended before it started to count the time.
     """
     recorder = _Recorder()
-    play_replay(replay, listeners=[recorder])
+    playback = play_replay(replay, listeners=[recorder])
+    if playback.first_difference is not None:
+        raise ReplayError(
+            f"the replay has no ghost: its race differs after step {playback.first_difference} of "
+            f"{replay.steps}; expected a race that runs as recorded, see `stkzoo replay FILE`"
+        )
     times = np.array(recorder.times)
     begin = int(np.flatnonzero(times <= 0)[-1])
     end = np.searchsorted(times, recorder.finish_time) if recorder.finish_time else len(times) - 1

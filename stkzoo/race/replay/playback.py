@@ -16,7 +16,7 @@ from stkzoo.drivers.driver import Driver
 from stkzoo.engine.assets import find_assets
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay.file import Replay, ReplayError, action_of, next_digest
-from stkzoo.race.result import RaceResult, versions_now
+from stkzoo.race.result import AgentFailure, RaceResult, versions_now
 from stkzoo.race.runner import run_race
 
 _DIFFERS = "differs"
@@ -227,6 +227,15 @@ def _is_equal(one: Any, two: Any) -> bool:
     return bool(one == two)
 
 
+def _has_happened(failure: AgentFailure, steps: int) -> bool:
+    """Returns whether a race has shown a failure after a number of steps.
+
+    A failure in a decision shows when the step that follows it has ended.
+    """
+    is_on_the_grid = failure.kind == "start" and failure.step == 0
+    return is_on_the_grid or failure.step < steps
+
+
 class _WithRecordedFailures(RaceListener):
     """Wraps a listener and shows it the recorded failures.
 
@@ -256,7 +265,7 @@ class _WithRecordedFailures(RaceListener):
 
     def _now(self, race: RaceProgress) -> RaceProgress:
         failures = {
-            agent: tuple(failure for failure in failures if failure.step <= race.steps)
+            agent: tuple(failure for failure in failures if _has_happened(failure, race.steps))
             for agent, failures in self._failures.items()
         }
         return replace(race, failures=failures, seconds={})

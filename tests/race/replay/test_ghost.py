@@ -1,5 +1,7 @@
 """Ghosts of replays on maps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceVideo, run_race
 from stkzoo.race.listeners import RaceListener
-from stkzoo.race.replay import ReplayWriter, ghost_of, load_replay
+from stkzoo.race.replay import ReplayError, ReplayWriter, ghost_of, load_replay
 from stkzoo.render.map import _GHOST, MapView
 
 
@@ -76,6 +78,14 @@ def test_a_ghost_of_another_track_is_refused(race, tmp_path):
     with pytest.raises(ConfigError, match="drives on lighthouse and this race is on zengarden"):
         run_race(["heuristic"], track="zengarden", max_steps=5, listeners=[video])
     assert not (tmp_path / "map.mp4").exists()
+
+
+def test_a_replay_that_differs_has_no_ghost(race):
+    replay = load_replay(race[0])
+    controls = replay.controls.copy()
+    controls[60:, 0, 1] = 1.0
+    with pytest.raises(ReplayError, match="no ghost: its race differs after step 6"):
+        ghost_of(replace(replay, controls=controls))
 
 
 def test_a_ghost_needs_the_map(race, tmp_path, capsys):

@@ -27,6 +27,7 @@ class Positions(RaceListener):
 
     def __init__(self):
         self.locations, self.failures, self.names, self.result = [], {}, {}, None
+        self.failures_by_step = []
 
     def started(self, race):
         self.names = dict(race.names)
@@ -37,6 +38,7 @@ class Positions(RaceListener):
         parts = (karts["location"], karts["rotation"], karts["velocity"])
         self.locations.append(b"".join(part.tobytes() for part in parts))
         self.failures = race.failures
+        self.failures_by_step.append(race.failures)
 
     def ended(self, result):
         self.result = result
@@ -186,6 +188,18 @@ def test_errors_are_reported_again(tmp_path):
     assert now.names == then.names
 
 
+def test_errors_are_reported_at_their_steps(tmp_path):
+    path = tmp_path / "race.stkz"
+    agents = [str(AGENTS / "hostile" / name) for name in ("once.py", "unloadable.py")]
+    settings = {"track": "lighthouse", "max_steps": 12, "error_handling": "restart"}
+    then = record(path, *agents, **settings)[1]
+    now = Positions()
+    play_replay(load_replay(path), listeners=[now])
+    assert then.failures_by_step[0]["kart_1"]
+    assert [failure.step for failure in now.failures["kart_0"]] == [2, 5, 8, 11]
+    assert now.failures_by_step == then.failures_by_step
+
+
 def test_random_actions_that_replace_a_failed_agent_are_kept(tmp_path):
     path = tmp_path / "race.stkz"
     agent = str(AGENTS / "hostile" / "shape.py")
@@ -309,6 +323,14 @@ def test_each_member_of_a_replay_has_a_size_limit(small, member, monkeypatch):
     monkeypatch.setitem(file._MAX_MEMBER, member, 20)
     with pytest.raises(ReplayError, match=rf"{re.escape(member)} has more than"):
         load_replay(small)
+
+
+def test_a_replay_that_would_be_too_large_to_read_is_not_written(small, monkeypatch):
+    replay, before = load_replay(small), small.read_bytes()
+    monkeypatch.setitem(file._MAX_MEMBER, "race.json", 20)
+    with pytest.raises(ReplayError, match=r"cannot be written .*race\.json has more than 20 bytes"):
+        file.save_replay(replay, small)
+    assert small.read_bytes() == before
 
 
 def test_a_replay_with_more_steps_than_its_race_stops_at_the_first_difference(small):
