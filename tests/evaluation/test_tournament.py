@@ -449,6 +449,13 @@ def test_a_plan_keeps_digests_of_files_with_unprintable_names(tmp_path):
     assert TournamentPlan.from_json(plan.to_json()) == plan
 
 
+def test_a_plan_whose_version_had_another_schedule_is_refused(tmp_path):
+    text = plan_tournament(THREE).to_json()
+    (tmp_path / "plan.json").write_text(text.replace('"schema_version": 2', '"schema_version": 1'))
+    with pytest.raises(ConfigError, match=r"version 1, .* another version of stkzoo wrote it"):
+        resume_tournament(tmp_path)
+
+
 def test_a_pipe_as_lock_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "lock")
     with pytest.raises(ConfigError, match="cannot be used"):

@@ -58,6 +58,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     """
 
     kind: ClassVar[str] = "tournament-plan"
+    version: ClassVar[int] = 2  # 1: newcomers met some existing agents more often than others
     noun: ClassVar[str] = "tournament"
     resume_command: ClassVar[str] = "stkzoo tournament --resume {folder}"
     decided: ClassVar[tuple[str, ...]] = ("track", "seed")
