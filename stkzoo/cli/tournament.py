@@ -118,7 +118,7 @@ def _show(result: TournamentResult) -> None:
             str(row.wins),
             "-" if row.mean_rank is None else f"{row.mean_rank:.2f}",
             str(row.finished),
-            str(row.retired),
+            str(row.failed),
         )
         for row in result.standings
     ]
@@ -126,7 +126,7 @@ def _show(result: TournamentResult) -> None:
     show_table(columns, rows, left=("agent",), styles=styles)
     for row in result.standings:
         if row.reason:
-            say(f"{row.label} failed in {row.retired} of {row.races} races: {row.reason}")
+            say(f"{row.label} failed in {row.failed} of {row.races} races: {row.reason}")
     plan = result.plan
     say(
         f"{len(result.races)} of {plan.num_races} races of {plan.per_race} on "

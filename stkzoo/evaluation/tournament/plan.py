@@ -162,7 +162,9 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         races = tuple(RaceSummary.of(number, results[number]) for number in sorted(results))
         number_of = {entrant.label: number for number, entrant in enumerate(self.entrants)}
         orders = [[number_of[label] for label in race.order] for race in races]
-        ratings = rate(orders, len(self.entrants), self.seed)
+        places = [[race.place_of(label) for label in race.order] for race in races]
+        ratings = rate(orders, len(self.entrants), self.seed, places)
+        place_in = [dict(zip(*race, strict=True)) for race in zip(orders, places, strict=True)]
         sandboxes, protections = shared_protections(results.values())
         best_first = sorted(number_of.values(), key=lambda number: -ratings[number].value)
         return TournamentResult(
@@ -173,7 +175,9 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
             ),
             ahead=tuple(
                 tuple(
-                    sum(one in order and two in order[order.index(one) + 1 :] for order in orders)
+                    sum(
+                        {one, two} <= place.keys() and place[one] < place[two] for place in place_in
+                    )
                     for two in best_first
                 )
                 for one in best_first
@@ -265,7 +269,7 @@ class TournamentResult(Document):
         plan: the tournament.
         standings: standings of the agents, best first.
         ahead: ``ahead[i][j]`` is the number of races in which the agent of ``standings[i]``
-            finished ahead of the agent of ``standings[j]``.
+            finished ahead of the agent of ``standings[j]``. Two retired agents are tied.
         races: the races that have been run.
         sandboxes: sandboxes of the agents from files in these races.
         protections: protections that applied in all races with agents from files
@@ -310,7 +314,7 @@ class TournamentResult(Document):
             two: index of the second agent in ``standings``.
 
         Returns:
-            The fraction of races that the first agent won; ``None`` if they share no race.
+            The fraction of races that the first agent won; ``None`` if neither was ahead in any.
         """
         won, lost = self.ahead[one][two], self.ahead[two][one]
         return won / (won + lost) if won + lost else None
