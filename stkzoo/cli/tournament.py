@@ -90,18 +90,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
     from stkzoo.evaluation import TournamentPlan, plan_tournament
-    from stkzoo.evaluation.tournament.plan import resumed_plan
+    from stkzoo.evaluation.tournament.plan import resumed_plan, with_stored_per_race
 
     servers = server_access(arguments)
     if arguments.resume:
         plan = resumed_plan(folder, arguments.agents, servers)
         settings = replace(plan.settings, show_output=arguments.show_output)
         return replace(plan, settings=settings)
-    return plan_tournament(
+    plan = plan_tournament(
         servers=servers,
         **values_of(arguments, TournamentArguments, only=_PLANNED),
         **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
     )
+    return with_stored_per_race(plan, folder) if arguments.per_race is None else plan
 
 
 def _show(result: TournamentResult) -> None:

@@ -357,8 +357,30 @@ def run_tournament(
         AssetError: the game's data is missing.
         BatchError: some races could not be run.
     """
-    run, plan = RunOptions.split(options)
-    return run_batch(plan_tournament(agents, **plan), output, run)
+    run, chosen = RunOptions.split(options)
+    plan = plan_tournament(agents, **chosen)
+    if chosen.get("per_race") is None:
+        plan = with_stored_per_race(plan, output)
+    return run_batch(plan, output, run)
+
+
+def with_stored_per_race(plan: TournamentPlan, folder: str | os.PathLike[str]) -> TournamentPlan:
+    """Returns a plan with as many agents per race as the tournament in a folder, if there is one.
+
+    The default of a new tournament depends on the number of its agents, which may since have grown.
+
+    Args:
+        plan: the plan.
+        folder: folder of the tournament.
+
+    Raises:
+        ConfigError: the folder's plan cannot be read.
+    """
+    file = Path(folder) / PLAN_FILE
+    if not file.exists():
+        return plan
+    stored = TournamentPlan.load(file).per_race
+    return replace(plan, per_race=min(stored, len(plan.entrants)))
 
 
 def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> TournamentResult:
