@@ -32,8 +32,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo.cli._arguments import add_batch_options, tracks_option, usage_errors
+from stkzoo._arguments import (
+    CommandParser,
+    add_options,
+    changed_options,
+    option,
+    positional,
+    values_of,
+)
+from stkzoo.cli._arguments import (
+    add_batch_options,
+    refuse_options,
+    tracks_option,
+    usage_errors,
+)
 from stkzoo.cli.race_client import ServersArguments, server_access
 from stkzoo.race import RaceSettings
 
@@ -94,6 +106,7 @@ def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
 
     servers = server_access(arguments)
     if arguments.resume:
+        _refuse_other_arguments(arguments)
         plan = resumed_plan(folder, arguments.agents, servers)
         settings = replace(plan.settings, show_output=arguments.show_output)
         return replace(plan, settings=settings)
@@ -103,6 +116,17 @@ def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
         **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
     )
     return with_stored_per_race(plan, folder) if arguments.per_race is None else plan
+
+
+def _refuse_other_arguments(arguments: argparse.Namespace) -> None:
+    from stkzoo.evaluation import TournamentPlan
+
+    decided = (*TournamentPlan.decided, "show_output")
+    refuse_options(
+        "--resume keeps the arguments of its tournament",
+        *changed_options(arguments, TournamentArguments, only=_PLANNED[1:]),
+        *changed_options(arguments, RaceSettings, without=decided),
+    )
 
 
 def _show(result: TournamentResult) -> None:
