@@ -487,6 +487,11 @@ def test_a_plan_whose_version_had_another_schedule_is_refused(tmp_path):
         resume_tournament(tmp_path)
 
 
+def test_an_unusable_name_of_the_folder_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="too long; choose another --output"):
+        run_tournament(["ai", "random"], output=tmp_path / ("x" * 300), races=1)
+
+
 def test_a_pipe_as_lock_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / "lock")
     with pytest.raises(ConfigError, match="cannot be used"):

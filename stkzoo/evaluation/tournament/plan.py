@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from stkzoo._os import using_folder
 from stkzoo._schema import Count, Whole, Within
 from stkzoo.errors import ConfigError, check_whole, shortened
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
@@ -374,10 +375,12 @@ def with_stored_per_race(plan: TournamentPlan, folder: str | os.PathLike[str]) -
         folder: folder of the tournament.
 
     Raises:
-        ConfigError: the folder's plan cannot be read.
+        ConfigError: the folder or its plan cannot be read.
     """
     file = Path(folder) / PLAN_FILE
-    if not file.exists():
+    with using_folder(Path(folder), plan.noun):
+        is_new = not file.exists()
+    if is_new:
         return plan
     stored = TournamentPlan.load(file).per_race
     return replace(plan, per_race=min(stored, len(plan.entrants)))
