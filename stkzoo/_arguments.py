@@ -14,7 +14,14 @@ from typing import Any, NoReturn
 
 from stkzoo.errors import unknown_name
 
-__all__ = ["CommandParser", "add_options", "option", "positional", "values_of"]
+__all__ = [
+    "CommandParser",
+    "add_options",
+    "changed_options",
+    "option",
+    "positional",
+    "values_of",
+]
 
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
@@ -192,7 +199,7 @@ def add_options(
     rivals: dict[str, argparse._ActionsContainer] = {}
     for entry in _fields(kind, without, only):
         keywords = _keywords(entry, _metadata(kind, entry.name), kinds[entry.name], texts)
-        flag = keywords.pop("flag", "--" + entry.name.replace("_", "-"))
+        flag = _flag(kind, entry.name)
         title = keywords.pop("group", group)
         container: argparse._ActionsContainer = parser.group(title) if title else parser
         if rival := keywords.pop("rivals", None):
@@ -224,6 +231,34 @@ def values_of(
     """
     values = {entry.name: getattr(arguments, entry.name) for entry in _fields(kind, without, only)}
     return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+
+
+def changed_options(
+    arguments: argparse.Namespace,
+    kind: type,
+    *,
+    without: Collection[str] = (),
+    only: Collection[str] | None = None,
+) -> list[str]:
+    """Returns the options whose values are not their defaults, such as ``--max-steps``.
+
+    Args:
+        arguments: the parsed arguments.
+        kind: the dataclass, as for :func:`add_options`.
+        without: names of fields to leave out.
+        only: names of fields to compare; ``None`` for all.
+    """
+    values = values_of(arguments, kind, without=without, only=only)
+    return [
+        _flag(kind, entry.name)
+        for entry in _fields(kind, without, only)
+        if values[entry.name] != entry.default
+    ]
+
+
+def _flag(kind: type, name: str) -> str:
+    """Returns the option of a field; empty for a positional argument."""
+    return str(_metadata(kind, name).get("flag", "--" + name.replace("_", "-")))
 
 
 def _fields(kind: Any, without: Collection[str], only: Collection[str] | None) -> list[Field[Any]]:
@@ -259,6 +294,7 @@ def _keywords(
     """Returns the keyword arguments of ``add_argument`` for a field."""
     is_positional, default = metadata.get("flag") == "", entry.default
     keywords: dict[str, Any] = {"help": texts.get(entry.name, ""), **metadata}
+    keywords.pop("flag", None)
     if typing.get_origin(kind) in (types.UnionType, typing.Union):  # a union with None
         kind = next(part for part in typing.get_args(kind) if part is not types.NoneType)
         keywords |= {"nargs": "?"} if is_positional else {}

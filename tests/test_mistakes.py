@@ -110,6 +110,10 @@ COMMANDS = [
     ("tournament --resume none", "none/plan.json has no tournament plan"),
     ("tournament --resume measured", "choose the file or folder of a tournament"),
     ("tournament --resume x --output y", "not allowed with argument --resume"),
+    (
+        "tournament --resume x --races 100 --track hacienda --laps 3 --jobs 1 --show-output",
+        "--resume keeps the arguments of its tournament; leave out --track, --races, --laps",
+    ),
     ("report none", "none/plan.json has no tournament plan (No such file or directory)"),
     ("report damaged", "damaged/plan.json has no tournament plan"),
     ("benchmark", "no agent; name one, such as heuristic"),
@@ -118,6 +122,14 @@ COMMANDS = [
     ("benchmark ai --seeds 0", "seeds is 0, expected a whole number from 1 to 10000"),
     ("benchmark ai --forms PXA", "race form 'PXA' is unknown; expected P for each kart"),
     ("benchmark --compare none", "expected the --output of `stkzoo benchmark`"),
+    (
+        "benchmark --compare none --track hacienda --seeds 7 --jobs 2 --sandbox off",
+        "--compare runs no races; leave out --track, --seeds, --jobs, --sandbox",
+    ),
+    (
+        "benchmark --baseline --difficulty 2 --directions forward --forms P --seeds 1 --inline",
+        "--baseline has races of its own; leave out --difficulty, --forms, --directions, --inline",
+    ),
     ("benchmark --compare rated", "choose the file or folder of a benchmark"),
     ("benchmark --compare damaged", "damaged/plan.json has no benchmark plan"),
     ("demos heuristik", "Did you mean 'heuristic'?"),

@@ -106,6 +106,20 @@ def add_batch_options(parser: CommandParser, decided: Collection[str]) -> None:
     add_options(parser, RaceSettings, without=decided, group="each race")
 
 
+def refuse_options(why: str, *options: str) -> None:
+    """Refuses options that have no effect.
+
+    Args:
+        why: why they have none.
+        *options: the options that the user chose.
+
+    Raises:
+        ConfigError: there are any.
+    """
+    if options:
+        raise ConfigError(f"{why}; leave out {', '.join(options)}")
+
+
 def tracks_option() -> Any:
     """Returns a field for ``--track`` that takes several names."""
     return option(

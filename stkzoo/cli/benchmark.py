@@ -37,11 +37,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
+from stkzoo._arguments import (
+    CommandParser,
+    add_options,
+    changed_options,
+    option,
+    positional,
+    values_of,
+)
 from stkzoo.cli._arguments import (
+    BatchArguments,
     add_batch_options,
     chosen_directions,
     directions_option,
+    refuse_options,
     usage_errors,
 )
 from stkzoo.errors import ConfigError
@@ -60,6 +69,8 @@ if TYPE_CHECKING:
 
 #: Options that are also arguments of ``plan_benchmark``.
 _PLANNED = ("agent", "difficulty", "ai_times")
+#: Options that only races of the usual benchmark have.
+_CONDITIONS = ("difficulty", "forms", "directions", "ai_times")
 _SEEDS, _TIME_TRIAL_SEEDS = 5, 1
 _DIRECTIONS = ("forward", "reversed")
 _MAIN_GROUPS = ("all", "form")
@@ -157,13 +168,10 @@ def _time_trial_plan(arguments: argparse.Namespace) -> TimeTrialPlan:
     from stkzoo.evaluation import TimeTrialPlan, plan_time_trial
 
     _check_agent(arguments)
-    found, defaults = values_of(arguments, BenchmarkArguments), BenchmarkArguments()
-    for name in ("difficulty", "forms", "directions", "ai_times"):
-        if found[name] != getattr(defaults, name):
-            raise ConfigError(
-                f"--time-trial has the conditions of the human records; leave out "
-                f"--{name.replace('_', '-')}"
-            )
+    refuse_options(
+        "--time-trial has the conditions of the human records",
+        *changed_options(arguments, BenchmarkArguments, only=_CONDITIONS),
+    )
     return plan_time_trial(
         arguments.agent,
         split=_split(arguments, "all"),
@@ -205,6 +213,11 @@ def _baseline(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._console import say
     from stkzoo.evaluation.benchmark.ai_times import plan_ai_times
 
+    refuse_options(
+        "--baseline has races of its own",
+        *changed_options(arguments, BenchmarkArguments, only=_CONDITIONS),
+        *_changed_settings(arguments),
+    )
     plan = plan_ai_times(tracks=arguments.split or "all", seeds=_seeds(arguments))
     folder = Path(arguments.output or "ai-times")
     return run_plan(
@@ -216,6 +229,14 @@ def _compare(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._console import say
     from stkzoo.evaluation import compare, load_benchmark, plot_benchmark
 
+    refuse_options(
+        "--compare runs no races",
+        *changed_options(
+            arguments, BenchmarkArguments, only=(*_CONDITIONS, "split", "seeds", "no_plot")
+        ),
+        *changed_options(arguments, BatchArguments),
+        *_changed_settings(arguments),
+    )
     results = [load_benchmark(path) for path in arguments.compare]
     comparisons = [compare(results[0], other) for other in results[1:]]
     if arguments.output:
@@ -231,6 +252,12 @@ def _compare(arguments: argparse.Namespace) -> int:
     if arguments.output:
         say(f"Drawn in {arguments.output}")
     return 0
+
+
+def _changed_settings(arguments: argparse.Namespace) -> list[str]:
+    from stkzoo.evaluation import BenchmarkPlan
+
+    return changed_options(arguments, RaceSettings, without=BenchmarkPlan.decided)
 
 
 # ------------------------------------------------------------------ tables

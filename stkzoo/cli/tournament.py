@@ -32,8 +32,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo.cli._arguments import add_batch_options, tracks_option, usage_errors
+from stkzoo._arguments import (
+    CommandParser,
+    add_options,
+    changed_options,
+    option,
+    positional,
+    values_of,
+)
+from stkzoo.cli._arguments import (
+    add_batch_options,
+    refuse_options,
+    tracks_option,
+    usage_errors,
+)
 from stkzoo.cli.race_client import ServersArguments, server_access
 from stkzoo.race import RaceSettings
 
@@ -90,17 +102,30 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
     from stkzoo.evaluation import TournamentPlan, plan_tournament
-    from stkzoo.evaluation.tournament.plan import resumed_plan
+    from stkzoo.evaluation.tournament.plan import resumed_plan, with_stored_per_race
 
     servers = server_access(arguments)
     if arguments.resume:
+        _refuse_other_arguments(arguments)
         plan = resumed_plan(folder, arguments.agents, servers)
         settings = replace(plan.settings, show_output=arguments.show_output)
         return replace(plan, settings=settings)
-    return plan_tournament(
+    plan = plan_tournament(
         servers=servers,
         **values_of(arguments, TournamentArguments, only=_PLANNED),
         **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
+    )
+    return with_stored_per_race(plan, folder) if arguments.per_race is None else plan
+
+
+def _refuse_other_arguments(arguments: argparse.Namespace) -> None:
+    from stkzoo.evaluation import TournamentPlan
+
+    decided = (*TournamentPlan.decided, "show_output")
+    refuse_options(
+        "--resume keeps the arguments of its tournament",
+        *changed_options(arguments, TournamentArguments, only=_PLANNED[1:]),
+        *changed_options(arguments, RaceSettings, without=decided),
     )
 
 
@@ -118,7 +143,7 @@ def _show(result: TournamentResult) -> None:
             str(row.wins),
             "-" if row.mean_rank is None else f"{row.mean_rank:.2f}",
             str(row.finished),
-            str(row.retired),
+            str(row.failed),
         )
         for row in result.standings
     ]
@@ -126,7 +151,7 @@ def _show(result: TournamentResult) -> None:
     show_table(columns, rows, left=("agent",), styles=styles)
     for row in result.standings:
         if row.reason:
-            say(f"{row.label} failed in {row.retired} of {row.races} races: {row.reason}")
+            say(f"{row.label} failed in {row.failed} of {row.races} races: {row.reason}")
     plan = result.plan
     say(
         f"{len(result.races)} of {plan.num_races} races of {plan.per_race} on "

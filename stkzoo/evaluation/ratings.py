@@ -24,6 +24,8 @@ _ORDERS = 30
 #: Maximum and minimum number of bootstrap draws for the interval, and the total number of rated
 #: races that limits it.
 _MAX_DRAWS, _MIN_DRAWS, _MAX_RATED_RACES = 400, 100, 100_000
+#: Numbers of the agents in a race, best first, and their places.
+PlacedAgents = tuple[Sequence[int], Sequence[int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,12 @@ def require_openskill() -> Any:
     return import_extra("openskill.models", "ratings need", "tournament")
 
 
-def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list[Rating]:
+def rate(
+    races: Sequence[Sequence[int]],
+    num_agents: int,
+    seed: int = 0,
+    places: Sequence[Sequence[int]] | None = None,
+) -> list[Rating]:
     """Returns the ratings of all agents.
 
     The interval comes from a bootstrap over races. The resampled pool includes one additional race
@@ -62,16 +69,22 @@ def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list
         races: numbers of the agents in each race, best first.
         num_agents: number of agents; their numbers start at 0.
         seed: seed of the bootstrap and the orders. The same arguments return the same ratings.
+        places: places of these agents; equal places are ties. ``None`` if there are no ties.
 
     Raises:
         ConfigError: openskill is not installed.
     """
     model = require_openskill().PlackettLuce(tau=0)  # tau=0: agents do not change over time
     generator = random.Random(seed)
-    passes = [_pass(model, generator.sample(races, len(races)), num_agents) for _ in range(_ORDERS)]
-    num_draws = max(_MIN_DRAWS, min(_MAX_DRAWS, _MAX_RATED_RACES // max(len(races), 1)))
+    if places is None:
+        places = [range(len(order)) for order in races]
+    placed = list(zip(races, places, strict=True))
+    passes = [
+        _pass(model, generator.sample(placed, len(placed)), num_agents) for _ in range(_ORDERS)
+    ]
+    num_draws = max(_MIN_DRAWS, min(_MAX_DRAWS, _MAX_RATED_RACES // max(len(placed), 1)))
     draws = [
-        _pass(model, _resample(races, num_agents, generator), num_agents) for _ in range(num_draws)
+        _pass(model, _resample(placed, num_agents, generator), num_agents) for _ in range(num_draws)
     ]
     values, sigmas = np.mean(np.array(passes), axis=0).T.tolist()
     lows, highs = percentile_interval(np.array(draws)[:, :, 0]).tolist()
@@ -82,19 +95,22 @@ def rate(races: Sequence[Sequence[int]], num_agents: int, seed: int = 0) -> list
 
 
 def _resample(
-    races: Sequence[Sequence[int]], num_agents: int, generator: random.Random
-) -> list[Sequence[int]]:
+    races: Sequence[PlacedAgents], num_agents: int, generator: random.Random
+) -> list[PlacedAgents]:
     """Returns a bootstrap sample of the races and of one additional race in random order."""
     agents = range(num_agents)
     numbers = generator.choices(range(len(races) + 1), k=len(races) + 1)
-    return [races[n] if n < len(races) else generator.sample(agents, num_agents) for n in numbers]
+    return [
+        races[n] if n < len(races) else (generator.sample(agents, num_agents), agents)
+        for n in numbers
+    ]
 
 
-def _pass(model: Any, races: Sequence[Sequence[int]], num_agents: int) -> list[tuple[float, float]]:
+def _pass(model: Any, races: Sequence[PlacedAgents], num_agents: int) -> list[tuple[float, float]]:
     """Returns the rating and standard deviation of every agent after a sequence of races."""
     ratings = [model.rating() for _ in range(num_agents)]
-    for order in races:
-        after = model.rate([[ratings[agent]] for agent in order], ranks=list(range(len(order))))
+    for order, places in races:
+        after = model.rate([[ratings[agent]] for agent in order], ranks=list(places))
         for agent, (rating,) in zip(order, after, strict=True):
             ratings[agent] = rating
     return [(rating.mu, rating.sigma) for rating in ratings]

@@ -32,6 +32,7 @@ from stkzoo.evaluation.ratings import rate
 from stkzoo.race import RaceResult
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import children_of, process_exists, run_program, wait_until
+from tests.support.remote_race import write_agent
 
 SCHEMA = SCHEMAS / "tournament-result.schema.json"
 SMALL = {"tracks": ["lighthouse"], "races": 4, "per_race": 3, "max_steps": 15, "plot": False}
@@ -199,6 +200,36 @@ def test_a_missing_library_is_an_error_before_the_first_race(tmp_path):
         assert f"{library}, which is not installed" in shown
         assert install_command("tournament") in shown
         assert not Path(folder).exists()
+
+
+def test_agents_at_the_same_place_are_tied():
+    tied, ordered = rate([[0, 1]] * 4, 2, places=[[2, 2]] * 4), rate([[0, 1]] * 4, 2)
+    assert tied[0].value == pytest.approx(tied[1].value)
+    assert ordered == rate([[0, 1]] * 4, 2, places=[[1, 2]] * 4)
+    assert ordered[0].value > ordered[1].value + 3
+
+
+@pytest.mark.slow
+def test_no_agent_wins_a_race_in_which_all_agents_failed(tmp_path):
+    agents = [str(AGENTS / "hostile" / name) for name in ("unloadable.py", "no_actor.py")]
+    result = run_tournament(agents, output=tmp_path, **SMALL | {"races": 3, "per_race": 2})
+    first, second = result.standings
+    assert first.rating.value == pytest.approx(second.rating.value)
+    assert [row.wins for row in result.standings] == [0, 0]
+    assert [row.mean_rank for row in result.standings] == [2, 2]
+    assert result.ahead == ((0, 0), (0, 0))
+    assert result.payoff(0, 1) is None
+
+
+@pytest.mark.slow
+def test_failures_without_removal_are_counted_by_race(tmp_path, capsys):
+    words = ["--races", "2", "--max-steps", "10", "--track", "lighthouse", "--no-plot"]
+    words += ["--error-handling", "catch", "--output", str(tmp_path)]
+    assert main(["tournament", "ai", write_agent(tmp_path, "bad", act="raise KeyError()"), *words])
+    (row,) = [row for row in load_tournament(tmp_path).standings if row.label == "bad"]
+    assert (row.retired, row.failed, row.errors) == (0, 2, 20)
+    assert "bad failed in 2 of 2 races: KeyError" in capsys.readouterr().out
+    assert "failed in 2 of 2 races: KeyError" in (tmp_path / "report.html").read_text()
 
 
 # ------------------------------------------------------------------ interruptions
@@ -447,6 +478,18 @@ def test_a_plan_keeps_digests_of_files_with_unprintable_names(tmp_path):
     plan = plan_tournament(["ai", str(agent)], tracks=["lighthouse"], races=1, per_race=2)
     assert {"mine/a?b", "mine/?"} <= set(plan.entrants[1].files)
     assert TournamentPlan.from_json(plan.to_json()) == plan
+
+
+def test_a_plan_whose_version_had_another_schedule_is_refused(tmp_path):
+    text = plan_tournament(THREE).to_json()
+    (tmp_path / "plan.json").write_text(text.replace('"schema_version": 2', '"schema_version": 1'))
+    with pytest.raises(ConfigError, match=r"version 1, .* another version of stkzoo wrote it"):
+        resume_tournament(tmp_path)
+
+
+def test_an_unusable_name_of_the_folder_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="too long; choose another --output"):
+        run_tournament(["ai", "random"], output=tmp_path / ("x" * 300), races=1)
 
 
 def test_a_pipe_as_lock_is_refused_without_waiting(tmp_path):

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stkzoo.evaluation.tournament.schedule import make_schedule
+from stkzoo.evaluation.tournament.schedule import (
+    extend_schedule,
+    make_schedule,
+    newcomer_seats,
+)
 
 
 def spread(counts, keys):
@@ -63,3 +67,44 @@ def test_each_race_has_its_own_seed():
 def test_the_same_seed_gives_the_same_schedule():
     assert make_schedule(6, ["a", "b"], 20, 4, 1) == make_schedule(6, ["a", "b"], 20, 4, 1)
     assert make_schedule(6, ["a", "b"], 20, 4, 1) != make_schedule(6, ["a", "b"], 20, 4, 2)
+
+
+#: Numbers of existing agents and of newcomers, and the number of agents per race.
+EXTENSIONS = [(2, 2, 2), (4, 2, 2), (4, 4, 4), (5, 5, 4), (6, 3, 4), (8, 4, 4), (3, 7, 3)]
+
+
+@pytest.mark.parametrize(("existing", "newcomers", "per_race"), EXTENSIONS)
+@pytest.mark.parametrize("tracks", [["a"], ["a", "b", "c"]])
+def test_newcomers_meet_all_existing_agents_equally_often(existing, newcomers, per_race, tracks):
+    races = make_schedule(existing, tracks, 20, per_race, 1)
+    more = extend_schedule(races, existing, newcomers, 60, 1)
+    met = Counter(frozenset(pair) for race in more for pair in combinations(race.grid, 2))
+    old, new = range(existing), range(existing, existing + newcomers)
+    assert spread(met, [frozenset((one, two)) for one in old for two in new]) <= 1
+    assert spread(met, [frozenset(pair) for pair in combinations(new, 2)] or [()]) <= 1
+
+
+@pytest.mark.parametrize(("existing", "newcomers", "per_race"), EXTENSIONS)
+def test_additional_races_are_balanced(existing, newcomers, per_race):
+    tracks = ["a", "b", "c"]
+    races = make_schedule(existing, tracks, 20, per_race, 1)
+    more = extend_schedule(races, existing, newcomers, 40, 1)
+    assert [race.seed for race in more] == list(range(21, 61))
+    assert spread(Counter(race.track for race in more), tracks) <= 1
+    seats = newcomer_seats(newcomers, per_race)
+    assert {sum(agent >= existing for agent in race.grid) for race in more} == {seats}
+    on_track = Counter((agent, race.track) for race in more for agent in race.grid)
+    at_place = Counter((agent, place) for race in more for place, agent in enumerate(race.grid))
+    for kind in (range(existing), range(existing, existing + newcomers)):
+        for track in tracks:
+            assert spread(on_track, [(agent, track) for agent in kind]) <= 1
+        for agent in kind:
+            assert spread(at_place, [(agent, place) for place in range(per_race)]) <= 1
+
+
+def test_agents_of_a_later_addition_meet_all_agents_equally_often():
+    races = make_schedule(2, ["a"], 20, 2, 0)
+    races += extend_schedule(races, 2, 2, 40, 0)
+    more = extend_schedule(races, 4, 2, 40, 0)
+    met = Counter(frozenset(race.grid) for race in more)
+    assert spread(met, [frozenset((one, two)) for one in range(4) for two in (4, 5)]) <= 1

@@ -7,7 +7,7 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import load_tournament, plan_tournament
+from stkzoo.evaluation import load_tournament, plan_tournament, run_tournament
 from stkzoo.evaluation.tournament.schedule import extend_schedule, make_schedule
 from stkzoo.race.remote import new_key_files, read_servers
 from tests.support.remote_race import server_process, write_agent
@@ -60,6 +60,19 @@ def test_an_agent_that_joins_later_repeats_no_race(course):
     rows = {row.label: row for row in load_tournament(folder).standings}
     assert rows["late"].races == 2
     assert json.loads((folder / "plan.json").read_text())["additions"] == [1]
+
+
+@pytest.mark.slow
+def test_the_same_command_with_more_agents_at_its_end_adds_them(tmp_path):
+    """With fewer than four agents, all of them race in each race; this stays so."""
+    agents, words = ["heuristic", "ai", "random"], [*RACES, "--output", str(tmp_path)]
+    assert main(["tournament", *agents, *words]) == 0
+    assert main(["tournament", *agents, "random@:dice", *words]) == 0
+    settings = {"races": 2, "max_steps": 12, "tracks": ["lighthouse"], "plot": False, "jobs": 1}
+    plan = run_tournament([*agents, "random@:dice", "ai@:rival"], output=tmp_path, **settings).plan
+    assert (plan.per_race, plan.additions) == (3, (1, 1))
+    with pytest.raises(ConfigError, match="per_race is 4 and was 3"):
+        run_tournament([*agents, "random@:dice"], output=tmp_path, per_race=4, **settings)
 
 
 def test_new_agents_start_equally_often_and_from_all_places():

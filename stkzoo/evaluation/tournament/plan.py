@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from stkzoo._os import using_folder
 from stkzoo._schema import Count, Whole, Within
 from stkzoo.errors import ConfigError, check_whole, shortened
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
@@ -58,6 +59,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     """
 
     kind: ClassVar[str] = "tournament-plan"
+    version: ClassVar[int] = 2  # 1: newcomers met some existing agents more often than others
     noun: ClassVar[str] = "tournament"
     resume_command: ClassVar[str] = "stkzoo tournament --resume {folder}"
     decided: ClassVar[tuple[str, ...]] = ("track", "seed")
@@ -161,7 +163,9 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
         races = tuple(RaceSummary.of(number, results[number]) for number in sorted(results))
         number_of = {entrant.label: number for number, entrant in enumerate(self.entrants)}
         orders = [[number_of[label] for label in race.order] for race in races]
-        ratings = rate(orders, len(self.entrants), self.seed)
+        places = [[race.place_of(label) for label in race.order] for race in races]
+        ratings = rate(orders, len(self.entrants), self.seed, places)
+        place_in = [dict(zip(*race, strict=True)) for race in zip(orders, places, strict=True)]
         sandboxes, protections = shared_protections(results.values())
         best_first = sorted(number_of.values(), key=lambda number: -ratings[number].value)
         return TournamentResult(
@@ -172,7 +176,9 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
             ),
             ahead=tuple(
                 tuple(
-                    sum(one in order and two in order[order.index(one) + 1 :] for order in orders)
+                    sum(
+                        {one, two} <= place.keys() and place[one] < place[two] for place in place_in
+                    )
                     for two in best_first
                 )
                 for one in best_first
@@ -264,7 +270,7 @@ class TournamentResult(Document):
         plan: the tournament.
         standings: standings of the agents, best first.
         ahead: ``ahead[i][j]`` is the number of races in which the agent of ``standings[i]``
-            finished ahead of the agent of ``standings[j]``.
+            finished ahead of the agent of ``standings[j]``. Two retired agents are tied.
         races: the races that have been run.
         sandboxes: sandboxes of the agents from files in these races.
         protections: protections that applied in all races with agents from files
@@ -309,7 +315,7 @@ class TournamentResult(Document):
             two: index of the second agent in ``standings``.
 
         Returns:
-            The fraction of races that the first agent won; ``None`` if they share no race.
+            The fraction of races that the first agent won; ``None`` if neither was ahead in any.
         """
         won, lost = self.ahead[one][two], self.ahead[two][one]
         return won / (won + lost) if won + lost else None
@@ -352,8 +358,32 @@ def run_tournament(
         AssetError: the game's data is missing.
         BatchError: some races could not be run.
     """
-    run, plan = RunOptions.split(options)
-    return run_batch(plan_tournament(agents, **plan), output, run)
+    run, chosen = RunOptions.split(options)
+    plan = plan_tournament(agents, **chosen)
+    if chosen.get("per_race") is None:
+        plan = with_stored_per_race(plan, output)
+    return run_batch(plan, output, run)
+
+
+def with_stored_per_race(plan: TournamentPlan, folder: str | os.PathLike[str]) -> TournamentPlan:
+    """Returns a plan with as many agents per race as the tournament in a folder, if there is one.
+
+    The default of a new tournament depends on the number of its agents, which may since have grown.
+
+    Args:
+        plan: the plan.
+        folder: folder of the tournament.
+
+    Raises:
+        ConfigError: the folder or its plan cannot be read.
+    """
+    file = Path(folder) / PLAN_FILE
+    with using_folder(Path(folder), plan.noun):
+        is_new = not file.exists()
+    if is_new:
+        return plan
+    stored = TournamentPlan.load(file).per_race
+    return replace(plan, per_race=min(stored, len(plan.entrants)))
 
 
 def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> TournamentResult:

@@ -24,7 +24,7 @@ from stkzoo.race.result import AgentResult, RaceResult
 
 if TYPE_CHECKING:
     from stkzoo.evaluation.tournament.plan import TournamentResult
-    from stkzoo.evaluation.tournament.standings import Standing
+    from stkzoo.evaluation.tournament.standings import RaceSummary, Standing
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _FILMS = 6
@@ -54,9 +54,11 @@ class TournamentReport:
     title: str = "Tournament"
     films: Sequence[int] | None = None
     _places: dict[str, int] = field(init=False, default_factory=dict)
+    _summaries: dict[int, RaceSummary] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self._places.update({row.label: row.place for row in self.result.standings})
+        self._summaries.update({race.number: race for race in self.result.races})
 
     def write(self, place: Path, page: str = "report.html") -> None:
         """Writes the page, ``standings.csv`` and ``races.csv`` to a folder.
@@ -89,16 +91,16 @@ class TournamentReport:
 
     def races_csv(self) -> str:
         """Returns all races as CSV, with one line per agent and race."""
-        names = ("start_position", "rank", "status", "finish_time", "distance", "num_errors")
-        head = ("race", "track", "seed", "agent", *names, "error")
+        names = ("status", "finish_time", "distance", "num_errors")
+        head = ("race", "track", "seed", "agent", "start_position", "rank", *names, "error")
         rows = [
             (
-                *(number, race.track, race.seed, row.driver),
+                *(number, race.track, race.seed, row.driver, row.start_position, place),
                 *(getattr(row, name) for name in names),
                 self._error_of(row),
             )
             for number, race in sorted(self.races.items())
-            for row in race.agents
+            for place, row in self._placed(number)
         ]
         return _csv([head, *rows])
 
@@ -149,7 +151,7 @@ class TournamentReport:
         )
         interval = f"{least:.1f} to {most:.1f}"
         rank = "" if row.mean_rank is None else f"{row.mean_rank:.2f}"
-        failed = ' class="n failed"' if row.retired else ' class="n"'
+        failed = ' class="n failed"' if row.failed else ' class="n"'
         return (
             f'<tr><td class="n">{row.place}<td class="name">{self._link(row.label)}'
             f'<td class="n">{row.rating.value:.1f}'
@@ -157,7 +159,7 @@ class TournamentReport:
             f'<line x1="{start}" x2="{end}" y1="50%" y2="50%"/>'
             f'<circle cx="{dot}" cy="50%" r="4.5"/></svg>'
             f'<td class="n wide">{row.wins}<td class="n wide">{row.races}<td class="n wide">{rank}'
-            f'<td class="n wide">{row.finished}<td{failed}>{row.retired}</tr>\n'
+            f'<td class="n wide">{row.finished}<td{failed}>{row.failed}</tr>\n'
         )
 
     def _matrix(self) -> str:
@@ -220,8 +222,8 @@ class TournamentReport:
         picture, colors = draw_film(film, f"film-{number}")
         lines = "".join(
             f'<li><i class="dot" style="background:{colors.get(row.driver, "gray")}"></i>'
-            f"{row.rank}. {self._link(row.driver)} {escape(_outcome(row))}"
-            for row in race.agents
+            f"{place}. {self._link(row.driver)} {escape(_outcome(row))}"
+            for place, row in self._placed(number)
         )
         return (
             f"<figure>{picture}<figcaption><b>Race {number}</b>, {escape(race.track)}"
@@ -234,24 +236,25 @@ class TournamentReport:
 
     def _agent(self, row: Standing) -> str:
         own = [
-            (number, race, entry)
+            (number, race, place, entry)
             for number, race in sorted(self.races.items())
-            for entry in race.agents
+            for place, entry in self._placed(number)
             if entry.driver == row.label
         ]
         lines = "".join(
             f'<tr><td class="n">{number}<td>{escape(race.track)}<td class="n">{e.start_position}'
-            f'<td class="n">{e.rank} of {len(race.agents)}<td>{escape(_outcome(e))}'
+            f'<td class="n">{place} of {len(race.agents)}<td>{escape(_outcome(e))}'
             f"<td>{escape(self._error_of(e))}{self._replay(number)}</tr>"
-            for number, race, e in own
+            for number, race, place, e in own
         )
         source = "" if self.is_public else f'<p class="note">{escape(row.source)}</p>'
-        traces = [e.errors[0].trace for _, _, e in own if e.errors and e.errors[0].trace]
+        traces = [e.errors[0].trace for *_, e in own if e.errors and e.errors[0].trace]
         trace = ""
         if traces and not self.is_public:
             trace = f"<pre>{escape(traces[0][-_MAX_TRACE:])}</pre>"
         reason = self._reason_of(row)
-        failed = f' <span class="failed">failed {row.retired} times: {escape(reason)}</span>'
+        times = f"failed in {row.failed} of {row.races} races"
+        failed = f' <span class="failed">{times}: {escape(reason)}</span>'
         return (
             f"<details><summary><b>{row.place}. {escape(row.label)}</b>"
             f"<span>{row.wins} wins in {row.races} races</span>{failed if reason else ''}"
@@ -261,6 +264,12 @@ class TournamentReport:
         )
 
     # ------------------------------------------------------------------ parts
+
+    def _placed(self, number: int) -> list[tuple[int, AgentResult]]:
+        """Returns the places in a race as in the standings, where failed agents are last."""
+        summary, rows = self._summaries[number], self.races[number].agents
+        in_order = sorted(rows, key=lambda row: summary.order.index(row.driver))
+        return [(summary.place_of(row.driver), row) for row in in_order]
 
     def _link(self, label: str) -> str:
         return f'<a href="#agent-{self._places.get(label, 0)}">{escape(label)}</a>'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import random
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 #: A node of the graph in :func:`_grids`: a race, or a group of races of one agent.
@@ -51,24 +51,10 @@ def make_schedule(
         seed: seed of the schedule. The same arguments return the same schedule.
     """
     chance = random.Random(seed)
-    order = list(tracks)
-    chance.shuffle(order)
-    counts = [len(range(first, num_races, len(order))) for first in range(len(order))]
+    order, counts = _share(tracks, num_races, chance)
     blocks = _deal(num_agents, counts, per_race, chance)
     _even_out_meetings(blocks, chance)
-    # Tracks alternate, so that an unfinished tournament is also balanced.
-    turns = itertools.zip_longest(*blocks)
-    races = [
-        (track, agents)
-        for turn in turns
-        for track, agents in zip(order, turn, strict=True)
-        if agents is not None
-    ]
-    grids = _grids(num_agents, races, chance)
-    return tuple(
-        ScheduledRace(number, track, seed + number, grid)
-        for number, ((track, _), grid) in enumerate(zip(races, grids, strict=True))
-    )
+    return _in_turns(num_agents, order, blocks, chance, 0, seed)
 
 
 def extend_schedule(
@@ -77,7 +63,8 @@ def extend_schedule(
     """Returns additional races, in which newcomers meet the existing agents.
 
     At most half of the agents in a race are newcomers. On each track, the numbers of races of
-    newcomers differ by at most one; the same holds for the existing agents.
+    newcomers differ by at most one; the same holds for the existing agents. Agents are swapped
+    between races, so that each newcomer meets all others about equally often.
 
     Args:
         races: the existing races. Numbers and seeds of the new races follow theirs.
@@ -86,20 +73,18 @@ def extend_schedule(
         count: number of new races.
         seed: seed of the schedule. The same arguments return the same schedule.
     """
-    per_race = len(races[0].grid)
-    tracks = list(dict.fromkeys(race.track for race in races))
-    seats = newcomer_seats(num_newcomers, per_race)
-    new = make_schedule(num_newcomers, tracks, count, seats, seed)
-    old = make_schedule(num_agents, tracks, count, per_race - seats, seed)
-    joint = [
-        (one.track, [*(num_agents + agent for agent in one.grid), *two.grid])
-        for one, two in zip(new, old, strict=True)
+    per_race, seats = len(races[0].grid), newcomer_seats(num_newcomers, len(races[0].grid))
+    chance = random.Random(seed)
+    order, counts = _share(dict.fromkeys(race.track for race in races), count, chance)
+    new = _deal(num_newcomers, counts, seats, chance, num_agents)
+    old = _deal(num_agents, counts, per_race - seats, chance)
+    blocks = [
+        [[*one, *two] for one, two in zip(*block, strict=True)]
+        for block in zip(new, old, strict=True)
     ]
-    grids = _grids(num_agents + num_newcomers, joint, random.Random(seed))
-    return tuple(
-        ScheduledRace(number, track, races[0].seed + number, grid)
-        for number, ((track, _), grid) in enumerate(zip(joint, grids, strict=True), len(races))
-    )
+    _even_out_meetings(blocks, chance, num_agents)
+    total = num_agents + num_newcomers
+    return _in_turns(total, order, blocks, chance, len(races), races[0].seed)
 
 
 def newcomer_seats(num_newcomers: int, per_race: int) -> int:
@@ -107,22 +92,42 @@ def newcomer_seats(num_newcomers: int, per_race: int) -> int:
     return min(num_newcomers, per_race // 2)
 
 
+def _share(
+    tracks: Iterable[str], num_races: int, chance: random.Random
+) -> tuple[list[str], list[int]]:
+    """Returns the tracks in random order, and the number of races on each."""
+    order = list(tracks)
+    chance.shuffle(order)
+    return order, [len(range(first, num_races, len(order))) for first in range(len(order))]
+
+
 def _deal(
-    num_agents: int, counts: Sequence[int], per_race: int, chance: random.Random
+    num_agents: int,
+    counts: Sequence[int],
+    per_race: int,
+    chance: random.Random,
+    first: int = 0,
 ) -> list[list[list[int]]]:
     """Returns the agents of each race of each track, dealt in turn like cards.
+
+    The numbers of the agents start at ``first``.
 
     In any sequence of consecutive races, the numbers of races of the agents differ by at most one.
     This includes the races of one track, and all races.
     """
-    agents = list(range(num_agents))
+    agents = list(range(first, first + num_agents))
     chance.shuffle(agents)
     cards = itertools.cycle(agents)
     return [[list(itertools.islice(cards, per_race)) for _ in range(count)] for count in counts]
 
 
-def _even_out_meetings(blocks: Sequence[list[list[int]]], chance: random.Random) -> None:
-    """Swaps agents between races of one track where this balances meetings of agents."""
+def _even_out_meetings(
+    blocks: Sequence[list[list[int]]], chance: random.Random, num_existing: int = 0
+) -> None:
+    """Swaps agents between races of one track where this balances meetings of agents.
+
+    The first ``num_existing`` agents take the seats of each other only, and so do the others.
+    """
     meetings: Counter[tuple[int, int]] = Counter()
     for race in itertools.chain.from_iterable(blocks):
         meetings.update(_pair(a, b) for a, b in itertools.combinations(race, 2))
@@ -132,7 +137,8 @@ def _even_out_meetings(blocks: Sequence[list[list[int]]], chance: random.Random)
         block = chance.choice(long_enough)
         first, second = chance.sample(block, 2)
         mine, other = chance.choice(first), chance.choice(second)
-        if mine not in second and other not in first:
+        is_same_kind = (mine < num_existing) == (other < num_existing)
+        if is_same_kind and mine not in second and other not in first:
             _exchange_if_better(first, second, mine, other, meetings)
 
 
@@ -153,6 +159,31 @@ def _exchange_if_better(
 
 def _pair(one: int, two: int) -> tuple[int, int]:
     return (one, two) if one < two else (two, one)
+
+
+def _in_turns(
+    num_agents: int,
+    order: Sequence[str],
+    blocks: Sequence[list[list[int]]],
+    chance: random.Random,
+    first: int,
+    seed: int,
+) -> tuple[ScheduledRace, ...]:
+    """Returns the races of all tracks, numbered from ``first``.
+
+    Tracks alternate, so that an unfinished tournament is also balanced.
+    """
+    races = [
+        (track, agents)
+        for turn in itertools.zip_longest(*blocks)
+        for track, agents in zip(order, turn, strict=True)
+        if agents is not None
+    ]
+    grids = _grids(num_agents, races, chance)
+    return tuple(
+        ScheduledRace(number, track, seed + number, grid)
+        for number, ((track, _), grid) in enumerate(zip(races, grids, strict=True), first)
+    )
 
 
 def _grids(

@@ -26,6 +26,7 @@ class RaceSummary:
         seed: seed of the race.
         status: why the race ended.
         order: labels of the agents in finishing order.
+        retired: number of agents that were removed after a failure. They are last in ``order``.
     """
 
     number: Count
@@ -33,6 +34,7 @@ class RaceSummary:
     seed: Count
     status: str
     order: tuple[str, ...]
+    retired: Count = 0
 
     @classmethod
     def of(cls, number: int, result: RaceResult) -> RaceSummary:
@@ -44,7 +46,17 @@ class RaceSummary:
         """
         rows = sorted(result.agents, key=lambda row: (row.status == "retired", row.rank))
         order = tuple(row.driver for row in rows)
-        return cls(number, result.track, result.seed, result.status, order)
+        retired = sum(row.status == "retired" for row in rows)
+        return cls(number, result.track, result.seed, result.status, order, retired)
+
+    def place_of(self, label: str) -> int:
+        """Returns the place of an agent of the race, from 1. All retired agents share the last one.
+
+        Args:
+            label: name of the agent.
+        """
+        index, last = self.order.index(label), len(self.order)
+        return index + 1 if index < last - self.retired else last
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +70,14 @@ class Standing:
         rating: rating with an interval.
         races: number of races.
         wins: number of races won.
-        mean_rank: mean rank; ``None`` without races.
+        mean_rank: mean place; ``None`` without races.
         finished: number of races finished.
         retired: number of races from which the agent was removed after a failure.
         errors: number of failures.
         mean_time: mean finish time [s]; ``None`` if the agent finished no race.
-        track_ranks: mean rank on each track.
+        track_ranks: mean place on each track.
         reason: the most frequent failure as one line; empty without failures.
+        failed: number of races with failures.
     """
 
     place: Whole
@@ -80,6 +93,7 @@ class Standing:
     mean_time: Positive | None
     track_ranks: Mapping[str, Annotated[float, Within(1)]]
     reason: str = ""
+    failed: Count = 0
 
     @classmethod
     def of(
@@ -100,7 +114,7 @@ class Standing:
             results: results of all races by number.
         """
         own = [race for race in races if entrant.label in race.order]
-        ranks = [race.order.index(entrant.label) + 1 for race in own]
+        ranks = [race.place_of(entrant.label) for race in own]
         agents = [row for race in own for row in results[race.number].agents]
         rows = [row for row in agents if row.driver == entrant.label]
         times = [row.finish_time for row in rows if row.finish_time is not None]
@@ -121,6 +135,7 @@ class Standing:
             mean_time=_mean(times),
             track_ranks={track: fmean(on_track) for track, on_track in sorted(track_ranks.items())},
             reason=_reason(rows),
+            failed=sum(row.num_errors > 0 for row in rows),
         )
 
 
