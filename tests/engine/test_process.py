@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
@@ -58,6 +59,24 @@ def session(root):
 
 def test_a_session_repeats_its_first_race(session):
     assert trajectory(session) == trajectory(session)
+
+
+@pytest.fixture
+def default_timeout():
+    """Gives new sockets of the test a timeout, as programs with network connections do."""
+    socket.setdefaulttimeout(20.0)
+    yield
+    socket.setdefaulttimeout(None)
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_default_timeout_of_sockets_does_not_reach_the_game(
+    root, monkeypatch, default_timeout, method
+):
+    monkeypatch.setenv("STKZOO_START_METHOD", method)
+    with contextlib.closing(WorkerSession(root)) as session:
+        session.start(SETUP)
+        drive_on(session, steps=2)
 
 
 def personality_of(pid):
