@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stkzoo.engine import fork_client
+from stkzoo.engine import fork_client, wire
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
@@ -77,6 +77,46 @@ def test_a_default_timeout_of_sockets_does_not_reach_the_game(
     with contextlib.closing(WorkerSession(root)) as session:
         session.start(SETUP)
         drive_on(session, steps=2)
+
+
+def test_races_end_alone_in_a_program_that_ignores_its_children(root):
+    code = f"""
+        import os, signal
+        from pathlib import Path
+        import numpy as np
+        from stkzoo.engine.session import WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        from stkzoo.errors import EngineCrashed
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        setup = RaceSetup("olivermath", (KartSetup(is_bot=False),))
+        controls = np.zeros((1, 7), np.float32)
+        first, second = (WorkerSession(Path({str(root)!r})) for _ in range(2))
+        first.start(setup)
+        for end in (signal.SIGKILL, 0):
+            second.start(setup)
+            os.kill(second.pid, end)
+            try:
+                second.step(controls)
+            except EngineCrashed as error:
+                print("SIGKILL" in str(error))
+            second.close()
+        print(first.step(controls).phase)
+    """
+    assert run_program(code).stdout.split() == ["True", "0"]
+
+
+@pytest.mark.parametrize("kind", [wire.END, wire.DROP], ids=["end", "drop"])
+def test_a_fork_server_survives_requests_to_end_a_process_that_is_gone(root, session, kind):
+    session.start(SETUP)
+    gone = 2**30  # more than any process id
+    fork_server = fork_client.start_fork_server(root)
+    if kind == wire.END:
+        assert fork_server.end_child(gone) is None
+    else:
+        wire.send(fork_server._control, kind, str(gone).encode())
+    drive_on(session, steps=1)
+    session.start(SETUP)
+    assert fork_client.start_fork_server(root) is fork_server
 
 
 def personality_of(pid):
