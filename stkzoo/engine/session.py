@@ -45,6 +45,11 @@ _NO_COPIES = (
 class Session(ABC):
     """Runs races for one environment, one at a time."""
 
+    @property
+    def pid(self) -> int | None:
+        """Id of the race's own process; ``None`` if there is none."""
+        return None
+
     @abstractmethod
     def start(self, setup: RaceSetup) -> RaceStart:
         """Ends the previous race, starts another and waits until its karts can act.

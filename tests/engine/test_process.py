@@ -69,10 +69,9 @@ def default_timeout():
     socket.setdefaulttimeout(None)
 
 
+@pytest.mark.usefixtures("default_timeout")
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_a_default_timeout_of_sockets_does_not_reach_the_game(
-    root, monkeypatch, default_timeout, method
-):
+def test_a_default_timeout_of_sockets_does_not_reach_the_game(root, monkeypatch, method):
     monkeypatch.setenv("STKZOO_START_METHOD", method)
     with contextlib.closing(WorkerSession(root)) as session:
         session.start(SETUP)
