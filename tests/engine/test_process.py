@@ -400,6 +400,22 @@ def test_a_second_race_in_this_process_is_refused_while_the_first_runs(root):
     assert run_program(code).stdout.split() == ["ApiOrderError", "True", "0"]
 
 
+def test_restarts_in_this_process_leave_no_open_file_and_no_folder(root, tmp_path):
+    code = f"""
+        import os
+        from pathlib import Path
+        from stkzoo.engine.session import LocalSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        session = LocalSession(Path({str(root)!r}))
+        for _ in range(3):
+            session.start(RaceSetup("olivermath", (KartSetup(is_bot=False),)))
+            homes = list(Path({str(tmp_path)!r}).glob("*"))
+            print(len(os.listdir("/proc/self/fd")), len(homes))
+    """
+    lines = run_program(code, env={**os.environ, "TMPDIR": str(tmp_path)}).stdout.splitlines()
+    assert lines == [lines[0]] * 3
+
+
 @pytest.mark.slow
 def test_fast_restarts_leave_no_processes_behind(root, session):
     for _ in range(30):
