@@ -118,6 +118,41 @@ def test_a_fork_server_survives_requests_to_end_a_process_that_is_gone(root, ses
     assert fork_client.start_fork_server(root) is fork_server
 
 
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_the_engine_imports_modules_from_the_programs_search_path(root, tmp_path, method):
+    (tmp_path / "pystk2.py").write_text("raise ImportError('the engine of this folder')")
+    code = f"""
+        import sys
+        sys.path.insert(0, {str(tmp_path)!r})
+        from pathlib import Path
+        from stkzoo.engine.session import WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        from stkzoo.errors import EngineCrashed
+        try:
+            WorkerSession(Path({str(root)!r})).start(RaceSetup("olivermath", (KartSetup(),)))
+        except EngineCrashed as error:
+            print(error.log)
+    """
+    program = run_program(code, env={**os.environ, "STKZOO_START_METHOD": method})
+    assert "the engine of this folder" in program.stdout
+
+
+def test_the_engine_imports_nothing_from_the_current_folder_of_a_notebook(root, tmp_path):
+    (tmp_path / "socket.py").write_text("raise ImportError('a file of an agent')")
+    code = f"""
+        import sys
+        sys.path.remove("")
+        from pathlib import Path
+        from stkzoo.engine.session import WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        sys.path.insert(0, "")  # as a notebook does after its imports
+        session = WorkerSession(Path({str(root)!r}))
+        print(session.start(RaceSetup("olivermath", (KartSetup(),))).snapshot.phase)
+    """
+    program = run_program(code, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert program.stdout == "0\n", program.stderr
+
+
 def personality_of(pid):
     return int(Path(f"/proc/{pid}/personality").read_text(), 16)
 
