@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 
@@ -26,9 +27,22 @@ def python_command(code: str, *arguments: str) -> list[str]:
     return [sys.executable, *_OPTIONS, "-c", _BEGINNING + code, *arguments]
 
 
-def search_path() -> list[str]:
+def search_path(*, has_current: bool = True) -> list[str]:
     """Returns this program's module search path, for a process that must find the same modules.
 
     In an interactive session, an empty entry means the current folder; it is replaced by its path.
+    Entries that Python ignores are left out: those that are not strings, and a folder that is gone.
+
+    Args:
+        has_current: whether to include the current folder of an interactive session.
     """
-    return [path or os.getcwd() for path in sys.path]
+    paths = []
+    for path in filter(_is_text, sys.path):
+        with contextlib.suppress(FileNotFoundError):
+            if path or has_current:
+                paths.append(path or os.getcwd())
+    return paths
+
+
+def _is_text(entry: object) -> bool:
+    return isinstance(entry, str)

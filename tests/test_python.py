@@ -28,3 +28,22 @@ def test_a_new_interpreter_runs_no_file_in_the_current_folder(shadows):
 def test_the_search_path_names_the_current_folder_of_an_interactive_session(monkeypatch):
     monkeypatch.setattr(sys, "path", ["", "/elsewhere"])
     assert search_path() == [os.getcwd(), "/elsewhere"]
+
+
+def test_the_search_path_can_leave_out_the_current_folder(monkeypatch):
+    monkeypatch.setattr(sys, "path", ["", "/elsewhere"])
+    assert search_path(has_current=False) == ["/elsewhere"]
+
+
+def test_the_search_path_leaves_out_entries_that_are_no_text(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "path", [tmp_path, "/elsewhere"])
+    assert search_path() == ["/elsewhere"]
+
+
+def test_the_search_path_leaves_out_a_current_folder_that_is_gone(monkeypatch, tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    monkeypatch.setattr(sys, "path", ["", "/elsewhere"])
+    assert search_path() == ["/elsewhere"]

@@ -46,11 +46,11 @@ class RaceCopy:
         self.observation = observation
         self.steps, self.distance, self.finish_time = 0, 0.0, 0.0
         assert self._env.race is not None  # noqa: S101 - since follow
-        index = self._env.possible_agents.index(self._agent)
-        self._kart = self._env.race.kart_indices[index]
+        self._race, index = self._env.race, self._env.possible_agents.index(self._agent)
+        self._kart = self._race.kart_indices[index]
         assert self._env.snapshot is not None  # noqa: S101 - since follow
         self._begin = float(self._env.snapshot.header["time"])
-        self._rescues = RescueCounter(self._env.options.num_kart, self._env.options.step_size)
+        self._rescues = RescueCounter(self._env.options.num_kart, self._race.step_size)
 
     @property
     def is_over(self) -> bool:
@@ -61,7 +61,7 @@ class RaceCopy:
     def length(self) -> float:
         """Length of the race [m]."""
         assert self._env.track_map is not None  # noqa: S101 - since follow
-        return self._env.track_map.length * self._env.options.laps
+        return self._env.track_map.length * self._race.laps
 
     @property
     def seconds_to_finish(self) -> float | None:

@@ -222,6 +222,7 @@ class IsolatedInstance:
             raise ConfigError("agents cannot run in processes of their own here; use --inline")
         ours, theirs = socket.socketpair()
         self._resources.callback(ours.close)
+        theirs.setblocking(True)  # whatever the program's default timeout of sockets
         life, end = socket.socketpair()
         self._resources.callback(life.close)
         memory = (self._limits.memory or 0) << 20

@@ -174,7 +174,7 @@ class ForkServerClient:
             replied = b""
             while replied != asked:  # a reply to an interrupted request may come first
                 _, (replied, status) = wire.receive(self._control)
-            return int(status)
+            return int(status) if status else None
         return None
 
     def close(self) -> None:

@@ -39,6 +39,9 @@ def main(control_fd: int) -> None:
     Args:
         control_fd: descriptor of the socket to the program.
     """
+    # Programs inherit ignored signals. If SIGCHLD is ignored, the kernel discards the children's
+    # wait statuses.
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     control = socket.socket(fileno=control_fd)
     libc = ctypes.CDLL(None)
     _unbuffer_output(libc)
@@ -75,7 +78,9 @@ class _ForkServer:
             return
         pid = int(frames[0])
         if kind == wire.END:
-            wire.send(self._control, wire.OK, frames[0], str(self._end(pid)).encode())
+            status = self._end(pid)
+            reply = b"" if status is None else str(status).encode()
+            wire.send(self._control, wire.OK, frames[0], reply)
         else:
             self._drop(pid)
 
@@ -92,21 +97,24 @@ class _ForkServer:
                 os._exit(1)
             raise
 
-    def _end(self, pid: int) -> int:
-        """Returns the wait status of a child; kills it after :data:`_GRACE_SECONDS`."""
+    def _end(self, pid: int) -> int | None:
+        """Ends a child; kills it after :data:`_GRACE_SECONDS`.
+
+        Returns:
+            The wait status of the child; ``None`` if there is no such process.
+        """
         deadline = time.monotonic() + _GRACE_SECONDS
         self._reap()
         while pid not in self._statuses:
-            if time.monotonic() > deadline:
-                os.kill(pid, signal.SIGKILL)
+            if time.monotonic() > deadline and not _kill(pid):
+                return None
             time.sleep(0.001)
             self._reap()
         return self._statuses.pop(pid)
 
     def _drop(self, pid: int) -> None:
         """Ends a child without waiting for it."""
-        if self._statuses.pop(pid, None) is None:
-            os.kill(pid, signal.SIGKILL)
+        if self._statuses.pop(pid, None) is None and _kill(pid):
             self._dropped.add(pid)
 
     def _reap(self) -> None:
@@ -117,6 +125,15 @@ class _ForkServer:
                     self._dropped.discard(pid)
                 else:
                     self._statuses[pid] = status
+
+
+def _kill(pid: int) -> bool:
+    """Kills a process; returns whether it exists. An ended child exists until it is reaped."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def _unbuffer_output(libc: ctypes.CDLL) -> None:

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._os import OwnDescriptor
-from stkzoo._python import python_command
+from stkzoo._python import python_command, search_path
 from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
@@ -49,7 +49,8 @@ ONE_THREAD = dict.fromkeys(
 #: Makes ``stkzoo`` an empty package in the engine's interpreter. Otherwise, the import of the
 #: engine's modules would also import Gymnasium and the rest of the library.
 _BOOTSTRAP = """
-import sys, types
+import json, sys, types
+sys.path[:] = json.loads(sys.argv[3])
 sys.modules["stkzoo"] = package = types.ModuleType("stkzoo")
 package.__path__ = [sys.argv[1]]
 from stkzoo.engine.{module} import main
@@ -203,6 +204,9 @@ def spawn_interpreter(
 ) -> subprocess.Popen[bytes]:
     """Starts a new interpreter that runs ``main`` of one of this package's modules.
 
+    It has this program's search path, which may be the only place of ``pystk2``, except the current
+    folder of an interactive session: that may belong to an agent (:func:`python_command`).
+
     Args:
         module: name of the module.
         channel: argument of ``main``: the descriptor or port of a connection to this program.
@@ -212,9 +216,10 @@ def spawn_interpreter(
     """
     package = Path(__file__).resolve().parents[1]
     code = _BOOTSTRAP.format(module=module)
+    path = json.dumps(search_path(has_current=False))
     with _fixed_addresses():
         return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
-            python_command(code, str(package), str(channel)),
+            python_command(code, str(package), str(channel), path),
             stdin=subprocess.DEVNULL,
             stdout=log.fileno(),
             stderr=log.fileno(),

@@ -54,6 +54,11 @@ class RaceStart:
         return cls(tuple(json.loads(kart_types)), track, Snapshot(snapshot))
 
 
+def engine_is_initialized() -> bool:
+    """Returns whether :func:`init_engine` has started the engine in this process."""
+    return _is_initialized
+
+
 def init_engine(graphics: str = '{"preset": "none"}') -> None:
     """Starts the engine in this process. Later calls do nothing.
 

@@ -27,7 +27,7 @@ from stkzoo.engine.process import (
     open_log,
     tail,
 )
-from stkzoo.engine.race import GameRace, RaceStart, init_engine
+from stkzoo.engine.race import GameRace, RaceStart, engine_is_initialized, init_engine
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
@@ -44,6 +44,11 @@ _NO_COPIES = (
 
 class Session(ABC):
     """Runs races for one environment, one at a time."""
+
+    @property
+    def pid(self) -> int | None:
+        """Id of the race's own process; ``None`` if there is none."""
+        return None
 
     @abstractmethod
     def start(self, setup: RaceSetup) -> RaceStart:
@@ -373,7 +378,12 @@ def _flush_c_streams() -> None:
 
 
 def _init_here(root: Path) -> None:
-    """Starts the engine in this process, with the environment variables of engine processes."""
+    """Starts the engine in this process, with the environment variables of engine processes.
+
+    Later calls do nothing: the engine keeps its home folder until the program ends.
+    """
+    if engine_is_initialized():
+        return
     home = LockedTemporaryDirectory("home")
     atexit.register(home.close)
     environment = dict(os.environ)

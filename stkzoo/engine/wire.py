@@ -41,6 +41,9 @@ _ONE_READ = 1 << 18
 class EngineConnection(socket.socket):
     """A socket that notices if the program closed its descriptor.
 
+    It blocks until its timeout is set, whatever :func:`socket.setdefaulttimeout` says: the engine
+    process that inherits an end expects a blocking one.
+
     See also :class:`stkzoo._os.OwnDescriptor`.
 
     Args:
@@ -49,6 +52,7 @@ class EngineConnection(socket.socket):
 
     def __init__(self, fileno: int) -> None:
         super().__init__(fileno=above_standard_streams(fileno))
+        self.setblocking(True)
         self._identity = file_identity(self.fileno())
 
     @property

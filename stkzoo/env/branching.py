@@ -209,8 +209,9 @@ class BranchingRace(ClonableEnv):
         """
         with self._turn.of("restore_state"):
             self._check_moment(_checked_state(state).moment)
-            state.resume_in(self._session)
-            self._go_on_from(state.moment)
+            with self._exchange():
+                state.resume_in(self._session)
+                self._go_on_from(state.moment)
 
     def follow(self, other: Self) -> None:
         """Continues from the current state of another environment, like a clone of it.
@@ -228,9 +229,10 @@ class BranchingRace(ClonableEnv):
             other._running("clone")
             moment = other._moment()
             self._check_moment(moment)
-            self._session.resume(other._session)
-            self.options = other.options
-            self._go_on_from(moment)
+            with self._exchange():
+                self._session.resume(other._session)
+                self.options = other.options
+                self._go_on_from(moment)
 
     @property
     def num_snapshots(self) -> int:
@@ -244,6 +246,21 @@ class BranchingRace(ClonableEnv):
         self._asked: Episode | None = None  # the episode with a running step
         if self._opponents is not None:
             self._opponents.close()
+
+    @contextlib.contextmanager
+    def _exchange(self) -> Iterator[None]:
+        """Ends the race if the game continues elsewhere but the rest of the environment does not.
+
+        An error or Ctrl-C can end the body after the game's process was replaced. The game and
+        the environment would then be at different moments, so only ``reset`` can continue.
+        """
+        before = self._session.pid
+        try:
+            yield
+        except BaseException:
+            if self._session.pid != before:
+                self._end_race()
+            raise
 
     def _from_state(
         self, state: object, options: Mapping[str, Any], options_now: RaceOptions

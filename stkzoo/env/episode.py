@@ -80,7 +80,7 @@ class Episode:
         root: Path,
     ) -> None:
         self.setup, self._root = setup, root
-        names = ("track", "reverse", "mode", "laps", "difficulty", "seed")
+        names = ("track", "reverse", "mode", "laps", "difficulty", "seed", "step_size")
         chosen = {name: getattr(setup, name) for name in names}
         agents, opponents = kart_indices[: len(rewards)], kart_indices[len(rewards) :]
         called = tuple(setup.karts[kart].name for kart in opponents)
@@ -122,7 +122,7 @@ class Episode:
     @property
     def step_size(self) -> float:
         """Game time of one step [s]."""
-        return self.setup.step_size
+        return self.race.step_size
 
     @property
     def num_players(self) -> int:

@@ -24,6 +24,7 @@ class RaceInfo:
         laps: number of laps.
         difficulty: level of the game's bots.
         seed: seed of the engine.
+        step_size: game time of one step [s].
         kart_indices: index of each agent's kart in grid order.
         kart_types: model of each kart, in grid order.
         opponent_indices: index of each opponent's kart in grid order.
@@ -36,6 +37,7 @@ class RaceInfo:
     laps: int
     difficulty: int
     seed: int
+    step_size: float
     kart_indices: tuple[int, ...]
     kart_types: tuple[str, ...]
     opponent_indices: tuple[int, ...] = ()

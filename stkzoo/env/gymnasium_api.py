@@ -150,13 +150,15 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
 
     def restore_state(self, state: RaceState) -> None:
         """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.restore_state`."""
-        self.core.restore_state(state)
-        self._go_on(state.front)
+        with self.core._exchange():
+            self.core.restore_state(state)
+            self._go_on(state.front)
 
     def follow(self, other: Self) -> None:
         """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.follow`."""
-        self.core.follow(other.core)
-        self._go_on(other._front())
+        with self.core._exchange():
+            self.core.follow(other.core)
+            self._go_on(other._front())
 
     def _go_on(self, front: Any) -> None:
         self.np_random = self.core.np_random

@@ -232,14 +232,15 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         options = {} if options is None else options
         options_now = self._options_now(options)
         self._check_specs()
-        if options.get("scenario") is not None:
-            found = self._from_scenario(options["scenario"], options, options_now)
-        elif options.get("state") is not None:
-            found = self._from_state(options["state"], options, options_now)
-        else:
-            found = list(self.possible_agents), self._new_race(options_now, options)
-        agents, self._episode = found
-        self.agents, self._asked = [], None  # in case a wrapper fails
+        with self._exchange():
+            if options.get("scenario") is not None:
+                found = self._from_scenario(options["scenario"], options, options_now)
+            elif options.get("state") is not None:
+                found = self._from_state(options["state"], options, options_now)
+            else:
+                found = list(self.possible_agents), self._new_race(options_now, options)
+            agents, self._episode = found
+            self.agents, self._asked = [], None  # in case a wrapper fails
         result = self._chains.reset(
             agents,
             self._episode,

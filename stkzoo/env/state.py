@@ -67,7 +67,7 @@ class RaceState:
     @property
     def pid(self) -> int | None:
         """Id of the paused game process; ``None`` after it has ended."""
-        return self._session.pid if isinstance(self._session, WorkerSession) else None
+        return self._session.pid
 
     @property
     def race(self) -> RaceInfo:

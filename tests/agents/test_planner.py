@@ -1,5 +1,7 @@
 """The planner in races, and its candidates."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -7,11 +9,13 @@ from stkzoo import race_v0
 from stkzoo.agents.heuristic import create_state
 from stkzoo.agents.planner import Candidate, Planner, PlannerSettings, base_policy
 from stkzoo.agents.planner.candidates import changed, draw_candidate
+from stkzoo.agents.planner.copies import RaceCopy
 from stkzoo.agents.planning.driver import CHOICES, HEADS, OFFSETS, PolicyInput
 from stkzoo.agents.planning.plans import DRIFT_LEFT, FREE
 from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation import check_demonstrations, record_demonstrations
 from stkzoo.race import run_race
+from stkzoo.race.rescues import RescueCounter
 
 SMALL = PlannerSettings(num_candidates=3, num_finalists=2, final_steps=4)
 #: Steps until the karts may drive, and steps after that.
@@ -87,6 +91,24 @@ def test_a_new_race_after_close_needs_new_copies(env):
     planner.close()
     _, distance = drive(env, lambda observation: planner.act(env, observation), GRID + 12)
     assert distance > 0
+
+
+@pytest.fixture
+def copy_of_long_race(env):
+    """Returns a copy of a race whose reset overrides the environment's laps and step size."""
+    observations, _ = env.reset(seed=1, options={"laps": 3, "step_size": 0.05})
+    with contextlib.closing(RaceCopy(env.clone(), "kart_0")) as copied:
+        copied.begin(env, create_state(), observations["kart_0"], Candidate())
+        yield copied
+
+
+def test_the_length_of_a_copy_counts_the_laps_of_its_race(env, copy_of_long_race):
+    assert copy_of_long_race.length == 3 * env.track_map.length
+
+
+def test_a_copy_counts_rescues_with_the_step_size_of_its_race(copy_of_long_race):
+    descent = RescueCounter(num_kart=1, step_size=0.05)
+    assert copy_of_long_race._rescues._longest == descent._longest
 
 
 def test_refuses_an_environment_of_several_agents():

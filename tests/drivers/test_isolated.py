@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import os
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
@@ -49,6 +50,15 @@ def test_good_agents_finish_alongside_hostile_ones(hostile_race):
     assert [rows[name].status for name in ("Plain", "Alpha")] == ["finished", "finished"]
     assert not rows["Plain"].num_errors
     assert not rows["Alpha"].num_errors
+
+
+def test_a_default_timeout_of_the_programs_sockets_does_not_reach_agents():
+    socket.setdefaulttimeout(20.0)
+    try:
+        (row,) = race(str(AGENTS / "plain"), max_steps=5).agents
+    finally:
+        socket.setdefaulttimeout(None)
+    assert not row.num_errors
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import textwrap
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stkzoo.engine import fork_client
+from stkzoo.engine import fork_client, wire
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
@@ -58,6 +59,98 @@ def session(root):
 
 def test_a_session_repeats_its_first_race(session):
     assert trajectory(session) == trajectory(session)
+
+
+@pytest.fixture
+def default_timeout():
+    """Gives new sockets of the test a timeout, as programs with network connections do."""
+    socket.setdefaulttimeout(20.0)
+    yield
+    socket.setdefaulttimeout(None)
+
+
+@pytest.mark.usefixtures("default_timeout")
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_default_timeout_of_sockets_does_not_reach_the_game(root, monkeypatch, method):
+    monkeypatch.setenv("STKZOO_START_METHOD", method)
+    with contextlib.closing(WorkerSession(root)) as session:
+        session.start(SETUP)
+        drive_on(session, steps=2)
+
+
+def test_races_end_alone_in_a_program_that_ignores_its_children(root):
+    code = f"""
+        import os, signal
+        from pathlib import Path
+        import numpy as np
+        from stkzoo.engine.session import WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        from stkzoo.errors import EngineCrashed
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        setup = RaceSetup("olivermath", (KartSetup(is_bot=False),))
+        controls = np.zeros((1, 7), np.float32)
+        first, second = (WorkerSession(Path({str(root)!r})) for _ in range(2))
+        first.start(setup)
+        for end in (signal.SIGKILL, 0):
+            second.start(setup)
+            os.kill(second.pid, end)
+            try:
+                second.step(controls)
+            except EngineCrashed as error:
+                print("SIGKILL" in str(error))
+            second.close()
+        print(first.step(controls).phase)
+    """
+    assert run_program(code).stdout.split() == ["True", "0"]
+
+
+@pytest.mark.parametrize("kind", [wire.END, wire.DROP], ids=["end", "drop"])
+def test_a_fork_server_survives_requests_to_end_a_process_that_is_gone(root, session, kind):
+    session.start(SETUP)
+    gone = 2**30  # more than any process id
+    fork_server = fork_client.start_fork_server(root)
+    if kind == wire.END:
+        assert fork_server.end_child(gone) is None
+    else:
+        wire.send(fork_server._control, kind, str(gone).encode())
+    drive_on(session, steps=1)
+    session.start(SETUP)
+    assert fork_client.start_fork_server(root) is fork_server
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_the_engine_imports_modules_from_the_programs_search_path(root, tmp_path, method):
+    (tmp_path / "pystk2.py").write_text("raise ImportError('the engine of this folder')")
+    code = f"""
+        import sys
+        sys.path.insert(0, {str(tmp_path)!r})
+        from pathlib import Path
+        from stkzoo.engine.session import WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        from stkzoo.errors import EngineCrashed
+        try:
+            WorkerSession(Path({str(root)!r})).start(RaceSetup("olivermath", (KartSetup(),)))
+        except EngineCrashed as error:
+            print(error.log)
+    """
+    program = run_program(code, env={**os.environ, "STKZOO_START_METHOD": method})
+    assert "the engine of this folder" in program.stdout
+
+
+def test_the_engine_imports_nothing_from_the_current_folder_of_a_notebook(root, tmp_path):
+    (tmp_path / "socket.py").write_text("raise ImportError('a file of an agent')")
+    code = f"""
+        import sys
+        sys.path.remove("")
+        from pathlib import Path
+        from stkzoo.engine.session import WorkerSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        sys.path.insert(0, "")  # as a notebook does after its imports
+        session = WorkerSession(Path({str(root)!r}))
+        print(session.start(RaceSetup("olivermath", (KartSetup(),))).snapshot.phase)
+    """
+    program = run_program(code, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert program.stdout == "0\n", program.stderr
 
 
 def personality_of(pid):
@@ -340,6 +433,22 @@ def test_a_second_race_in_this_process_is_refused_while_the_first_runs(root):
         print(second.start(setup).snapshot.phase)
     """
     assert run_program(code).stdout.split() == ["ApiOrderError", "True", "0"]
+
+
+def test_restarts_in_this_process_leave_no_open_file_and_no_folder(root, tmp_path):
+    code = f"""
+        import os
+        from pathlib import Path
+        from stkzoo.engine.session import LocalSession
+        from stkzoo.engine.setup import KartSetup, RaceSetup
+        session = LocalSession(Path({str(root)!r}))
+        for _ in range(3):
+            session.start(RaceSetup("olivermath", (KartSetup(is_bot=False),)))
+            homes = list(Path({str(tmp_path)!r}).glob("*"))
+            print(len(os.listdir("/proc/self/fd")), len(homes))
+    """
+    lines = run_program(code, env={**os.environ, "TMPDIR": str(tmp_path)}).stdout.splitlines()
+    assert lines == [lines[0]] * 3
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import threading
 
 import pytest
@@ -30,6 +31,16 @@ def test_a_message_is_received_whole(ends, delay):
     sending = after(delay, wire.send, theirs, wire.OK, *frames)
     assert wire.receive(ours) == (wire.OK, frames)
     sending.join()
+
+
+def test_a_new_connection_blocks_whatever_the_default_timeout():
+    socket.setdefaulttimeout(5.0)
+    try:
+        ends = wire.pair()
+    finally:
+        socket.setdefaulttimeout(None)
+    with ends[0], ends[1]:
+        assert all(os.get_blocking(end.fileno()) for end in ends)
 
 
 def test_a_closed_connection_is_detected(ends):

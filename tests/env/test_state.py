@@ -1,5 +1,6 @@
 """States of races are saved, restored and cloned bit for bit, and leave no processes behind."""
 
+import contextlib
 import gc
 import os
 import pickle
@@ -487,6 +488,64 @@ def test_a_killed_state_is_an_error_and_the_race_continues(env):
     with pytest.raises(EngineCrashed, match=r"saved state \(olivermath\) .*SIGKILL.*save another"):
         env.restore_state(state)
     assert drive(env) == expected
+
+
+def restore(env, state):
+    env.restore_state(state)
+
+
+def follow(env, state):
+    with make(agents=2) as other:
+        other.restore_state(state)
+        env.follow(other)
+
+
+def reset(env, state):
+    env.reset(options={"state": state})
+
+
+@pytest.mark.parametrize(
+    ("go_on", "place"),
+    [(restore, "_go_on_from"), (follow, "_go_on_from"), (reset, "_from_state")],
+    ids=["restore", "follow", "reset"],
+)
+def test_only_a_reset_goes_on_after_an_interrupt_between_two_moments(
+    env, monkeypatch, go_on, place
+):
+    state = started(env).save_state()
+    expected = drive(env)
+    whole = getattr(env, place)
+
+    def interrupted(*arguments):
+        whole(*arguments)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(env, place, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            go_on(env, state)
+    assert not env.agents
+    with pytest.raises(ApiOrderError, match="call reset"):
+        env.step({})
+    assert drive(started(env)) == expected
+
+
+def test_a_gymnasium_environment_needs_a_reset_after_an_interrupted_restore(monkeypatch):
+    with contextlib.closing(
+        gym.make("supertuxkart/simple-v0", track="olivermath").unwrapped
+    ) as env:
+        env.reset(seed=1)
+        state = env.save_state()
+        env.step(env.action_space.sample())
+
+        def interrupt(_):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(env, "_recall", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            env.restore_state(state)
+        with pytest.raises(ApiOrderError, match="call reset"):
+            env.step(env.action_space.sample())
 
 
 def test_a_stopped_state_times_out_and_is_ended():
