@@ -1,4 +1,4 @@
-"""Interfaces to the operating system: cores, display, files, zips, locks and addresses."""
+"""Interfaces to the operating system: cores, display, files, zips and addresses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ __all__ = [
     "make_folder",
     "max_descriptors",
     "network_of",
-    "try_lock",
     "using_folder",
     "write_text",
     "write_whole",
@@ -228,26 +227,6 @@ def write_zip(path: Path, members: Mapping[str, bytes]) -> None:
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, data)
-
-
-def try_lock(descriptor: int) -> bool:
-    """Locks an open file for this process, without waiting.
-
-    The system releases the lock when the process ends, even after a crash. On systems without
-    ``flock``, this does nothing and returns ``True``.
-
-    Args:
-        descriptor: descriptor of the file.
-
-    Returns:
-        Whether the file is locked; ``False`` if another process has locked it.
-    """
-    if fcntl is not None:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return False
-    return True
 
 
 def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:

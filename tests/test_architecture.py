@@ -29,6 +29,7 @@ LAYERS = [
             "stkzoo._arguments",
             "stkzoo._installation",
             "stkzoo._lazy",
+            "stkzoo._locks",
             "stkzoo._logs",
             "stkzoo._os",
             "stkzoo._python",
