@@ -53,7 +53,7 @@ from .common.matches import (
     random_driver,
     rate_orders,
 )
-from .common.run_folder import read_json_lines, read_run_file, run_parameters, write_json
+from .common.run_folder import continue_json_lines, read_run_file, run_parameters, write_json
 from .plot import rating_figure
 
 #: Names of the initial policy of runs, and of a policy with random choices.
@@ -185,7 +185,7 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
     make_folder(folder, "rating")
     file = folder / _MATCHES
-    records = read_json_lines(file, MatchRecord)
+    records = continue_json_lines(file, MatchRecord)
     if unknown := {name for r in records for name in r.order} - {*names, AI}:
         raise ConfigError(f"{file} has matches of {min(unknown)[:60]!r}; give another --output")
     while len(records) < wanted:

@@ -40,7 +40,7 @@ from stkzoo.tracks import TRAIN_TRACKS
 from .common.arguments import QUICK_TRACKS, RunArguments
 from .common.command import limit_threads, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
-from .common.run_folder import LOG, read_json_lines, write_json
+from .common.run_folder import LOG, continue_json_lines, write_json
 
 #: The tuned parameters and their bounds.
 BOUNDS: dict[str, tuple[float, float]] = {
@@ -179,7 +179,7 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     strategy = cma.CMAEvolutionStrategy(
         present, arguments.sigma, {"bounds": [0.0, 1.0], "verbose": -9, **settings}
     )
-    log = read_json_lines(folder / LOG, Generation)
+    log = continue_json_lines(folder / LOG, Generation)
     for past in log:
         if {len(past.asked), len(past.told)} != {len(strategy.ask())}:
             raise ConfigError(f"{folder / LOG} has another population; give another --output")
