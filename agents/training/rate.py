@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo._arguments import option, positional
-from stkzoo._os import make_folder
+from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Positive
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -183,7 +183,6 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
     names = sorted(drivers)
     if len(names) < SEATS:
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
-    make_folder(folder, "rating")
     file = folder / _MATCHES
     records = continue_json_lines(file, MatchRecord)
     if unknown := {name for r in records for name in r.order} - {*names, AI}:
@@ -370,7 +369,8 @@ def main(words: list[str] | None = None) -> int:
 def _run(options: RatingOptions) -> None:
     limit_threads()
     if options.output:
-        _rate_runs(options.runs, options.output, options.matches or 200, options.every)
+        with locked_folder(options.output, "rating"):
+            _rate_runs(options.runs, options.output, options.matches or 200, options.every)
         return
     if hasattr(os, "nice"):
         os.nice(5)  # yields to the training process

@@ -30,7 +30,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from stkzoo._arguments import option
-from stkzoo._os import make_folder
+from stkzoo._locks import locked_folder
 from stkzoo._schema import Within
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -168,12 +168,16 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     """Starts or continues a search.
 
     Raises:
-        ConfigError: a library is missing.
+        ConfigError: a library is missing, or another program uses the folder.
     """
     cma = training_library("cma")
     limit_threads()
-    folder, read = options.output, partial(from_unit, learned_motion=arguments.learned_motion)
-    make_folder(folder, "search")
+    with locked_folder(options.output, "search"):
+        _search(options.output, arguments, cma)
+
+
+def _search(folder: Path, arguments: TuningArguments, cma: Any) -> None:
+    read = partial(from_unit, learned_motion=arguments.learned_motion)
     present = to_unit(DriverParameters())
     settings = {"popsize": arguments.population, "seed": arguments.seed + 1}
     strategy = cma.CMAEvolutionStrategy(

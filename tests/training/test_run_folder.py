@@ -1,16 +1,20 @@
-"""The files of a run can be continued after crashes."""
+"""The files of a run can be continued after crashes, and belong to one program at a time."""
 
+import importlib
 import json
+import sys
 from dataclasses import dataclass
 
 import pytest
 
+from stkzoo._locks import locked_folder
 from stkzoo.agents.training.common.run_folder import (
     LOG,
     TrainingLog,
     continue_json_lines,
     read_log,
 )
+from stkzoo.agents.training.suite import ippo
 from stkzoo.errors import ConfigError
 
 
@@ -55,3 +59,34 @@ def test_figures_that_are_not_finite_are_logged_as_null(tmp_path):
         log.write({"iteration": 1, "kart_steps": 10, "kl": float("nan"), "loss": float("-inf")})
     with TrainingLog(tmp_path, 1) as log:
         assert log.last == {"iteration": 1, "kart_steps": 10, "kl": None, "loss": None}
+
+
+#: Training commands, with the options that they require.
+COMMANDS = {
+    "ppo.selfplay": ["--total-timesteps=1"],
+    "league.league": [],
+    "sb3.selfplay": [],
+    "rllib.selfplay": [],
+    "imitation.imitate": [],
+    "imitation.distill": [],
+    "tune_plans": [],
+    "rate": ["another-run"],
+}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_two_programs_cannot_train_in_one_folder(name, tmp_path, capsys):
+    if name.startswith("rllib"):
+        pytest.importorskip("ray.rllib")
+    command = importlib.import_module(f"stkzoo.agents.training.{name}")
+    with locked_folder(tmp_path, "run"):
+        assert command.main([f"--output={tmp_path}", *COMMANDS[name]]) == 1
+    assert "another program works on" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["lock"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
+def test_two_programs_cannot_train_a_reference_algorithm_in_one_folder(tmp_path):
+    with locked_folder(tmp_path, "run"), pytest.raises(ConfigError, match="another program works"):
+        ippo.run(tmp_path, "solo-1", 1, 0)
