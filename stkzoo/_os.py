@@ -1,4 +1,4 @@
-"""Interfaces to the operating system: cores, display, files, zips, locks and addresses."""
+"""Interfaces to the operating system: cores, display, files, zips and addresses."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import errno
 import hashlib
 import ipaddress
 import os
+import secrets
+import stat
 import sys
-import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -37,7 +38,6 @@ __all__ = [
     "make_folder",
     "max_descriptors",
     "network_of",
-    "try_lock",
     "using_folder",
     "write_text",
     "write_whole",
@@ -101,7 +101,7 @@ def check_writable(path: str | os.PathLike[str], noun: str) -> Path:
             writable.
     """
     file = Path(path)
-    folder = file.absolute().parent
+    folder = _target_of(file).parent
     if file.exists() and not file.is_file():
         remedy = "it is not a regular file; choose another name"
     elif not folder.is_dir():
@@ -152,10 +152,10 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     The temporary file is flushed to the disk before the replacement. After a crash of the program
     or the machine, ``path`` has either the new or the old content, never a part of it. After an
-    error in the block, the temporary file is removed.
+    error in the block, the temporary file is removed. An existing file keeps its permissions.
 
     Args:
-        path: the file.
+        path: the file. If it is a link, the file that it names is replaced.
 
     Raises:
         OSError: the file cannot be written, or ``path`` is a device, a pipe or a folder.
@@ -163,18 +163,20 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     file = Path(path)
     if file.exists() and not file.is_file():  # replacing a device would destroy it
         raise FileExistsError(errno.EEXIST, "it exists and is not a regular file", str(file))
-    folder = file.absolute().parent
+    target = _target_of(file)
+    folder, part = target.parent, target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{file.name}.", suffix=".part", dir=folder)
+        mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
+        given = 0o666 if mode is None else mode & 0o666 | 0o600  # the system applies the umask
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, given))
     except OSError as error:  # without the temporary name, which means nothing to users
         raise OSError(error.errno, error.strerror) from error
-    os.close(handle)
-    part = Path(name)
     try:
         yield part
-        part.chmod(0o644)
         _flush(part)
-        part.replace(file)
+        if mode is not None:
+            part.chmod(mode)
+        part.replace(target)
     except BaseException:
         with contextlib.suppress(OSError):
             part.unlink()
@@ -230,26 +232,6 @@ def write_zip(path: Path, members: Mapping[str, bytes]) -> None:
             archive.writestr(entry, data)
 
 
-def try_lock(descriptor: int) -> bool:
-    """Locks an open file for this process, without waiting.
-
-    The system releases the lock when the process ends, even after a crash. On systems without
-    ``flock``, this does nothing and returns ``True``.
-
-    Args:
-        descriptor: descriptor of the file.
-
-    Returns:
-        Whether the file is locked; ``False`` if another process has locked it.
-    """
-    if fcntl is not None:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return False
-    return True
-
-
 def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:
     """Returns the digest of a file's content as hexadecimal digits.
 
@@ -261,6 +243,11 @@ def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:
         while block := stream.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def _target_of(file: Path) -> Path:
+    """Returns the absolute path of a file, or of the file that a link names."""
+    return Path(os.path.realpath(file)) if file.is_symlink() else file.absolute()
 
 
 def _flush(path: Path) -> None:

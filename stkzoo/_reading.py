@@ -252,6 +252,9 @@ def load_json(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> Any:
 def read_lines(path: str | os.PathLike[str], max_bytes: int = 64 << 20) -> Iterator[Any]:
     """Yields the value of each line of a file of JSON lines.
 
+    A last line that is the start of an object is left out: a power failure or a full disk can
+    leave such a line.
+
     Args:
         path: the file.
         max_bytes: maximum size [bytes].
@@ -263,14 +266,19 @@ def read_lines(path: str | os.PathLike[str], max_bytes: int = 64 << 20) -> Itera
     _checked_size(Path(path), max_bytes)
     with Path(path).open("rb") as stream:
         for number, line in enumerate(iter(lambda: stream.readline(MAX_BYTES + 1), b""), 1):
-            yield _line(line, number)
+            try:
+                value = read_json(line)
+            except Unreadable as error:
+                if len(line) <= MAX_BYTES and _is_incomplete(line):
+                    return
+                raise Unreadable(f"in line {number}: {error}") from None
+            yield value
 
 
-def _line(line: bytes, number: int) -> Any:
-    try:
-        return read_json(line)
-    except Unreadable as error:
-        raise Unreadable(f"in line {number}: {error}") from None
+def _is_incomplete(line: bytes) -> bool:
+    """Returns whether a line is the start of an object, perhaps padded with zeros."""
+    rest = line.rstrip(b"\0")
+    return not rest or (rest.startswith(b"{") and not rest.endswith((b"}", b"\n")))
 
 
 # ---------------------------------------------------------------------- zips and arrays

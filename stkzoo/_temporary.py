@@ -10,12 +10,8 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from stkzoo._os import OwnDescriptor, try_lock
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
+from stkzoo._locks import try_lock
+from stkzoo._os import OwnDescriptor
 
 __all__ = ["LockedTemporaryDirectory", "remove_stale_directories", "remove_tree"]
 
@@ -42,7 +38,7 @@ class LockedTemporaryDirectory:
         is_locked = False
         while not is_locked:  # another program can remove the directory before it is locked
             self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
-            is_locked = fcntl is None or self._acquire()
+            is_locked = sys.platform == "win32" or self._acquire()
 
     def __enter__(self) -> LockedTemporaryDirectory:
         return self
@@ -62,10 +58,9 @@ class LockedTemporaryDirectory:
             lock.close()
 
     def _acquire(self) -> bool:
-        with suppress(FileNotFoundError, BlockingIOError):
+        with suppress(FileNotFoundError):
             self._lock = OwnDescriptor(os.open(self.path, os.O_RDONLY))
-            fcntl.flock(self._lock.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-            if self.path.exists():
+            if try_lock(self._lock.fileno(), shared=True) and self.path.exists():
                 return True
         self.release()
         return False
@@ -73,7 +68,7 @@ class LockedTemporaryDirectory:
 
 def remove_stale_directories() -> None:
     """Removes the temporary directories of programs that were killed."""
-    if fcntl is None:
+    if sys.platform == "win32":  # no locks of folders
         return
     with suppress(OSError):
         for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
@@ -84,7 +79,8 @@ def remove_stale_directories() -> None:
 def _remove_if_unlocked(folder: Path) -> None:
     handle = _open_folder(folder)
     try:
-        if os.fstat(handle).st_uid == os.geteuid() and try_lock(handle):
+        is_own = os.fstat(handle).st_uid == os.geteuid()
+        if is_own and try_lock(handle, if_unsupported=False):  # without locks, it may be in use
             remove_tree(folder)
     finally:
         os.close(handle)

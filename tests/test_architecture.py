@@ -29,6 +29,7 @@ LAYERS = [
             "stkzoo._arguments",
             "stkzoo._installation",
             "stkzoo._lazy",
+            "stkzoo._locks",
             "stkzoo._logs",
             "stkzoo._os",
             "stkzoo._python",
@@ -74,6 +75,7 @@ LAYERS = [
 #: Modules with names that agents import although no package exports them, and the reason.
 NOT_EXPORTED = {
     "stkzoo._arguments": "training declares its options in the same way as the commands",
+    "stkzoo._locks": "training locks the folders of its runs, as batches do",
     "stkzoo._os": "training writes its files whole, as the rest of the package does",
     "stkzoo._reading": "training reads its files in bounds, as the rest of the package does",
     "stkzoo._schema": "training declares the bounds of its files in the same way",

@@ -46,7 +46,11 @@ DAMAGES = {
 }
 #: Combinations that are valid.
 VALID = {
-    *((name, "empty") for name in LINES),
+    *(
+        (name, damage)
+        for name in LINES
+        for damage in ("empty", "truncated", "objects 100,000 deep")
+    ),
     *((name, "an empty object") for name in ("tuned plans", "arguments")),
 }
 

@@ -104,6 +104,12 @@ def test_a_damaged_line_is_reported_with_its_number(tmp_path):
         next(lines)
 
 
+@pytest.mark.parametrize("rest", [b'{"a": 2, "b', b"{", b"\0\0\0", b'{"a": "\xc3'])
+def test_an_incomplete_last_line_is_left_out(rest, tmp_path):
+    (tmp_path / "log").write_bytes(b'{"a": 1}\n' + rest)
+    assert list(read_lines(tmp_path / "log")) == [{"a": 1}]
+
+
 # ---------------------------------------------------------------------- zips
 
 

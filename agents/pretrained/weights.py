@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import safetensors.numpy
@@ -18,16 +17,21 @@ from stkzoo.errors import ConfigError
 _MOST_BYTES = 1 << 26
 
 
-def digest_of(path: str | os.PathLike[str]) -> str:
-    """Returns the SHA-256 of a file in hexadecimal."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+def digest_of(content: bytes) -> str:
+    """Returns the SHA-256 of a file's content in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def packed_weights(weights: Mapping[str, FloatArray]) -> bytes:
+    """Returns the content of a file of float32 arrays."""
+    arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in weights.items()}
+    return safetensors.numpy.save(arrays)
 
 
 def save_weights(path: str | os.PathLike[str], weights: Mapping[str, FloatArray]) -> None:
     """Writes float32 arrays to a file atomically."""
-    arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in weights.items()}
     with atomic_write(path) as part:
-        part.write_bytes(safetensors.numpy.save(arrays))
+        part.write_bytes(packed_weights(weights))
 
 
 def load_weights(path: str | os.PathLike[str], digest: str | None = None) -> dict[str, FloatArray]:
@@ -42,7 +46,7 @@ def load_weights(path: str | os.PathLike[str], digest: str | None = None) -> dic
     """
     with reading(f"the weights {str(path)!r} cannot be read", "a safetensors file of an agent"):
         data = read_file(path, _MOST_BYTES)
-    found = hashlib.sha256(data).hexdigest()
+    found = digest_of(data)
     if digest is not None and found != digest:
         raise ConfigError(
             f"the weights {str(path)!r} are not those of the card: their SHA-256 is {found}, "

@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 import stkzoo
 from stkzoo._arguments import option, positional
-from stkzoo._os import make_folder, write_text
+from stkzoo._os import PART_FILES, make_folder, write_text
 from stkzoo._reading import load_json, reading
 from stkzoo._schema import Count, typed
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -40,7 +40,12 @@ from stkzoo.agents.pretrained.ensemble import (
 )
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import check_shapes
-from stkzoo.agents.pretrained.weights import digest_of, load_weights, save_weights
+from stkzoo.agents.pretrained.weights import (
+    digest_of,
+    load_weights,
+    packed_weights,
+    save_weights,
+)
 from stkzoo.errors import ConfigError
 
 from .common.command import run_command
@@ -132,21 +137,27 @@ def export_policy(
     target = Path(folder)
     arrays, view, rules = _agent_of(sources, ensemble_weight, plans)
     make_folder(target, "agent")
-    if any(target.iterdir()) and not (target / CARD).exists():
-        raise ConfigError(f"{str(target)!r} is not the folder of an agent; give another --output")
-    save_weights(target / WEIGHTS, arrays)
+    files = [path for path in target.iterdir() if not path.match(PART_FILES)]
+    if files and not (target / CARD).exists():
+        raise ConfigError(
+            f"{str(target)!r} is not the folder of an agent; move its files away, or give another "
+            "--output"
+        )
+    content = packed_weights(arrays)
     facts: dict[str, Any] = {
         "name": name,
-        "sha256": digest_of(target / WEIGHTS),
-        "size": (target / WEIGHTS).stat().st_size,
+        "sha256": digest_of(content),
+        "size": len(content),
         "parameters": sum(array.size for array in arrays.values()),
         "runs": [run for source in sources for run in _runs_of(source)],
         "stkzoo": stkzoo.__version__,
         **rules,
     }
+    # The card is first: it marks the folder as an agent, even if this program is killed later.
+    write_json(target / CARD, facts)
+    save_weights(target / WEIGHTS, arrays)
     write_text(target / "__init__.py", _PACKAGE.format(name=name))
     write_text(target / "pystk_actor.py", _MODULE.format(name=name, view=view))
-    write_json(target / CARD, facts)
     if not (target / "CARD.md").exists():
         lines = "\n".join(map(_describe, facts["runs"]))
         card = _CARD.format(**{**facts, "weights": WEIGHTS, "runs": lines})

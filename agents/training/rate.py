@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo._arguments import option, positional
-from stkzoo._os import make_folder
+from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Positive
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -53,7 +53,7 @@ from .common.matches import (
     random_driver,
     rate_orders,
 )
-from .common.run_folder import read_json_lines, read_run_file, run_parameters, write_json
+from .common.run_folder import continue_json_lines, read_run_file, run_parameters, write_json
 from .plot import rating_figure
 
 #: Names of the initial policy of runs, and of a policy with random choices.
@@ -183,9 +183,8 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
     names = sorted(drivers)
     if len(names) < SEATS:
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
-    make_folder(folder, "rating")
     file = folder / _MATCHES
-    records = read_json_lines(file, MatchRecord)
+    records = continue_json_lines(file, MatchRecord)
     if unknown := {name for r in records for name in r.order} - {*names, AI}:
         raise ConfigError(f"{file} has matches of {min(unknown)[:60]!r}; give another --output")
     while len(records) < wanted:
@@ -370,7 +369,8 @@ def main(words: list[str] | None = None) -> int:
 def _run(options: RatingOptions) -> None:
     limit_threads()
     if options.output:
-        _rate_runs(options.runs, options.output, options.matches or 200, options.every)
+        with locked_folder(options.output, "rating"):
+            _rate_runs(options.runs, options.output, options.matches or 200, options.every)
         return
     if hasattr(os, "nice"):
         os.nice(5)  # yields to the training process

@@ -30,7 +30,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from stkzoo._arguments import option
-from stkzoo._os import make_folder
+from stkzoo._locks import locked_folder
 from stkzoo._schema import Within
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -40,7 +40,7 @@ from stkzoo.tracks import TRAIN_TRACKS
 from .common.arguments import QUICK_TRACKS, RunArguments
 from .common.command import limit_threads, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
-from .common.run_folder import LOG, read_json_lines, write_json
+from .common.run_folder import LOG, continue_json_lines, write_json
 
 #: The tuned parameters and their bounds.
 BOUNDS: dict[str, tuple[float, float]] = {
@@ -168,18 +168,22 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
     """Starts or continues a search.
 
     Raises:
-        ConfigError: a library is missing.
+        ConfigError: a library is missing, or another program uses the folder.
     """
     cma = training_library("cma")
     limit_threads()
-    folder, read = options.output, partial(from_unit, learned_motion=arguments.learned_motion)
-    make_folder(folder, "search")
+    with locked_folder(options.output, "search"):
+        _search(options.output, arguments, cma)
+
+
+def _search(folder: Path, arguments: TuningArguments, cma: Any) -> None:
+    read = partial(from_unit, learned_motion=arguments.learned_motion)
     present = to_unit(DriverParameters())
     settings = {"popsize": arguments.population, "seed": arguments.seed + 1}
     strategy = cma.CMAEvolutionStrategy(
         present, arguments.sigma, {"bounds": [0.0, 1.0], "verbose": -9, **settings}
     )
-    log = read_json_lines(folder / LOG, Generation)
+    log = continue_json_lines(folder / LOG, Generation)
     for past in log:
         if {len(past.asked), len(past.told)} != {len(strategy.ask())}:
             raise ConfigError(f"{folder / LOG} has another population; give another --output")

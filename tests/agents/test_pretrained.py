@@ -87,7 +87,9 @@ def test_an_agent_exported_with_old_names_races(quick_agent, name):
 
 def test_saved_weights_are_loaded_unchanged(tmp_path):
     save_weights(tmp_path / "w.safetensors", network())
-    found = load_weights(tmp_path / "w.safetensors", digest_of(tmp_path / "w.safetensors"))
+    found = load_weights(
+        tmp_path / "w.safetensors", digest_of((tmp_path / "w.safetensors").read_bytes())
+    )
     assert {name: array.tolist() for name, array in found.items()} == {
         name: array.tolist() for name, array in network().items()
     }
@@ -209,6 +211,22 @@ def test_exporting_does_not_overwrite_other_folders(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("step", ["write_json", "save_weights", "write_text"])
+def test_an_interrupted_export_can_be_repeated(step, agent, tmp_path, monkeypatch):
+    def interrupt(path, *_):
+        path.with_name(f".{path.name}.a1b2c3d4.part").touch()
+        raise KeyboardInterrupt
+
+    file, again = tmp_path / "policy-000000123.safetensors", tmp_path / "again"
+    with monkeypatch.context() as patched:
+        patched.setattr(f"stkzoo.agents.training.export.{step}", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            export_policy(file, "tiny", again)
+    export_policy(file, "tiny", again)
+    for name in ("card.json", "weights.safetensors", "pystk_actor.py", "__init__.py", "CARD.md"):
+        assert (again / name).read_bytes() == (agent / name).read_bytes()
+
+
 def test_an_exported_folder_races_like_any_agent(agent):
     result = run_race([str(agent), "ai"], track="olivermath", seed=1, max_steps=60)
     mine = next(row for row in result.agents if row.agent == "kart_0")

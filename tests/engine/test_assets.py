@@ -1,3 +1,4 @@
+import errno
 import hashlib
 import io
 import json
@@ -267,6 +268,15 @@ class TestFinding:
         (headless / MARKER).write_text("{")
         assert "damaged" in next(survey()).problem
 
+    @pytest.mark.usefixtures("cache")
+    def test_a_folder_that_this_user_cannot_search_is_reported(self, monkeypatch):
+        def refuse(path):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+        monkeypatch.setattr(Path, "is_dir", refuse)
+        with pytest.raises(AssetError, match=r"headless cannot be read \(Permission denied\)"):
+            find_assets()
+
 
 class TestInstalling:
     @pytest.mark.usefixtures("system")
@@ -360,6 +370,19 @@ class TestInstalling:
         write(cache / "full" / "thesis.txt")
         clean()
         assert visible(cache) == ["full", "thesis.txt"]
+
+    def test_data_whose_removal_was_interrupted_is_not_found(self, headless, monkeypatch):
+        def remove_marker(folder, **_):
+            for marker in folder.rglob(MARKER):
+                marker.unlink()
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patched:
+            patched.setattr("shutil.rmtree", remove_marker)
+            with pytest.raises(KeyboardInterrupt):
+                clean()
+        assert find_assets().source == "system"
+        assert pack() == headless
 
     @staticmethod
     def start_an_install(seconds):

@@ -436,7 +436,7 @@ def test_two_programs_cannot_run_the_same_tournament(tmp_path):
 
     def again(progress):
         if progress.done == 1:
-            with pytest.raises(ConfigError, match="another program runs the tournament"):
+            with pytest.raises(ConfigError, match="another program works on the tournament"):
                 run_tournament(THREE, output=folder, **SMALL)
             heard.append(progress)
 

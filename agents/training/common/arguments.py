@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import ClassVar
 
 from stkzoo._arguments import option
-from stkzoo.errors import check_whole
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 #: Title of a group of options.
@@ -36,7 +37,8 @@ class RunArguments:
         seed: seed of all random numbers.
 
     Raises:
-        ConfigError: an integer is below 1, or below 0 where 0 is allowed.
+        ConfigError: an integer is below 1, or below 0 where 0 is allowed; or a number is infinite
+            or NaN.
     """
 
     #: Integers that may be 0.
@@ -53,6 +55,10 @@ class RunArguments:
             if type(entry.default) is int:
                 least = int(entry.name not in self.may_be_zero)
                 check_whole(entry.name, getattr(self, entry.name), least)
+            if type(entry.default) is float and not math.isfinite(getattr(self, entry.name)):
+                raise ConfigError(
+                    f"{entry.name} is {getattr(self, entry.name)}, expected a finite number"
+                )
 
 
 @dataclass(frozen=True, slots=True)

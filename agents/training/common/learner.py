@@ -10,6 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -17,7 +18,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import make_folder
+from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Within
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
@@ -106,8 +107,8 @@ class OverlappedLearner(ABC):
         remedy: another remedy to suggest if the run had other arguments.
 
     Raises:
-        ConfigError: the folder cannot be created, or contains a run with other arguments; or an
-            argument is invalid.
+        ConfigError: the folder cannot be created, another program uses it, or it contains a run
+            with other arguments; or an argument is invalid.
     """
 
     remedy: ClassVar[str] = ""
@@ -122,16 +123,19 @@ class OverlappedLearner(ABC):
         may_change: bool = False,
     ) -> None:
         self.folder, self.arguments = Path(folder), arguments
-        make_folder(self.folder, "run")
-        self._network = self._new_network()
-        self.kart_steps = self.iteration = 0
-        self._recent: deque[Any] = deque(maxlen=_RECENT)
-        self._history: list[dict[str, Any]] = [self._chapter()]
-        if checkpoint := load_checkpoint(self.folder, facts):
-            self._restore(*checkpoint, may_change)
-        write_json(self.folder / ARGUMENTS, self._history)
-        self._actors, self._rollouts = self._start_actors()
-        self.begin_races()
+        with ExitStack() as resources:
+            resources.enter_context(locked_folder(self.folder, "run"))
+            self._network = self._new_network()
+            self.kart_steps = self.iteration = 0
+            self._recent: deque[Any] = deque(maxlen=_RECENT)
+            self._history: list[dict[str, Any]] = [self._chapter()]
+            if checkpoint := load_checkpoint(self.folder, facts):
+                self._restore(*checkpoint, may_change)
+            write_json(self.folder / ARGUMENTS, self._history)
+            self._actors, self._rollouts = self._start_actors()
+            resources.callback(self._actors.close)
+            self.begin_races()
+            self._resources = resources.pop_all()
 
     @abstractmethod
     def _new_network(self) -> LearningNetwork:
@@ -250,8 +254,8 @@ class OverlappedLearner(ABC):
         }
 
     def close(self) -> None:
-        """Ends all races."""
-        self._actors.close()
+        """Ends all races, and unlocks the folder."""
+        self._resources.close()
 
     def _chapter(self, kart_steps: int = 0) -> dict[str, Any]:
         """Returns the arguments that apply from a number of kart-steps on."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
@@ -204,6 +205,8 @@ def reading_checkpoint(folder: Path) -> AbstractContextManager[None]:
 def read_json_lines(file: Path, kind: type[T]) -> list[T]:
     """Returns the lines of a JSON lines file; empty if the file does not exist.
 
+    An incomplete last line is left out.
+
     Args:
         file: the file.
         kind: type of a line; see :func:`stkzoo._schema.typed`.
@@ -215,6 +218,31 @@ def read_json_lines(file: Path, kind: type[T]) -> list[T]:
         return []
     with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
         return [typed(kind, line) for line in read_lines(file, _MAX_BYTES)]
+
+
+def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
+    """Returns the lines of a JSON lines file to which a continued run appends.
+
+    An incomplete last line is removed from the file, so that the next line does not continue it.
+    See :func:`read_json_lines` for the arguments and errors.
+    """
+    lines = read_json_lines(file, kind)
+    if file.exists():
+        _write_lines(file, read_json_lines(file, dict[str, Any]))
+    return lines
+
+
+def _write_lines(file: Path, lines: Sequence[Mapping[str, Any]]) -> None:
+    write_text(file, "".join(map(_json_line, lines)))
+
+
+def _json_line(line: Mapping[str, Any]) -> str:
+    """Returns a line of a log. JSON has no infinite numbers and no NaN; they become null."""
+    finite = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in line.items()
+    }
+    return json.dumps(finite) + "\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +276,7 @@ def require_log(folder: str | Path) -> list[dict[str, Any]]:
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
     """Writes the whole log of a run atomically."""
-    write_text(folder / LOG, "".join(json.dumps(dict(line)) + "\n" for line in log))
+    _write_lines(folder / LOG, log)
 
 
 class TrainingLog:
@@ -288,7 +316,7 @@ class TrainingLog:
         TensorBoard gets all figures except those that are ``None``.
         """
         with self._file.open("a") as log:
-            log.write(json.dumps(dict(line)) + "\n")
+            log.write(_json_line(line))
         for name, value in line.items():
             if value is not None:
                 self.add(name, value, int(line["kart_steps"]))

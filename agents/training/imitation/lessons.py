@@ -17,6 +17,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._locks import locked_folder
 from stkzoo._os import atomic_write
 from stkzoo._reading import Unreadable, read_arrays, reading
 from stkzoo._schema import Count, typed
@@ -238,7 +239,7 @@ def show_rounds(
         arguments: arguments of the run.
     """
     folder, stages = options.output, list[str]()
-    with ProgressBar(1, unit="done") as bar:
+    with locked_folder(folder, "run"), ProgressBar(1, unit="done") as bar:
 
         def report(stage: str, done: int, total: int) -> None:
             if not bar.is_shown and stage not in stages:

@@ -30,6 +30,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from stkzoo._arguments import option
+from stkzoo._locks import locked_folder
 from stkzoo._os import using_folder, write_text
 from stkzoo._schema import Count, Matching, Within, typed
 from stkzoo.agents.pretrained.policy import RacingPolicy, check_shapes
@@ -360,15 +361,17 @@ def play(options: LeagueOptions, arguments: LeagueArguments) -> None:
     """Starts or continues a league.
 
     Raises:
-        ConfigError: see :class:`League`.
+        ConfigError: see :class:`League`; or another program uses the folder.
     """
-    league, total = League(options.output, arguments), options.total_timesteps
-    with ProgressBar(total, league.kart_steps) as bar:
-        while league.kart_steps < total:
-            begin, before = time.perf_counter(), league.kart_steps
-            name = league.play_turn(functools.partial(_show, bar))
-            speed = (league.kart_steps - before) / (time.perf_counter() - begin)
-            print(f"{league.kart_steps:>10,}  {name}  {speed:.0f} kart-steps/s", flush=True)
+    total = options.total_timesteps
+    with locked_folder(options.output, "league"):
+        league = League(options.output, arguments)
+        with ProgressBar(total, league.kart_steps) as bar:
+            while league.kart_steps < total:
+                begin, before = time.perf_counter(), league.kart_steps
+                name = league.play_turn(functools.partial(_show, bar))
+                speed = (league.kart_steps - before) / (time.perf_counter() - begin)
+                print(f"{league.kart_steps:>10,}  {name}  {speed:.0f} kart-steps/s", flush=True)
     print("\n".join(league.table()))
     print(league.page)
 

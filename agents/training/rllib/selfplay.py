@@ -32,6 +32,7 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._locks import locked_folder
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import import_extra
 
@@ -114,29 +115,31 @@ def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
         arguments: arguments of the run.
 
     Raises:
-        ConfigError: Ray is not installed, or the folder contains another run.
+        ConfigError: Ray is not installed, or the folder contains another run or is used by another
+            program.
         AssetError: the game's data is missing on this machine.
     """
     folder = options.output
     ray = _ray()
-    keep_arguments(folder, arguments, _FREE)
-    ensure_assets(arguments.pack)
-    ray.init(
-        address=arguments.address or "local",
-        ignore_reinit_error=True,
-        log_to_driver=False,
-        include_dashboard=False,
-    )
-    sender = PackSender.start(arguments.pack)
-    algorithm = None
-    try:
-        algorithm = _algorithm(arguments, folder)
-        _iterations(algorithm, arguments, folder)
-    finally:
-        if algorithm is not None:
-            algorithm.stop()
-        ray.kill(sender)
-        ray.shutdown()
+    with locked_folder(folder, "run"):
+        keep_arguments(folder, arguments, _FREE)
+        ensure_assets(arguments.pack)
+        ray.init(
+            address=arguments.address or "local",
+            ignore_reinit_error=True,
+            log_to_driver=False,
+            include_dashboard=False,
+        )
+        sender = PackSender.start(arguments.pack)
+        algorithm = None
+        try:
+            algorithm = _algorithm(arguments, folder)
+            _iterations(algorithm, arguments, folder)
+        finally:
+            if algorithm is not None:
+                algorithm.stop()
+            ray.kill(sender)
+            ray.shutdown()
     print(f"{folder / _POLICY} is the policy; the same command with more --iterations continues")
 
 

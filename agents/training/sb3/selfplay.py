@@ -34,7 +34,7 @@ import time
 import warnings
 from collections import deque
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -42,6 +42,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stkzoo._arguments import option
+from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, typed
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.evaluation import require_openskill
@@ -163,7 +164,7 @@ class SB3Run:
 
     Raises:
         ConfigError: a library is missing, an argument is invalid, or the folder contains another
-            run.
+            run or is used by another program.
     """
 
     def __init__(self, folder: str | Path, arguments: SB3Arguments) -> None:
@@ -171,28 +172,33 @@ class SB3Run:
         training_library("stable_baselines3", _EXTRAS)
         require_openskill()
         self.folder, self.arguments = Path(folder), arguments
-        remedy = " (with --init to start from this run's weights)"
-        keep_arguments(self.folder, arguments, remedy=remedy)
-        self.kart_steps = self.iteration = self.rounds = 0
-        self._curriculum = Curriculum(arguments.tracks, arguments.pass_at)
-        self._bots = RivalPool(4, [bot_name(difficulty) for difficulty in range(4)])
-        self._snapshots = RivalPool(arguments.pool_size)
-        self._recent: deque[Any] = deque(maxlen=_RECENT)
-        self._envs = self._make_races()
-        self._model = self._make_model()
-        self.evaluation = BackgroundEvaluation(
-            self.folder, arguments.evaluation_tracks, arguments.evaluation_races
-        )
-        if checkpoint := load_checkpoint(self.folder, SB3Facts):
-            with reading_checkpoint(self.folder):
-                self._restore(*checkpoint)
-        else:
-            if arguments.init:
-                weights = initial_weights(arguments.init, self._model.policy)
-                tensors = {n: self._torch.from_numpy(array) for n, array in weights.items()}
-                self._model.policy.load_state_dict(tensors)
-            self._keep()
-            self.save_checkpoint()
+        with ExitStack() as resources:
+            resources.enter_context(locked_folder(self.folder, "run"))
+            remedy = " (with --init to start from this run's weights)"
+            keep_arguments(self.folder, arguments, remedy=remedy)
+            self.kart_steps = self.iteration = self.rounds = 0
+            self._curriculum = Curriculum(arguments.tracks, arguments.pass_at)
+            self._bots = RivalPool(4, [bot_name(difficulty) for difficulty in range(4)])
+            self._snapshots = RivalPool(arguments.pool_size)
+            self._recent: deque[Any] = deque(maxlen=_RECENT)
+            self._envs = self._make_races()
+            resources.callback(self._envs.close)
+            self._model = self._make_model()
+            self.evaluation = BackgroundEvaluation(
+                self.folder, arguments.evaluation_tracks, arguments.evaluation_races
+            )
+            if checkpoint := load_checkpoint(self.folder, SB3Facts):
+                with reading_checkpoint(self.folder):
+                    self._restore(*checkpoint)
+            else:
+                if arguments.init:
+                    weights = initial_weights(arguments.init, self._model.policy)
+                    tensors = {n: self._torch.from_numpy(array) for n, array in weights.items()}
+                    self._model.policy.load_state_dict(tensors)
+                self._keep()
+                self.save_checkpoint()
+            resources.callback(self.evaluation.close)
+            self._resources = resources.pop_all()
 
     def play_round(self, report: Callable[[dict[str, float]], None]) -> None:
         """Trains for a round, saves the policy if it is due, and writes the checkpoint.
@@ -257,9 +263,8 @@ class SB3Run:
         return export_policy(file, f"selfplay_{self.kart_steps}", self.folder / "agent")
 
     def close(self) -> None:
-        """Ends all races."""
-        self.evaluation.close()
-        self._envs.close()
+        """Ends all races, and unlocks the folder."""
+        self._resources.close()
 
     # ------------------------------------------------------------------ parts
 

@@ -13,7 +13,7 @@ import platformdirs
 
 from stkzoo.engine.assets.overlay import SYSTEM_FOLDERS, system_overlay
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, Assets, load_assets
-from stkzoo.errors import AssetError
+from stkzoo.errors import AssetError, reason
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -95,6 +95,8 @@ def _look(source: str, path: Path, root_of: Callable[[Path], Path] = Path) -> Pl
         assets = load_assets(root_of(path), source) if is_named or path.is_dir() else None
     except AssetError as error:
         return PlaceReport(source, path, None, str(error))
+    except OSError as error:  # such as a home folder that this user cannot search
+        return PlaceReport(source, path, None, f"{path} cannot be read ({reason(error)}).")
     return PlaceReport(source, path, assets)
 
 

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from stkzoo._reading import is_there
 from stkzoo.engine.assets.fetch import fetch_debian, fetch_upstream
 from stkzoo.engine.assets.find import (
     DATADIR_VARIABLE,
@@ -18,7 +19,6 @@ from stkzoo.engine.assets.headless import build_headless, read_archive, write_ar
 from stkzoo.engine.assets.scenes import SCENES_VERSION
 from stkzoo.engine.assets.staging import (
     Progress,
-    discard,
     fresh_folder,
     lock,
     publish,
@@ -110,13 +110,14 @@ def clean(*, progress: Progress | None = None) -> list[Path]:
         AssetError: the cache is not writable.
     """
     cache = cache_folder()
-    if not cache.is_dir():
+    if not is_there(cache):
         return []
     with lock(cache, progress or Progress()):
         folders = map(own_folder, ("full", "headless", "system"))
         ours = [folder for folder in folders if (folder / MARKER).is_file()]
         for folder in ours:
-            discard(folder)
+            with fresh_folder(cache, "old") as old:  # a partly removed folder must not be found
+                folder.rename(old / "tree")
     return ours
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from stkzoo._os import try_lock
+from stkzoo._locks import try_lock
 from stkzoo.engine.assets.tree import MARKER
 from stkzoo.errors import AssetError
 

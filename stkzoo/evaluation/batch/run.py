@@ -7,13 +7,14 @@ place atomically, so a race is stored completely or not at all, even if the prog
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from stkzoo._os import PART_FILES, cpu_count, try_lock, using_folder, write_text
+from stkzoo._locks import locked_folder
+from stkzoo._os import cpu_count, make_folder, write_text
 from stkzoo.errors import ConfigError, StkzooError, check_number, check_whole
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, BatchPlan, Plan, Result
@@ -125,7 +126,8 @@ def run_batch(
     folder = Path(output)
     plan.require_libraries(options.plot)
     result = None
-    with _locked(folder, plan.noun):
+    with locked_folder(folder, plan.noun):
+        make_folder(folder / RACES, plan.noun)
         plan = _keep_plan(plan, folder)
         orders = plan.orders()
         results, errors = _run_orders(orders, folder, options)
@@ -186,28 +188,6 @@ def _run_orders(
                 last = results[number] = outcome.order.store(folder, outcome.result)
             report(BatchProgress(len(results), len(orders), last, outcome.error))
     return results, errors
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    """Opens a file; a pipe without a reader is an error."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
-
-
-@contextmanager
-def _locked(folder: Path, noun: str) -> Iterator[None]:
-    with using_folder(folder, noun):
-        (folder / RACES).mkdir(parents=True, exist_ok=True)
-        lock = open(folder / "lock", "a", opener=_open_without_waiting)  # noqa: SIM115
-    with lock:
-        if not try_lock(lock.fileno()):
-            raise ConfigError(
-                f"another program runs the {noun} in {folder}; wait until it ends, or choose "
-                "another folder"
-            )
-        for pattern in (PART_FILES, f"*/{PART_FILES}"):
-            for part in folder.glob(pattern):  # a killed program leaves incomplete files
-                part.unlink(missing_ok=True)
-        yield
 
 
 def _keep_plan(plan: Plan, folder: Path) -> Plan:

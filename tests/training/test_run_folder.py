@@ -1,0 +1,92 @@
+"""The files of a run can be continued after crashes, and belong to one program at a time."""
+
+import importlib
+import json
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+from stkzoo._locks import locked_folder
+from stkzoo.agents.training.common.run_folder import (
+    LOG,
+    TrainingLog,
+    continue_json_lines,
+    read_log,
+)
+from stkzoo.agents.training.suite import ippo
+from stkzoo.errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of a log."""
+
+    iteration: int
+
+
+def write_iterations(folder, count, rest=""):
+    lines = [json.dumps({"iteration": n, "kart_steps": 10 * n}) + "\n" for n in range(1, count + 1)]
+    (folder / LOG).write_text("".join(lines) + rest)
+
+
+def test_a_run_continues_after_an_incomplete_line_of_its_log(tmp_path):
+    write_iterations(tmp_path, 2, '{"iteration": 3, "kart')
+    with TrainingLog(tmp_path, 2) as log:
+        assert log.last["iteration"] == 2
+        log.write({"iteration": 3, "kart_steps": 30})
+    assert [line["iteration"] for line in read_log(tmp_path)] == [1, 2, 3]
+
+
+def test_a_damaged_line_within_a_log_is_reported(tmp_path):
+    write_iterations(tmp_path, 2, '{"iteration": 3, "kart\n')
+    with pytest.raises(ConfigError, match="in line 3: it is not JSON"):
+        TrainingLog(tmp_path, 2)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_lines_can_be_added_after_an_incomplete_one(count, tmp_path):
+    write_iterations(tmp_path, count, '{"iter')
+    before = continue_json_lines(tmp_path / LOG, Line)
+    with (tmp_path / LOG).open("a") as file:
+        file.write('{"iteration": 9}\n')
+    assert continue_json_lines(tmp_path / LOG, Line) == [*before, Line(9)]
+    assert [line.iteration for line in before] == list(range(1, count + 1))
+
+
+def test_figures_that_are_not_finite_are_logged_as_null(tmp_path):
+    with TrainingLog(tmp_path, 0) as log:
+        log.write({"iteration": 1, "kart_steps": 10, "kl": float("nan"), "loss": float("-inf")})
+    with TrainingLog(tmp_path, 1) as log:
+        assert log.last == {"iteration": 1, "kart_steps": 10, "kl": None, "loss": None}
+
+
+#: Training commands, with the options that they require.
+COMMANDS = {
+    "ppo.selfplay": ["--total-timesteps=1"],
+    "league.league": [],
+    "sb3.selfplay": [],
+    "rllib.selfplay": [],
+    "imitation.imitate": [],
+    "imitation.distill": [],
+    "tune_plans": [],
+    "rate": ["another-run"],
+}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_two_programs_cannot_train_in_one_folder(name, tmp_path, capsys):
+    if name.startswith("rllib"):
+        pytest.importorskip("ray.rllib")
+    command = importlib.import_module(f"stkzoo.agents.training.{name}")
+    with locked_folder(tmp_path, "run"):
+        assert command.main([f"--output={tmp_path}", *COMMANDS[name]]) == 1
+    assert "another program works on" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["lock"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
+def test_two_programs_cannot_train_a_reference_algorithm_in_one_folder(tmp_path):
+    with locked_folder(tmp_path, "run"), pytest.raises(ConfigError, match="another program works"):
+        ippo.run(tmp_path, "solo-1", 1, 0)
