@@ -8,7 +8,9 @@ import pytest
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.training.common.arguments import ScriptOptions
 from stkzoo.agents.training.common.command import run_command
-from stkzoo.agents.training.imitation.imitate import TeacherArguments, main, run
+from stkzoo.agents.training.common.network_policy import save_driver
+from stkzoo.agents.training.imitation import imitate
+from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run
 from stkzoo.agents.training.imitation.network import fit, make_network, mirrored
 from stkzoo.agents.training.plot import plot_runs
 from stkzoo.evaluation import record_demonstrations
@@ -99,6 +101,20 @@ def test_a_run_clones_drives_and_learns_from_the_teachers_labels(imitated):
     assert log[1]["examples"] > log[0]["examples"]
     assert all(0.5 < line["time_ratio"] <= 2.0 for line in log)
     assert [json.loads(text) for text in (folder / "log.jsonl").read_text().splitlines()] == log
+
+
+def test_the_clone_races_at_the_difficulty_of_its_reference(tmp_path, monkeypatch):
+    found = []
+
+    def run_briefly(*drivers, **options):
+        found.append(run_race(*drivers, **options | {"max_steps": 2}))
+        return found[-1]
+
+    monkeypatch.setattr(imitate, "run_race", run_briefly)
+    policy = tmp_path / "policy.safetensors"
+    save_driver(policy, make_network((4,), seed=0))
+    drive_race("pursuit", str(policy), 1, 3, "olivermath", 1)
+    assert [result.difficulty for result in found] == [3]
 
 
 @pytest.mark.slow
