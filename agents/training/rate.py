@@ -112,7 +112,7 @@ def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, Ma
     first = min(runs[0].glob(_KEPT))
     if is_network(load_weights(first)):
         return drivers | {START: match_driver(first)}
-    plans = plan_match_driver(RacingPolicy.of_plans_alone(), run_parameters(runs[0]))
+    plans = plan_match_driver(RacingPolicy.of_plans_alone(), run_parameters(first))
     return drivers | {START: plans}
 
 
