@@ -60,7 +60,8 @@ class SelfPlayArguments(OverlappedArguments):
         turn_hold: steps for which a steering offset holds; with 1, the policy chooses it in every
             step. None is as in plans.
         kl_coef: coefficient of the KL penalty toward the plans' prior.
-        learns: choices to train; the others stay those of the plans, or of --init.
+        learns: choices to train; the others stay those of the plans. With --init, the others change
+            too, because all choices of a policy share its hidden layers.
         place_reward: reward per place; the reward per meter is 0.05.
         init: policy file to start from; empty starts from the plans.
     """
