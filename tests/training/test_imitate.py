@@ -81,7 +81,7 @@ def test_an_example_is_held_out_in_all_rounds_or_in_none(tmp_path, monkeypatch):
         found.append(is_held_out)
         return fit(network, observations, actions, is_held_out, **how)
 
-    def drive(number, policy):
+    def drive(number, _):
         return lessons.Lesson(*examples(500 + number), (1.0,), 1)
 
     monkeypatch.setattr(lessons, "fit", record)

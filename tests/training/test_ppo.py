@@ -25,6 +25,7 @@ from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
+from tests.support.networks import small_network
 from tests.support.paths import ROOT
 from tests.support.training import run_and_kill, words_of
 
@@ -147,6 +148,16 @@ def test_unknown_choices_are_refused(tmp_path, names):
         PPOLearner(tmp_path, SelfPlayArguments(**SMALL | {"learns": names}))
 
 
+def test_weights_of_another_network_are_refused(tmp_path):
+    file = tmp_path / "network.safetensors"
+    save_weights(file, small_network())
+    with pytest.raises(ConfigError, match="or of something else"):
+        PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
+    save_weights(file, RacingPolicy.of_plans_alone().weights)
+    with pytest.raises(ConfigError, match="give --hidden 1 1"):
+        PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
+
+
 def test_a_fleet_starts_the_same_races_with_the_same_seed():
     """Earlier races of the fleet do not matter."""
     chance = np.random.default_rng(0)
@@ -262,6 +273,15 @@ def test_an_invalid_policy_is_refused(tmp_path, capsys):
     (tmp_path / "p.safetensors").write_bytes(b"nothing")
     assert evaluate_main([str(tmp_path / "p.safetensors")]) == 1
     assert "no safetensors file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [("--numbers=0", "numbers is 0"), ("--track=lighthous", "Did you mean 'lighthouse'")],
+)
+def test_invalid_arguments_of_a_comparison_are_reported(words, text, capsys):
+    assert evaluate_main(["prior", words]) == 1
+    assert text in capsys.readouterr().err
 
 
 def test_learning_curves_are_plotted(tmp_path):

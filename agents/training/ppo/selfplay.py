@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -65,6 +65,9 @@ class SelfPlayArguments(OverlappedArguments):
         place_reward: reward per place; the reward per meter is 0.05.
         init: policy file to start from; empty starts from the plans.
     """
+
+    coefficients: ClassVar[tuple[str, ...]] = ("ent_coef", "kl_coef", "place_reward")
+    num_layers: ClassVar[int | None] = 2
 
     gae_lambda: float = 0.85
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
