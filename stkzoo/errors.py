@@ -48,6 +48,7 @@ __all__ = [
     "StkzooError",
     "check_arguments",
     "check_flag",
+    "check_number",
     "check_whole",
     "import_extra",
     "unknown_name",

@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option, positional
+from stkzoo.errors import check_whole
 from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names
@@ -109,12 +110,18 @@ class EvaluationOptions:
         form: karts per race: P for the policy's, A for the game's AI's.
         numbers: races per track and direction.
         tracks: names of tracks or of splits, such as validation.
+
+    Raises:
+        ConfigError: numbers is below 1.
     """
 
     policies: tuple[str, ...] = positional()
     form: str = "PAAAA"
     numbers: int = 2
     tracks: tuple[str, ...] = option(("train",), flag="--track", metavar="TRACK")
+
+    def __post_init__(self) -> None:
+        check_whole("numbers", self.numbers, 1)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -126,8 +133,8 @@ def _evaluate(options: EvaluationOptions) -> None:
     form = BenchmarkForm.of(options.form)
     limit_threads()
     sources = [newest_policy(source) for source in options.policies]
-    drivers = [match_driver(source) for source in sources]
     tracks = track_names(options.tracks)
+    drivers = [match_driver(source) for source in sources]
     results = evaluate(drivers, tracks, options.numbers, karts=form.agents, bots=form.rivals)
     _report(sources, results)
 

@@ -52,6 +52,8 @@ from .common.command import run_command
 from .common.run_folder import (
     ARGUMENTS,
     LEAGUE,
+    chapters_of,
+    kart_steps_of,
     plan_parameters,
     read_run_file,
     run_parameters,
@@ -187,7 +189,7 @@ def _agent_of(
     if is_network(arrays):
         return _network(arrays, sources[0]), "racing", {}
     check_shapes(arrays, str(sources[0]))
-    return arrays, "full", {"rules": asdict(run_parameters(sources[0].parent))}
+    return arrays, "full", {"rules": asdict(run_parameters(sources[0]))}
 
 
 def _ensemble_of(sources: Sequence[Path], plans: str | Path) -> tuple[Arrays, DriverParameters]:
@@ -211,7 +213,7 @@ def _ensemble_of(sources: Sequence[Path], plans: str | Path) -> tuple[Arrays, Dr
         else:
             check_shapes(arrays, str(source))
             policies.append(arrays)
-            rules.append(run_parameters(source.parent))
+            rules.append(run_parameters(source))
     if any(other != rules[0] for other in rules):
         raise ConfigError(
             "the policies over plans have runs with different plans; use policies of runs with "
@@ -238,13 +240,14 @@ def _runs_of(source: Path) -> list[dict[str, Any]]:
     if (league := source.parent.parent / LEAGUE).exists():
         return [_run_of_member(league, source.stem)]
     arguments = source.with_name(ARGUMENTS)
-    digits = source.stem.removeprefix("policy-")
+    kart_steps = kart_steps_of(source)
     history: Any = read_run_file(Any, arguments) if arguments.exists() else []
     if isinstance(history, dict):  # a run with fixed arguments
         history = [{"from": 0, "arguments": history}]
     with reading(f"{str(arguments)!r} cannot be read", "the file that the run wrote"):
         typed(tuple[_Learned, ...], history)
-    return [{"kart_steps": int(digits) if digits.isdigit() else None, "history": history}]
+        history = chapters_of(history, kart_steps)
+    return [{"kart_steps": kart_steps, "history": history}]
 
 
 def _run_of_member(league: Path, name: str) -> dict[str, Any]:

@@ -8,7 +8,8 @@ difficulty, on training tracks, with policies and grid positions drawn uniformly
 line of ``matches.jsonl``. To continue, also after a kill, run the same command again, perhaps with
 more ``--matches``. From all finishing orders it computes ratings with intervals (``ratings.json``),
 a plot of them over kart-steps (``ratings.png``), and how often the policy with more kart-steps
-finished ahead of one with fewer. ``start`` is the initial policy of the first run.
+finished ahead of one with fewer. ``start`` is the plans of the first run without learning; for
+networks without plans, it is the first saved policy of that run.
 
 The second command rates one policy of a run against ``start``, one of its past selves, random
 choices, and a game bot that is alternately easy and hard. It writes its results to the run's
@@ -35,7 +36,7 @@ from stkzoo._schema import Count, Positive
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation import Rating, percentile_interval, save_figure
 
 from .common.arguments import QUICK_TRACKS, track_names
@@ -56,7 +57,7 @@ from .common.matches import (
 from .common.run_folder import continue_json_lines, read_run_file, run_parameters, write_json
 from .plot import rating_figure
 
-#: Names of the initial policy of runs, and of a policy with random choices.
+#: Names of the driver from which learning is measured, and of a policy with random choices.
 START, RANDOM = "start", "random"
 #: File of a run's ratings, and folder of the underlying races.
 RATINGS, EVALUATIONS = "ratings.json", "evaluations"
@@ -81,7 +82,10 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
     Raises:
         ConfigError: a folder has no policy, or two runs have the same name.
     """
-    found: dict[str, Path] = {}
+    names = [run.name for run in runs]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ConfigError(f"two runs are called {twice[0]!r}; give the runs other names")
+    kept: list[tuple[str, int, Path]] = []
     for run in runs:
         files = sorted(run.glob(_KEPT))
         if not files:
@@ -91,11 +95,11 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
             steps = _steps_of(file.stem)
             if steps - last < every and file != files[-1]:
                 continue
-            name, last = f"{run.name} {steps / 1e6:.2f}", steps
-            if name in found:
-                raise ConfigError(f"two policies are called {name!r}; give the runs other names")
-            found[name] = file
-    return found
+            kept.append((run.name, steps, file))
+            last = steps
+    rounded = {(name, f"{steps / 1e6:.2f}") for name, steps, _ in kept}
+    digits = 2 if len(rounded) == len(kept) else 6
+    return {f"{name} {steps / 1e6:.{digits}f}": file for name, steps, file in kept}
 
 
 def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, MatchDriver]:
@@ -112,7 +116,7 @@ def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, Ma
     first = min(runs[0].glob(_KEPT))
     if is_network(load_weights(first)):
         return drivers | {START: match_driver(first)}
-    plans = plan_match_driver(RacingPolicy.of_plans_alone(), run_parameters(runs[0]))
+    plans = plan_match_driver(RacingPolicy.of_plans_alone(), run_parameters(first))
     return drivers | {START: plans}
 
 
@@ -229,7 +233,7 @@ class PolicyEvaluation:
     """The races of one policy of a run.
 
     Attributes:
-        name: name of the policy; ``start`` for the initial one.
+        name: name of the policy; ``start`` for the first saved one.
         kart_steps: kart-steps of its training.
         orders: finishing order of each race.
         ratios: time ratios by name, one per race: finish time over the AI's median time; estimated
@@ -342,8 +346,8 @@ class RatingOptions:
         tracks: tracks; only with --policy.
 
     Raises:
-        ConfigError: output and policy are both given or both missing, or a policy is given with
-            several runs.
+        ConfigError: output and policy are both given or both missing, a policy is given with
+            several runs, or a number is out of bounds.
     """
 
     runs: tuple[Path, ...] = positional()
@@ -358,6 +362,9 @@ class RatingOptions:
             raise ConfigError("expected either --output FOLDER or --policy NAME")
         if self.policy and len(self.runs) > 1:
             raise ConfigError(f"--policy is of one run, and there are {len(self.runs)} runs")
+        check_whole("every", self.every, 0)
+        if self.matches is not None:
+            check_whole("matches", self.matches, 1)
 
 
 def main(words: list[str] | None = None) -> int:

@@ -158,6 +158,20 @@ def test_races_of_the_ai_end_at_the_finish(whole):
 
 
 @pytest.mark.slow
+def test_the_reward_does_not_depend_on_how_often_the_controls_are_read(whole, tmp_path):
+    """Only the place and the number of steps may differ between two races of the AI."""
+    how = {"tracks": "lighthouse", "karts": 2, "difficulty": 3, "jobs": 1}
+    once = record_demonstrations("ai", output=tmp_path / "d.npz", substeps=1, **how)
+
+    def earned_on_the_way(demos):
+        places = [20 * (2 - episode.facts.rank) for episode in demos]
+        returns = [episode.rewards.sum() + 0.02 * len(episode) for episode in demos]
+        return np.array(returns) - places
+
+    np.testing.assert_allclose(earned_on_the_way(whole), earned_on_the_way(once), atol=0.1)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("view", ["simple", "flattened_discrete", "box_continuous"])
 def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
     how = {**SHORT, "karts": 1, "max_steps": 25}

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO
+from stable_baselines3 import DQN, PPO
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
 
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -17,9 +19,12 @@ from stkzoo.sb3 import RaceVecEnv, save_agent
 def make():
     made = []
 
-    def made_by(view, policy="MlpPolicy", **options):
-        made.append(RaceVecEnv(1, num_kart=1, track="olivermath", view=view))
-        return PPO(policy, made[-1], n_steps=8, batch_size=8, seed=1, device="cpu", **options)
+    def made_by(view, policy="MlpPolicy", wrap=lambda envs: envs, flat=False, **options):
+        made.append(
+            RaceVecEnv(1, num_kart=1, track="olivermath", view=view, flat_observations=flat)
+        )
+        envs = wrap(made[-1])
+        return PPO(policy, envs, n_steps=8, batch_size=8, seed=1, device="cpu", **options)
 
     yield made_by
     for envs in made:
@@ -59,3 +64,57 @@ def test_an_unsupported_policy_is_refused(make, tmp_path):
 def test_a_misspelled_view_is_refused(make, tmp_path):
     with pytest.raises(ConfigError, match="Did you mean 'racing'"):
         save_agent(make("racing"), tmp_path / "agent", view="racign", name="Refused")
+
+
+class Doubling(BaseFeaturesExtractor):
+    """Features that differ from the observations."""
+
+    def __init__(self, space):
+        super().__init__(space, space.shape[0])
+
+    def forward(self, observations):
+        return 2 * observations
+
+
+@pytest.mark.parametrize(
+    ("view", "options"),
+    [
+        ("racing", {"policy_kwargs": {"features_extractor_class": Doubling}}),
+        ("box_continuous", {"use_sde": True, "policy_kwargs": {"squash_output": True}}),
+    ],
+)
+def test_a_policy_that_computes_more_than_its_layers_is_refused(view, options, make, tmp_path):
+    with pytest.raises(ConfigError, match="without features_extractor_class and squash_output"):
+        save_agent(make(view, **options), tmp_path / "agent", view=view, name="Refused")
+
+
+def test_a_model_without_a_policy_network_is_refused(make, tmp_path):
+    model = DQN("MlpPolicy", make("box_discrete").env, buffer_size=10, device="cpu")
+    with pytest.raises(ConfigError, match=r"DQNPolicy.*expected .MlpPolicy."):
+        save_agent(model, tmp_path / "agent", view="box_discrete", name="Refused")
+
+
+def test_scaled_observations_are_refused_but_not_scaled_rewards(make, tmp_path):
+    scaled = make("racing", wrap=VecNormalize)
+    with pytest.raises(ConfigError, match=r"VecNormalize scaled.*norm_obs=False"):
+        save_agent(scaled, tmp_path / "agent", view="racing", name="Refused")
+    rewards = make("racing", wrap=lambda envs: VecNormalize(envs, norm_obs=False))
+    save_agent(rewards, tmp_path / "agent", view="racing", name="Accepted")
+
+
+@pytest.mark.parametrize(
+    ("trained", "given", "options"),
+    [
+        ("racing", "box_discrete", {}),
+        ("racing", "racing", {"wrap": lambda envs: VecFrameStack(envs, 2)}),
+        ("flattened_discrete", "flattened_discrete", {"flat": True}),
+    ],
+)
+def test_a_view_with_other_observations_is_refused(trained, given, options, make, tmp_path):
+    with pytest.raises(ConfigError, match="give the view in which it was trained"):
+        save_agent(make(trained, **options), tmp_path / "agent", view=given, name="Refused")
+
+
+def test_a_view_with_other_actions_is_refused(make, tmp_path):
+    with pytest.raises(ConfigError, match="the model's actions are"):
+        save_agent(make("box_discrete"), tmp_path / "agent", view="box_continuous", name="Refused")

@@ -1,5 +1,7 @@
 """Arguments shared by the training scripts."""
 
+import math
+
 import pytest
 
 from stkzoo.agents.training.common.arguments import track_names
@@ -37,3 +39,34 @@ def test_a_curriculum_over_a_split_is_sorted_from_easy_to_hard():
 
 def test_a_curriculum_keeps_the_given_order_of_tracks():
     assert SB3Arguments(tracks=("minigolf", "lighthouse")).tracks == ("minigolf", "lighthouse")
+
+
+@pytest.mark.parametrize("kind", [DistillationArguments, SB3Arguments, SelfPlayArguments])
+def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
+    with pytest.raises(ConfigError, match=r"unknown track 'lighthous'\. Did you mean 'lighthouse'"):
+        kind(tracks=("lighthous",))
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "text"),
+    [
+        (SelfPlayArguments, {"learning_rate": math.nan}, "learning_rate is nan, .* above 0"),
+        (SelfPlayArguments, {"clip_range": -1.0}, "clip_range is -1.0, .* above 0"),
+        (SelfPlayArguments, {"gamma": 7.0}, "gamma is 7.0, .* from 0 to 1"),
+        (SelfPlayArguments, {"kl_coef": -0.1}, "kl_coef is -0.1, .* of 0 or more"),
+        (SelfPlayArguments, {"batch_size": 1}, "batch_size is 1, .* of 2 or more"),
+        (SelfPlayArguments, {"hidden": (0, 8)}, "hidden is 0, .* of 1 or more"),
+        (SelfPlayArguments, {"hidden": (8, 8, 8)}, r"hidden is \(8, 8, 8\), expected 2 layers"),
+        (LeagueArguments, {"hidden": (8,)}, r"hidden is \(8,\), expected 2 layers"),
+        (SB3Arguments, {"grid_share": math.nan}, "grid_share is nan, .* from 0 to 1"),
+        (SB3Arguments, {"n_steps": 1, "races": ("1",)}, "expected 2 or more steps"),
+        (TuningArguments, {"sigma": 0.0}, "sigma is 0.0, .* above 0"),
+    ],
+)
+def test_numbers_out_of_bounds_are_refused(kind, given, text):
+    with pytest.raises(ConfigError, match=text):
+        kind(**given)
+
+
+def test_coefficients_may_be_zero():
+    assert SelfPlayArguments(kl_coef=0.0, ent_coef=0.0).kl_coef == 0

@@ -8,8 +8,10 @@ import pytest
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.training.common.arguments import ScriptOptions
 from stkzoo.agents.training.common.command import run_command
-from stkzoo.agents.training.imitation.imitate import TeacherArguments, main, run
-from stkzoo.agents.training.imitation.network import fit, make_network, mirrored
+from stkzoo.agents.training.common.network_policy import save_driver
+from stkzoo.agents.training.imitation import imitate, lessons
+from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run
+from stkzoo.agents.training.imitation.network import fit, held_out, make_network, mirrored
 from stkzoo.agents.training.plot import plot_runs
 from stkzoo.evaluation import record_demonstrations
 from stkzoo.race import run_race
@@ -48,8 +50,9 @@ def test_a_network_learns_choices_that_depend_on_its_observations():
     observations, actions = examples()
     network = make_network((64,), seed=0)
     how = {"learning_rate": 3e-3, "batch_size": 256, "seed": 0}
-    first = fit(network, observations, actions, n_epochs=1, **how)
-    last = fit(network, observations, actions, n_epochs=10, **how)
+    out = held_out(len(actions), (0,))
+    first = fit(network, observations, actions, out, n_epochs=1, **how)
+    last = fit(network, observations, actions, out, n_epochs=10, **how)
     assert last.loss < 0.8 * first.loss
     assert last.accuracy[2] > 0.7
 
@@ -59,10 +62,35 @@ def test_the_same_seed_gives_the_same_network():
     trained = []
     for _ in range(2):
         network = make_network((16,), seed=3)
-        fit(network, observations, actions, n_epochs=1, learning_rate=1e-3, batch_size=64, seed=3)
+        how = {"n_epochs": 1, "learning_rate": 1e-3, "batch_size": 64, "seed": 3}
+        fit(network, observations, actions, held_out(600, (3,)), **how)
         trained.append(weights_of(network))
     for name, array in trained[0].items():
         np.testing.assert_array_equal(trained[1][name], array)
+
+
+@pytest.mark.parametrize("count", [50, 20_000])
+def test_some_examples_of_each_lesson_are_held_out(count):
+    assert 0 < held_out(count, (1, 2)).sum() < 0.1 * count
+
+
+def test_an_example_is_held_out_in_all_rounds_or_in_none(tmp_path, monkeypatch):
+    found = []
+
+    def record(network, observations, actions, is_held_out, **how):
+        found.append(is_held_out)
+        return fit(network, observations, actions, is_held_out, **how)
+
+    def drive(number, _):
+        return lessons.Lesson(*examples(500 + number), (1.0,), 1)
+
+    monkeypatch.setattr(lessons, "fit", record)
+    small = {"hidden": (4,), "n_epochs": 1, "n_epochs_last": 1}
+    arguments = TeacherArguments(teacher="pursuit", rounds=2, **small)
+    lessons.run_rounds(arguments, tmp_path, "nobody", drive, lambda *_: None)
+    assert [len(each) for each in found] == [500, 1001, 1503]
+    np.testing.assert_array_equal(found[1][:500], found[0])
+    np.testing.assert_array_equal(found[2][:1001], found[1])
 
 
 def test_a_mirrored_example_steers_to_the_other_side():
@@ -99,6 +127,20 @@ def test_a_run_clones_drives_and_learns_from_the_teachers_labels(imitated):
     assert log[1]["examples"] > log[0]["examples"]
     assert all(0.5 < line["time_ratio"] <= 2.0 for line in log)
     assert [json.loads(text) for text in (folder / "log.jsonl").read_text().splitlines()] == log
+
+
+def test_the_clone_races_at_the_difficulty_of_its_reference(tmp_path, monkeypatch):
+    found = []
+
+    def run_briefly(*drivers, **options):
+        found.append(run_race(*drivers, **options | {"max_steps": 2}))
+        return found[-1]
+
+    monkeypatch.setattr(imitate, "run_race", run_briefly)
+    policy = tmp_path / "policy.safetensors"
+    save_driver(policy, make_network((4,), seed=0))
+    drive_race("pursuit", str(policy), 1, 3, "olivermath", 1)
+    assert [result.difficulty for result in found] == [3]
 
 
 @pytest.mark.slow

@@ -12,7 +12,8 @@ import torch
 
 from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.fleet import Fleet, Lineup
 from stkzoo.agents.training.common.matches import match_driver
 from stkzoo.agents.training.common.ppo import advantages_of
@@ -24,6 +25,7 @@ from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
+from tests.support.networks import small_network
 from tests.support.paths import ROOT
 from tests.support.training import run_and_kill, words_of
 
@@ -132,7 +134,7 @@ def test_a_held_offset_is_chosen_once_for_all_its_steps(tmp_path):
     chosen = rollout["choices"][..., 1].reshape(8, 4, 4)  # from the start of the race
     assert (chosen == chosen[:, :1]).all()
     assert len(np.unique(chosen)) > 1
-    assert run_parameters(tmp_path).turn_hold == 4
+    assert run_parameters(tmp_path / "policy.safetensors").turn_hold == 4
 
 
 def test_a_hold_of_no_steps_is_refused(tmp_path):
@@ -144,6 +146,16 @@ def test_a_hold_of_no_steps_is_refused(tmp_path):
 def test_unknown_choices_are_refused(tmp_path, names):
     with pytest.raises(ConfigError, match="begin, turn, nitro, fire"):
         PPOLearner(tmp_path, SelfPlayArguments(**SMALL | {"learns": names}))
+
+
+def test_weights_of_another_network_are_refused(tmp_path):
+    file = tmp_path / "network.safetensors"
+    save_weights(file, small_network())
+    with pytest.raises(ConfigError, match="or of something else"):
+        PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
+    save_weights(file, RacingPolicy.of_plans_alone().weights)
+    with pytest.raises(ConfigError, match="give --hidden 1 1"):
+        PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
 
 
 def test_a_fleet_starts_the_same_races_with_the_same_seed():
@@ -220,7 +232,7 @@ def test_plans_use_the_parameters_of_their_run(tmp_path):
     learner = PPOLearner(tmp_path, arguments)
     file = learner.save_policy()
     learner.close()
-    assert run_parameters(tmp_path) == plan_parameters(BY_HAND) != DriverParameters()
+    assert run_parameters(file) == plan_parameters(BY_HAND) != DriverParameters()
     card = json.loads((export_policy(file, "swift", tmp_path / "swift") / "card.json").read_text())
     assert card["rules"] == asdict(plan_parameters(BY_HAND))
     assert newest_policy(str(tmp_path)) == str(file)
@@ -229,19 +241,47 @@ def test_plans_use_the_parameters_of_their_run(tmp_path):
     assert results[0] == results[2] != results[1]
 
 
+def test_a_policy_keeps_the_arguments_with_which_it_learned(tmp_path):
+    """The run changed its arguments after 100 kart-steps."""
+    parts = [
+        {"from": kart_steps, "arguments": {"seed": seed}, "rules": {"turn_hold": hold}}
+        for kart_steps, seed, hold in ((0, 1, 2), (100, 5, 4))
+    ]
+    (tmp_path / "arguments.json").write_text(json.dumps(parts))
+    weights = RacingPolicy.of_plans_alone().weights
+    found = {}
+    for name in ("000000000", "000000100", "000000101", "last"):
+        save_weights(tmp_path / f"policy-{name}.safetensors", weights)
+        folder = export_policy(tmp_path / f"policy-{name}.safetensors", "swift", tmp_path / name)
+        card = json.loads((folder / "card.json").read_text())
+        found[name] = card["rules"]["turn_hold"], len(card["runs"][0]["history"])
+        assert run_parameters(tmp_path / f"policy-{name}.safetensors").turn_hold == found[name][0]
+    early, late = (2, 1), (4, 2)
+    assert found == {"000000000": early, "000000100": early, "000000101": late, "last": late}
+
+
 def test_unknown_parameters_and_those_of_another_version_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"'best\.json' has no parameters of plans"):
         match_driver("prior:best.json")
     rules = asdict(DriverParameters()) | {"courage": 1.0}
     (tmp_path / "arguments.json").write_text(json.dumps([{"rules": rules}]))
     with pytest.raises(ConfigError, match="courage"):
-        run_parameters(tmp_path)
+        run_parameters(tmp_path / "policy.safetensors")
 
 
 def test_an_invalid_policy_is_refused(tmp_path, capsys):
     (tmp_path / "p.safetensors").write_bytes(b"nothing")
     assert evaluate_main([str(tmp_path / "p.safetensors")]) == 1
     assert "no safetensors file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [("--numbers=0", "numbers is 0"), ("--track=lighthous", "Did you mean 'lighthouse'")],
+)
+def test_invalid_arguments_of_a_comparison_are_reported(words, text, capsys):
+    assert evaluate_main(["prior", words]) == 1
+    assert text in capsys.readouterr().err
 
 
 def test_learning_curves_are_plotted(tmp_path):

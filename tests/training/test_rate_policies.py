@@ -51,6 +51,20 @@ def test_policies_are_named_by_run_and_steps(run):
         kept_policies([run.parent], 0)
 
 
+def test_policies_with_almost_as_many_steps_have_names_of_their_own(run):
+    save_weights(run / "policy-001000200.safetensors", RacingPolicy.of_plans_alone().weights)
+    names = [*kept_policies([run], 0)]
+    assert names == ["first 0.000100", "first 1.000100", "first 1.000200", "first 2.000200"]
+
+
+@pytest.mark.parametrize(
+    ("words", "text"), [("--matches=-5", "matches is -5"), ("--every=-1", "every is -1")]
+)
+def test_invalid_numbers_are_reported(words, text, run, tmp_path, capsys):
+    assert main([str(run), f"--output={tmp_path / 'out'}", words]) == 1
+    assert text in capsys.readouterr().err
+
+
 def test_all_policies_race_equally_often_and_on_all_tracks():
     names = [f"p{n}" for n in range(7)]
     matches = [draw_match(names, number) for number in range(28)]

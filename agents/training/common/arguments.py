@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import ClassVar
 
 from stkzoo._arguments import option
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 #: Title of a group of options.
@@ -37,12 +37,18 @@ class RunArguments:
         seed: seed of all random numbers.
 
     Raises:
-        ConfigError: an integer is below 1, or below 0 where 0 is allowed; or a number is infinite
-            or NaN.
+        ConfigError: a number is out of bounds, or a track does not exist.
     """
 
     #: Integers that may be 0.
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
+    #: Lowest values of integers that must be above 1.
+    least: ClassVar[Mapping[str, int]] = {}
+    #: Numbers from 0 to 1, and other numbers that may be 0; all others must be above 0.
+    fractions: ClassVar[tuple[str, ...]] = ()
+    coefficients: ClassVar[tuple[str, ...]] = ()
+    #: Number of hidden layers; ``None`` for any.
+    num_layers: ClassVar[int | None] = None
     #: Fields in which names of splits, such as ``train_only``, are replaced with their tracks.
     track_fields: ClassVar[tuple[str, ...]] = ("tracks", "evaluation_tracks")
 
@@ -53,12 +59,28 @@ class RunArguments:
             if entry.name in self.track_fields:
                 object.__setattr__(self, entry.name, track_names(getattr(self, entry.name)))
             if type(entry.default) is int:
-                least = int(entry.name not in self.may_be_zero)
+                least = self.least.get(entry.name, int(entry.name not in self.may_be_zero))
                 check_whole(entry.name, getattr(self, entry.name), least)
-            if type(entry.default) is float and not math.isfinite(getattr(self, entry.name)):
-                raise ConfigError(
-                    f"{entry.name} is {getattr(self, entry.name)}, expected a finite number"
-                )
+            elif type(entry.default) is float:
+                self._check_float(entry.name, getattr(self, entry.name))
+            elif entry.name == "hidden":
+                self._check_hidden(getattr(self, entry.name))
+
+    def _check_float(self, name: str, value: float) -> None:
+        if name in self.fractions:
+            check_number(name, value, 0, 1)
+        elif name not in self.coefficients:
+            check_number(name, value)
+        elif not 0 <= value < math.inf:
+            raise ConfigError(f"{name} is {value!r}, expected a number of 0 or more")
+
+    def _check_hidden(self, hidden: Sequence[int]) -> None:
+        for units in hidden:
+            check_whole("hidden", units, 1)
+        if self.num_layers not in (None, len(hidden)):
+            raise ConfigError(
+                f"hidden is {tuple(hidden)}, expected {self.num_layers} layers, such as 256 128"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +110,10 @@ class PPOArguments(NetworkArguments):
         clip_range: clipping range of the probability ratio.
         ent_coef: initial entropy coefficient.
     """
+
+    least: ClassVar[Mapping[str, int]] = {"batch_size": 2}  # advantages are normalized
+    fractions: ClassVar[tuple[str, ...]] = ("gamma", "gae_lambda")
+    coefficients: ClassVar[tuple[str, ...]] = ("ent_coef",)
 
     gamma: float = option(0.98, metavar="X", group=_LEARNING)
     gae_lambda: float = option(0.95, metavar="X", group=_LEARNING)
@@ -127,5 +153,12 @@ class OverlappedArguments(PPOArguments):
 
 
 def track_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Replaces the names of splits, such as ``train``, with their tracks."""
+    """Replaces the names of splits, such as ``train``, with their tracks.
+
+    Raises:
+        ConfigError: a name is unknown.
+    """
+    for name in names:
+        if name not in SPLITS and name not in SPLITS["all"]:
+            raise unknown_name("track", name, [*SPLITS["all"], *SPLITS])
     return tuple(track for name in names for track in SPLITS.get(name, (name,)))

@@ -125,7 +125,7 @@ def match_driver(source: str | Path) -> MatchDriver:
     policy = read_policy(path) if is_agent else policy_of(load_weights(path), str(path))
     if isinstance(policy, MlpDriver):
         return network_driver(policy.best, policy.hold)
-    rules = read_numbers(path) if is_agent else run_parameters(path.parent)
+    rules = read_numbers(path) if is_agent else run_parameters(path)
     return plan_match_driver(policy, rules)
 
 

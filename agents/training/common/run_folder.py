@@ -120,11 +120,12 @@ def keep_arguments(
 # ---------------------------------------------------------------------- plan parameters
 
 
-def plan_parameters(file: str | Path) -> DriverParameters:
+def plan_parameters(file: str | Path, kart_steps: int | None = None) -> DriverParameters:
     """Reads plan parameters from ``best.json`` of ``tune_plans`` or from a run's arguments.
 
     Args:
         file: path of the file; empty for the default parameters.
+        kart_steps: kart-steps of a policy of the run, see :func:`chapters_of`.
 
     Raises:
         ConfigError: the file is unreadable, or has unknown parameters.
@@ -134,7 +135,7 @@ def plan_parameters(file: str | Path) -> DriverParameters:
     with reading(f"{str(file)!r} has no parameters of plans", "a best.json or arguments.json"):
         content = load_json(file)
         if isinstance(content, list):
-            content = typed(_Chapters, content)[-1].rules
+            content = typed(_Chapters, chapters_of(content, kart_steps))[-1].rules
         return DriverParameters.from_json(content)
 
 
@@ -148,14 +149,35 @@ class _Chapter:
 _Chapters = Annotated[tuple[_Chapter, ...], Within(1)]
 
 
-def run_parameters(folder: Path) -> DriverParameters:
-    """Returns the plan parameters of a run; the defaults if the folder contains no run.
+def chapters_of(history: Sequence[Any], kart_steps: int | None) -> Sequence[Any]:
+    """Returns the parts of a run in which a policy learned; the last one has its arguments.
+
+    Args:
+        history: parts of the run, each with the kart-steps ``from`` which its arguments apply.
+        kart_steps: kart-steps of the policy; ``None`` for the last policy.
+    """
+    if kart_steps is None:
+        return history
+    return [*history[:1], *(part for part in history[1:] if part["from"] < kart_steps)]
+
+
+def kart_steps_of(policy: Path) -> int | None:
+    """Returns the kart-steps in the name of a run's policy file; ``None`` for other names."""
+    digits = policy.stem.removeprefix("policy-")
+    return int(digits) if digits.isdigit() else None
+
+
+def run_parameters(policy: Path) -> DriverParameters:
+    """Returns the plan parameters with which a policy learned; the defaults without a run.
+
+    Args:
+        policy: policy file in the folder of its run.
 
     Raises:
         ConfigError: the run is from another version.
     """
-    file = folder / ARGUMENTS
-    return plan_parameters(file if file.exists() else "")
+    file = policy.with_name(ARGUMENTS)
+    return plan_parameters(file if file.exists() else "", kart_steps_of(policy))
 
 
 # ---------------------------------------------------------------------- checkpoint

@@ -196,7 +196,7 @@ def drive_race(
         teacher: driver that labels the states; see :func:`~stkzoo.race.find_driver`.
         policy: file of the learner's weights.
         karts: number of karts.
-        difficulty: difficulty of the AI whose time is the reference.
+        difficulty: difficulty of the race, and of the AI whose time is the reference.
         track: track of the race.
         seed: seed of the race.
     """
@@ -224,6 +224,7 @@ def drive_race(
         [Driver.of_actor(f"learner {kart}", make_actor) for kart in range(karts)],
         track=track,
         seed=seed,
+        difficulty=difficulty,
         error_handling="raise",
         max_steps=_COUNTDOWN + math.ceil(PATIENCE * median / _STEP),
         action_timeout=None,

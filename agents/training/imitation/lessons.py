@@ -30,7 +30,7 @@ from ..common.network_policy import save_driver
 from ..common.run_folder import keep_arguments, read_log, write_log
 from ..export import export_policy
 from ..plot import plot_runs
-from .network import fit, load_weights_into, make_network
+from .network import fit, held_out, load_weights_into, make_network
 
 A = TypeVar("A")
 Numbers = npt.NDArray[Any]
@@ -161,12 +161,15 @@ def run_rounds(
         log.append(_driven(number, teacher, lesson))
         if judge is None and number > arguments.rounds:
             break
-        lessons = Lesson.joined([Lesson.load(_file(folder, n)) for n in range(number + 1)])
+        parts = [Lesson.load(_file(folder, n)) for n in range(number + 1)]
+        sizes = [len(part.actions) for part in parts]
+        lessons = Lesson.joined(parts)
         report(f"round {number}: learning from {len(lessons.actions):,} examples", 0, 1)
         result = fit(
             network,
             lessons.observations,
             lessons.actions,
+            np.concatenate([held_out(size, (arguments.seed, n)) for n, size in enumerate(sizes)]),
             n_epochs=arguments.n_epochs_last if number == arguments.rounds else arguments.n_epochs,
             learning_rate=arguments.learning_rate,
             batch_size=arguments.batch_size,

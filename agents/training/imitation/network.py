@@ -70,22 +70,39 @@ def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]
     return observations * INPUT_MIRROR[: observations.shape[1]], turned
 
 
+def held_out(count: int, seed: Sequence[int]) -> npt.NDArray[np.bool_]:
+    """Returns which examples of a lesson are held out, ``(count,)``: 5 % of them, in blocks.
+
+    Args:
+        count: number of examples.
+        seed: seed of the choice; the same one gives the same examples in each round.
+    """
+    random = np.random.default_rng(seed)
+    chosen = np.repeat(random.random(count // 100 + 1) < 0.05, 100)[:count]
+    if chosen.all() or not chosen.any():
+        chosen = np.arange(count) % 20 == 0
+    return chosen
+
+
 def fit(
     network: Any,
     observations: Numbers,
     actions: Numbers,
+    is_held_out: npt.NDArray[np.bool_],
     *,
     n_epochs: int,
     learning_rate: float,
     batch_size: int,
     seed: int,
 ) -> Fit:
-    """Trains a network on examples and evaluates it on 5 % of them, held out in blocks.
+    """Trains a network on examples and evaluates it on those that are held out.
 
     Args:
         network: network from :func:`make_network`; training continues from its weights.
         observations: ``(N, inputs)``.
         actions: ``(N, 5)``.
+        is_held_out: ``(N,)``, see :func:`held_out`. As the network keeps its weights from round to
+            round, an example must be held out in all rounds or in none.
         n_epochs: passes over all examples.
         learning_rate: initial learning rate of Adam; it decays to 0.
         batch_size: examples per gradient step.
@@ -93,10 +110,7 @@ def fit(
     """
     torch = training_torch()
     random = np.random.default_rng(seed)
-    is_left_out = np.repeat(random.random(len(actions) // 100 + 1) < 0.05, 100)[: len(actions)]
-    if is_left_out.all() or not is_left_out.any():
-        is_left_out = np.arange(len(actions)) % 20 == 0
-    kept = observations[~is_left_out], actions[~is_left_out]
+    kept = observations[~is_held_out], actions[~is_held_out]
     both = [np.concatenate(pair) for pair in zip(kept, mirrored(*kept), strict=True)]
     inputs = torch.from_numpy(both[0].astype(np.float32))
     targets = torch.from_numpy(both[1].astype(np.int64))
@@ -113,7 +127,7 @@ def fit(
             loss.backward()
             optimizer.step()
             schedule.step()
-    return _judge(torch, network, observations[is_left_out], actions[is_left_out])
+    return _judge(torch, network, observations[is_held_out], actions[is_held_out])
 
 
 def _bells() -> npt.NDArray[np.float32]:

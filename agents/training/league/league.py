@@ -33,7 +33,7 @@ from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._os import using_folder, write_text
 from stkzoo._schema import Count, Matching, Within, typed
-from stkzoo.agents.pretrained.policy import RacingPolicy, check_shapes
+from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
@@ -43,6 +43,7 @@ from ..common.command import ProgressBar, run_command
 from ..common.matches import AI, MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.opponents import Rival
 from ..common.run_folder import LEAGUE, TrainingLog, check_resumed, read_run_file, write_json
+from ..ppo.network import initial_weights
 from ..ppo.selfplay import SelfPlayArguments
 from .learner import LeagueLearner
 from .page import page
@@ -90,6 +91,7 @@ class LeagueArguments(PPOArguments):
         "warm_up",
         "actors",
     )
+    num_layers: ClassVar[int | None] = 2
 
     batch_size: int = 1024
     learning_rate: float = 1e-4
@@ -332,15 +334,7 @@ def _start_weights(arguments: LeagueArguments) -> Mapping[str, Any]:
     """Returns the weights that all players start from."""
     if not arguments.init:
         return RacingPolicy.of_plans_alone().weights
-    weights = load_weights(arguments.init)
-    check_shapes(weights, arguments.init)
-    hidden = tuple(len(weights[name]) for name in ("b0", "b1"))
-    if hidden != arguments.hidden:
-        raise ConfigError(
-            f"the weights {arguments.init!r} have layers of {hidden[0]} and {hidden[1]} units, "
-            f"expected {arguments.hidden}; give --hidden {hidden[0]} {hidden[1]}"
-        )
-    return weights
+    return initial_weights(arguments.init, arguments.hidden)
 
 
 # ---------------------------------------------------------------------- the command

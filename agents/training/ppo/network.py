@@ -10,7 +10,9 @@ import numpy.typing as npt
 
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
+from stkzoo.agents.pretrained.policy import check_shapes
 from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.errors import ConfigError
 
 from ..common.learner import Weights
 from ..common.ppo import PPONetwork
@@ -53,7 +55,7 @@ class ActorCritic(PPONetwork):
             for column in set(range(len(HEADS))) - set(self.columns):
                 self.policy[-1].weight[HEADS[column]] = 0.0
         if init:
-            self._start_from(load_weights(init))
+            self._start_from(initial_weights(init, hidden))
 
     def _start_from(self, weights: dict[str, FloatArray]) -> None:
         self.mean, self.scale = weights["mean"], weights["scale"]
@@ -102,3 +104,24 @@ class ActorCritic(PPONetwork):
             entropy = entropy - (logs.exp() * logs).sum(1)
             prior_kl = prior_kl + (logs.exp() * (logs - prior_logs)).sum(1)
         return log_probability, entropy, prior_kl, self.value(inputs)[:, 0]
+
+
+def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:
+    """Returns the weights of a policy over plans from a file.
+
+    Args:
+        init: the file.
+        hidden: units of the hidden layers.
+
+    Raises:
+        ConfigError: the file is unreadable, contains something else, or has other layers.
+    """
+    weights = load_weights(init)
+    check_shapes(weights, init)
+    found = len(weights["b0"]), len(weights["b1"])
+    if found != tuple(hidden):
+        raise ConfigError(
+            f"the weights {init!r} have layers of {found[0]} and {found[1]} units, "
+            f"expected {tuple(hidden)}; give --hidden {found[0]} {found[1]}"
+        )
+    return weights

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -60,10 +60,14 @@ class SelfPlayArguments(OverlappedArguments):
         turn_hold: steps for which a steering offset holds; with 1, the policy chooses it in every
             step. None is as in plans.
         kl_coef: coefficient of the KL penalty toward the plans' prior.
-        learns: choices to train; the others stay those of the plans, or of --init.
+        learns: choices to train; the others stay those of the plans. With --init, the others change
+            too, because all choices of a policy share its hidden layers.
         place_reward: reward per place; the reward per meter is 0.05.
         init: policy file to start from; empty starts from the plans.
     """
+
+    coefficients: ClassVar[tuple[str, ...]] = ("ent_coef", "kl_coef", "place_reward")
+    num_layers: ClassVar[int | None] = 2
 
     gae_lambda: float = 0.85
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")

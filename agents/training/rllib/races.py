@@ -56,6 +56,9 @@ class RLlibArguments(PPOArguments):
         *("seed", "env_runners", "frozen", "bots", "difficulty"),
     )
 
+    fractions: ClassVar[tuple[str, ...]] = ("gamma", "gae_lambda", "promote_at")
+    coefficients: ClassVar[tuple[str, ...]] = ("ent_coef", "cpus_per_runner")
+
     n_epochs: int = 6
     gae_lambda: float = 0.9
     ent_coef: float = 0.003
@@ -84,8 +87,6 @@ class RLlibArguments(PPOArguments):
             raise ConfigError(
                 f"there is no pack {self.pack!r}; stkzoo assets pack --output writes one"
             )
-        if not 0 <= self.promote_at <= 1:
-            raise ConfigError(f"promote_at is {self.promote_at}, expected 0 to 1")
         if self.learners + self.frozen + self.bots > 20:
             raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
 

@@ -45,6 +45,7 @@ from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, typed
 from stkzoo.agents.pretrained.mlp import load_driver
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import PPOArguments, ScriptOptions
@@ -108,6 +109,10 @@ class SB3Arguments(PPOArguments):
         *("seed", "hold", "warm_up", "decay_timesteps", "evaluation_races"),
     )
 
+    fractions: ClassVar[tuple[str, ...]] = (
+        *("gamma", "gae_lambda", "snapshot_share", "grid_share"),
+    )
+
     learning_rate: float = 5e-4
     ent_coef: float = 0.003
     races: tuple[str, ...] = ("4x4", "2+2x2")
@@ -133,6 +138,8 @@ class SB3Arguments(PPOArguments):
     def __post_init__(self) -> None:
         given = self.tracks
         PPOArguments.__post_init__(self)
+        if self.n_steps * sum(lineup.learners for lineup in parse_races(self.races)) < 2:
+            raise ConfigError("n_steps is 1 in a race of one agent, expected 2 or more steps")
         if given != self.tracks:  # a split, whose tracks are in alphabetical order
             ordered = (track for track in EASY_TO_HARD if track in self.tracks)
             others = (track for track in self.tracks if track not in EASY_TO_HARD)

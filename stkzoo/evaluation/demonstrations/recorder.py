@@ -30,7 +30,8 @@ STEP = 0.1
 #: pressed in at least half of the parts.
 _PULSES = np.array([name in ("fire", "nitro", "rescue") for name in CONTROLS])
 _ANALOGUE = np.array([name in ("acceleration", "steer") for name in CONTROLS])
-_PROGRESS = "reward/advance"
+#: The reward of each step, however long the step is.
+_TIME = "reward/time"
 
 Controls = npt.NDArray[np.float32]
 
@@ -117,7 +118,7 @@ class DemoRecorder(RaceListener):
             observation, info = race.observations[agent], race.infos[agent]
             done = observation["action"] if "action" in observation else race.actions[agent]
             kart.controls.append(np.array(controls_of(done), np.float32))
-            kart.rewards.append((race.rewards[agent], info[_PROGRESS]))
+            kart.rewards.append((race.rewards[agent], info[_TIME]))
             kart.is_over = info["finish_time"] > 0
             if is_whole or kart.is_over:
                 kart.ends.append(len(kart.rewards))
@@ -164,27 +165,25 @@ class _Kart:
         self._first = observation
         self.observations = [view.observe(observation)]
         self.controls: list[Controls] = []
-        self.rewards: list[tuple[float, float]] = []  # total, and its part for progress
+        self.rewards: list[tuple[float, float]] = []  # total, and its part for time
         self.ends: list[int] = []
         self.is_over = False
 
     def columns(self, view: DemoView) -> Columns:
         """Returns the episode as arrays.
 
-        The reward of a step is its progress reward, summed over its parts, plus the other rewards
-        of its last part.
+        The reward of a step is the sum over its parts, with the reward for time once.
         """
         steps = list(zip([0, *self.ends[:-1]], self.ends, strict=True))
         controls = [_together(np.stack(self.controls[begin:end])) for begin, end in steps]
-        rewards, progress = np.array(self.rewards).T
-        summed = np.array([sum(progress[begin:end]) for begin, end in steps])
-        last = np.array(self.ends) - 1
+        totals, times = np.array(self.rewards).T
+        rewards = [sum(totals[begin:end]) - sum(times[begin : end - 1]) for begin, end in steps]
         actions = [view.action(self._first, own) for own in controls]
         return {
             **columns_of("observations", view.observation_space, self.observations),
             **columns_of("actions", view.action_space, actions),
             "controls": np.stack(controls),
-            "rewards": summed + (rewards - progress)[last],
+            "rewards": np.array(rewards, np.float64),
         }
 
 
