@@ -127,8 +127,10 @@ def using_folder(folder: Path, noun: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        is_file = isinstance(error, FileExistsError)  # mkdir's answer to a file
+        why = os.strerror(errno.ENOTDIR) if is_file else reason(error)
         raise ConfigError(
-            f"the {noun}'s folder {folder} cannot be used: {reason(error)}; choose another --output"
+            f"the {noun}'s folder {folder} cannot be used: {why}; choose another --output"
         ) from error
 
 
