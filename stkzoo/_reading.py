@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import encodings.cp437  # noqa: F401 - zipfile imports it when it reads the first name of a file
 import io
 import json
 import math

@@ -2,7 +2,7 @@
 
 import errno
 import json
-import tempfile
+import os
 import zipfile
 
 import pytest
@@ -66,10 +66,13 @@ def test_new_refuses_names_that_mean_other_drivers(name, tmp_path, monkeypatch, 
 
 
 def test_new_reports_a_folder_without_write_permission(tmp_path, monkeypatch, capsys):
-    def refuse(**_):
-        raise PermissionError(errno.EACCES, "Permission denied")
+    def refuse(path, *arguments, **options):
+        if str(path).startswith(str(tmp_path)):
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return os_open(path, *arguments, **options)
 
-    monkeypatch.setattr(tempfile, "mkstemp", refuse)  # root may write everywhere
+    os_open = os.open
+    monkeypatch.setattr(os, "open", refuse)  # root may write everywhere
     assert main(["new", str(tmp_path)]) == 2
     assert "Permission denied" in capsys.readouterr().err
 
