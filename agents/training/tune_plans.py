@@ -21,7 +21,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -40,7 +40,7 @@ from stkzoo.tracks import TRAIN_TRACKS
 from .common.arguments import QUICK_TRACKS, RunArguments
 from .common.command import limit_threads, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
-from .common.run_folder import LOG, continue_json_lines, write_json
+from .common.run_folder import LOG, continue_json_lines, keep_arguments, write_json
 
 #: The tuned parameters and their bounds.
 BOUNDS: dict[str, tuple[float, float]] = {
@@ -177,6 +177,7 @@ def tune(options: TuningOptions, arguments: TuningArguments) -> None:
 
 
 def _search(folder: Path, arguments: TuningArguments, cma: Any) -> None:
+    keep_arguments(folder, arguments, free=("generations",))
     read = partial(from_unit, learned_motion=arguments.learned_motion)
     present = to_unit(DriverParameters())
     settings = {"popsize": arguments.population, "seed": arguments.seed + 1}
@@ -188,6 +189,8 @@ def _search(folder: Path, arguments: TuningArguments, cma: Any) -> None:
         if {len(past.asked), len(past.told)} != {len(strategy.ask())}:
             raise ConfigError(f"{folder / LOG} has another population; give another --output")
         strategy.tell(past.asked, past.told)
+    if log:  # a kill can come between the log and this file
+        _write_best(folder, strategy, read)
     for generation in range(len(log), arguments.generations):
         begin = time.perf_counter()
         number = _FIRST_NUMBER + 1000 * arguments.seed + generation
@@ -199,14 +202,20 @@ def _search(folder: Path, arguments: TuningArguments, cma: Any) -> None:
         line = {"generation": generation, "asked": asked, "told": told}
         with (folder / LOG).open("a") as file:
             file.write(json.dumps({**line, "default": default, "number": number}) + "\n")
-        mean = read(list(map(float, strategy.result.xfavorite)))
-        write_json(folder / _BEST, asdict(mean))
+        _write_best(folder, strategy, read)
         print(
             f"generation {generation}: time ratio {math.exp(np.mean(told)):.4f} on average, "
             f"{math.exp(min(told)):.4f} at best, {math.exp(default):.4f} with the present "
             f"parameters; {time.perf_counter() - begin:.0f} s",
             flush=True,
         )
+
+
+def _write_best(
+    folder: Path, strategy: Any, read: Callable[[list[float]], DriverParameters]
+) -> None:
+    mean = read(list(map(float, strategy.result.xfavorite)))
+    write_json(folder / _BEST, asdict(mean))
 
 
 def main(words: list[str] | None = None) -> int:

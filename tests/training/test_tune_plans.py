@@ -56,7 +56,7 @@ def test_test_tracks_are_refused(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_tuning_resumes_where_it_stopped(tmp_path, monkeypatch):
+def test_tuning_resumes_where_it_stopped(tmp_path, monkeypatch, capsys):
     """Replaces the races: a set's cost is its distance from the default parameters."""
     present = np.array(to_unit(DriverParameters()))
 
@@ -74,7 +74,13 @@ def test_tuning_resumes_where_it_stopped(tmp_path, monkeypatch):
     lines = [json.loads(line) for line in (parts / "log.jsonl").read_text().splitlines()]
     assert [line["generation"] for line in lines] == [0, 1]
     assert (whole / "log.jsonl").read_text() == (parts / "log.jsonl").read_text()
-    assert DriverParameters(**json.loads((parts / "best.json").read_text()))
+    best = (parts / "best.json").read_text()
+    assert DriverParameters(**json.loads(best))
+    (parts / "best.json").unlink()  # as after a kill between the log and this file
+    assert tune_plans.main(command(parts, 2)[3:]) == 0
+    assert (parts / "best.json").read_text() == best
+    assert tune_plans.main([*command(parts, 3)[3:], "--sigma", "0.3"]) == 1
+    assert "sigma was" in capsys.readouterr().err
 
 
 @pytest.mark.slow
