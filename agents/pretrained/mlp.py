@@ -41,6 +41,7 @@ class MlpDriver:
     Attributes:
         hold: minimum steps of a drift.
         inputs: size of the input: the view, and usually the memory of the action filter.
+        hidden: units of the hidden layers.
 
     Raises:
         ConfigError: the weights are not an ``MlpPolicy`` on the view ``racing``.
@@ -75,6 +76,7 @@ class MlpDriver:
                 f"{INPUT_SIZE} with what the action filter remembers, to its "
                 f"{sum(CHOICES)} choices (mlp_extractor.policy_net.*, action_net.*)"
             )
+        self.hidden = tuple(sizes[1:-1])
         turned = tuple((np.ascontiguousarray(matrix.T), bias) for matrix, bias in layers)
         self._mlp = Mlp(turned, True)
 

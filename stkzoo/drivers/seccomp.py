@@ -111,7 +111,7 @@ def restrict(*, has_own_network: bool) -> None:
 
 
 def _int_equal(argument: int, value: int) -> _ArgumentRule:
-    """Compares an argument of type ``int``, of which the kernel ignores the upper half."""
+    """Compares an ``int`` argument. The kernel ignores its upper 32 bits."""
     return _ArgumentRule(argument, _MASKED_EQUAL, 0xFFFFFFFF, value)
 
 

@@ -236,10 +236,7 @@ def read_json_lines(file: Path, kind: type[T]) -> list[T]:
     Raises:
         ConfigError: the file is damaged.
     """
-    if not file.exists():
-        return []
-    with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
-        return [typed(kind, line) for line in read_lines(file, _MAX_BYTES)]
+    return _typed_lines(file, kind)[0]
 
 
 def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
@@ -248,10 +245,19 @@ def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
     An incomplete last line is removed from the file, so that the next line does not continue it.
     See :func:`read_json_lines` for the arguments and errors.
     """
-    lines = read_json_lines(file, kind)
+    lines, values = _typed_lines(file, kind)
     if file.exists():
-        _write_lines(file, read_json_lines(file, dict[str, Any]))
+        _write_lines(file, values)
     return lines
+
+
+def _typed_lines(file: Path, kind: type[T]) -> tuple[list[T], list[Any]]:
+    """Returns the lines of a file as a type, and as JSON values."""
+    if not file.exists():
+        return [], []
+    with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
+        values = list(read_lines(file, _MAX_BYTES))
+        return [typed(kind, value) for value in values], values
 
 
 def _write_lines(file: Path, lines: Sequence[Mapping[str, Any]]) -> None:
