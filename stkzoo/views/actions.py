@@ -7,6 +7,7 @@ infinite, NaN and out-of-range values and other shapes are rejected.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -76,31 +77,34 @@ def _value(space: spaces.Space[Any], action: Any) -> Any:
 def _number_or_array(
     space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete, action: Any
 ) -> Any:
-    if not _is_small(action, max(1, *space.shape or (1,))):
+    shape = space.shape or ()
+    if not _is_small(action, max(1, *shape or (1,))):
         return None
     try:
         array = np.asarray(action)
     except (TypeError, ValueError, OverflowError, RuntimeError):
         return None
-    shape = space.shape or ()
     if array.dtype.kind not in "biuf":
         return None
-    if array.shape != shape:
-        if array.size != 1 or np.prod(shape) != 1:
-            return None
-        array = array.reshape(shape)
-    low, high = _bounds(space)
+    if array.shape != shape and not array.size == math.prod(shape) == 1:
+        return None
+    # Python's own numbers: for a few of them, several times as fast as numpy's functions.
+    entries = [*zip(array.reshape(-1).tolist(), *_bounds(space), strict=True)]
     if _is_whole(space):
-        if array.dtype.kind == "f" and not np.all(array == np.floor(array)):
-            return None
-        is_inside = bool(np.all((array >= low) & (array <= high)))
+        is_inside = all(
+            low <= number <= high and number == number // 1 for number, low, high in entries
+        )
     else:
-        above, below = low - BOUND_TOLERANCE, high + BOUND_TOLERANCE
-        is_inside = bool(np.all((array >= above) & (array <= below) & np.isfinite(array)))
+        is_inside = all(
+            low - BOUND_TOLERANCE <= number <= high + BOUND_TOLERANCE and math.isfinite(number)
+            for number, low, high in entries
+        )
     if not is_inside:
         return None
-    value = np.clip(array, low, high).astype(space.dtype)
-    return int(value) if isinstance(space, spaces.Discrete) else value
+    clipped = [min(max(number, low), high) for number, low, high in entries]
+    if isinstance(space, spaces.Discrete):
+        return int(clipped[0])
+    return np.array(clipped, space.dtype).reshape(shape)
 
 
 def _is_small(action: Any, length: int) -> bool:
@@ -113,12 +117,16 @@ def _is_small(action: Any, length: int) -> bool:
     return len(action) <= length and all(_is_small(item, length) for item in action)
 
 
-def _bounds(space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete) -> tuple[Any, Any]:
+def _bounds(
+    space: spaces.Box | spaces.Discrete | spaces.MultiDiscrete,
+) -> tuple[list[Any], list[Any]]:
     """Returns the lowest and the highest value of each entry, both inclusive."""
     if isinstance(space, spaces.Box):
-        return space.low, space.high
-    count = space.n if isinstance(space, spaces.Discrete) else space.nvec
-    return space.start, space.start + count - 1
+        return space.low.reshape(-1).tolist(), space.high.reshape(-1).tolist()
+    if isinstance(space, spaces.Discrete):
+        low = int(space.start)
+        return [low], [low + int(space.n) - 1]
+    return space.start.reshape(-1).tolist(), (space.start + space.nvec - 1).reshape(-1).tolist()
 
 
 def _is_whole(space: spaces.Space[Any]) -> bool:
