@@ -8,7 +8,7 @@ import os
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -173,7 +173,12 @@ def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:
     Raises:
         ConfigError: the file cannot be read.
     """
-    return AiTimes.load(_SHIPPED_FILE if path is None else Path(path))
+    return _shipped_times() if path is None else AiTimes.load(Path(path))
+
+
+@cache
+def _shipped_times() -> AiTimes:
+    return AiTimes.load(_SHIPPED_FILE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
