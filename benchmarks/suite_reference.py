@@ -5,9 +5,10 @@
     python -m benchmarks.suite_reference --only-evaluate   # runs that are already trained
 
 Each run is trained as with ``stkzoo suite train``, and evaluated on the test tracks and on the
-training tracks of its task. Its result is written to ``benchmarks/results/suite`` immediately, for
-``stkzoo suite report``. All tasks and algorithms of a seed are run before the next seed. Runs that
-have a result are skipped.
+training tracks of its task. Agents run in the process of their race, because their code is ours:
+the races are the same as in a sandbox, and faster. A result is written to
+``benchmarks/results/suite`` immediately, for ``stkzoo suite report``. All tasks and algorithms of a
+seed are run before the next seed. Runs that have a result are skipped.
 """
 
 from __future__ import annotations
@@ -196,7 +197,9 @@ def _evaluate(
     )
     output, agent = folder / _EVALUATIONS[split], str(folder / "agent")
     with Console(stderr=True).status(f"{task} {algorithm} {seed}: {split} tracks"):
-        return evaluate(task, agent, split=split, output=output, about=about, jobs=jobs, plot=False)
+        return evaluate(
+            task, agent, split=split, output=output, about=about, jobs=jobs, plot=False, inline=True
+        )
 
 
 def learning_curve(log: Sequence[Mapping[str, Any]]) -> LearningCurve:
