@@ -36,6 +36,9 @@ CLEARANCE = 0.5
 #: Reference drivers that brake do so above this speed [m/s]. Slower karts would reverse.
 _STANDSTILL = 1.0
 
+#: Latest starts of two karts [s before the contact].
+_Latest = tuple[Seconds | None, Seconds | None]
+
 
 @dataclass(frozen=True, slots=True)
 class _KeptMoment:
@@ -68,34 +71,27 @@ class JudgedContact:
             before it]; ``None`` if there is none, or if it is earlier than :data:`CLOSE_STARTS`
             times that of the other kart.
         closing: speed of either kart toward the other before they touch [m/s].
-        braking: whether the reference drivers braked, because otherwise they do not avoid the
-            contact in either kart. Then one that avoids the contact is enough; otherwise, every
-            one must.
     """
 
     step: Count
     karts: tuple[Count, Count]
     counts: tuple[Count, Count]
-    latest: tuple[Seconds | None, Seconds | None]
+    latest: _Latest
     closing: tuple[float, float]
-    braking: bool = False
 
     @property
     def at_fault(self) -> int | None:
         """Number of the agent at fault; ``None`` if nobody is.
 
         It is the one in whose place the reference drivers avoid the contact from a later start. If
-        both starts are about as late, it is the one that closes the gap; with braking, only equal
-        starts count as that, and then nobody is at fault.
+        both starts are about as late, it is the one that moves toward the other one faster.
         """
         (one, other), (first, second) = self.latest, self.karts
         if one is None or other is None:
             return first if one is not None else second if other is not None else None
-        if self.braking and one == other:
-            return None
-        if self.braking or max(one, other) > CLOSE_STARTS * min(one, other):
+        if max(one, other) > CLOSE_STARTS * min(one, other):
             return first if one < other else second
-        return first if self.closing[0] >= self.closing[1] else second
+        return (first, second)[_faster(self.closing)]
 
 
 class CounterfactualJudge(RaceListener):
@@ -188,39 +184,53 @@ class CounterfactualJudge(RaceListener):
         return round(float(speeds[0]), 3), round(-float(speeds[1]), 3)
 
     def _judge(self, contact: Contact) -> JudgedContact:
-        """Tries a contact without braking and, if it is avoided in neither kart, with it."""
-        latest = self._latest(contact, braking=False)
-        braking = latest == (None, None)
-        if braking:
-            latest = self._latest(contact, braking=True)
-        return JudgedContact(
-            contact.step, contact.karts, contact.counts, latest, self._closing(contact), braking
-        )
+        """Tries whether and how late a reference driver avoids a contact in either kart.
 
-    def _latest(self, contact: Contact, *, braking: bool) -> tuple[float | None, float | None]:
-        """Tries earlier and earlier starts until it is clear which kart avoids it later."""
+        The kart that moves toward the other one faster can always brake: it is no excuse for
+        hitting a kart from behind that this kart could have been faster. The other kart brakes only
+        if nothing else avoids the contact. If the game's AI moves faster, nothing is tried.
+        """
+        closing = self._closing(contact)
+        faster = _faster(closing)
+        latest: _Latest = (None, None)
+        if (REFERENCES[0], f"kart_{contact.karts[faster]}") in self._actors:
+            latest = self._latest(contact, ((0, False), (1, False), (faster, True)))
+            if latest == (None, None):
+                latest = self._latest(contact, ((1 - faster, True),))
+        return JudgedContact(contact.step, contact.karts, contact.counts, latest, closing)
+
+    def _latest(self, contact: Contact, ways: Sequence[tuple[int, bool]]) -> _Latest:
+        """Tries earlier and earlier starts until it is clear which kart avoids a contact later.
+
+        Args:
+            contact: the contact.
+            ways: what to try: in which of the two karts, and whether it brakes.
+        """
         latest: list[float | None] = [None, None]
         limit = max(STARTS)
         for start, steps in self._starts.items():
             kept = self._kept.get(contact.step - steps)
             if kept is None or kept.step <= contact.apart_since or start > limit:
                 break
-            for place, number in enumerate(contact.karts):
-                if latest[place] is None and self._is_avoided(contact, kept, number, braking):
+            for place, is_braking in ways:
+                number = contact.karts[place]
+                if latest[place] is None and self._is_avoided(contact, kept, number, is_braking):
                     latest[place] = start
                     limit = min(limit, CLOSE_STARTS * start)
         return latest[0], latest[1]
 
-    def _is_avoided(self, contact: Contact, kept: _KeptMoment, number: int, braking: bool) -> bool:
-        """Returns whether the reference drivers in a kart avoid a contact."""
+    def _is_avoided(
+        self, contact: Contact, kept: _KeptMoment, number: int, is_braking: bool
+    ) -> bool:
+        """Returns whether a contact is avoided: by all reference drivers, or by any with brakes."""
         agent = f"kart_{number}"
         if agent not in kept.observations or (REFERENCES[0], agent) not in kept.actors:
             return False
-        touches = (self._touch(contact, kept, agent, name, braking) for name in REFERENCES)
-        return not all(touches) if braking else not any(touches)
+        touches = (self._touch(contact, kept, agent, name, is_braking) for name in REFERENCES)
+        return not all(touches) if is_braking else not any(touches)
 
     def _touch(
-        self, contact: Contact, kept: _KeptMoment, agent: str, reference: str, braking: bool
+        self, contact: Contact, kept: _KeptMoment, agent: str, reference: str, is_braking: bool
     ) -> bool:
         """Drives a copy of the race; returns whether the karts of a contact touch."""
         env, events, seen = self._copy, copy.deepcopy(kept.events), kept.observations
@@ -233,7 +243,7 @@ class CounterfactualJudge(RaceListener):
             actions = self._recorded(step, env.agents)
             if agent in actions:
                 action = actor(seen[agent])
-                actions[agent] = _braked(action, seen[agent]) if braking else action
+                actions[agent] = _braked(action, seen[agent]) if is_braking else action
             seen, *_ = env.step(actions)
             after = env.snapshot
             assert after is not None  # noqa: S101 - the race runs
@@ -247,6 +257,11 @@ class CounterfactualJudge(RaceListener):
         """Returns the recorded actions of some agents."""
         rows = self._replay.controls[step]
         return {agent: action_of(rows[int(agent.removeprefix("kart_"))]) for agent in agents}
+
+
+def _faster(closing: tuple[float, float]) -> int:
+    """Returns which of two karts moves toward the other one faster: 0 or 1."""
+    return int(closing[1] > closing[0])
 
 
 def _braked(action: Mapping[str, Any], observation: Mapping[str, Any]) -> dict[str, Any]:
