@@ -1,10 +1,10 @@
 """Measure how good an agent is.
 
-Every agent drives the same races: on the test tracks, forward and reversed, alone (P), as one
-kart against four of the game's AI (PAAAA), and as two karts against three (PPAAA), from both ends
-of the grid. The results are the agent's time as a multiple of the AI's median time, its win rate,
-its mean rank, the share of races that it did not finish, and its number of rescues per race, each
-with a 95 % interval.
+Measures an agent in races that are the same for all agents: on the test tracks, forward and
+reversed, alone (P), as one kart against four of the game's AI (PAAAA), and as two karts against
+three (PPAAA), from both ends of the grid. The results are the agent's time as a multiple of the
+AI's median time, its win rate, its mean rank, the share of races that it did not finish, and its
+number of rescues per race, each with a 95 % interval.
 
 With --time-trial, the agent instead drives each track alone under the conditions of the human
 world records: time trial, forward, difficulty 3, kart pidgin, as many laps as the record. The

@@ -77,7 +77,8 @@ class PlayDatasetArguments:
 
     Attributes:
         dataset: record your observations and actions to FILE (.npz)
-        view: view of the dataset: simple or a flattened one (default: flattened_discrete)
+        view: view of the dataset, of fixed size, such as simple or racing (default:
+            flattened_discrete)
     """
 
     dataset: str | None = option(metavar="FILE")

@@ -2,7 +2,7 @@
 
 Each driver gets a kart:
 
-  ai               the game's AI at --difficulty; ai:3 sets its own difficulty
+  ai               the game's AI; ai:3 sets --difficulty to 3
   heuristic        a rule-based driver that comes with stkzoo
   pretrained:apex  a learned driver, the best that comes with stkzoo
   random           random actions

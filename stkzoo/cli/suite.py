@@ -187,7 +187,7 @@ def _list(arguments: argparse.Namespace) -> int:
 def _train(arguments: argparse.Namespace) -> int:
     """Train an agent in a task with a reference algorithm.
 
-    Learns from as many kart-steps as the task allows, on all cores. The folder contains
+    Trains an agent with as many kart-steps as the task allows, on all cores. The folder contains
     checkpoints, a log, TensorBoard files, policies and at the end the agent. To continue a run,
     also after a kill, repeat the command.
 
@@ -224,9 +224,10 @@ def _train(arguments: argparse.Namespace) -> int:
 def _exploit(arguments: argparse.Namespace) -> int:
     """Train an exploiter against a frozen driver, and show its win rate over kart-steps.
 
-    The exploiter learns by PPO in races of two karts on the training tracks. The driver never
-    changes. A high win rate after few kart-steps shows a weakness that the driver's results
-    against others do not. To continue a run, also after a kill, repeat the command.
+    Trains an exploiter, an agent that learns only to beat one driver. It learns by PPO in races of
+    two karts on the training tracks. The driver never changes. A high win rate after few kart-steps
+    shows a weakness that the driver's results against others do not. To continue a run, also after
+    a kill, repeat the command.
 
     Examples:
       stkzoo suite exploit heuristic
@@ -289,9 +290,9 @@ def _evaluate(arguments: argparse.Namespace) -> int:
 def _verify(arguments: argparse.Namespace) -> int:
     """Run all races of an entry again, and compare every number.
 
-    The agent is not needed: its karts repeat the recorded controls, and all other karts drive
-    again. Every position, rotation and velocity must be equal to the last bit, and every number
-    of entry.json must follow from the races.
+    Runs all races of an entry again. The agent is not needed: its karts repeat the recorded
+    controls, and all other karts drive again. Every position, rotation and velocity must be equal
+    to the last bit, and every number of entry.json must follow from the races.
 
     This proves that the races took place as the entry says. It does not prove who chose the
     controls, how often the agent failed, or what the entry says about its authors.
@@ -322,12 +323,12 @@ def _verify(arguments: argparse.Namespace) -> int:
 def _report(arguments: argparse.Namespace) -> int:
     """Write a report of trained algorithms: scores, intervals, figures.
 
+    Compares trained algorithms and writes report.json (all numbers), report.md (tables), figures as
+    SVG, and marl_eval.json for the tools of MARL-eval. The same results make the same files.
+
     A result file describes one training run: its learning curve, and the scores of its agent on
     the test tracks and on the training tracks. `python -m benchmarks.suite_reference`, in the
     repository, trains and evaluates the reference algorithms and writes such files.
-
-    Writes report.json (all numbers), report.md (tables), figures as SVG, and marl_eval.json for
-    the tools of MARL-eval. The same results make the same files.
 
     Examples:
       stkzoo suite report results/
