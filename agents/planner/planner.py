@@ -117,10 +117,18 @@ class Planner:
             observation: current observation of the agent.
 
         Raises:
-            ConfigError: the environment has several such agents.
+            ConfigError: the environment has several such agents, or another view.
             EngineError: the environment does not support copies of its race.
         """
         agent = only_agent(env)
+        if (
+            not isinstance(observation, Mapping)
+            or not {"phase", "paths_start"} <= observation.keys()
+        ):
+            raise ConfigError(
+                f"the planner got an observation of another view than 'full' of agent {agent!r}; "
+                "make the environment with view='full'"
+            )
         if observation["phase"] < Phase.GO_PHASE:
             return self._driver.drive(observation, self._choose)
         if self._step % self.settings.commitment == 0:

@@ -111,6 +111,14 @@ def test_a_copy_counts_rescues_with_the_step_size_of_its_race(copy_of_long_race)
     assert copy_of_long_race._rescues._longest == descent._longest
 
 
+@pytest.mark.parametrize("view", ["flattened_discrete", "racing"])
+def test_refuses_an_observation_of_a_flattened_view(view):
+    with race_v0.parallel_env(num_kart=2, agents=1, track="lighthouse", view=view) as env:
+        observations, _ = env.reset(seed=0)
+        with pytest.raises(ConfigError, match="another view than 'full' of agent 'kart_0'"):
+            Planner().act(env, observations["kart_0"])
+
+
 def test_refuses_an_environment_of_several_agents():
     with race_v0.parallel_env(agents=2, num_kart=2, track="olivermath") as env:
         observations, _ = env.reset(seed=1)
