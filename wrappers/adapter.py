@@ -24,7 +24,8 @@ class MonoAgentWrapperAdapter:
     the result is a Gymnasium wrapper, :class:`GymAgentAdapter`. Around a PettingZoo
     ``ParallelEnv``, it is a ``ParallelEnv``, :class:`ParallelAgentAdapter`. Any Gymnasium wrapper
     works, including those with their own ``step`` or ``reset``. Wrappers are reset with the race,
-    and their changes to rewards, ends and infos apply to their agent.
+    and their changes to rewards, ends and infos apply to their agent. An instance of a subclass has
+    the form for its environment, too.
 
     Args:
         env: the multi-agent environment.
@@ -43,11 +44,14 @@ class MonoAgentWrapperAdapter:
     """
 
     def __new__(
-        cls, env: Any = None, wrapper_factories: Any = None, **options: Any
+        cls, env: Any = None, wrapper_factories: Any = None, *_: Any, **options: Any
     ) -> MonoAgentWrapperAdapter:
-        """Selects the class for the kind of environment."""
-        if cls is not MonoAgentWrapperAdapter:
+        """Selects the class for the kind of environment; subclasses may have other arguments."""
+        if issubclass(cls, (GymAgentAdapter, ParallelAgentAdapter)):
             return super().__new__(cls)
+        if cls is not MonoAgentWrapperAdapter:
+            is_parallel = isinstance(env, ParallelEnv)
+            return _blank(ParallelAgentAdapter if is_parallel else GymAgentAdapter, cls)
         for name in options.keys() - {"keep_original"}:
             known = ("env", "wrapper_factories", "keep_original")
             raise unknown_name("argument", name, known)
@@ -88,7 +92,10 @@ class GymAgentAdapter(
         keep_original: bool = False,
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
-            self, keep_original=bool(keep_original), wrapper_factories=dict(wrapper_factories)
+            self,
+            _disable_deepcopy=True,  # a factory may be a method of a large or uncopyable object
+            keep_original=bool(keep_original),
+            wrapper_factories=dict(wrapper_factories),
         )
         gym.Wrapper.__init__(self, env)
         self.keep_original = bool(keep_original)
@@ -104,6 +111,7 @@ class GymAgentAdapter(
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Resets the environment and all wrappers."""
         observations, info = self.env.reset(seed=seed, options=options)
+        options = _with_step_size(options, self.env)
         originals = self._handed_out(observations)
         changed, infos = self._known(observations), dict(info.get("infos", {}))
         self._present = tuple(changed)
@@ -114,7 +122,12 @@ class GymAgentAdapter(
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Converts the agents' actions, steps the environment and wraps the results."""
+        """Converts the agents' actions, steps the environment and wraps the results.
+
+        Raises:
+            ActionError: an action is invalid; neither the environment nor a wrapper has changed.
+        """
+        require_actions(actions, self._present, optional=self._present)
         checked = self._walker.read_actions(actions, self._present)
         base = self._walker.begin_step(checked, self._present)
         try:
@@ -202,6 +215,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Resets the environment and all wrappers."""
         observations, infos = self.env.reset(seed=seed, options=options)
+        options = _with_step_size(options, self.env)
         self._retired = frozenset()
         originals = self._copies(observations)
         observations, infos = dict(observations), dict(infos)
@@ -254,6 +268,36 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
     def _copies(self, observations: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns copies of unwrapped observations if requested; call it before wrappers run."""
         return copy.deepcopy(dict(observations)) if self.keep_original else {}
+
+
+#: The result of :func:`_subclass_in` for each pair of arguments.
+_SUBCLASSES: dict[tuple[type[Any], type[Any]], type[Any]] = {}
+
+
+def _subclass_in(form: type[Any], kind: type[Any]) -> type[Any]:
+    """Returns a subclass of the adapter, ``kind``, in the form for an environment."""
+    if (form, kind) in _SUBCLASSES:
+        return _SUBCLASSES[form, kind]
+    own: dict[str, Any] = {
+        name: getattr(kind, name) for name in ("__doc__", "__module__", "__qualname__")
+    }
+    own["__reduce__"] = lambda adapter: (_blank, (form, kind), vars(adapter))
+    return _SUBCLASSES.setdefault((form, kind), type(kind.__name__, (kind, form), own))
+
+
+def _blank(form: type[Any], kind: type[Any]) -> MonoAgentWrapperAdapter:
+    """Returns a new adapter of a subclass, without attributes."""
+    made: MonoAgentWrapperAdapter = object.__new__(_subclass_in(form, kind))
+    return made
+
+
+def _with_step_size(options: Mapping[str, Any] | None, env: Any) -> dict[str, Any] | None:
+    """Returns the options of ``reset`` for wrappers, with the race's step size, as in views."""
+    race = getattr(env.unwrapped, "core", env.unwrapped)
+    step_size = getattr(race, "step_size", None)
+    if step_size is None:
+        return None if options is None else dict(options)
+    return {**(options or {}), "step_size": step_size}
 
 
 def _spaces_by_agent(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:

@@ -422,6 +422,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return self._rendering.backend
 
     @property
+    def step_size(self) -> float:
+        """Game time of one step of the current race, or of the next one before a reset [s]."""
+        return self._episode.step_size if self._episode else self.options.step_size
+
+    @property
     def max_cycles(self) -> int | None:
         """Number of steps after which the race is truncated; ``None`` for no limit."""
         return self.options.max_cycles

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import pickle
+from threading import Lock
 
 import cloudpickle
 import gymnasium as gym
@@ -11,7 +12,7 @@ from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 from pettingzoo import ParallelEnv
 from pettingzoo.test import parallel_api_test
 
-from stkzoo import AgentSpec, race_v0
+from stkzoo import AgentSpec, STKRaceMultiEnv, race_v0
 from stkzoo.errors import ActionError, AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.wrappers import (
@@ -87,6 +88,30 @@ def test_the_adapter_has_the_kind_of_its_environment(make, kind):
     adapter = MonoAgentWrapperAdapter(make(), wrapper_factories={})
     assert isinstance(adapter, MonoAgentWrapperAdapter)
     assert isinstance(adapter, kind)
+
+
+class Bonus(MonoAgentWrapperAdapter):
+    """A user's subclass, with its own arguments."""
+
+    def __init__(self, env, bonus):
+        super().__init__(env, wrapper_factories={0: discrete})
+        self.bonus = bonus
+
+    def reset(self, **options):
+        observations, info = super().reset(**options)
+        return observations, {**info, "bonus": self.bonus}
+
+
+def test_a_subclass_has_the_kind_of_its_environment(form):
+    make, agents = form
+    env = Bonus(make(), bonus=3)
+    assert isinstance(env, Bonus)
+    assert isinstance(env, ParallelEnv if make is SmallRace else gym.Wrapper)
+    assert env.reset(seed=1)[1]["bonus"] == 3
+    copied = pickle.loads(pickle.dumps(env))
+    assert type(copied) is type(env)
+    actions = samples(env, agents)
+    assert_same(copied.step(actions)[0], env.step(actions)[0])
 
 
 def test_other_objects_are_refused():
@@ -178,6 +203,17 @@ def test_views_can_be_given_by_name_and_options(form, name):
     assert observations[agents[1]]["items_position"].shape == (2, 3)
     for agent in agents:
         assert space_of(env, agent) == space_of(same, agent)
+
+
+def test_a_factory_can_be_a_method_of_an_object_that_cannot_be_copied(form):
+    class Trainer:
+        def __init__(self):
+            self.lock = Lock()
+
+        def wrap(self, env):
+            return simple(env)
+
+    MonoAgentWrapperAdapter(form[0](), wrapper_factories={0: Trainer().wrap}).reset(seed=1)
 
 
 @pytest.mark.parametrize("factories", [[simple], simple, None])
@@ -364,12 +400,37 @@ def test_a_missing_action_is_an_error_before_any_wrapper_runs():
     assert seen == []
 
 
+@pytest.mark.parametrize("actions", [None, [STEADY, STEADY]])
+def test_actions_that_are_not_a_dict_are_refused(form, actions):
+    env = MonoAgentWrapperAdapter(form[0](), wrapper_factories={0: simple})
+    env.reset(seed=1)
+    with pytest.raises(ActionError, match="have to be a dict by agent"):
+        env.step(actions)
+
+
 def test_actions_of_agents_that_the_game_drives_are_optional():
     agents = [AgentSpec(), AgentSpec(use_ai=True)]
     with race_v0.parallel_env(agents=agents, num_kart=2, track="lighthouse") as race:
         env = MonoAgentWrapperAdapter(race, wrapper_factories={0: simple, 1: simple})
         env.reset(seed=1)
         assert set(env.step({"kart_0": STEADY})[0]) == {"kart_0", "kart_1"}
+
+
+@pytest.mark.parametrize("make", [race_v0.parallel_env, STKRaceMultiEnv])
+def test_wrappers_get_the_step_size_of_the_race_as_in_a_view(make):
+    seen = []
+
+    class Spy(gym.Wrapper):
+        def reset(self, *, seed=None, options=None):
+            seen.append(options)
+            return super().reset(seed=seed, options=options)
+
+    race = make(num_kart=1, track="lighthouse", step_size=0.05)
+    env = MonoAgentWrapperAdapter(race, wrapper_factories={0: Spy})
+    env.reset(seed=1)
+    env.reset(options={"step_size": 0.2})
+    env.close()
+    assert seen == [{"step_size": 0.05}, {"step_size": 0.2}]
 
 
 def test_the_adapter_can_be_pickled_during_an_episode(form):
