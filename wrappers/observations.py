@@ -156,12 +156,7 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
                 f"PolarObservations found no positions among {', '.join(space.spaces)}; "
                 f"it changes {', '.join(_POSITIONS)}."
             )
-        polar = [key for key in self._keys if _is_polar(space[key])]
-        if polar:
-            raise ConfigError(
-                f"PolarObservations found polar positions under {', '.join(polar)}. It goes around "
-                "a view with positions in meters, such as full, and only once."
-            )
+        refuse_polar(space, "PolarObservations", "only once")
         changed = copy.deepcopy(space)
         for key in self._keys:
             changed[key] = PolarBox.of(space[key])
@@ -184,6 +179,25 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
             elif value:
                 changed[key] = tuple(to_polar(np.asarray(value, np.float32)))
         return changed
+
+
+def refuse_polar(space: spaces.Dict, wrapper: str, place: str) -> None:
+    """Checks that the positions in an observation are in meters.
+
+    Args:
+        space: space of the observation.
+        wrapper: name of the wrapper, for the message.
+        place: where to put it, for the message.
+
+    Raises:
+        ConfigError: positions are polar already.
+    """
+    polar = [key for key in _POSITIONS if key in space.spaces and _is_polar(space[key])]
+    if polar:
+        raise ConfigError(
+            f"{wrapper} found polar positions under {', '.join(polar)}. It goes around a view with "
+            f"positions in meters, such as full, and {place}."
+        )
 
 
 def _is_polar(space: spaces.Space[Any]) -> bool:

@@ -10,7 +10,7 @@ from pettingzoo.utils import parallel_to_aec
 
 from stkzoo import ActionError, ConfigError, race_v0
 from stkzoo.views import VIEWS
-from stkzoo.wrappers import FlattenerWrapper, JoinedObservations
+from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
 from stkzoo.wrappers.marl import ActionMasks, MessageChannel, PartialObservations, Teams
 
 TEAMS = [["kart_0", 3], ["1", "kart_2"]]
@@ -196,6 +196,11 @@ def test_limited_sight_needs_lists():
         race(view=lambda env: PartialObservations(VIEWS["simple"](env)))
 
 
+def test_limited_sight_refuses_polar_positions():
+    with pytest.raises(ConfigError, match=r"polar positions under .*inside PolarObservations"):
+        race(view=lambda env: PartialObservations(PolarObservations(env), angle=1.0))
+
+
 # ------------------------------------------------------------------ teams
 
 
@@ -260,6 +265,17 @@ def test_teammates_are_where_the_full_view_shows_them():
             assert row[7] == infos[mate]["position"]
             assert row[10] == 1.0
         assert not observations["kart_2"]["mates"].any()
+
+
+@pytest.mark.parametrize(
+    "make", [MessageChannel, lambda env: Teams(env, teams=[[0, 1, 2, 3]], observe=True)]
+)
+def test_spaces_of_an_unknown_agent_are_refused(make):
+    env = make(race())
+    for space in (env.observation_space, env.action_space):
+        with pytest.raises(ConfigError, match="unknown agent 'kart_9'"):
+            space("kart_9")
+    env.close()
 
 
 @pytest.mark.parametrize(

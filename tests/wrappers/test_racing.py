@@ -12,6 +12,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.names import ItemType
 from stkzoo.views import VIEWS
+from stkzoo.wrappers import PolarObservations
 from stkzoo.wrappers.racing import (
     CHOICES,
     MIRROR,
@@ -285,6 +286,8 @@ def test_actions_of_the_ai_are_observed_as_choices():
 def test_other_views_are_refused():
     with pytest.raises(ConfigError, match="needs the full view"):
         race(view=lambda env: RacingObservations(VIEWS["simple"](env)))
+    with pytest.raises(ConfigError, match="polar positions under"):
+        race(view=lambda env: RacingObservations(PolarObservations(env)))
     with pytest.raises(ConfigError, match="game's own actions"):
         race(view=lambda env: RacingActions(VIEWS["control"](env)))
 

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.agent_names import require_actions
+from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.marl.teams import Teams
@@ -76,11 +76,11 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space, the same object on every call."""
-        return self._observation_spaces[agent]
+        return of_agent(self._observation_spaces, agent)
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's action space, the same object on every call."""
-        return self._action_spaces[agent]
+        return of_agent(self._action_spaces, agent)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -13,7 +13,7 @@ from stkzoo.errors import ConfigError, check_number, unknown_name
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import RecordedWrapper
 from stkzoo.wrappers.arguments import dict_space
-from stkzoo.wrappers.observations import MOTION
+from stkzoo.wrappers.observations import MOTION, refuse_polar
 
 _SEEN = {"karts": ("karts_position",), "items": ("items_position", "items_type")}
 
@@ -57,6 +57,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper
                     f"PartialObservations needs a list (a Sequence space) under {key!r}, but found "
                     f"{space.spaces.get(key)!r}. It goes around the full view."
                 )
+        refuse_polar(space, "PartialObservations", "inside PolarObservations")
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns the observation without hidden objects."""

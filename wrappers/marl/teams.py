@@ -12,7 +12,7 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo.agent_names import find_agent
+from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.errors import ConfigError, check_number
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
@@ -95,7 +95,7 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space, the same object on every call."""
-        return self._spaces[agent]
+        return of_agent(self._spaces, agent)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -18,6 +18,7 @@ from stkzoo.kernel import RacingObserver
 from stkzoo.mdp.observations import as_actions, own_state
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
+from stkzoo.wrappers.observations import refuse_polar
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, OWN_KINDS, OWN_NUMBERS, SIZE
 from stkzoo.wrappers.racing.road import LOOKS, MAX_SEGMENTS, RoadTable
 from stkzoo.wrappers.racing.surroundings import Known, Surroundings, surroundings_of
@@ -69,6 +70,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
                 "RacingObservations needs the full view. Put it around that, inside all others. "
                 f"Found {space!r:.200}"
             )
+        refuse_polar(space, "RacingObservations", "not around PolarObservations")
         vector = spaces.Box(-5.0, 5.0, (SIZE,), np.float32)
         action = observed_action(space)
         self._has_action = action is not None
