@@ -89,7 +89,7 @@ class ChainWalker:
             agents: the agents.
             observations: first observations of the race by agent; replaced by the wrapped ones.
             infos: first infos of the race by agent; replaced by the wrapped ones.
-            seed: agent ``n`` gets ``seed + n``.
+            seed: agent ``n`` gets ``seed + n`` as an ``int``, which Gymnasium requires.
             options: passed to the ``reset`` of every wrapper.
             failed: gets the errors of agents whose wrappers fail. Without it, the first one is
                 raised.
@@ -103,7 +103,7 @@ class ChainWalker:
                     observations[agent], infos[agent] = chain.reset(
                         observations[agent],
                         infos.get(agent, {}),
-                        seed=None if seed is None else seed + number,
+                        seed=None if seed is None else int(seed) + number,
                         options=None if options is None else dict(options),
                     )
 

@@ -509,6 +509,15 @@ def test_reset_seeds_each_wrapper_differently():
     assert race.reset()[0]["kart_0"] != first["kart_0"]
 
 
+def test_an_integer_of_numpy_seeds_the_wrappers():
+    class Noise(gym.ObservationWrapper):
+        def observation(self, _):
+            return self.np_random.random(1)
+
+    race = Race(make_chains(Noise))
+    assert_same(race.reset(seed=np.int64(5))[0], race.reset(seed=5)[0])
+
+
 def test_options_reach_the_wrappers():
     seen = []
 
