@@ -30,7 +30,8 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
         discrete_actions: space of the dropped parts.
 
     Raises:
-        ConfigError: the environment's actions have no continuous part.
+        ConfigError: the environment's actions have no continuous part, or a part is neither a
+            ``Box`` nor ``Discrete``.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -45,9 +46,14 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
                 f"OnlyContinuousActionsWrapper found only discrete actions ({', '.join(parts)}); "
                 "it does not go together with DiscreteActionsWrapper."
             )
-        self.discrete_actions = spaces.Dict(
-            {key: part for key, part in parts.items() if isinstance(part, spaces.Discrete)}
-        )
+        rest = {key: part for key, part in parts.items() if key not in self._boxes}
+        for key, part in rest.items():
+            if not isinstance(part, spaces.Discrete):
+                raise ConfigError(
+                    f"OnlyContinuousActionsWrapper cannot release {key!r}, which is {part!r:.200}. "
+                    "Put it inside the wrappers that flatten, not around them."
+                )
+        self.discrete_actions = spaces.Dict(rest)
         self._change_action_space(spaces.Dict(self._boxes))
 
     def compile_into(self, plan: ViewPlan) -> bool:
@@ -174,6 +180,15 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
             numbers = discretizer.numbers(action[key])
             changed[key] = numbers.astype(np.float32)[..., None]
         return changed
+
+    def from_discrete(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Same as :meth:`action`; the name in pystk2-gymnasium."""
+        return self.action(action)
+
+    def to_discrete(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Returns one action with numbers converted to the nearest steps; undoes :meth:`action`."""
+        steps = {key: each.discretize(action[key]) for key, each in self._discretizers.items()}
+        return {**action, **steps}
 
     def observed_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Returns the action with numbers converted to steps."""

@@ -1,5 +1,12 @@
 """Names of ``pystk2_gymnasium.envs``."""
 
+from __future__ import annotations
+
+from typing import Any, TypedDict
+
+from stkzoo._pystk2_gymnasium.utils import max_enum_value as max_enum_value
+from stkzoo._pystk2_gymnasium.utils import rotate as rotate
+from stkzoo._pystk2_gymnasium.utils import rotate_batch as rotate_batch
 from stkzoo.config import AgentSpec as AgentSpec
 from stkzoo.env.gymnasium_api import GymnasiumRaceEnv
 from stkzoo.env.gymnasium_api import STKRaceEnv as STKRaceEnv
@@ -9,3 +16,19 @@ from stkzoo.mdp.spaces import kart_observation_space as kart_observation_space
 from stkzoo.names import Phase as Phase
 
 BaseSTKRaceEnv = GymnasiumRaceEnv
+
+
+class STKAction(TypedDict):
+    """An action of the ``full`` view, for annotations."""
+
+    acceleration: Any
+    steer: Any
+    brake: Any
+    drift: Any
+    fire: Any
+    nitro: Any
+    rescue: Any
+
+
+class STKDiscreteAction(STKAction):
+    """An action of :class:`~stkzoo.wrappers.DiscreteActionsWrapper`, for annotations."""

@@ -99,7 +99,9 @@ LINES = [
     "from pystk2_gymnasium.utils import rotate, rotate_batch, Discretizer, max_enum_value",
     "from pystk2_gymnasium.vecenv import make_stkrace_vec",
     "from pystk2_gymnasium import make_stkrace_vec, MonoAgentWrapperAdapter, FlattenerWrapper",
-    "from pystk2_gymnasium.envs import BaseSTKRaceEnv",
+    "from pystk2_gymnasium.envs import BaseSTKRaceEnv, STKAction, max_enum_value, rotate",
+    "from pystk2_gymnasium.stk_wrappers import STKAction, STKDiscreteAction, Discretizer",
+    "from pystk2_gymnasium.wrappers import ActionObservationWrapper, AgentException",
 ]
 
 

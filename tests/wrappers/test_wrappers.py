@@ -275,6 +275,10 @@ def test_discrete_actions_refuse_fewer_than_two_steps(key, value):
             lambda: OnlyContinuousActionsWrapper(DiscreteActionsWrapper(kart_env())),
             "only discrete actions",
         ),
+        (
+            lambda: OnlyContinuousActionsWrapper(wrap(kart_env(), "flattened")),
+            "cannot release 'discrete'.* inside the wrappers that flatten",
+        ),
     ],
 )
 def test_a_wrapper_in_the_wrong_place_is_an_error(make, text):
@@ -295,6 +299,16 @@ def test_the_nearest_step_is_at_most_half_a_step_away(values, number):
     steps = Discretizer(spaces.Box(-1, 1, (1,)), values)
     distance = abs(steps.continuous(steps.discretize(number)) - number)
     assert distance <= 1 / (values - 1) + 1e-9
+
+
+def test_actions_can_be_discretized_under_the_names_of_the_reference():
+    wrapper = DiscreteActionsWrapper(kart_env(), acceleration_steps=5, steer_steps=7)
+    action = {**kart_env().action_space.sample(), "acceleration": 0.5, "steer": np.ones(1)}
+    steps = wrapper.to_discrete(action)
+    assert (steps["acceleration"], steps["steer"]) == (2, 6)
+    numbers = wrapper.from_discrete(steps)
+    assert (numbers["acceleration"].item(), numbers["steer"].item()) == (0.5, 1.0)
+    assert wrapper.to_discrete(numbers) == steps
 
 
 def test_unlike_the_reference_discretization_is_unbiased():
