@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -23,7 +24,7 @@ from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
-from stkzoo.errors import ActionError, ApiOrderError, unknown_name
+from stkzoo.errors import ActionError, ApiOrderError, ConfigError, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
@@ -40,12 +41,32 @@ class _TrackNames:
         return list(find_assets().tracks)
 
 
+class _RaceOption:
+    """An option of later races, as an attribute that you may set between races."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, instance: Any, owner: type | None = None) -> Any:
+        return self if instance is None else getattr(instance.core.options, self._name)
+
+    def __set__(self, instance: Any, value: object) -> None:
+        instance.core.options = replace(instance.core.options, **{self._name: value})
+
+
 class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
     """Base class of Gymnasium environments on top of the parallel environment.
 
     Attributes:
         core: the :class:`~stkzoo.env.parallel.RaceParallelEnv` that runs the race.
         TRACKS: names of all race tracks.
+        default_track: the requested track or tracks; ``None`` for any. You may set this and the
+            following attributes, which are options of :class:`~stkzoo.env.parallel.RaceParallelEnv`
+            too; the next reset applies them.
+        difficulty: level of the game's bots.
+        laps: number of laps.
+        max_paths: number of observed track segments; ``None`` for all.
+        step_size: game time of one step [s].
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's convention
@@ -53,6 +74,11 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         "render_fps": 10,
     }
     TRACKS = _TrackNames()
+    default_track = _RaceOption("track")
+    difficulty = _RaceOption("difficulty")
+    laps = _RaceOption("laps")
+    max_paths = _RaceOption("max_paths")
+    step_size = _RaceOption("step_size")
 
     def __init__(
         self, agents: Sequence[AgentSpec | Mapping[str, object]] | int | None, **options: Any
@@ -93,11 +119,6 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
     def num_kart(self) -> int:
         """Number of karts in the race."""
         return self.core.options.num_kart
-
-    @property
-    def default_track(self) -> str | Sequence[str] | None:
-        """The requested track or tracks; ``None`` for any."""
-        return self.core.options.track
 
     @property
     def current_track(self) -> str | None:
@@ -259,7 +280,7 @@ def split_keywords(
         view: the view.
         keywords: options of the view and arguments of
             :class:`~stkzoo.env.parallel.RaceParallelEnv`. A keyword that both accept goes to both,
-            unless it is ``None``, which goes to the race only.
+            but ``None`` goes to the race only.
         others: additional names to accept; they go to the race.
 
     Returns:
@@ -274,7 +295,11 @@ def split_keywords(
     for name in keywords:
         if name not in race.union(names):
             raise unknown_name("argument", name, race.union(names))
-    options = {name: keywords[name] for name in names if keywords.get(name) is not None}
+    options = {
+        name: keywords[name]
+        for name in names
+        if name in keywords and (keywords[name] is not None or name not in race)
+    }
     rest = {name: value for name, value in keywords.items() if name in race}
     return (find_view((own, options)) if options else view), rest
 
@@ -305,6 +330,12 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     ) -> None:
         EzPickle.__init__(self, agents=agents, **options)
         super().__init__(agents, **options)
+        if not self.core._chains.is_compiled:
+            raise ConfigError(
+                "view has wrappers in Python, which cannot change the observations of agents that "
+                'have finished. Put them into MonoAgentWrapperAdapter(env, {"0": ...}), or into '
+                "race_v0.parallel_env(view=...)"
+            )
         self.agents = self.core.specs
         self._names = {str(i): agent for i, agent in enumerate(self.core.possible_agents)}
         self.observation_space = spaces.Dict(

@@ -109,7 +109,8 @@ class AgentChains:
     Attributes:
         observation_spaces: each agent's observation space, after its wrappers.
         action_spaces: each agent's action space, before its wrappers.
-        has_rows: whether the kernel runs all wrappers and :meth:`observe_into` is available.
+        is_compiled: whether the kernel runs all wrappers.
+        has_rows: whether it does and :meth:`observe_into` is available.
 
     Args:
         observation_spaces: each agent's space in the ``full`` view.
@@ -147,8 +148,8 @@ class AgentChains:
         self._present: _Roster | None = None
         self.observation_spaces = self._walker.observation_spaces
         self.action_spaces = self._walker.action_spaces
-        is_compiled = all(chain.is_empty for chain in self._chains.values())
-        self.has_rows = is_compiled and all(plan.has_rows for plan in self._plans.values())
+        self.is_compiled = all(chain.is_empty for chain in self._chains.values())
+        self.has_rows = self.is_compiled and all(plan.has_rows for plan in self._plans.values())
 
     def decode(
         self,

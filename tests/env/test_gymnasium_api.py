@@ -182,6 +182,32 @@ def test_a_spec_restored_from_json_keeps_its_agents(env_id, agents):
             assert race(again, 3) == race(env, 3)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "read"),
+    [
+        ("default_track", "hacienda", lambda env: env.current_track),
+        ("laps", 2, lambda env: env.core.race.laps),
+        ("difficulty", 0, lambda env: env.core.race.difficulty),
+        ("max_paths", 3, lambda env: len(env.core.observe([0])["kart_0"]["paths_width"])),
+        ("step_size", 0.05, lambda env: env.core.step_size),
+    ],
+)
+def test_options_of_later_races_can_be_set_as_attributes(name, value, read):
+    with STKRaceEnv(**OPTIONS) as env:
+        env.reset(seed=1)
+        setattr(env, name, value)
+        assert read(env) != value  # the race continues unchanged
+        env.reset(seed=1)
+        assert getattr(env, name) == read(env) == value
+        with pytest.raises(ConfigError):
+            setattr(env, name, -1)
+
+
+def test_the_dict_of_agents_refuses_wrappers_that_finished_agents_would_not_have():
+    with pytest.raises(ConfigError, match="Put them into MonoAgentWrapperAdapter"):
+        stkzoo.STKRaceMultiEnv(**OPTIONS, view={0: Noise})
+
+
 def test_an_agent_can_be_a_mapping_as_in_yaml():
     fields = {"name": "Ann", "camera_mode": "ON", "rank_start": 0}
     with race_v0.parallel_env(agents=[fields, {}], **OPTIONS) as env:

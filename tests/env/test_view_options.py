@@ -123,6 +123,17 @@ def test_a_keyword_of_both_the_race_and_its_view_reaches_both():
         assert env.unwrapped.core.options.step_size == 0.05
 
 
+def test_an_option_of_a_view_can_be_none():
+    seen = []
+
+    def view(env, *, limit=5):
+        seen.append(limit)
+        return env
+
+    gym.make("supertuxkart/full-v0", view=view, **RACE, limit=None).close()
+    assert seen == [None]
+
+
 @pytest.mark.parametrize("make", [gym.make, lambda *id, **own: gym.make_vec(*id, **own)])
 @pytest.mark.parametrize(
     ("env_id", "keywords", "message"),
