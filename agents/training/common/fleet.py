@@ -36,6 +36,8 @@ _LONGEST_STEP = 8.0
 _METER = 0.05
 #: Upper limit of an estimated time ratio.
 _WORST_RATIO = 10.0
+#: Starting points per track, direction and lineup.
+_VARIANTS = 2
 #: Time ratio of a kart that does not finish.
 _UNFINISHED = 3.0
 
@@ -239,9 +241,7 @@ class Fleet(RaceFleet):
     Args:
         lineups: lineup of each race.
         tracks: tracks, drawn uniformly and in both directions.
-        variants: starting points per track, direction and lineup.
         place_reward: reward per place; the reward per meter is 0.05.
-        starts: starting points to share with another fleet.
         rules: parameters of the learners' plans.
         mirrors: whether half of the karts observe and act with left and right swapped.
 
@@ -253,15 +253,13 @@ class Fleet(RaceFleet):
         self,
         lineups: Sequence[Lineup],
         tracks: Sequence[str],
-        variants: int = 2,
         place_reward: float = 0.3,
-        starts: RaceStarts | None = None,
         rules: DriverParameters | None = None,
         *,
         mirrors: bool = True,
     ) -> None:
-        super().__init__(lineups, starts, place_reward)
-        self._tracks, self._variants, self._mirrors = tuple(tracks), variants, mirrors
+        super().__init__(lineups, place_reward=place_reward)
+        self._tracks, self._mirrors = tuple(tracks), mirrors
         self._random = np.random.default_rng()
         self.drivers = PlanDriver(self.num_slots, rules)
         self._is_mirrored = np.zeros(self.num_slots, bool)
@@ -304,7 +302,7 @@ class Fleet(RaceFleet):
     def _begin(self, number: int) -> None:
         track = self._tracks[int(self._random.integers(len(self._tracks)))]
         reverse = bool(self._random.integers(2))
-        self.races[number].begin(track, reverse, int(self._random.integers(self._variants)))
+        self.races[number].begin(track, reverse, int(self._random.integers(_VARIANTS)))
         rows = self.races[number].slots
         self.drivers.forget(rows)
         self._is_mirrored[rows] = self._random.random(len(rows)) < 0.5 * self._mirrors
