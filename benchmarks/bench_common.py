@@ -38,6 +38,7 @@ __all__ = [
     "print_tables",
     "progress_bar",
     "quantiles",
+    "read_rows",
     "save",
     "spread",
 ]
@@ -182,6 +183,13 @@ def host_facts() -> dict[str, Any]:
         "python": platform.python_version(),
         "packages": {name: _version(name) for name in _PACKAGES},
     }
+
+
+def read_rows(file: Path) -> list[dict[str, Any]]:
+    """Returns the rows of a file with one JSON object per line; none if there is no file."""
+    if not file.exists():
+        return []
+    return [json.loads(line) for line in file.read_text().splitlines()]
 
 
 def save(

@@ -35,6 +35,7 @@ __all__ = [
 
 #: Steps before the measured ones, for the start of the race and the reference's compilation.
 WARMUP = 40
+_SEED = 1  # of the race and of the controls
 
 #: Duration of each measured step of a contender [s]: ``total`` for the caller, ``engine`` inside
 #: ``pystk2.Race.step`` (``None`` if not measured).
@@ -209,9 +210,7 @@ def race_together(
     *,
     track: str,
     steps: int,
-    warmup: int = WARMUP,
     block: int = 20,
-    seed: int = 1,
     driving: str = "heuristic",
     advance: Callable[[int], None] | None = None,
 ) -> tuple[dict[str, Times], bool]:
@@ -221,9 +220,7 @@ def race_together(
         started: contenders by name; if one is of stkzoo, it draws the race for all.
         track: name of the track.
         steps: measured steps of each contender.
-        warmup: steps before the measured ones.
         block: consecutive steps of a contender in its turn.
-        seed: seed of the race and of the controls.
         driving: ``heuristic`` repeats the recorded controls of a driver; ``random`` is random.
         advance: called with the number of measured steps after each turn.
 
@@ -235,16 +232,16 @@ def race_together(
     if driving == "heuristic":
         style = driving_style(some.view)
         controls = record_controls(
-            track, some.num_kart, some.num_agents, seed, warmup + steps, style
+            track, some.num_kart, some.num_agents, _SEED, WARMUP + steps, style
         )
     names = sorted(started, key=lambda name: started[name].spec.kind != "stkzoo")
     race = None
     for name in names:
-        started[name].ask("reset", track=track, seed=seed, race=race, controls=controls)
+        started[name].ask("reset", track=track, seed=_SEED, race=race, controls=controls)
         race = race or started[name].ask("race")
     times: dict[str, Times] = {name: {"total": [], "engine": []} for name in names}
     for name in names:
-        started[name].ask("steps", count=warmup)
+        started[name].ask("steps", count=WARMUP)
     for turn, count in enumerate(_blocks(steps, block)):
         first = turn % len(names)
         for name in names[first:] + names[:first]:

@@ -29,7 +29,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.bench_common import RESULTS, progress_bar
+from benchmarks.bench_common import RESULTS, progress_bar, read_rows
 from tests.chaos.family import marked
 from tests.chaos.forms import FORMS
 from tests.chaos.plan import fault_of
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.batch:
         return _inject(arguments.batch, arguments.seed, arguments.output)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    rows = _read(arguments.output)
+    rows = read_rows(arguments.output)
     with progress_bar(arguments.faults) as (progress, task):
         while (missing := arguments.faults - _num_hits(rows)) > 0:
             progress.update(task, completed=_num_hits(rows))
@@ -70,7 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             undone = (number for number in count() if number not in done)
             batch = list(islice(undone, min(_BATCH, missing)))
             _run_batch(batch, arguments.seed, arguments.output)
-            rows = _read(arguments.output)
+            rows = read_rows(arguments.output)
         progress.update(task, completed=_num_hits(rows))
     _show(rows)
     return 1 if any(not row["survived"] for row in rows) else 0
@@ -78,12 +78,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _num_hits(rows: Sequence[Mapping[str, Any]]) -> int:
     return sum(row["injected"] for row in rows)
-
-
-def _read(file: Path) -> list[dict[str, Any]]:
-    if not file.exists():
-        return []
-    return [json.loads(line) for line in file.read_text().splitlines()]
 
 
 # ---------------------------------------------------------------------- the process of a batch
@@ -155,7 +149,7 @@ def _watch(program: subprocess.Popen[str], output: Path) -> str:
 
 
 def _add_loss(numbers: Sequence[int], seed: int, output: Path, problem: str) -> None:
-    done = {row["number"] for row in _read(output)}
+    done = {row["number"] for row in read_rows(output)}
     left = [number for number in numbers if number not in done] or [numbers[-1]]
     lost = Outcome(fault_of(seed, left[0]), True, False, "", _PATIENCE, 0, problem)
     with output.open("a") as file:

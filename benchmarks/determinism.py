@@ -76,16 +76,15 @@ class Result:
 class NoisyDrivers:
     """A heuristic driver for each agent, with noise on the steering and random shots."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self) -> None:
         self._drive = get_actor(None, None, None)
-        self._seed = seed
 
     def __call__(self, step: Step) -> dict[str, Any]:
         """Returns the actions by agent."""
         if step.number == 0:
             self._states = {agent: create_state() for agent in step.agents}
             self._random = {
-                agent: np.random.default_rng([self._seed, i]) for i, agent in enumerate(step.agents)
+                agent: np.random.default_rng([0, i]) for i, agent in enumerate(step.agents)
             }
         return {agent: self._act(agent, step.observations[agent]) for agent in step.agents}
 

@@ -4,7 +4,7 @@
 
 stkzoo draws each race (seed, grid positions), and both run it with the same actions. Keys, types,
 shapes, values, rewards, ends and infos are compared at every step.
-``benchmarks.parity_compare.INTENDED`` lists the intended differences; with any other difference,
+``benchmarks.parity_intended.INTENDED`` lists the intended differences; with any other difference,
 the command returns 1.
 """
 
@@ -23,7 +23,8 @@ from rich.console import Console
 from rich.progress import track as progress_bar
 from rich.table import Table
 
-from benchmarks.parity_compare import INTENDED, TOLERANCE, Comparison, RaceContext, compare
+from benchmarks.parity_compare import TOLERANCE, Comparison, compare
+from benchmarks.parity_intended import INTENDED, RaceContext
 from benchmarks.parity_reference import (
     Job,
     Moment,

@@ -141,7 +141,7 @@ class Trial:
 
     def _disturb(self, cluster: Any, node: Any, training: subprocess.Popen[bytes]) -> None:
         self._wait(training, lambda: self._done() >= PAUSE)
-        victims = self._runners("second")
+        victims = self._runners()
         os.kill(victims[0], signal.SIGKILL)
         self._note("the env runner on the second node is killed by SIGKILL")
         self._wait(training, lambda: self._log()[-1]["restarted"] > 0)
@@ -171,14 +171,14 @@ class Trial:
     def _done(self) -> int:
         return len(self._log())
 
-    def _runners(self, name: str) -> list[int]:
-        """Returns the process ids of a node's env runners."""
+    def _runners(self) -> list[int]:
+        """Returns the process ids of the second node's env runners."""
         import psutil
 
         found = []
         for process in psutil.process_iter(["cmdline"]):
             words = " ".join(process.info["cmdline"] or [])
-            if words.startswith(_RUNNER) and process.environ().get(_CACHE, "").endswith(name):
+            if words.startswith(_RUNNER) and process.environ().get(_CACHE, "").endswith("second"):
                 found.append(process.pid)
         return found
 

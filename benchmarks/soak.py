@@ -32,7 +32,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.bench_common import RESULTS, progress_bar
+from benchmarks.bench_common import RESULTS, progress_bar, read_rows
 from stkzoo import race_v0
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import StkzooError
@@ -96,7 +96,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words.add_argument("--output", type=Path, default=OUTPUT, help="JSON lines file")
     arguments = words.parse_args(argv)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    rows = _read(arguments.output)
+    rows = read_rows(arguments.output)
     tracks = find_assets().tracks
     program = 1 + max((row["program"] for row in rows), default=0)
     with progress_bar(arguments.races) as (progress, task), arguments.output.open("a") as file:
@@ -108,16 +108,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         progress.update(task, completed=arguments.races)
     gc.collect()
     left = [member for member in family(os.getpid()) if member.kind != "fork server"]
-    rows = _read(arguments.output)
+    rows = read_rows(arguments.output)
     _show(rows)
     print(f"processes besides the fork server at the end: {len(left)}")
     return 1 if left or any(row["events"] or row["problem"] for row in rows) else 0
-
-
-def _read(file: Path) -> list[dict[str, Any]]:
-    if not file.exists():
-        return []
-    return [json.loads(line) for line in file.read_text().splitlines()]
 
 
 # ---------------------------------------------------------------------- one race

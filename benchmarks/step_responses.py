@@ -29,6 +29,7 @@ RESULTS = HERE / "results" / "control.json"
 PLOT = HERE.parent / "docs" / "images" / "step_responses.png"
 
 TICK = 1 / 120
+_STEP = 0.1
 #: A flat straight of 220 m, and a place where the road is 18 m wide.
 STRAIGHT, STRAIGHT_NODE = "candela_city", 40
 WIDE, WIDE_NODE = "scotland", 139
@@ -95,9 +96,9 @@ def kart_facts() -> dict[str, Any]:
             ("brake", game_action(brake=1), 1.1),
         ):
             facts[name] = _recorded(env, action, seconds)
-        facts["max_steer_angle"] = [
-            [speed, angle] for speed, angle in _sorted(facts["throttle"], "max_steer_angle")
-        ]
+        throttle = facts["throttle"]
+        angles = zip(throttle["speed"], throttle["max_steer_angle"], strict=True)
+        facts["max_steer_angle"] = [list(pair) for pair in sorted(angles)[::10]]
         facts["top_speed"] = max(facts["throttle"]["speed"])
     with open_race(STRAIGHT, STRAIGHT_NODE, step_size=TICK, speed=20.0) as env:
         facts["coast"] = _recorded(env, game_action(), 4.0)
@@ -116,10 +117,6 @@ def _recorded(env: Any, action: dict[str, Any], seconds: float) -> dict[str, lis
         rows.append([kart["velocity_lc"][2], kart["angular_velocity"][1], kart["max_steer_angle"]])
     columns = np.round(np.array(rows, float), 4).T.tolist()
     return dict(zip(("speed", "yaw_rate", "max_steer_angle"), columns, strict=True))
-
-
-def _sorted(record: dict[str, list[float]], key: str) -> list[tuple[float, float]]:
-    return sorted(zip(record["speed"], record[key], strict=True))[::10]
 
 
 def kart_models() -> dict[str, dict[str, float]]:
@@ -224,7 +221,6 @@ def control_of(
     aim: tuple[float, float],
     angle: float,
     speed: float,
-    step_size: float = 0.1,
 ) -> npt.NDArray[np.float32]:
     """Converts the driver's aim to a pair of action kinds, as an outer control loop would.
 
@@ -233,20 +229,19 @@ def control_of(
         aim: steering angle [rad] and speed [m/s], from :meth:`PursuitDriver.aim`.
         angle: current angle of the wheels [rad].
         speed: current speed [m/s].
-        step_size: duration of a step [s].
 
     Returns:
         ``(2,)`` float32, steering first.
     """
     longitudinal, steering = kinds
-    first = aim[0] if steering == "steering_angle" else (aim[0] - angle) / step_size
+    first = aim[0] if steering == "steering_angle" else (aim[0] - angle) / _STEP
     second = aim[1] if longitudinal == "speed" else 3.0 * (aim[1] - speed)
     return np.array([first, second], np.float32)
 
 
 def _wheels(kind: str, angle: float, control: Any, most: float) -> float:
     """Returns the estimated angle of the wheels after an action [rad]."""
-    wanted = angle + float(control[0]) * 0.1 if kind == "steering_speed" else float(control[0])
+    wanted = angle + float(control[0]) * _STEP if kind == "steering_speed" else float(control[0])
     return float(np.clip(wanted, -most, most))
 
 

@@ -42,6 +42,8 @@ MAX_BYTES = 8 << 20
 #: Minimum size of a text per JSON value [bytes]. A value takes up to 72 bytes of memory.
 _BYTES_PER_VALUE = 8
 _MAX_REASON = 300
+_MAX_ZIP = 64 << 20  # maximum size of a zip for :func:`read_zip` [bytes]
+_MAX_ARRAYS = 1000
 _MIN_LIST = 1 << 20
 _MAX_NAME = 300  # maximum mean size of a member's entry in a zip's list of files [bytes]
 _KINDS = "biufU"  # valid kinds of array types
@@ -349,20 +351,17 @@ def _check_member(member: zipfile.ZipInfo) -> None:
         raise Unreadable(f"{name} has an unusual compression, expected deflate")
 
 
-def read_zip(
-    path: str | os.PathLike[str], limits: Mapping[str, int], max_bytes: int = 64 << 20
-) -> dict[str, bytes]:
+def read_zip(path: str | os.PathLike[str], limits: Mapping[str, int]) -> dict[str, bytes]:
     """Returns the contents of members of a zip, by name.
 
     Args:
         path: the file.
         limits: the members to read, with the maximum unpacked size of each [bytes].
-        max_bytes: maximum size of the file [bytes].
 
     Raises: as :func:`open_zip`.
     """
     members = {}
-    with open_zip(path, 10 * len(limits), sum(limits.values()), max_bytes) as archive:
+    with open_zip(path, 10 * len(limits), sum(limits.values()), _MAX_ZIP) as archive:
         for name, limit in limits.items():
             if name not in archive.NameToInfo:
                 raise Unreadable(f"it has no {name}")
@@ -372,19 +371,16 @@ def read_zip(
     return members
 
 
-def read_arrays(
-    path: str | os.PathLike[str], max_unpacked: int, max_files: int = 1000
-) -> dict[str, npt.NDArray[Any]]:
+def read_arrays(path: str | os.PathLike[str], max_unpacked: int) -> dict[str, npt.NDArray[Any]]:
     """Returns the arrays of an ``.npz`` file by name, without unpickling.
 
     Args:
         path: the file.
         max_unpacked: maximum total size of the arrays [bytes].
-        max_files: maximum number of arrays.
 
     Raises: as :func:`open_zip`.
     """
-    with open_zip(path, max_files, max_unpacked) as archive:
+    with open_zip(path, _MAX_ARRAYS, max_unpacked) as archive:
         return {
             member.filename.removesuffix(".npy"): _array(archive, member)
             for member in archive.infolist()

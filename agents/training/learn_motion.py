@@ -36,7 +36,8 @@ from stkzoo.tracks import SPLITS
 
 from .common.arguments import RunArguments, ScriptOptions
 from .common.command import ProgressBar, run_command, training_torch
-from .common.fleet import Lineup, RaceFleet
+from .common.fleet import RaceFleet
+from .common.starts import Lineup
 
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]

@@ -114,7 +114,7 @@ def _observation(name: str, space: spaces.Space[Any], flat: SpaceFlattener) -> I
     yield ""
     for key in space.spaces:
         if key in flat.parts:
-            rows = _slices(flat.parts[key], 0)
+            rows = _slices(flat.parts[key])
             yield from (f"### `{key}`", "", *_table(columns, rows), "")
         elif key == "observation":
             yield from ("### `observation`", "", *_table(columns, _joined(flat)), "")
@@ -140,7 +140,8 @@ def _entries(space: spaces.Dict) -> Rows:
         yield f"`{key}`", shape, _range(inner), *_polar(inner, unit, meaning)
 
 
-def _slices(parts: Mapping[str, spaces.Space[Any]], start: int) -> Rows:
+def _slices(parts: Mapping[str, spaces.Space[Any]]) -> Rows:
+    start = 0
     for key, part in parts.items():
         size = int(np.prod(part.shape or (1,)))
         unit, meaning = _OBSERVED[key]
@@ -149,7 +150,7 @@ def _slices(parts: Mapping[str, spaces.Space[Any]], start: int) -> Rows:
 
 
 def _joined(flat: SpaceFlattener) -> Rows:
-    yield from _slices(flat.parts["continuous"], 0)
+    yield from _slices(flat.parts["continuous"])
     start = sum(int(np.prod(part.shape or (1,))) for part in flat.parts["continuous"].values())
     for key, part in flat.parts["discrete"].items():
         counts = part.nvec.ravel() if isinstance(part, spaces.MultiDiscrete) else np.array([part.n])  # type: ignore[attr-defined]

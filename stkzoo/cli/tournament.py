@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
     from stkzoo.evaluation import TournamentPlan, plan_tournament
-    from stkzoo.evaluation.tournament.plan import resumed_plan, with_stored_per_race
+    from stkzoo.evaluation.tournament.run import resumed_plan, with_stored_per_race
 
     servers = server_access(arguments)
     if arguments.resume:

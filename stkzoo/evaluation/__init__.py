@@ -20,11 +20,10 @@ from stkzoo.evaluation.agent_check import AgentReport, ThinkingTime, check_agent
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
+from stkzoo.evaluation.benchmark.comparison import Comparison, compare
 from stkzoo.evaluation.benchmark.plan import (
     BenchmarkPlan,
     BenchmarkResult,
-    Comparison,
-    compare,
     load_benchmark,
     plan_benchmark,
     run_benchmark,
@@ -65,16 +64,10 @@ from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.plotting import GRAY, INK, new_figure, save_figure, style_axes
 from stkzoo.evaluation.ratings import Rating, rate, require_openskill
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
-from stkzoo.evaluation.tournament.plan import (
-    TournamentPlan,
-    TournamentResult,
-    load_tournament,
-    plan_tournament,
-    resume_tournament,
-    run_tournament,
-)
+from stkzoo.evaluation.tournament.plan import TournamentPlan, TournamentResult, plan_tournament
 from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.report import write_report
+from stkzoo.evaluation.tournament.run import load_tournament, resume_tournament, run_tournament
 from stkzoo.evaluation.tournament.schedule import ScheduledRace
 from stkzoo.evaluation.tournament.standings import Standing
 

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.env.vec.env import seeds_of_races
+from stkzoo.env.vec.starts import seeds_of_races
 from stkzoo.errors import import_extra, unknown_name
 from stkzoo.suite.flat import ACTION_FORMS, CONTINUOUS, FlatTask
 from stkzoo.suite.tasks import Task

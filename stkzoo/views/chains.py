@@ -155,9 +155,9 @@ class AgentChains:
         self,
         actions: Mapping[str, Any],
         agents: Sequence[str],
-        rows: IntArray | None = None,
-        num_rows: int | None = None,
-        source: ObservationSource | None = None,
+        rows: IntArray,
+        num_rows: int,
+        source: ObservationSource,
     ) -> FloatArray:
         """Converts the agents' actions to base actions: :meth:`check`, then :meth:`convert`.
 
@@ -166,11 +166,10 @@ class AgentChains:
         Args:
             actions: actions by agent, in each agent's ``action_spaces``.
             agents: the agents that act.
-            rows: row of each agent's base action in the result; by default, the agents' order. Base
-                actions of ignored agents are dropped.
-            num_rows: number of rows; by default, the number of agents. Rows without an agent are
-                zeros.
-            source: the race at this moment, needed for actions in physical units.
+            rows: row of each agent's base action in the result. Base actions of ignored agents are
+                dropped.
+            num_rows: number of rows. Rows without an agent are zeros.
+            source: the race at this moment.
 
         Returns:
             ``(num_rows, n)`` float32, with the constructor's ``columns``.
@@ -179,9 +178,7 @@ class AgentChains:
             ActionError: an action is missing or not in its space.
             AgentException: a wrapper failed.
         """
-        rows = np.arange(len(agents)) if rows is None else rows
-        count = len(agents) if num_rows is None else num_rows
-        return self.convert(self.check(actions, agents, rows, count), source)
+        return self.convert(self.check(actions, agents, rows, num_rows), source)
 
     def check(
         self, actions: Mapping[str, Any], agents: Sequence[str], rows: IntArray, num_rows: int
@@ -248,7 +245,7 @@ class AgentChains:
                 return None
         return CheckedActions(roster, rows, controls, {})
 
-    def convert(self, checked: CheckedActions, source: ObservationSource | None) -> FloatArray:
+    def convert(self, checked: CheckedActions, source: ObservationSource) -> FloatArray:
         """Second half of :meth:`decode`: runs the wrappers of the agents that act.
 
         Args:
@@ -275,11 +272,11 @@ class AgentChains:
         roster: _Roster,
         rows: IntArray,
         controls: FloatArray,
-        source: ObservationSource | None,
+        source: ObservationSource,
     ) -> None:
         """Converts actions in physical units, which are in ``controls``, to controls."""
         for group in roster.groups:
-            if group.car is not None and source is not None:
+            if group.car is not None:
                 karts = source.karts(roster.agents)[group.rows]
                 own, data = rows[group.rows], source.snapshot.data
                 group.car.drive(controls, own, data, karts, self._cars, group.numbers)

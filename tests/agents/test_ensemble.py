@@ -20,8 +20,9 @@ from stkzoo.agents.pretrained.ensemble import EnsemblePolicy, join_members, memb
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.fleet import Fleet, Lineup
+from stkzoo.agents.training.common.fleet import Fleet
 from stkzoo.agents.training.common.matches import match_driver
+from stkzoo.agents.training.common.starts import Lineup
 from stkzoo.agents.training.evaluate import evaluate
 from stkzoo.agents.training.export import export_policy, main
 from stkzoo.errors import ConfigError

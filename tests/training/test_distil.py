@@ -9,8 +9,9 @@ from stkzoo.agents.pretrained.action_filter import INPUT_SIZE
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.common.fleet import Fleet, Lineup
+from stkzoo.agents.training.common.fleet import Fleet
 from stkzoo.agents.training.common.matches import match_driver
+from stkzoo.agents.training.common.starts import Lineup
 from stkzoo.agents.training.evaluate import evaluate
 from stkzoo.agents.training.imitation import distill
 from stkzoo.errors import ConfigError

@@ -12,7 +12,6 @@ from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
-from stkzoo.agents.training.common.fleet import parse_races
 from stkzoo.agents.training.common.matches import (
     AI,
     MatchRecord,
@@ -21,6 +20,7 @@ from stkzoo.agents.training.common.matches import (
     play_records,
     rate_orders,
 )
+from stkzoo.agents.training.common.starts import parse_races
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.league.league import League, LeagueArguments, main
 from stkzoo.agents.training.league.learner import LeagueActor, LeagueLearner

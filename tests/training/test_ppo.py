@@ -14,10 +14,11 @@ from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.fleet import Fleet, Lineup
+from stkzoo.agents.training.common.fleet import Fleet
 from stkzoo.agents.training.common.matches import match_driver
 from stkzoo.agents.training.common.ppo import advantages_of
 from stkzoo.agents.training.common.run_folder import plan_parameters, run_parameters
+from stkzoo.agents.training.common.starts import Lineup
 from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy

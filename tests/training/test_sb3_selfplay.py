@@ -13,10 +13,10 @@ from stkzoo import Start
 from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR, INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.fleet import Lineup, parse_races
 from stkzoo.agents.training.common.matches import rate_orders
 from stkzoo.agents.training.common.network_policy import initial_weights, save_driver
 from stkzoo.agents.training.common.opponents import RivalPool, bot_name
+from stkzoo.agents.training.common.starts import Lineup, parse_races
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.rate import evaluate_policy, read_evaluations

@@ -56,9 +56,15 @@ class TenTimes(gym.RewardWrapper):
         return 10 * reward
 
 
+def decode(chains, actions, agents):
+    """Returns the base actions of the agents, one row each."""
+    moment = RandomMoment(np.random.default_rng(0))
+    return chains.decode(actions, agents, np.arange(len(agents)), len(agents), moment)
+
+
 def decoded(chains, actions, agents):
     """Returns the decoded actions by key of the base action space."""
-    controls = chains.decode(actions, agents)
+    controls = decode(chains, actions, agents)
     assert (controls.dtype, controls.shape) == (np.float32, (len(agents), 7))
     return dict(zip(kart_action_space(), controls.T, strict=True))
 
@@ -143,7 +149,7 @@ def test_observations_are_in_their_spaces(name):
 def test_decoded_actions_equal_those_of_the_wrappers_one_by_one(name):
     chains = make_chains(*[view(name)] * 3)
     actions = Race(chains).sample()
-    controls = chains.decode(actions, list(actions))
+    controls = decode(chains, actions, list(actions))
     env = wrap(kart_env(), name)
     for row, base in zip(controls, actions.values(), strict=True):
         wrapper = env
@@ -666,7 +672,7 @@ def end_of(waiting):
 def test_a_waiting_thread_ends_with_its_step(ending):
     race = Race(make_chains(lambda env: TimeLimit(env, 5)))
     race.reset()
-    race.chains.decode(race.sample(), race.agents)
+    decode(race.chains, race.sample(), race.agents)
     waiting = threads()
     assert len(waiting) == 1
     if ending == "close":
@@ -674,7 +680,7 @@ def test_a_waiting_thread_ends_with_its_step(ending):
     elif ending == "reset":
         race.reset()
     elif ending == "decode":
-        race.chains.decode(race.sample(), race.agents)
+        decode(race.chains, race.sample(), race.agents)
     else:
         race.chains = None
         gc.collect()

@@ -29,9 +29,10 @@ from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.evaluation import Rating, rate
 from stkzoo.wrappers.racing import CHOICES, Surroundings, controls_of_choices, racing_features
 
-from .fleet import Finish, Lineup, RaceFleet, RaceStarts, StartingPoint
+from .fleet import Finish, RaceFleet
 from .opponents import bot_name
 from .run_folder import plan_parameters, run_parameters
+from .starts import Lineup, RaceStarts, StartingPoint
 
 #: Name of the plans without learning.
 PRIOR = "prior"

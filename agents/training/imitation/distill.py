@@ -37,8 +37,9 @@ from stkzoo.wrappers.racing import BRAKE, SIZE, controls_of_choices
 
 from ..common.arguments import QUICK_TRACKS, ScriptOptions
 from ..common.command import run_command, training_torch
-from ..common.fleet import Finish, Fleet, Lineup
+from ..common.fleet import Finish, Fleet
 from ..common.matches import Match, network_driver, play_matches
+from ..common.starts import Lineup
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
 
 #: Learners, bots and number of races: alone, against each other, and against the game's AI.

@@ -13,8 +13,9 @@ from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 
 from ..common.actors import ActorPool, SharedArray
-from ..common.fleet import Finish, FleetStep, Lineup
+from ..common.fleet import Finish, FleetStep
 from ..common.learner import Weights
+from ..common.starts import Lineup
 from ..ppo.rollouts import ActorArguments, Driven, RaceActor
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker

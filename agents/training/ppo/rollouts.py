@@ -14,9 +14,10 @@ from stkzoo.agents.pretrained.policy import Network, RacingPolicy
 from stkzoo.errors import ConfigError
 
 from ..common.actors import SharedArray
-from ..common.fleet import Finish, Fleet, FleetStep, Lineup
+from ..common.fleet import Finish, Fleet, FleetStep
 from ..common.learner import Weights
 from ..common.ppo import FIELDS, VALUE_UNIT
+from ..common.starts import Lineup
 
 NUM_LOGITS = sum(CHOICES)
 #: Element type of a rollout, an array ``(T, S)`` over steps and slots.

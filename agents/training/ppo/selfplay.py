@@ -38,10 +38,11 @@ from stkzoo.errors import check_whole
 from ..common.actors import ActorPool, SharedArray
 from ..common.arguments import QUICK_TRACKS, OverlappedArguments, ScriptOptions
 from ..common.command import run_command
-from ..common.fleet import Finish, Lineup, parse_races
+from ..common.fleet import Finish
 from ..common.learner import RunFacts, train
 from ..common.ppo import OverlappedPPO
 from ..common.run_folder import plan_parameters
+from ..common.starts import Lineup, parse_races
 from .network import ActorCritic
 from .rollouts import ROLLOUT, ActorArguments, RaceActor
 

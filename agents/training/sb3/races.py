@@ -29,8 +29,9 @@ from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 
-from ..common.fleet import Lineup, ai_time
+from ..common.fleet import ai_time
 from ..common.opponents import RivalPool, bot_name
+from ..common.starts import Lineup
 from .curriculum import Curriculum
 
 Indices = None | int | Iterable[int]

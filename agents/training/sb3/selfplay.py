@@ -50,7 +50,6 @@ from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command, training_library
-from ..common.fleet import parse_races
 from ..common.network_policy import FIRST_BIASES, initial_weights, save_driver
 from ..common.opponents import RivalPool, bot_name
 from ..common.run_folder import (
@@ -61,6 +60,7 @@ from ..common.run_folder import (
     reading_checkpoint,
     save_checkpoint,
 )
+from ..common.starts import parse_races
 from ..export import export_policy
 from ..plot import RunRatings
 from ..rate import RATINGS

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from stkzoo import race_v0
 
-from ..common.fleet import Lineup
+from ..common.starts import Lineup
 from .races import SHORT_RACE, RaceEnd, way_and_places
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
@@ -19,7 +18,8 @@ from stkzoo.env.parallel import drive_opponents
 from stkzoo.env.vec.actions import ActionBatch
 from stkzoo.env.vec.batch_race import BatchRace
 from stkzoo.env.vec.slots import CompiledSlots, RaceSlots, WalkedSlots
-from stkzoo.env.vec.starts import RepeatedStarts
+from stkzoo.env.vec.spaces import shared_space
+from stkzoo.env.vec.starts import RepeatedStarts, seeds_of_races
 from stkzoo.env.vec.steps import (
     BoolArray,
     InfoDicts,
@@ -130,8 +130,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             race.starts = self._starts
         self.num_agents = len(first.possible_agents)
         self.num_envs = num_races * self.num_agents
-        self.single_observation_space = _shared(first.observation_spaces, "observation")
-        self.single_action_space = _shared(first.action_spaces, "action")
+        self.single_observation_space = shared_space(first.observation_spaces, "observation")
+        self.single_action_space = shared_space(first.action_spaces, "action")
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.idle_observation = create_zero_array(self.single_observation_space)
@@ -406,43 +406,3 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def _flag(self, name: str, values: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         return {name: values, f"_{name}": np.ones(self.num_envs, np.bool_)}
-
-
-def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> list[int | None]:
-    """Returns the seed of each race, from a common integer or a list.
-
-    Raises:
-        ConfigError: the seeds are invalid.
-    """
-    if seed is None:
-        return [None] * num_races
-    if isinstance(seed, (int, np.integer)):
-        return [check_whole("seed", seed, 0) + number for number in range(num_races)]
-    if not isinstance(seed, Sequence) or len(seed) != num_races:
-        raise ConfigError(f"seed is {seed!r}, expected a whole number or {num_races}, one a race")
-    return [own if own is None else check_whole("seed", own, 0) for own in seed]
-
-
-def _shared(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Space[Any]:
-    """Returns the space of all agents; raises ``ConfigError`` if its values cannot be stacked."""
-    first, *others = by_agent.values()
-    if any(space != first for space in others):
-        raise ConfigError(
-            f"the agents differ in their {kind} spaces: {dict(by_agent)}; slots of one batch "
-            "need one view for all agents, and none or all of them driven by the game's AI"
-        )
-    if not is_of_fixed_size(first):
-        raise ConfigError(
-            f"the {kind} space is a {type(first).__name__} whose values differ in size; choose "
-            'view="simple", one of the flattened views, or a view of yours with Box, Discrete, '
-            "MultiDiscrete, MultiBinary, Text and Dict spaces"
-        )
-    return first
-
-
-def is_of_fixed_size(space: spaces.Space[Any]) -> bool:
-    """Whether all values of a space have the same size, so that they stack into one array."""
-    if isinstance(space, spaces.Dict):
-        return all(map(is_of_fixed_size, space.spaces.values()))
-    kinds = spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary, spaces.Text
-    return isinstance(space, kinds)

@@ -1,4 +1,4 @@
-"""A small set of races that return: each is started once, and copied from then on."""
+"""Seeds of races, and a small set of races that return: each is started once, then copied."""
 
 from __future__ import annotations
 
@@ -12,9 +12,24 @@ from stkzoo.engine.fork_client import can_fork
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.errors import ConfigError, EngineError
+from stkzoo.errors import ConfigError, EngineError, check_whole
 
 logger = logging.getLogger(__name__)
+
+
+def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> list[int | None]:
+    """Returns the seed of each race, from a common integer or a list.
+
+    Raises:
+        ConfigError: the seeds are invalid.
+    """
+    if seed is None:
+        return [None] * num_races
+    if isinstance(seed, (int, np.integer)):
+        return [check_whole("seed", seed, 0) + number for number in range(num_races)]
+    if not isinstance(seed, Sequence) or len(seed) != num_races:
+        raise ConfigError(f"seed is {seed!r}, expected a whole number or {num_races}, one a race")
+    return [own if own is None else check_whole("seed", own, 0) for own in seed]
 
 
 class RepeatedStarts:

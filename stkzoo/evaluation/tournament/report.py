@@ -338,7 +338,7 @@ def write_report(
             file cannot be written, or ``publish`` is the tournament's folder.
     """
     from stkzoo.errors import ConfigError, reason
-    from stkzoo.evaluation.tournament.plan import load_races
+    from stkzoo.evaluation.tournament.run import load_races
 
     home = Path(folder)
     result, races = load_races(home)

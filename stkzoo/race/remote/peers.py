@@ -29,7 +29,6 @@ _FAREWELL = 0.2
 
 _TOO_MANY = "the server has too many connections, and this one has no race; try again later"
 _IDLE_TOO_LONG = f"the connection had no race for {IDLE:g} s; connect again when a race starts"
-_TOO_MUCH = "the connection sent more than the server can read"
 
 
 @dataclass(slots=True)

@@ -1,62 +1,23 @@
-"""Vectorized races for Stable-Baselines3, in which one policy controls every agent.
-
->>> from stkzoo.sb3 import ActiveDictRolloutBuffer, RaceVecEnv
->>> from stable_baselines3 import PPO
->>> envs = RaceVecEnv(2, num_kart=3, track="lighthouse", view="flattened_discrete")
->>> model = PPO(
-...     "MultiInputPolicy", envs, rollout_buffer_class=ActiveDictRolloutBuffer, device="cpu"
-... )
->>> envs.close()
-
-This module needs the ``sb3`` extra (in a checkout, ``pip install ".[sb3]"``). ``import stkzoo``
-does not import it.
-"""
+"""Many races as one Stable-Baselines3 ``VecEnv``."""
 
 from __future__ import annotations
 
 import copy
-import os
 import time
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecEnv
 
-from stkzoo._installation import install_command
-from stkzoo.drivers.saving import ACTIVATIONS, write_mlp_agent
-from stkzoo.env.vec.env import RaceVectorEnv, seeds_of_races
+from stkzoo.env.vec.env import RaceVectorEnv
+from stkzoo.env.vec.starts import seeds_of_races
 from stkzoo.env.vec.steps import InfoDicts, InfoTables, SlotSteps
-from stkzoo.errors import ConfigError, shortened, unknown_name
-from stkzoo.mdp import kart_action_space
-from stkzoo.views import VIEWS
-from stkzoo.views.agent_chain import AgentChain
-from stkzoo.views.registry import base_space
-
-try:
-    import torch
-    from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
-    from stable_baselines3.common.monitor import Monitor
-    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
-    from stable_baselines3.common.policies import ActorCriticPolicy
-    from stable_baselines3.common.torch_layers import FlattenExtractor
-    from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise ImportError(
-        f"stkzoo.sb3 needs Stable-Baselines3 ({error}): {install_command('sb3')}"
-    ) from error
-
-__all__ = ["ActiveDictRolloutBuffer", "ActiveRolloutBuffer", "RaceVecEnv", "save_agent"]
-
-_ACTIONS: dict[type[gym.Space[Any]], str] = {
-    spaces.Discrete: "int(values.argmax())",
-    spaces.MultiDiscrete: (
-        "np.array([part.argmax() for part in np.split(values, action_space.nvec.cumsum()[:-1])])"
-    ),
-    spaces.Box: "np.clip(values, action_space.low, action_space.high)",
-}
+from stkzoo.errors import ConfigError
 
 Indices = None | int | Iterable[int]
 
@@ -70,7 +31,8 @@ class RaceVecEnv(VecEnv):
     each of its steps is an episode of length one, so no value is bootstrapped between idle and real
     steps. To exclude idle steps from updates, pass
     ``rollout_buffer_class=ActiveDictRolloutBuffer`` to the algorithm (or
-    :class:`ActiveRolloutBuffer` with ``flat_observations``). Idle steps still count as timesteps.
+    :class:`~stkzoo.sb3.ActiveRolloutBuffer` with ``flat_observations``). Idle steps still count as
+    timesteps.
 
     **Infos** are one mapping per slot, whose ``copy()`` is a dict: the agent's own entries,
     ``active`` and ``track``. At the end of an episode they also hold ``terminal_observation``,
@@ -316,124 +278,3 @@ def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.ND
         sizes = space.nvec.reshape(-1).tolist()
         return [np.eye(size)[number] for size, number in zip(sizes, numbers, strict=True)]
     return [np.asarray(batch).reshape(count, -1)]
-
-
-class ActiveRolloutBuffer(RolloutBuffer):
-    """A rollout buffer that leaves out the steps of idle slots.
-
-    Pass it as ``rollout_buffer_class`` to PPO or A2C with a :class:`RaceVecEnv`. It recognizes an
-    idle step as an episode of length one, so it also works with wrapped environments. The step of a
-    race that ends in its first step is left out, too. Batches have the usual size; there are fewer
-    of them.
-
-    Attributes:
-        active: indices of the real steps in the flattened buffer, slot by slot. Set by
-            :meth:`compute_returns_and_advantage`.
-    """
-
-    def compute_returns_and_advantage(
-        self, last_values: torch.Tensor, dones: npt.NDArray[Any]
-    ) -> None:
-        """Computes returns and advantages, and determines which steps are real.
-
-        Args:
-            last_values: value estimates of the last observations, ``(num_envs,)``.
-            dones: ``(num_envs,)`` whether the last step ended each slot's episode.
-
-        Raises:
-            ConfigError: no episode has more than one step.
-        """
-        super().compute_returns_and_advantage(last_values, dones)
-        starts = self.episode_starts.astype(np.bool_)
-        ends = np.vstack([starts[1:], dones.astype(np.bool_)[None]])
-        self.active = np.flatnonzero(~(starts & ends).T)  # slot after slot, as steps lie flat
-        if not len(self.active):
-            raise ConfigError(
-                "all episodes of the rollout have one step, and this buffer leaves such steps out; "
-                "raise max_cycles, or leave out rollout_buffer_class"
-            )
-
-    def get(self, batch_size: int | None = None) -> Generator[Any, None, None]:
-        """Yields the real steps in random order, in batches of ``batch_size``."""
-        next(super().get(1))  # lays the steps flat
-        order = np.random.permutation(self.active)
-        size = batch_size or max(len(order), 1)
-        for first in range(0, len(order), size):
-            yield self._get_samples(order[first : first + size])
-
-
-class ActiveDictRolloutBuffer(ActiveRolloutBuffer, DictRolloutBuffer):
-    """:class:`ActiveRolloutBuffer` for dictionary observations."""
-
-
-def save_agent(
-    model: OnPolicyAlgorithm, folder: str | os.PathLike[str], *, view: str, name: str
-) -> str:
-    """Writes a trained policy as an agent folder: a ``pystk_actor.py`` and the weights.
-
-    The agent picks the most likely action. It evaluates the network with numpy, so it starts
-    quickly and needs neither PyTorch nor Stable-Baselines3.
-
-    Args:
-        model: a PPO or A2C model with ``"MlpPolicy"`` and tanh or ReLU activations, without
-            ``features_extractor_class`` and ``squash_output``. Train it without wrappers that
-            change observations or actions. A model that was loaded without its environment does not
-            show whether ``VecNormalize`` scaled its observations.
-        folder: the agent's folder, created if necessary. Existing files of the same names are
-            replaced.
-        view: name of the view in which the policy was trained, such as ``"racing"``.
-        name: the agent's ``player_name``.
-
-    Returns:
-        The folder, for :func:`stkzoo.race.run_race` or ``stkzoo race``.
-
-    Raises:
-        ConfigError: the policy is not supported, or the view does not exist or is not that of the
-            policy.
-    """
-    if view not in VIEWS:
-        raise unknown_name("view", view, VIEWS)
-    policy = model.policy
-    action = _ACTIONS.get(type(model.action_space))
-    activation = getattr(getattr(policy, "activation_fn", None), "__name__", "")
-    is_box = isinstance(model.observation_space, spaces.Box)
-    # Subclasses of the policy, such as recurrent ones, may compute something else.
-    is_plain = (
-        type(policy) is ActorCriticPolicy
-        and type(policy.features_extractor) is FlattenExtractor
-        and not policy.squash_output
-    )
-    if not is_plain or not is_box or not action or activation not in ACTIVATIONS:
-        raise ConfigError(
-            f"the policy is {type(policy).__name__} over {type(model.observation_space).__name__}, "
-            'expected "MlpPolicy" with tanh or ReLU, without features_extractor_class and '
-            "squash_output; write its pystk_actor.py by hand"
-        )
-    _check_inputs(model, view)
-    modules = [*policy.mlp_extractor.policy_net, policy.action_net]
-    layers = [module for module in modules if isinstance(module, torch.nn.Linear)]
-    arrays = [(layer.weight.detach().cpu(), layer.bias.detach().cpu()) for layer in layers]
-    return write_mlp_agent(
-        folder, arrays, view=view, name=name, activation=activation, action=action
-    )
-
-
-def _check_inputs(model: OnPolicyAlgorithm, view: str) -> None:
-    """Checks that an agent in a view gets what the model got in training."""
-    normalization = model.get_vec_normalize_env()
-    if normalization is not None and normalization.norm_obs:
-        raise ConfigError(
-            "the model was trained on observations that VecNormalize scaled, which agents do not "
-            "get; train with norm_obs=False, or write its pystk_actor.py by hand"
-        )
-    chain = AgentChain("kart_0", base_space(VIEWS[view]), kart_action_space(), VIEWS[view])
-    for what, own, expected in (
-        ("observations", model.observation_space, chain.observation_space),
-        ("actions", model.action_space, chain.action_space),
-    ):
-        if own != expected:
-            raise ConfigError(
-                f"the model's {what} are {shortened(own)}, and those of the view {view!r} are "
-                f"{shortened(expected)}; give the view in which it was trained, without wrappers "
-                f"that change {what} and without flat_observations"
-            )

@@ -1,0 +1,102 @@
+"""The comparison of the benchmark results of two agents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark.plan import BenchmarkResult
+from stkzoo.evaluation.benchmark.races import (
+    FigureKind,
+    FloatArray,
+    RaceGroup,
+    RaceOutcome,
+    find_group,
+    group_races,
+)
+from stkzoo.evaluation.statistics import CONFIDENCE
+from stkzoo.race.document import Document
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison(Document):
+    """The differences between the results of two agents.
+
+    Attributes:
+        first: name of the first agent.
+        second: name of the second agent.
+        differences: differences over all races and over groups of races: metrics of the first
+            agent minus those of the second.
+    """
+
+    kind: ClassVar[str] = "benchmark-comparison"
+    origin: ClassVar[str] = "the output of `stkzoo benchmark --compare --json`"
+
+    first: str
+    second: str
+    differences: tuple[RaceGroup, ...]
+
+    def difference(self, by: str = "all", name: str = "") -> RaceGroup:
+        """Returns the differences in a group of races.
+
+        Args:
+            by: what the races have in common, as in :attr:`RaceGroup.by`.
+            name: name of the group, as in :attr:`RaceGroup.name`.
+
+        Raises:
+            KeyError: there is no such group.
+        """
+        return find_group(self.differences, by, name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the comparison as JSON values."""
+        interval = {"kind": "bootstrap over pairs of races", "confidence": CONFIDENCE}
+        return {"interval": interval, **Document.to_dict(self)}
+
+
+def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
+    """Compares two agents in the races that both have driven.
+
+    Each race is paired with the other agent's race with the same track, direction, form, end of
+    the grid and seed, so the effects of these conditions cancel out.
+
+    Args:
+        first: result of the first agent.
+        second: result of the second agent.
+
+    Raises:
+        ConfigError: the agents raced under different conditions, or have no race in common.
+    """
+    differing = first.plan.differing_conditions(second.plan)
+    if differing:
+        raise ConfigError(
+            f"{first.label} and {second.label} raced under different conditions: "
+            f"{'; '.join(differing)}. Run the benchmark again for one of them"
+        )
+    others = {race.key: race for race in second.races}
+    shared = [race for race in first.races if race.key in others]
+    if not shared:
+        raise ConfigError(
+            f"{first.label} and {second.label} have no race in common; give both the same tracks, "
+            "directions and forms"
+        )
+
+    def minus(kind: FigureKind) -> FigureKind:
+        def difference(mine: RaceOutcome) -> float | None:
+            one, two = kind.of(mine), kind.of(others[mine.key])
+            return None if one is None or two is None else one - two
+
+        def redrawn_difference(mine: RaceOutcome) -> FloatArray:
+            assert kind.redrawn is not None  # noqa: S101 - only called if it is not
+            return kind.redrawn(mine) - kind.redrawn(others[mine.key])
+
+        return FigureKind(
+            kind.name,
+            difference,
+            kind.bounds and (-kind.bounds[1], kind.bounds[1]),
+            kind.redrawn and redrawn_difference,
+        )
+
+    groups = group_races(shared, [minus(kind) for kind in first.figure_kinds()])
+    return Comparison(first.label, second.label, groups)
