@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE
+from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.fleet import Fleet, Lineup
 from stkzoo.agents.training.common.matches import match_driver
@@ -22,6 +22,7 @@ from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
+from stkzoo.agents.training.ppo.network import ActorCritic
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
@@ -156,6 +157,19 @@ def test_weights_of_another_network_are_refused(tmp_path):
     save_weights(file, RacingPolicy.of_plans_alone().weights)
     with pytest.raises(ConfigError, match="give --hidden 1 1"):
         PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
+
+
+def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_path):
+    random, file = np.random.default_rng(0), tmp_path / "older.safetensors"
+    shapes = network_shapes((16, 16), holds=False).items()
+    older = {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes}
+    save_weights(file, older)
+    policy, _ = ActorCritic((16, 16), 0, ("begin",), str(file)).weights()
+    inputs = random.normal(size=(3, INPUT_SIZE)).astype(np.float32)
+    view = PolicyInput(inputs, np.zeros((3, sum(CHOICES)), np.float32))
+    ours, theirs = (RacingPolicy(own).learned_logits(view) for own in (policy, older))
+    assert len(policy["mean"]) == INPUT_SIZE > len(older["mean"])
+    assert np.allclose(ours, theirs, atol=1e-4)
 
 
 def test_a_fleet_starts_the_same_races_with_the_same_seed():
