@@ -146,7 +146,7 @@ def test_the_clone_races_at_the_difficulty_of_its_reference(tmp_path, monkeypatc
 
 @pytest.mark.slow
 def test_the_clone_drives_in_the_rounds_as_its_agent_does(tmp_path, monkeypatch):
-    """Its network always turns left at full throttle, and the agent's filter frees the stuck kart."""
+    """The network always turns left at full throttle; the agent's filter frees the stuck kart."""
     found = []
 
     def run_for_a_while(*drivers, **options):

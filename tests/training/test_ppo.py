@@ -255,6 +255,21 @@ def test_plans_use_the_parameters_of_their_run(tmp_path):
     assert results[0] == results[2] != results[1]
 
 
+def test_the_newest_policy_of_a_run_that_keeps_no_others_is_its_only_one(tmp_path):
+    file = tmp_path / "policy.safetensors"
+    save_weights(file, small_network())
+    assert newest_policy(str(tmp_path)) == str(file)
+    assert newest_policy(str(file)) == str(file)
+    assert newest_policy("prior") == "prior"
+
+
+def test_the_number_of_a_round_of_imitation_is_not_its_kart_steps(tmp_path):
+    file = tmp_path / "policy-05.safetensors"
+    save_weights(file, small_network())
+    card = json.loads((export_policy(file, "clone", tmp_path / "clone") / "card.json").read_text())
+    assert card["runs"][0]["kart_steps"] is None
+
+
 def test_a_policy_keeps_the_arguments_with_which_it_learned(tmp_path):
     """The run changed its arguments after 100 kart-steps."""
     parts = [

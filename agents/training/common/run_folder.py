@@ -167,7 +167,8 @@ def chapters_of(history: Sequence[Any], kart_steps: int | None) -> Sequence[Any]
 def kart_steps_of(policy: Path) -> int | None:
     """Returns the kart-steps in the name of a run's policy file; ``None`` for other names."""
     digits = policy.stem.removeprefix("policy-")
-    return int(digits) if digits.isdigit() else None
+    is_round = len(digits) < 9  # imitation numbers its rounds
+    return int(digits) if digits.isdigit() and not is_round else None
 
 
 def run_parameters(policy: Path) -> DriverParameters:
