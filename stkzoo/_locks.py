@@ -16,11 +16,12 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["locked_folder", "try_lock"]
+__all__ = ["LOCK", "locked_folder", "try_lock"]
 
 #: Errors of file systems that have no locks.
 _UNSUPPORTED = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
-_LOCK = "lock"
+#: File by which a folder is locked.
+LOCK = "lock"
 
 
 def try_lock(descriptor: int, *, shared: bool = False, if_unsupported: bool = True) -> bool:
@@ -67,7 +68,7 @@ def locked_folder(folder: Path, noun: str) -> Iterator[None]:
     """
     with using_folder(folder, noun):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = open(folder / _LOCK, "a", opener=_open_without_waiting)  # noqa: SIM115
+        lock = open(folder / LOCK, "a", opener=_open_without_waiting)  # noqa: SIM115
     with lock:
         with using_folder(folder, noun):
             is_locked = try_lock(lock.fileno())

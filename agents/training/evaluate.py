@@ -77,7 +77,9 @@ def evaluate(
 
 def newest_policy(source: str) -> str:
     """Returns the newest policy file of a run's folder; returns other sources unchanged."""
-    return str(max(Path(source).glob("policy-*.safetensors"), default=source))
+    latest = Path(source) / "policy.safetensors"  # of a run that keeps no others
+    default = latest if latest.is_file() else source
+    return str(max(Path(source).glob("policy-*.safetensors"), default=default))
 
 
 def _report(sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]]) -> None:

@@ -12,9 +12,9 @@ finished ahead of one with fewer. ``start`` is the plans of the first run withou
 networks without plans, it is the first saved policy of that run.
 
 The second command rates one policy of a run against ``start``, one of its past selves, random
-choices, and a game bot that is alternately easy and hard. It writes its results to the run's
-folder: ``evaluations``, and ``ratings.json`` over all of them. ``sb3.selfplay`` runs this command
-during training.
+choices, and a game bot of each difficulty in turn. It writes its results to the run's folder:
+``evaluations``, and ``ratings.json`` over all of them. ``sb3.selfplay`` runs this command during
+training.
 """
 
 from __future__ import annotations
@@ -160,13 +160,19 @@ class LearningProgress:
     high: float
 
 
-def learning_progress(records: Sequence[MatchRecord]) -> LearningProgress:
-    """Compares policies with more and fewer kart-steps in matches of saved policies."""
+def learning_progress(records: Sequence[MatchRecord]) -> LearningProgress | None:
+    """Compares policies with more and fewer kart-steps in matches of saved policies.
+
+    Returns:
+        The comparison; ``None`` if all policies that met have the same kart-steps.
+    """
     counts = np.array([_duels(record.order) for record in records])
+    won, total = counts.sum(axis=0)
+    if not total:
+        return None
     rows = np.random.default_rng(0).integers(len(counts), size=(_DRAWS, len(counts)))
     ahead, duels = counts[rows].sum(axis=1).T
-    low, high = percentile_interval(ahead / duels)
-    won, total = counts.sum(axis=0)
+    low, high = percentile_interval(ahead[duels > 0] / duels[duels > 0])
     return LearningProgress(int(total), float(won / total), float(low), float(high))
 
 
@@ -204,7 +210,8 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
         {"name": name, **asdict(rating), "matches": sum(name in r.order for r in records)}
         for name, rating in sorted(ratings.items())
     ]
-    report = {"matches": len(records), "learned_longer": asdict(progress), "ratings": rows}
+    learned_longer = asdict(progress) if progress else None
+    report = {"matches": len(records), "learned_longer": learned_longer, "ratings": rows}
     write_json(folder / RATINGS, report)
     intervals = {name: [r.value, *r.interval] for name, r in ratings.items()}
     start = [(0.0, intervals[START])] if START in ratings else []
@@ -219,10 +226,11 @@ def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> N
     save_figure(rating_figure(curves, levels, title), folder / _PLOT)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
-    print(
-        f"the policy that has learned for longer is ahead in {progress.ahead:.1%} "
-        f"({progress.low:.1%}..{progress.high:.1%}) of {progress.duels} duels"
-    )
+    if progress:
+        print(
+            f"the policy that has learned for longer is ahead in {progress.ahead:.1%} "
+            f"({progress.low:.1%}..{progress.high:.1%}) of {progress.duels} duels"
+        )
 
 
 # ---------------------------------------------------------------------- one policy of a run

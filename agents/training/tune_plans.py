@@ -21,7 +21,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -137,6 +137,7 @@ class TuningArguments(RunArguments):
     """
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "bots")
+    least: ClassVar[Mapping[str, int]] = {"population": 2}  # CMA-ES compares sets
 
     generations: int = 40
     population: int = 14

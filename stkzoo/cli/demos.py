@@ -96,16 +96,16 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Records demonstrations, and checks them on request."""
     from stkzoo.cli._batch import file_name, run_batch
-    from stkzoo.evaluation.demonstrations.minari import require_minari
+    from stkzoo.evaluation.demonstrations.minari import check_dataset_id
     from stkzoo.evaluation.demonstrations.plan import record_plan
 
     plan = _plan(arguments)
     file = Path(arguments.output or "demos.npz")
     if arguments.format == "minari":
-        require_minari()
         label = file_name(plan.agent.label)
         arguments.output = arguments.output or f"supertuxkart/{label}-v0"
-        file = Path(f"{arguments.output.replace('/', '-')}.npz")  # deleted after the import
+        check_dataset_id(arguments.output)
+        file = Path(f"{arguments.output.replace('/', '-')}.minari.npz")  # deleted after the import
     demos, code = run_batch(arguments, partial(record_plan, plan, file))
     return code if demos is None else _finish(arguments, demos, file)
 

@@ -25,6 +25,7 @@ from stkzoo.evaluation import (
     save_demonstrations,
     to_minari,
 )
+from stkzoo.evaluation.demonstrations.dataset import tree_of
 from stkzoo.race import run_race
 from stkzoo.views import VIEWS
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
@@ -46,6 +47,12 @@ def whole(tmp_path_factory):
     return record_demonstrations(
         "ai", output=file, tracks="lighthouse", karts=2, difficulty=3, jobs=1
     )
+
+
+def test_arrays_of_actions_and_of_observations_with_the_same_name_are_kept_apart():
+    columns = {"actions/steer": np.ones(1), "observations/actions/steer": np.zeros(1)}
+    assert tree_of("actions", columns) == {"steer": 1.0}
+    assert tree_of("observations", columns) == {"actions": {"steer": 0.0}}
 
 
 @pytest.mark.slow
@@ -354,6 +361,25 @@ def test_minari_loads_the_same_data(driven, tmp_path, monkeypatch):
 def test_the_command_writes_minari(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     monkeypatch.chdir(tmp_path)
+    own = tmp_path / "supertuxkart-pursuit-v0.npz"
+    own.write_bytes(b"a file of the user")
     assert main(["demos", *COMMAND, "--format", "minari"]) == 0
     assert "supertuxkart/pursuit-v0" in capsys.readouterr().out
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["minari"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["minari", own.name]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        pytest.param("supertuxkart/a name-v0", "Malformed dataset ID", id="malformed"),
+        pytest.param("supertuxkart/pursuit", "it has no version", id="no version"),
+        pytest.param("supertuxkart/known-v0", "it exists already", id="in use"),
+    ],
+)
+def test_minaris_ids_are_checked_before_the_races(name, text, tmp_path, monkeypatch, capsys):
+    minari = pytest.importorskip("minari")
+    monkeypatch.setattr(minari, "list_local_datasets", lambda: {"supertuxkart/known-v0": {}})
+    monkeypatch.chdir(tmp_path)
+    assert main(["demos", *COMMAND, "--format", "minari", "--output", name]) == 2
+    assert text in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -7,6 +7,7 @@ import pytest
 from stkzoo.agents.training.common.arguments import track_names
 from stkzoo.agents.training.imitation.distill import DistillationArguments
 from stkzoo.agents.training.league.league import LeagueArguments
+from stkzoo.agents.training.learn_motion import MotionArguments
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD
 from stkzoo.agents.training.sb3.selfplay import SB3Arguments
@@ -56,6 +57,8 @@ def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
         (SB3Arguments, {"grid_share": math.nan}, "grid_share is nan, .* from 0 to 1"),
         (SB3Arguments, {"n_steps": 1, "races": ("1",)}, "expected 2 or more steps"),
         (TuningArguments, {"sigma": 0.0}, "sigma is 0.0, .* above 0"),
+        (TuningArguments, {"population": 1}, "population is 1, .* of 2 or more"),
+        (MotionArguments, {"hidden": (24,)}, r"hidden is \(24,\), expected 2 layers"),
     ],
 )
 def test_numbers_out_of_bounds_are_refused(kind, given, text):

@@ -9,6 +9,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.training.common.arguments import ScriptOptions
 from stkzoo.agents.training.common.command import run_command
 from stkzoo.agents.training.common.network_policy import save_driver
+from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.imitation import imitate, lessons
 from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run
 from stkzoo.agents.training.imitation.network import fit, held_out, make_network, mirrored
@@ -141,6 +142,30 @@ def test_the_clone_races_at_the_difficulty_of_its_reference(tmp_path, monkeypatc
     save_driver(policy, make_network((4,), seed=0))
     drive_race("pursuit", str(policy), 1, 3, "olivermath", 1)
     assert [result.difficulty for result in found] == [3]
+
+
+@pytest.mark.slow
+def test_the_clone_drives_in_the_rounds_as_its_agent_does(tmp_path, monkeypatch):
+    """The network always turns left at full throttle; the agent's filter frees the stuck kart."""
+    found = []
+
+    def run_for_a_while(*drivers, **options):
+        found.append(run_race(*drivers, **options | {"max_steps": 150}))
+        return found[-1]
+
+    network = make_network((4,), seed=0)
+    with torch.no_grad():
+        network.action_net.weight[:] = 0.0
+        network.action_net.bias[:] = -torch.arange(float(sum(CHOICES)))
+    policy = tmp_path / "policy.safetensors"
+    save_driver(policy, network)
+    monkeypatch.setattr(imitate, "run_race", run_for_a_while)
+    drive_race("pursuit", str(policy), 1, 3, "olivermath", 1)
+    agent = export_policy(policy, "left", tmp_path / "agent")
+    options = {"track": "olivermath", "seed": 1, "difficulty": 3, "inline": True}
+    run_for_a_while([str(agent)], **options)
+    clone, agent = (result.agents[0] for result in found)
+    assert clone.distance == agent.distance
 
 
 @pytest.mark.slow

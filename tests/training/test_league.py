@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from stkzoo.agents.planning.driver import likeliest
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
@@ -165,22 +166,60 @@ def test_a_match_runs_to_its_end():
 # ---------------------------------------------------------------------- learning
 
 
-def test_rivals_add_no_training_data():
-    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
-    lineups = tuple(parse_races(["4x1", "1+1x1"]))
+def actor_of(matchmaker, races):
+    """Returns an actor that learns which maneuver to begin, and its rollouts."""
+    lineups = tuple(parse_races(races))
     arguments = ActorArguments(lineups, ("olivermath",), 0.1, DriverParameters(), ("begin",))
     memory = SharedArray((2, 16, arguments.num_slots), ROLLOUT)
-    actor = LeagueActor(arguments, memory, matchmaker, [1])
+    return LeagueActor(arguments, memory, matchmaker, [1]), memory.array()
+
+
+def weights_of_plans():
+    """Returns the weights of the plans alone, and of a value network."""
+    plans = plans_alone("").weights
+    return plans, {**plans, "w2": plans["w2"][:, :1], "b2": plans["b2"][:1]}
+
+
+def test_rivals_sample_only_the_choices_that_players_learn():
+    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
+    actor, rollouts = actor_of(matchmaker, ["8x1"])
     try:
         actor.begin([0])
-        plans = plans_alone("").weights
-        critic = {**plans, "w2": plans["w2"][:, :1], "b2": plans["b2"][:1]}
+        actor.drive(0, *weights_of_plans())
+        rivals = rollouts[0][:, actor._races[0].is_rival].reshape(-1)
+    finally:
+        actor.close()
+    likely = likeliest(rivals["prior"])
+    assert (rivals["choices"][:, 0] != likely[:, 0]).any()
+    assert (rivals["choices"][:, 1:] == likely[:, 1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("races", "text"),
+    [
+        pytest.param(("1x4", "2+2x1"), "leave no kart to rivals", id="no duels"),
+        pytest.param(("four",), "races 'four' are invalid", id="no races"),
+    ],
+)
+def test_unusable_races_are_refused_before_anything_is_written(races, text, tmp_path, capsys):
+    folder = tmp_path / "league"
+    assert main(words_of(folder, SMALL | {"races": races}, total_timesteps=1)) == 1
+    assert text in capsys.readouterr().err
+    assert not folder.exists()
+
+
+def test_rivals_add_no_training_data():
+    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
+    actor, rollouts = actor_of(matchmaker, ["4x1", "1+1x1"])
+    try:
+        actor.begin([0])
+        plans, critic = weights_of_plans()
         driven = actor.drive(0, plans, critic)
         assert driven.duels == []
         race, alone = actor._races
         assert (race.is_rival.sum(), alone.is_rival.sum()) == (2, 0)
         is_rival = np.concatenate([race.is_rival, alone.is_rival])
-        rollout = memory.array()[0]
+        rollout = rollouts[0]
         assert not rollout["active"][:, is_rival].any()
         assert not rollout["rewards"][:, is_rival].any()
         assert rollout["active"][:, ~is_rival].all()
@@ -208,8 +247,10 @@ def test_the_league_gets_the_duels_of_all_actors(tmp_path):
         learner.iterate()
     finally:
         learner.close()
-    assert sum(rival.races for rival in matchmaker.pool.opponents) >= 2
-    assert 0 < matchmaker.beaten() < 1
+    duels = sum(rival.races for rival in matchmaker.pool.opponents)
+    reported = matchmaker.state()["reported"]
+    assert duels == len(reported) >= 2
+    assert set(reported) <= {0.0, 1.0}  # one kart against one
 
 
 def test_resuming_with_other_arguments_is_refused(tmp_path):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE
+from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.fleet import Fleet
 from stkzoo.agents.training.common.matches import match_driver
@@ -23,6 +23,7 @@ from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
+from stkzoo.agents.training.ppo.network import ActorCritic
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
@@ -159,6 +160,19 @@ def test_weights_of_another_network_are_refused(tmp_path):
         PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
 
 
+def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_path):
+    random, file = np.random.default_rng(0), tmp_path / "older.safetensors"
+    shapes = network_shapes((16, 16), holds=False).items()
+    older = {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes}
+    save_weights(file, older)
+    policy, _ = ActorCritic((16, 16), 0, ("begin",), str(file)).weights()
+    inputs = random.normal(size=(3, INPUT_SIZE)).astype(np.float32)
+    view = PolicyInput(inputs, np.zeros((3, sum(CHOICES)), np.float32))
+    ours, theirs = (RacingPolicy(own).learned_logits(view) for own in (policy, older))
+    assert len(policy["mean"]) == INPUT_SIZE > len(older["mean"])
+    assert np.allclose(ours, theirs, atol=1e-4)
+
+
 def test_a_fleet_starts_the_same_races_with_the_same_seed():
     """Earlier races of the fleet do not matter."""
     chance = np.random.default_rng(0)
@@ -240,6 +254,21 @@ def test_plans_use_the_parameters_of_their_run(tmp_path):
     drivers = [match_driver(name) for name in (f"prior:{BY_HAND}", "prior", file)]
     results = evaluate(drivers, ["olivermath"], 1, bots=0)
     assert results[0] == results[2] != results[1]
+
+
+def test_the_newest_policy_of_a_run_that_keeps_no_others_is_its_only_one(tmp_path):
+    file = tmp_path / "policy.safetensors"
+    save_weights(file, small_network())
+    assert newest_policy(str(tmp_path)) == str(file)
+    assert newest_policy(str(file)) == str(file)
+    assert newest_policy("prior") == "prior"
+
+
+def test_the_number_of_a_round_of_imitation_is_not_its_kart_steps(tmp_path):
+    file = tmp_path / "policy-05.safetensors"
+    save_weights(file, small_network())
+    card = json.loads((export_policy(file, "clone", tmp_path / "clone") / "card.json").read_text())
+    assert card["runs"][0]["kart_steps"] is None
 
 
 def test_a_policy_keeps_the_arguments_with_which_it_learned(tmp_path):

@@ -103,6 +103,10 @@ def test_learning_progress_is_the_share_of_duels_won_by_longer_training():
     assert (mixed.duels, mixed.ahead) == (120, 0.25)
     assert 0.05 < mixed.low < 0.2 < 0.3 < mixed.high < 0.45
     assert learning_progress(races(("a 1.00", "b 1.00", "start"))).duels == 2
+    equal = "a 1.00", "b 1.00", "ai"
+    assert learning_progress(races(equal)) is None
+    few = learning_progress(races(equal, best_first))
+    assert (few.duels, few.low, few.high) == (3, 1.0, 1.0)
 
 
 def test_too_few_policies_are_refused(run, tmp_path, capsys):

@@ -8,12 +8,15 @@ from dataclasses import dataclass
 import pytest
 
 from stkzoo._locks import locked_folder
+from stkzoo.agents.training.common.arguments import RunArguments
 from stkzoo.agents.training.common.run_folder import (
     LOG,
     TrainingLog,
     continue_json_lines,
+    keep_arguments,
     read_log,
 )
+from stkzoo.agents.training.sb3 import selfplay as sb3
 from stkzoo.agents.training.suite import ippo
 from stkzoo.errors import ConfigError
 
@@ -59,6 +62,23 @@ def test_figures_that_are_not_finite_are_logged_as_null(tmp_path):
         log.write({"iteration": 1, "kart_steps": 10, "kl": float("nan"), "loss": float("-inf")})
     with TrainingLog(tmp_path, 1) as log:
         assert log.last == {"iteration": 1, "kart_steps": 10, "kl": None, "loss": None}
+
+
+def test_a_run_that_ended_at_once_can_have_other_arguments(tmp_path):
+    with locked_folder(tmp_path, "run"):
+        keep_arguments(tmp_path, RunArguments(seed=1))
+        keep_arguments(tmp_path, RunArguments(seed=2))
+        write_iterations(tmp_path, 1)
+        with pytest.raises(ConfigError, match="seed was 2, now 3"):
+            keep_arguments(tmp_path, RunArguments(seed=3))
+
+
+def test_an_unreadable_file_of_weights_does_not_bind_a_run_to_its_name(tmp_path, capsys):
+    folder = tmp_path / "run"
+    words = [f"--output={folder}", "--races=1x1", "--evaluation-races=0", "--total-timesteps=0"]
+    assert sb3.main([*words, "--init=misspelt.safetensors"]) == 1
+    assert "cannot be read" in capsys.readouterr().err
+    assert sb3.main(words) == 0
 
 
 #: Training commands, with the options that they require.

@@ -501,6 +501,16 @@ def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
+@pytest.mark.slow
+def test_a_run_continues_after_races_without_rivals(tmp_path, monkeypatch):
+    monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
+    alone = {"races": "2x1", "grid_share": 0.0, "snapshot_share": 0.0}
+    assert learn(tmp_path, 60, **alone) == 0
+    assert "pace" in log_of(tmp_path)[-1]  # some races have ended
+    assert learn(tmp_path, 120, **alone) == 0
+    assert log_of(tmp_path)[-1]["kart_steps"] >= 120
+
+
 def test_resuming_with_other_arguments_is_refused(tmp_path):
     arguments = {**SMALL, "seed": 1}
     SB3Run(tmp_path, SB3Arguments(**arguments)).close()

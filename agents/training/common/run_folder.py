@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+from stkzoo._locks import LOCK
 from stkzoo._os import atomic_write, make_folder, write_text
 from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
 from stkzoo._schema import Count, Within, typed
@@ -99,6 +100,8 @@ def keep_arguments(
 ) -> None:
     """Writes the arguments of a new run, or checks those of a continued one.
 
+    A run that ended before it wrote anything else, perhaps because an argument was wrong, is new.
+
     Args:
         folder: folder of the run; created if necessary.
         arguments: a dataclass.
@@ -110,7 +113,7 @@ def keep_arguments(
     """
     now = {name: value for name, value in asdict(arguments).items() if name not in free}
     file = folder / ARGUMENTS
-    if file.exists():
+    if file.exists() and {path.name for path in folder.iterdir()} - {ARGUMENTS, LOCK}:
         check_resumed(folder, read_run_file(dict[str, Any], file), now, remedy)
         return
     make_folder(folder, "run")
@@ -164,7 +167,8 @@ def chapters_of(history: Sequence[Any], kart_steps: int | None) -> Sequence[Any]
 def kart_steps_of(policy: Path) -> int | None:
     """Returns the kart-steps in the name of a run's policy file; ``None`` for other names."""
     digits = policy.stem.removeprefix("policy-")
-    return int(digits) if digits.isdigit() else None
+    is_round = len(digits) < 9  # imitation numbers its rounds
+    return int(digits) if digits.isdigit() and not is_round else None
 
 
 def run_parameters(policy: Path) -> DriverParameters:

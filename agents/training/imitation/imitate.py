@@ -36,6 +36,7 @@ from gymnasium import spaces
 
 from stkzoo._arguments import option
 from stkzoo._os import cpu_count
+from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation import DemoView, load_demonstrations, record_demonstrations
@@ -190,7 +191,7 @@ def time_ratio(time: float | None, track: str, reverse: bool, difficulty: int) -
 def drive_race(
     teacher: str, policy: str, karts: int, difficulty: int, track: str, seed: int
 ) -> Lesson:
-    """Drives a race in which the learner controls all karts.
+    """Drives a race in which the learner controls all karts, through the filter of its agent.
 
     Args:
         teacher: driver that labels the states; see :func:`~stkzoo.race.find_driver`.
@@ -207,7 +208,7 @@ def drive_race(
     def make_actor(
         _: spaces.Space[Any], __: spaces.Space[Any], seed: int
     ) -> Callable[[Any], dict[str, Any]]:
-        instance = _instance(teacher, seed)
+        instance, action_filter = _instance(teacher, seed), ActionFilter(1, driver.hold)
 
         def act(observation: Any) -> dict[str, Any]:
             own = view.observe(observation)
@@ -215,7 +216,8 @@ def drive_race(
             answer = np.array(controls_of(instance.answer().action), np.float32)
             seen.append(own)
             labels.append(view.action(observation, answer))
-            return action_of(controls_of_choices(driver.best(own[None]))[0])
+            choices = action_filter.drive(own, driver.best)
+            return action_of(controls_of_choices(choices[None])[0])
 
         return act
 

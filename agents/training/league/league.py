@@ -40,6 +40,7 @@ from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
+from ..common.fleet import parse_races
 from ..common.matches import AI, MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.opponents import Rival
 from ..common.run_folder import LEAGUE, TrainingLog, check_resumed, read_run_file, write_json
@@ -53,6 +54,7 @@ from .players import (
     Player,
     PlayerMatchmaker,
     draw_matches,
+    has_duels,
     new_players,
 )
 
@@ -113,6 +115,14 @@ class LeagueArguments(PPOArguments):
     anneal_timesteps: int = 5_000_000
     warm_up: int = 5
     init: str = ""
+
+    def __post_init__(self) -> None:
+        PPOArguments.__post_init__(self)
+        if not any(map(has_duels, parse_races(self.races))):
+            raise ConfigError(
+                f"races {' '.join(self.races)} leave no kart to rivals; add races of two or more "
+                "agents without the game's AI, such as 4x6"
+            )
 
     def of_learner(self, number: int, generation: int) -> SelfPlayArguments:
         """Returns the arguments of a player's run."""

@@ -18,7 +18,7 @@ from ..common.learner import Weights
 from ..common.starts import Lineup
 from ..ppo.rollouts import ActorArguments, Driven, RaceActor
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
-from .players import PlayerMatchmaker
+from .players import PlayerMatchmaker, has_duels
 
 
 class _RivalRace:
@@ -79,8 +79,7 @@ class LeagueActor(RaceActor):
         return replace(driven, duels=duels)
 
     def _assign(self, race: _RivalRace) -> None:
-        can_meet = race.lineup.learners > 1 and not race.lineup.bots
-        rival = self._matchmaker.draw(self._matchmaking) if can_meet else None
+        rival = self._matchmaker.draw(self._matchmaking) if has_duels(race.lineup) else None
         race.assign(rival, self._matchmaking)
 
     def _choose(self, view: PolicyInput, actor: RacingPolicy) -> tuple[IntArray, FloatArray]:
@@ -89,7 +88,8 @@ class LeagueActor(RaceActor):
             if race.rival is not None:
                 rows = race.slots[race.is_rival]
                 policy = self._matchmaker.policy(race.rival)
-                choices[rows], _ = policy.sample(rows_of(view, rows), self._matchmaking)
+                own = rows_of(view, rows)
+                choices[rows], _ = policy.sample(own, self._matchmaking, self._columns)
         return choices, log_probability
 
     def _own_outcome(self, outcome: FleetStep) -> FleetStep:

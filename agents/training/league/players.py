@@ -12,6 +12,7 @@ from stkzoo._schema import Count, Matching, OneOf, Share
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
+from ..common.fleet import Lineup
 from ..common.matches import SEATS, Match, MatchRecord
 from ..common.opponents import Rival, RivalPool
 
@@ -111,6 +112,11 @@ def _letters(count: int) -> list[str]:
     if count > 26:
         raise ConfigError(f"{count} players of a kind are too many; expected at most 26")
     return [chr(ord("a") + number) for number in range(count)]
+
+
+def has_duels(lineup: Lineup) -> bool:
+    """Returns whether a rival can drive half of the karts in races with a lineup."""
+    return lineup.learners > 1 and not lineup.bots
 
 
 class PlayerMatchmaker:

@@ -109,6 +109,8 @@ class ActorCritic(PPONetwork):
 def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:
     """Returns the weights of a policy over plans from a file.
 
+    If the policy does not observe the offset that it holds, this input initially has no effect.
+
     Args:
         init: the file.
         hidden: units of the hidden layers.
@@ -124,4 +126,9 @@ def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:
             f"the weights {init!r} have layers of {found[0]} and {found[1]} units, "
             f"expected {tuple(hidden)}; give --hidden {found[0]} {found[1]}"
         )
-    return weights
+    more = INPUT_SIZE - len(weights["mean"])
+    return weights | {
+        "mean": np.pad(weights["mean"], (0, more)),
+        "scale": np.pad(weights["scale"], (0, more), constant_values=1.0),
+        "w0": np.pad(weights["w0"], ((0, more), (0, 0))),
+    }

@@ -53,7 +53,8 @@ class RaceEnd:
     Attributes:
         track: name of the track.
         rival: the other driver: a snapshot, ``bot:0`` to ``bot:3``, or empty for none.
-        beaten: fraction of the rival's karts that the learner's kart was ahead of.
+        beaten: fraction of the rival's karts that the learner's kart was ahead of; ``None`` without
+            a rival.
         pace: mean speed over that of the game's AI in such races.
         finished: whether the kart finished.
         steps: number of steps it drove.
@@ -61,7 +62,7 @@ class RaceEnd:
 
     track: str
     rival: str
-    beaten: float
+    beaten: float | None
     pace: float
     finished: bool
     steps: int
@@ -132,12 +133,12 @@ class _SelfPlayRace:
             )
         return ends
 
-    def _beaten(self, row: int, places: npt.NDArray[Any]) -> float:
+    def _beaten(self, row: int, places: npt.NDArray[Any]) -> float | None:
         if self.lineup.bots:
             before = places[row] - 1 - int((places < places[row]).sum())
             return float(np.clip(1.0 - before / self.lineup.bots, 0.0, 1.0))
         rivals = places[~self.is_learner]
-        return float((places[row] < rivals).mean()) if len(rivals) else math.nan
+        return float((places[row] < rivals).mean()) if len(rivals) else None
 
 
 class SelfPlayVecEnv(VecEnv):
@@ -324,7 +325,7 @@ class SelfPlayVecEnv(VecEnv):
         ends = race.ends()
         for end in ends:
             self._curriculum.update(end.pace)
-        beaten = [end.beaten for end in ends if end.rival]
+        beaten = [end.beaten for end in ends if end.beaten is not None]
         if beaten:
             pool = self._bots if race.lineup.bots else self._snapshots
             pool.update(race.rival, float(np.mean(beaten)))

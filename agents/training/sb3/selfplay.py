@@ -381,7 +381,7 @@ class SB3Run:
             duels = [
                 end.beaten
                 for end in self._recent
-                if end.rival and end.rival.startswith("bot:") == is_wanted
+                if end.beaten is not None and end.rival.startswith("bot:") == is_wanted
             ]
             if duels:
                 figures[name] = float(np.mean(duels))

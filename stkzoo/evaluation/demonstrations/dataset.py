@@ -54,7 +54,8 @@ def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
     if name in columns:
         return columns[name]
     inner = f"{name}/"
-    keys = {column.removeprefix(inner).partition("/")[0] for column in columns if inner in column}
+    own = [column for column in columns if column.startswith(inner)]
+    keys = {column.removeprefix(inner).partition("/")[0] for column in own}
     if not keys:
         raise KeyError(name)
     return {key: tree_of(inner + key, columns) for key in sorted(keys)}

@@ -24,6 +24,30 @@ def require_minari() -> Any:
     return import_extra("minari", "this format needs", "demos", "or write --format npz")
 
 
+def check_dataset_id(dataset_id: str) -> None:
+    """Checks that Minari can create a data set with an id.
+
+    Raises:
+        ConfigError: Minari is not installed, or the id is malformed or in use.
+    """
+    minari = require_minari()
+    try:
+        minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
+    except ValueError as error:
+        raise _rejected(dataset_id, error) from error
+    except TypeError as error:
+        raise _rejected(dataset_id, "it has no version") from error
+    if dataset_id in minari.list_local_datasets():
+        raise _rejected(dataset_id, "it exists already")
+
+
+def _rejected(dataset_id: str, why: object) -> ConfigError:
+    return ConfigError(
+        f"Minari rejects the data set {dataset_id!r}: {why}; expected a name such as "
+        "supertuxkart/heuristic-v0 that is not in use"
+    )
+
+
 def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
     """Adds demonstrations to Minari's local data sets.
 
@@ -39,6 +63,7 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
     Raises:
         ConfigError: Minari is not installed, or rejects the id, for example because it is in use.
     """
+    check_dataset_id(dataset_id)
     minari = require_minari()
     view = DemoView(demos.view)
     buffers = [_buffer(minari, number, demos[number]) for number in range(len(demos))]
@@ -59,10 +84,7 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
             warnings.simplefilter("ignore", UserWarning)  # Minari warns without an environment id
             dataset = minari.create_dataset_from_buffers(dataset_id, buffers, **spaces, **about)
     except (ValueError, AttributeError, AssertionError) as error:
-        raise ConfigError(
-            f"Minari rejects the data set {dataset_id!r}: {error}; expected a name such as "
-            "supertuxkart/heuristic-v0 that is not in use"
-        ) from error
+        raise _rejected(dataset_id, error) from error
     dataset.storage.update_metadata({"stkzoo": json.dumps(dict(demos.plan))})
     dataset.storage.update_episode_metadata(
         [
