@@ -122,7 +122,8 @@ class TaskActor:
             self._returns += step["rewards"]
             for slot, (last, info) in steps.finals.items():
                 if steps.truncations[slot]:
-                    row = np.concatenate([last, step["state"][slot]])  # the race's last state
+                    # The race has been reset, so the state is the one before the step.
+                    row = np.concatenate([last, step["state"][slot]])
                     step["next_values"][slot] = values_of(row[None])[0, 0] * VALUE_UNIT
                 if self._is_own[slot]:
                     own = float(self._returns[slot]), bool(steps.terminations[slot])
