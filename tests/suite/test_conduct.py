@@ -121,6 +121,15 @@ def test_the_kart_that_started_later_or_else_closes_the_gap_is_at_fault(latest, 
     assert JudgedContact(10, (3, 5), (1, 1), latest, closing).at_fault == at_fault
 
 
+def test_a_kart_that_hits_a_slow_kart_from_behind_is_at_fault_because_it_could_brake(tmp_path):
+    drivers = ["heuristic", "pursuit", "heuristic", "pursuit", "benchmarks.rammer"]
+    file = record(tmp_path / "lighthouse.stkz", drivers, seed=3006, max_steps=75)
+    (contact,) = [c for c in race_conduct(file, [4]).contacts if c.karts == (1, 4)]
+    assert contact.closing[1] > 20 > 0 > contact.closing[0]
+    assert contact.latest == (0.3, 0.5)  # without brakes, only the slow kart avoids it
+    assert contact.at_fault == 4
+
+
 def test_nobody_is_at_fault_for_a_contact_toward_which_the_games_ai_moves_faster(tmp_path):
     drivers = ["benchmarks.rammer", "heuristic", "heuristic", "pretrained:ace", "ai", "ai"]
     file = record(tmp_path / "mines.stkz", drivers, track="mines", seed=1082, max_steps=32)
