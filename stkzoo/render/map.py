@@ -222,6 +222,8 @@ class MapView:
 
 
 def _disc(draw: Any, place: Any, radius: float, color: Any) -> None:
+    if radius < 0:  # a narrow road in a small frame is all kerb
+        return
     x, y = place
     draw.ellipse([x - radius, y - radius, x + radius, y + radius], fill=color)
 

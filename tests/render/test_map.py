@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stkzoo import race_v0
 from stkzoo.render.map import MapView, road_outline
 from stkzoo.render.palette import race_palette, readable_on, rgb
 from stkzoo.render.scene import clock, standings
@@ -31,6 +32,13 @@ def test_a_picture_has_the_requested_size(race, size):
     scene, snapshots = race
     picture = MapView(scene, size).draw(snapshots[-1])
     assert (picture.shape, picture.dtype) == ((size[1], size[0], 3), np.uint8)
+
+
+def test_a_long_track_fits_a_small_picture():
+    with race_v0.parallel_env(num_kart=1, track="stk_enterprise") as env:
+        env.reset(seed=0)
+        picture = MapView(env.scene, (84, 84)).draw(env.snapshot)
+    assert picture.shape == (84, 84, 3)
 
 
 def test_every_kart_is_drawn_in_its_color(race):
