@@ -96,6 +96,7 @@ class VideoWriter:
         self.num_frames = 0
         self._fps = fps
         self._shape: tuple[int, int] | None = None
+        self._rest = memoryview(b"")  # of the last frame, after an interrupt
         self._process: subprocess.Popen[bytes] | None = None
         self._resources = contextlib.ExitStack()
 
@@ -103,7 +104,7 @@ class VideoWriter:
         """Adds a frame, ``(H, W, 3)`` uint8; all frames must have the same size.
 
         If a dimension is odd, the last row or column is dropped, because most formats need even
-        sizes.
+        sizes. After Ctrl-C in this method, the video contains the frame and can continue.
 
         Raises:
             ConfigError: the frame has another size or dtype.
@@ -118,12 +119,10 @@ class VideoWriter:
             self._start(height, width)
         if self._shape != (height, width):
             raise ConfigError(f"a picture is {width}x{height}, expected {self._shape}; resize it")
-        try:
-            self._send(np.ascontiguousarray(picture[:height, :width]))
-        except BaseException:  # a partial frame would shift all later frames
-            self.abort()
-            raise
+        self._send_rest()
+        self._rest = np.ascontiguousarray(picture[:height, :width]).data.cast("B")
         self.num_frames += 1
+        self._send_rest()
 
     def close(self) -> None:
         """Finishes the video and moves it to its path.
@@ -133,6 +132,7 @@ class VideoWriter:
         """
         if self._process is None:
             raise VideoError(f"{self.path} would have no picture; no file was written")
+        self._send_rest()
         try:
             with contextlib.suppress(OSError):
                 self._pipe.close()
@@ -145,6 +145,7 @@ class VideoWriter:
 
     def abort(self) -> None:
         """Discards the video; you may call it again, or after :meth:`close`."""
+        self._rest = memoryview(b"")
         with contextlib.suppress(_Aborted), self._resources:
             raise _Aborted
 
@@ -169,16 +170,18 @@ class VideoWriter:
             self._resources = resources.pop_all()
         os.set_blocking(self._pipe.fileno(), False)
 
-    def _send(self, picture: npt.NDArray[np.uint8]) -> None:
-        rest = picture.data.cast("B")
+    def _send_rest(self) -> None:
+        """Sends the rest of the last frame. A partial frame would shift all later frames."""
+        if not self._rest:
+            return
         deadline = time.monotonic() + _STALL_LIMIT
         with selectors.DefaultSelector() as selector:
             selector.register(self._pipe, selectors.EVENT_WRITE)
-            while rest:
+            while self._rest:
                 if not selector.select(max(0.0, deadline - time.monotonic())):
                     self._fail(f"ffmpeg took no picture for {_STALL_LIMIT:.0f} s")
                 try:
-                    rest = rest[os.write(self._pipe.fileno(), rest) :]
+                    self._rest = self._rest[os.write(self._pipe.fileno(), self._rest) :]
                 except BlockingIOError:
                     continue
                 except OSError as error:

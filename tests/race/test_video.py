@@ -1,7 +1,9 @@
 """Videos: all formats, no partial files, and videos of races."""
 
+import itertools
 import os
 import re
+import selectors
 import signal
 import subprocess
 import sys
@@ -13,7 +15,7 @@ import numpy as np
 import pytest
 
 from stkzoo.errors import ConfigError
-from stkzoo.race import RaceFilm, RaceVideo, run_race
+from stkzoo.race import RaceFilm, RaceInterrupted, RaceVideo, run_race
 from stkzoo.render import encoder
 from stkzoo.render.cards import end_card
 from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter
@@ -103,6 +105,42 @@ def test_an_ffmpeg_that_died_is_an_error_and_leaves_no_file(tmp_path):
         overfill(writer)
     assert list(tmp_path.iterdir()) == []
     writer.abort()
+
+
+def interrupt_sending(monkeypatch, at):
+    """Interrupts the program when it waits for ffmpeg for the given time."""
+
+    class Selector(selectors.DefaultSelector):
+        def select(self, timeout=None):
+            if next(calls) == at:
+                raise KeyboardInterrupt
+            return super().select(timeout)
+
+    calls = itertools.count(1)
+    monkeypatch.setattr(encoder.selectors, "DefaultSelector", Selector)
+
+
+def test_a_video_continues_after_an_interrupt_in_the_middle_of_a_frame(tmp_path, monkeypatch):
+    path, big = tmp_path / "race.mkv", (640, 480)  # larger than the pipe to ffmpeg
+    interrupt_sending(monkeypatch, at=2)
+    writer = VideoWriter(path, 10)
+    with pytest.raises(KeyboardInterrupt):
+        writer.add(color(40, big))
+    writer.add(color(200, big))
+    writer.close()
+    pictures, _ = read(path)
+    assert [round(float(picture.mean()), -1) for picture in pictures] == [40, 200]
+
+
+@pytest.mark.slow
+def test_a_race_interrupted_while_it_is_filmed_has_its_result_and_film(tmp_path, monkeypatch):
+    path = tmp_path / "race.mkv"
+    interrupt_sending(monkeypatch, at=100)
+    film = RaceVideo(path, backend="map", size=(640, 480), card_seconds=0)
+    with pytest.raises(RaceInterrupted) as caught:
+        run_race(["heuristic"], track="lighthouse", max_steps=100, listeners=[film])
+    assert caught.value.result.status == "interrupted"
+    assert path.exists()
 
 
 @pytest.mark.slow
