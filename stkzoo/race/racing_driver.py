@@ -59,7 +59,7 @@ class RacingDriver:
 
     def __init__(self, driver: Driver, request: DriverRequest, settings: RaceSettings) -> None:
         self.agent = request.agent
-        self.name = driver.name
+        self.name = one_line(driver.name)
         self.failures: list[AgentFailure] = []
         self.num_failures = self.num_clipped = 0
         self._text_left = _MAX_TEXTS
@@ -100,7 +100,7 @@ class RacingDriver:
             self._retire()
             return
         self._is_ready = True
-        self.name = self.name or _one_line(name) or self._default_name()
+        self.name = self.name or one_line(name) or self._default_name()
 
     def ask(self, observation: Any, step: int) -> None:
         """Waits until the driver is ready, then sends the observation to it."""
@@ -214,7 +214,7 @@ class RacingDriver:
     def _default_name(self) -> str:
         source = PurePath(self._driver.source)
         name = source.stem if source.suffix in (".zip", ".py") else source.name
-        return _one_line(name) or self.agent
+        return one_line(name) or self.agent
 
     def _replacement(self) -> Any:
         """Returns the action that replaces a missing or invalid one."""
@@ -223,6 +223,6 @@ class RacingDriver:
         return create_zero_array(self._request.action_space)
 
 
-def _one_line(name: str) -> str:
-    """Converts a name from an agent to one printable line."""
-    return printable(name, _MAX_NAME).replace("\n", " ").strip()
+def one_line(name: str) -> str:
+    """Converts a name from an agent or a file to one printable line, which may be empty."""
+    return " ".join(printable(name, _MAX_NAME).split())

@@ -25,7 +25,7 @@ from stkzoo.drivers.sandbox import (
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.racing_driver import RacingDriver
+from stkzoo.race.racing_driver import RacingDriver, one_line
 from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
@@ -269,7 +269,8 @@ class _RaceRun:
         for member in self.members.values():
             member.get_ready(0)
         self._names = {
-            agent: self.members.get(agent, driver).name for agent, driver in self._drivers.items()
+            agent: one_line(self.members.get(agent, driver).name) or agent
+            for agent, driver in self._drivers.items()
         }
         for spec, name in zip(self._env.specs, self._names.values(), strict=True):
             spec.name = name

@@ -129,6 +129,13 @@ def test_a_listener_is_called_from_start_to_end():
     assert ear.heard[-1].leader_distance == result.race_length
 
 
+def test_names_of_drivers_are_one_printable_line():
+    drivers = ["ai@:A\nB\x1b[31m", "heuristic@:C\tD\x07", "ai@:\n"]
+    result = run_race(drivers, track="olivermath", max_steps=1)
+    names = {row.agent: row.driver for row in result.agents}
+    assert names == {"kart_0": "A B", "kart_1": "C D?", "kart_2": "kart_2"}
+
+
 def test_a_listener_gets_observations_actions_and_rewards():
     ear = Ear()
     run_race(["heuristic", "ai@:Bot"], track="olivermath", max_steps=30, seed=2, listeners=[ear])
