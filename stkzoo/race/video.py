@@ -181,7 +181,7 @@ class RaceFilm:
         for line in standings(self._scene, self._last):
             agent = known.get(line.kart)
             rank = agent.rank if agent else line.rank
-            outcome = line.detail if line.has_finished else f"{line.progress:.0%} of the way"
+            outcome = line.outcome
             if agent is not None and agent.status == "retired":
                 outcome = f"retired, {outcome}"
             rows.append((rank, line.name, line.color, outcome))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.render.palette import readable_on, rgb
-from stkzoo.render.pictures import font_of, grid_of, pillow
+from stkzoo.render.pictures import fitted_text, font_of, grid_of, pillow
 from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
 Picture = npt.NDArray[np.uint8]
@@ -66,9 +66,12 @@ def _draw_label(
     middle = (top + bottom) / 2
     ink = readable_on(line.color)
     draw.text((left + unit, middle), str(line.rank), ink, font_of(unit + 3), anchor="mm")
-    draw.text((left + unit * 2.6, middle), line.name, _TEXT, font_of(unit), anchor="lm")
-    right = f"{line.detail}   {max(speed, 0.0) * 3.6:.0f} km/h"
-    draw.text((left + tile[0] - unit * 0.6, middle), right, _FAINT, font_of(unit), anchor="rm")
+    font, right = font_of(unit), left + tile[0] - unit * 0.6
+    detail = f"{line.detail}   {max(speed, 0.0) * 3.6:.0f} km/h"
+    draw.text((right, middle), detail, _FAINT, font, anchor="rm")
+    begin = left + unit * 2.6
+    name = fitted_text(line.name, font, right - font.getlength(detail) - unit - begin)
+    draw.text((begin, middle), name, _TEXT, font, anchor="lm")
 
 
 def _draw_title(draw: Any, title: str, width: int, unit: int) -> None:
@@ -99,6 +102,7 @@ def end_card(
     draw = drawing.Draw(image, "RGBA")
     unit = max(9, min(height // 24, width // 30))
     top = unit * 2
+    title = fitted_text(title, font_of(unit * 2), width - 2 * unit)
     draw.text((width / 2, top), title, _TEXT, font_of(unit * 2), anchor="mm")
     draw.text((width / 2, top + unit * 2), subtitle, _FAINT, font_of(unit), anchor="mm")
     half = min(width * 0.44, unit * 13)
@@ -124,5 +128,7 @@ def _draw_result(
     middle = top + high / 2
     ink = rgb(_MEDALS[rank]) if rank in _MEDALS else _FAINT
     draw.text((left + unit * 2, middle), str(rank), ink, font_of(int(unit * 1.3)), anchor="mm")
-    draw.text((left + unit * 3.4, middle), name, _TEXT, font_of(int(unit * 1.1)), anchor="lm")
-    draw.text((right - unit, middle), outcome, _FAINT, font_of(unit), anchor="rm")
+    begin, end, font = left + unit * 3.4, right - unit, font_of(int(unit * 1.1))
+    draw.text((end, middle), outcome, _FAINT, font_of(unit), anchor="rm")
+    name = fitted_text(name, font, end - font_of(unit).getlength(outcome) - unit - begin)
+    draw.text((begin, middle), name, _TEXT, font, anchor="lm")

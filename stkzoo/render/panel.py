@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.render.palette import readable_on, rgb
-from stkzoo.render.pictures import font_of, pillow
+from stkzoo.render.pictures import fitted_text, font_of, pillow
 from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
 if TYPE_CHECKING:
@@ -38,8 +38,9 @@ def draw_panel(picture: Image, scene: Scene, snapshot: Snapshot, left: int) -> N
     draw.rectangle([left, 0, width, height], fill=_PANEL)
     unit = max(9, min(height // 26, (width - left) // 12))
     pad = unit
-    title = _fitted(scene.title, unit + 3, width - left - 2 * pad)
-    draw.text((left + pad, pad), title[0], _TEXT, font=title[1])
+    font = font_of(unit + 3)
+    title = fitted_text(scene.title, font, width - left - 2 * pad)
+    draw.text((left + pad, pad), title, _TEXT, font)
     draw.text((left + pad, pad + unit * 1.7), _subtitle(scene, snapshot), _FAINT, font_of(unit))
     top = pad + unit * 3.6
     row = unit * 2.3
@@ -73,18 +74,9 @@ def _draw_line(
     detail = draw.textlength(line.detail, small)
     draw.text((right, middle - unit * 0.2), line.detail, _FAINT, small, anchor="rm")
     begin = left + badge + unit * 0.5
-    text, font = _fitted(line.name, unit, right - detail - unit * 0.4 - begin)
-    draw.text((begin, middle - unit * 0.2), text, _TEXT, font, anchor="lm")
+    font = font_of(unit)
+    name = fitted_text(line.name, font, right - detail - unit * 0.4 - begin)
+    draw.text((begin, middle - unit * 0.2), name, _TEXT, font, anchor="lm")
     bar = top + badge
     draw.rectangle([begin, bar - 2, right, bar], fill=_LINE)
     draw.rectangle([begin, bar - 2, begin + (right - begin) * line.progress, bar], fill=color)
-
-
-def _fitted(text: str, size: int, room: float) -> tuple[str, Any]:
-    """Returns the text, shortened if necessary, and its font."""
-    font = font_of(size)
-    if font.getlength(text) <= room:
-        return text, font
-    while text and font.getlength(text + "…") > room:
-        text = text[:-1]
-    return text + "…", font

@@ -36,6 +36,15 @@ def font_of(size: int) -> ImageFont.FreeTypeFont:
     return font
 
 
+def fitted_text(text: str, font: ImageFont.FreeTypeFont, room: float) -> str:
+    """Returns the text, shortened if it is wider than ``room`` [pixels]."""
+    if font.getlength(text) <= room:
+        return text
+    while text and font.getlength(text + "…") > room:
+        text = text[:-1]
+    return text + "…"
+
+
 Picture = npt.NDArray[np.uint8]
 
 

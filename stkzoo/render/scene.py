@@ -86,6 +86,12 @@ class RaceStanding:
     detail: str
     has_finished: bool
 
+    @property
+    def outcome(self) -> str:
+        """Its finish time, or the completed share of the race, which is below 100 %."""
+        share = min(int(100 * self.progress), 99)
+        return self.detail if self.has_finished else f"{share}% of the way"
+
 
 def standings(scene: Scene, snapshot: Snapshot) -> list[RaceStanding]:
     """Returns the standings of all karts, best rank first."""

@@ -1,6 +1,7 @@
 """Videos: all formats, no partial files, and videos of races."""
 
 import itertools
+import math
 import os
 import re
 import selectors
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -17,10 +19,10 @@ import pytest
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceFilm, RaceInterrupted, RaceVideo, run_race
 from stkzoo.render import encoder
-from stkzoo.render.cards import end_card
+from stkzoo.render.cards import end_card, with_labels
 from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter
 from stkzoo.render.motion import game_time, poses_between, snapshots_between
-from stkzoo.render.pictures import grid_of, tiled
+from stkzoo.render.pictures import font_of, grid_of, tiled
 from stkzoo.render.scene import clock
 from tests.support.rendering import drive, small_race, who_draws
 
@@ -275,6 +277,33 @@ def test_the_results_page_has_room_for_many_results(size):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("size", [(320, 240), (854, 480), (1920, 1080)])
+def test_a_long_name_does_not_cover_the_outcome(size):
+    unit, outcome = min(size[1] // 24, size[0] // 30), "retired, 99% of the way"
+    short, long = (
+        end_card("lighthouse", "results", [(1, name, "#e69f00", outcome)], None, size)
+        for name in ("A", 40 * "W")
+    )
+    begin = size[0] // 2 + 12 * unit - math.ceil(font_of(unit).getlength(outcome))
+    assert (short[:, begin:] == long[:, begin:]).all()
+    assert (short != long).any()
+
+
+@pytest.mark.parametrize("size", [(160, 120), (320, 240), (854, 480)])
+def test_a_long_name_does_not_cover_lap_and_speed(size):
+    with small_race() as env:
+        env.reset(seed=0)
+        scene, snapshot = env.scene, env.snapshot
+    short, long = (
+        with_labels(color(90, size), replace(scene, names=(name,) * 3), snapshot, [0])
+        for name in ("A", 40 * "W")
+    )
+    unit = max(9, min(size[1] // 18, size[0] // 18))
+    detail = math.ceil(font_of(unit).getlength("lap 1   0 km/h") + 0.6 * unit)
+    assert (short[:, -detail:] == long[:, -detail:]).all()
+    assert (short != long).any()
+
+
 def test_a_video_is_as_long_as_the_race(tmp_path):
     path = tmp_path / "race.mp4"
     video = RaceVideo(path, backend="map", size=(160, 120), sub_steps=3, card_seconds=1.0)

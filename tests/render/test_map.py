@@ -8,7 +8,7 @@ import pytest
 from stkzoo import race_v0
 from stkzoo.render.map import MapView, road_outline
 from stkzoo.render.palette import race_palette, readable_on, rgb
-from stkzoo.render.scene import clock, standings
+from stkzoo.render.scene import RaceStanding, clock, standings
 from tests.support.rendering import drive, small_race
 
 
@@ -133,3 +133,10 @@ def test_a_clock_has_minutes_seconds_and_tenths():
         "1:00.0",
         "2:05.3",
     ]
+
+
+def test_a_kart_just_before_the_finish_has_not_come_all_the_way():
+    line = RaceStanding(1, 0, "Ada", "#e69f00", 0.998, "lap 1", has_finished=False)
+    assert line.outcome == "99% of the way"
+    done = replace(line, progress=1.0, detail="1:02.3", has_finished=True)
+    assert done.outcome == "1:02.3"
