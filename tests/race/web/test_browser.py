@@ -169,6 +169,17 @@ def test_the_page_fits_the_screen_and_all_elements_have_names(reader, width, is_
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("width", [360, 1600])
+def test_the_page_fits_the_screen_with_long_names(reader, width):
+    with WatchedRace(["ai@:" + 100 * "W", "random"]) as race:
+        open_on_the_grid(reader, race, width=width)
+        reader.click("#stop")
+        reader.until(is_mode(reader, "over"))
+        reader.until(lambda: "WWW" in reader.text("#notice"))
+        assert reader.run("return document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.slow
 def test_a_drivers_name_is_text(reader, tmp_path):
     name = "<img src=x onerror=document.title=1>"
     (tmp_path / "pystk_actor.py").write_text(
