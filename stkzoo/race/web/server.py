@@ -11,6 +11,7 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -62,13 +63,15 @@ class RequestGuard:
     Args:
         host: name or address on which the page is served.
 
+        port: port on which the page is served.
+
     Attributes:
         key: key for control; empty on a loopback address, where each viewer may control the race.
     """
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, host: str, port: int) -> None:
         self._host = host.lower()
-        self.key = "" if is_loopback(host) else secrets.token_urlsafe(16)
+        self.key = "" if is_loopback(host) else _key_of(self._host, port)
 
     def check(self, headers: Mapping[str, str]) -> None:
         """Rejects requests that do not come from this page.
@@ -88,6 +91,15 @@ class RequestGuard:
     def may_steer(self, key: str) -> bool:
         """Returns whether a viewer with this key may control the race."""
         return hmac.compare_digest(key.encode(), self.key.encode()) or not self.key
+
+
+@cache
+def _key_of(host: str, port: int) -> str:
+    """Returns a random key. The pages of a program's next races on the port have the same key.
+
+    An open page reconnects to the next race with the key that it has.
+    """
+    return secrets.token_urlsafe(16)
 
 
 def _name_of(url: str) -> str | None:
@@ -120,13 +132,14 @@ class LiveServer:
 
     def __init__(self, host: str, port: int, control: RaceControl) -> None:
         self.news = RaceNews()
-        self._control, self._guard = control, RequestGuard(host)
+        self._control = control
         self._pages = {f"/{file.name}": _page_of(file) for file in _FILES.iterdir()}
         self._pages["/"] = self._pages["/index.html"]
         self.num_viewers = 0
         self._listener = _listener(host, port)
         self._gate = ConnectionGate(self._listener)
         self.port: int = self._listener.getsockname()[1]
+        self._guard = RequestGuard(host, self.port)
         address, key = _shown(host, self._listener), self._guard.key
         shown = f"[{address}]" if ":" in address else address
         self.url = f"http://{shown}:{self.port}/{key and f'#key={key}'}"

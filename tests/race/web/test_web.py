@@ -475,6 +475,19 @@ def test_remote_viewers_need_the_key_to_control_the_race():
         assert "may only watch" in race.watch(scenario)
 
 
+def key_of(page):
+    return page.url.partition("#key=")[2]
+
+
+def test_the_next_race_on_a_port_has_the_same_key():
+    other, page = LivePage(host="0.0.0.0", port=0), LivePage(host="0.0.0.0", port=0)
+    page.close()
+    next_page = LivePage(host="0.0.0.0", port=page.port)
+    next_page.close()
+    other.close()
+    assert key_of(page) == key_of(next_page) != key_of(other)
+
+
 # ---------------------------------------------------------------- parts of the page
 
 
