@@ -186,9 +186,10 @@ def _check_line(line: Mapping[str, Any], place: str) -> None:
     """
     if "kart_steps" not in line and "round" not in line:
         raise Unreadable("has neither kart_steps nor round", place)
-    drawn = ("kart_steps", "round", "error", *(name for _, names in _PANELS for name in names))
+    typed(dict[str, float], {name: line[name] for name in ("kart_steps", "round") if name in line})
+    drawn = ("error", *(name for _, names in _PANELS for name in names))
     typed(dict[str, _Figure], {name: line[name] for name in drawn if name in line})
-    if "time_ratio" in line and "error" not in line:
+    if line.get("time_ratio") is not None and line.get("error") is None:
         raise Unreadable("has a time_ratio and no error", place)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -108,7 +109,8 @@ def draw_intervals(
         elinewidth=1.6,
         capsize=3,
         markersize=5,
-        label=label,
+        # A legend leaves out labels that begin with _.
+        label=f" {label}" if label and label.startswith("_") else label,
     )
     axes.grid(axis="x", alpha=0.3)
 
@@ -158,7 +160,9 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     for text in figure.findobj(matplotlib.text.Text):
         if "$" in text.get_text():  # a name of an agent, not a formula
             text.set_parse_math(False)
-    with write_whole(file, "the plot") as part, fixed_ids:
+    with write_whole(file, "the plot") as part, fixed_ids, warnings.catch_warnings():
+        # The font has no letters of some names; boxes are drawn instead.
+        warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         try:
             figure.savefig(part, format=kind, dpi=110, metadata=metadata)
         except ValueError as error:  # unknown format

@@ -113,5 +113,6 @@ def plot_time_trial(result: TimeTrialResult, path: str | os.PathLike[str]) -> No
     axes.axvline(1.0, color=INK, linewidth=1)
     axes.set_yticks(range(len(tracks)), [track.track for track in tracks])
     axes.set_ylim(len(tracks) - 0.4, -0.6)
-    style_axes(axes, f"{result.label}: time as a multiple of the human record; gray: unfinished")
+    who = shorten(result.label)
+    style_axes(axes, f"{who}: time as a multiple of the human record; gray: unfinished")
     save_figure(figure, path)
