@@ -104,7 +104,10 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
 
         show_race(playback.result)
     if playback.is_exact:
-        text = f"All {playback.steps} steps are as recorded, to the last bit."
+        some = f"All {replay.steps} steps"
+        if playback.steps < replay.steps:  # the viewer of a page stopped the race
+            some = f"Stopped: the first {playback.steps} of {replay.steps} steps"
+        text = f"{some} are as recorded, to the last bit."
         print(text, file=sys.stderr if as_json else sys.stdout)
         return
     if playback.first_difference is None:

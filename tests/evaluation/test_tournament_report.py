@@ -9,6 +9,8 @@ import pytest
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import run_tournament, write_report
+from stkzoo.evaluation.tournament.film import FilmRecorder
+from stkzoo.race import run_race
 from stkzoo.race.replay import load_replay
 from tests.support.remote_race import write_agent
 
@@ -134,6 +136,17 @@ def test_an_animation_has_each_kart_at_each_step(cup):
     film = json.loads((cup / "cup" / "films" / "00000.json").read_text())
     assert sorted(film["karts"]) == sorted(["ai", "heuristic", NAME])
     assert {len(way) for way in film["karts"].values()} == {2 * (1 + 12 // 5)}
+
+
+def test_an_animation_shows_a_long_race_to_its_end(monkeypatch):
+    monkeypatch.setattr("stkzoo.evaluation.tournament.film._MAX_MOMENTS", 10)
+    recorder = FilmRecorder()
+    result = run_race(["ai"], track="olivermath", max_steps=118, listeners=[recorder])
+    film = recorder.film()
+    (way,) = film.karts.values()
+    moments = len(way) // 2
+    assert (film.interval, moments) == (2.0, 6)
+    assert result.race_time - (moments - 1) * film.interval < film.interval
 
 
 @pytest.mark.slow

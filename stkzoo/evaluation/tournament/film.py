@@ -1,10 +1,10 @@
-"""Map films of races: the location of each kart, about twice per second."""
+"""Map films of races: the location of each kart, twice per second, or less often in long races."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -63,7 +63,10 @@ class MapFilm(Document):
 
 
 class FilmRecorder(RaceListener):
-    """A race listener that records a film."""
+    """A race listener that records a film in bounded memory.
+
+    When a film is full, it drops every second moment and halves the rate of further ones.
+    """
 
     def __init__(self) -> None:
         self._places: list[list[list[float]]] = []
@@ -87,8 +90,11 @@ class FilmRecorder(RaceListener):
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        if race.steps % self._every == 0 and len(self._places) < _MAX_MOMENTS:
+        if race.steps % self._every == 0:
             self._add(race)
+        if self._film is not None and len(self._places) > _MAX_MOMENTS:
+            self._places, self._every = self._places[::2], 2 * self._every
+            self._film = replace(self._film, interval=2 * self._film.interval)
 
     def film(self) -> MapFilm:
         """Returns the film recorded so far. Call it after the race has started."""
@@ -96,7 +102,7 @@ class FilmRecorder(RaceListener):
         assert film is not None  # noqa: S101 - the race has started
         ways = np.array(self._places).transpose(1, 0, 2).reshape(len(film.karts), -1)
         karts = {name: tuple(way) for name, way in zip(film.karts, ways.tolist(), strict=True)}
-        return MapFilm(film.track, film.interval, film.width, film.road, karts)
+        return replace(film, karts=karts)
 
     def _add(self, race: RaceProgress) -> None:
         karts = list(race.race_info.kart_indices)

@@ -101,6 +101,18 @@ def test_a_new_process_reproduces_the_race(recorded):
     assert "All 500 steps are as recorded, to the last bit." in done.stdout
 
 
+def test_a_replay_that_a_viewer_stops_is_reported_as_stopped(small, monkeypatch, capsys):
+    class Viewer(RaceListener):
+        def stepped(self, race):
+            if race.steps == 7:
+                race.stop("stopped")
+
+    monkeypatch.setattr("stkzoo.cli.replay.viewing_listeners", lambda _: [Viewer()])
+    assert main(["replay", str(small)]) == 0
+    shown = capsys.readouterr().out
+    assert "Stopped: the first 7 of 30 steps are as recorded, to the last bit." in shown
+
+
 def test_a_replay_is_small(recorded):
     assert recorded[0].stat().st_size < 200_000
 
