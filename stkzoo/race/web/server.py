@@ -94,7 +94,7 @@ class RequestGuard:
 
 
 @cache
-def _key_of(host: str, port: int) -> str:
+def _key_of(host: str, port: int) -> str:  # noqa: ARG001 - the cache key
     """Returns a random key. The pages of a program's next races on the port have the same key.
 
     An open page reconnects to the next race with the key that it has.
