@@ -62,7 +62,6 @@ class RequestGuard:
 
     Args:
         host: name or address on which the page is served.
-
         port: port on which the page is served.
 
     Attributes:
