@@ -27,11 +27,17 @@ from pathlib import Path
 
 from stkzoo._installation import extra_requirements, install_command, pip_install
 from stkzoo._python import python_command
+from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.errors import AssetError
 from stkzoo.kernel import IS_COMPILED
 
 _GRAPHICS_REMEDY = "sudo apt install libegl1 libgl1 libgl1-mesa-dri"
+
+_SANDBOX_REMEDY = (
+    "install bubblewrap 0.8 or later (sudo apt install bubblewrap) and allow user namespaces, see "
+    "docs/reference/agents.md"
+)
 
 _KERNEL_REMEDY = "install a C compiler and Python's headers (python3-dev), then stkzoo again"
 
@@ -132,6 +138,7 @@ def _diagnose() -> list[Finding]:
         _look("full data", _full_data, install),
         _look("fork", _fork, "use Linux"),
         _look("kernel", _kernel, _KERNEL_REMEDY),
+        _look("sandbox of agents", _sandbox, _SANDBOX_REMEDY),
         _look("3D graphics", _graphics, _GRAPHICS_REMEDY),
         _look("display", _display, "run in a graphical session, or under xvfb-run"),
         _look("ffmpeg", _ffmpeg, install_command("record")),
@@ -239,6 +246,12 @@ def _kernel() -> str:
     if not IS_COMPILED:
         raise NotFound("not compiled: a step costs more")
     return "compiled"
+
+
+def _sandbox() -> str:
+    if problem := bubblewrap_problem():
+        raise NotFound(problem.partition("; ")[0], "" if sys.platform == "linux" else "use Linux")
+    return "bubblewrap works"
 
 
 def _graphics() -> str:

@@ -130,9 +130,9 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Creates the agent and prints what to do next."""
-    from stkzoo.views import find_view
+    from stkzoo.drivers.driver import find_driver_view
 
-    find_view(arguments.view)
+    find_driver_view(arguments.view)
     _check_name(arguments.folder)
     folder = Path(arguments.folder)
     name = folder.resolve().name

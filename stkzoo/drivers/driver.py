@@ -90,7 +90,7 @@ class Driver:
             ConfigError: the view is unknown or contains images.
         """
         load = partial(_code_of_actor, make_actor, view)
-        return cls._here(name, load, name, _find_view(view))
+        return cls._here(name, load, name, find_driver_view(view))
 
     @classmethod
     def of_policy(cls, policy: object, view: object = None, name: str = "") -> Driver:
@@ -110,7 +110,9 @@ class Driver:
         policy = plain_policy(policy)
         name = name or getattr(policy, "__name__", type(policy).__name__)
         load = partial(_code_of_policy, policy, view)
-        return cls._here(name, load, name, VIEWS["full"] if view is None else _find_view(view))
+        return cls._here(
+            name, load, name, VIEWS["full"] if view is None else find_driver_view(view)
+        )
 
     @classmethod
     def _here(cls, name: str, load: CodeLoader, source: str, view: ViewFactory) -> Driver:
@@ -232,16 +234,24 @@ def _load_files(files: AgentFiles, adapter: str | None, resources: ExitStack) ->
 
 
 def _code_of_actor(make_actor: ActorMaker, view: object, _: ExitStack) -> AgentCode:
-    return AgentCode(_find_view(view), make_actor)
+    return AgentCode(find_driver_view(view), make_actor)
 
 
 def _code_of_policy(policy: Any, view: object, _: ExitStack) -> AgentCode:
     together = act_together if hasattr(policy, "predict") else None
-    wrap = None if view is None else _find_view(view)
+    wrap = None if view is None else find_driver_view(view)
     return AgentCode(wrap, partial(PolicyActor, policy), act_together=together)
 
 
-def _find_view(choice: object) -> ViewFactory:
+def find_driver_view(choice: object) -> ViewFactory:
+    """Returns a view for a driver.
+
+    Args:
+        choice: see :func:`~stkzoo.views.find_view`.
+
+    Raises:
+        ConfigError: the view is unknown or contains images.
+    """
     if isinstance(choice, str) and choice in CAMERA_VIEWS:
         raise ConfigError(
             f"the view {choice!r} has pictures, which drivers do not get; use another"

@@ -35,6 +35,8 @@ MAX_FILES = 10_000
 MAX_RATIO = 200
 _SMALL = 1 << 20
 _MAX_DEPTH = 32  # nested folders
+#: Entries that macOS adds to zips.
+_OF_MACOS = ("__MACOSX", ".DS_Store")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,7 @@ class AgentFiles:
         folder = resources.enter_context(LockedTemporaryDirectory("agent"))
         home = folder.path / self.path.stem
         unpack(self.path, home)
-        return _place_in(_only_folder(home), self.source)
+        return _place_in_zip(home, self.source)
 
 
 def declared(files: AgentFiles, name: str) -> object:
@@ -219,6 +221,25 @@ def _place_in(folder: Path, source: str) -> AgentPlace:
     )
 
 
+def _place_in_zip(home: Path, source: str) -> AgentPlace:
+    """Finds the agent in the unpacked files of a zip.
+
+    Raises:
+        ConfigError: the zip contains no agent, or contains it in an inner folder.
+    """
+    try:
+        return _place_in(_only_folder(home), source)
+    except ConfigError:
+        inner = sorted(file.parent for file in home.rglob(f"{ACTOR_MODULE}.py"))
+        if not inner:
+            raise
+        folder = inner[0].relative_to(home).as_posix()
+        raise ConfigError(
+            f"agent {source!r} has its {ACTOR_MODULE}.py in the inner folder {folder!r}; zip that "
+            "folder alone"
+        ) from None
+
+
 def _package(folder: Path, module: str) -> AgentPlace:
     name = folder.name.replace(".", "_")
     return AgentPlace(
@@ -234,7 +255,7 @@ def unpacked_folder(place: AgentPlace) -> Path:
 
 def _only_folder(folder: Path) -> Path:
     """Returns the only subfolder of a folder if it contains all files; otherwise the folder."""
-    entries = [entry for entry in folder.iterdir() if entry.name != "__MACOSX"]
+    entries = [entry for entry in folder.iterdir() if entry.name not in _OF_MACOS]
     is_nested = len(entries) == 1 and entries[0].is_dir() and entries[0].name != _PACKAGE
     return entries[0] if is_nested else folder
 
@@ -284,10 +305,14 @@ def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
 
 
 def _check(member: zipfile.ZipInfo) -> None:
-    name = PurePosixPath(member.filename)
-    outside = name.is_absolute() or ".." in name.parts or "\\" in member.filename
-    if outside or not name.parts or ":" in name.parts[0]:
+    name = PurePosixPath(member.filename.replace("\\", "/"))
+    if name.is_absolute() or ".." in name.parts or not name.parts or ":" in name.parts[0]:
         raise Unreadable(f"{member.filename!r} leads out of it")
+    if "\\" in member.filename:  # some programs for Windows write such zips
+        raise Unreadable(
+            f"{member.filename!r} has backslashes between folders, expected slashes, as "
+            "`python -m zipfile -c` writes them"
+        )
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise Unreadable(f"{member.filename!r} is a link or a device, not a file")

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -100,15 +100,23 @@ def check_agent(
         >>> report.passed  # doctest: +SKIP
         True
     """
-    driver = find_driver(source)
+    adapter = settings.get("adapter")
     path = source.rpartition("@:")[0] if "@:" in source else source
-    files = find_files(path) if driver.is_from_files else None
+    try:
+        driver = find_driver(source, adapter=adapter)
+        files = find_files(path) if driver.is_from_files else None
+    except ConfigError:
+        if problem := _problem_of(path):
+            return _rejected(source, path, problem)
+        raise
     if files is None:
         raise ConfigError(
             f"{source!r} comes with stkzoo; name your own agent: a folder, a .zip or a .py file"
         )
     meter = _Meter()
-    measured = replace(driver, start=partial(_MeasuredAgent, files=files, meter=meter))
+    measured = replace(
+        driver, start=partial(_MeasuredAgent, files=files, adapter=adapter, meter=meter)
+    )
     result = run_race(
         [measured], track=track, max_steps=max_steps, **{**settings, "error_handling": "retire"}
     )
@@ -148,9 +156,11 @@ class _Meter:
 class _MeasuredAgent(IsolatedInstance):
     """An agent in a separate process, whose time and memory are measured."""
 
-    def __init__(self, request: DriverRequest, files: AgentFiles, meter: _Meter) -> None:
+    def __init__(
+        self, request: DriverRequest, files: AgentFiles, adapter: str | None, meter: _Meter
+    ) -> None:
         self._meter, self._begin = meter, time.perf_counter()
-        super().__init__(request, files)
+        super().__init__(request, files, adapter)
 
     def ready(self) -> str:
         """Waits until the agent is loaded and returns its name."""
@@ -165,6 +175,21 @@ class _MeasuredAgent(IsolatedInstance):
         self._meter.seconds.append(decision.seconds)
         self._meter.memory = self.peak_memory()
         return decision
+
+
+def _problem_of(path: str) -> str:
+    """Returns why an existing path, such as a damaged zip, is not an agent; otherwise empty."""
+    try:
+        find_files(path)
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def _rejected(source: str, path: str, reason: str) -> AgentReport:
+    """Returns the report of a path that is not an agent."""
+    nothing = (None,) * 5
+    return AgentReport(source, PurePath(path).name, False, reason, "", 0, 0.0, 0, *nothing)
 
 
 def _measure(files: AgentFiles) -> tuple[int | None, int | None]:

@@ -73,6 +73,16 @@ def test_a_remedy_is_one_line_on_a_narrow_terminal_too(monkeypatch, capsys):
     )
 
 
+def test_a_sandbox_that_does_not_work_is_reported(monkeypatch, capsys):
+    why = "bubblewrap does not work here (no permission); it needs version 0.8"
+    monkeypatch.setattr("stkzoo.cli.doctor.bubblewrap_problem", lambda: why)
+    code, _, checks = report(capsys)
+    sandbox = checks["sandbox of agents"]
+    assert (code, sandbox["ok"]) == (0, False)
+    assert sandbox["found"] == "bubblewrap does not work here (no permission)"
+    assert sandbox["remedy"]
+
+
 def test_installed_extra_is_found(capsys):
     assert report(capsys)[2]["extra [sb3]"]["ok"]
 

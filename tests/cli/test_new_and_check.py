@@ -3,11 +3,13 @@
 import errno
 import json
 import os
+import re
 import zipfile
 
 import pytest
 
 from stkzoo.cli import main
+from stkzoo.evaluation import check_agent
 from stkzoo.race import run_race
 from tests.support.paths import AGENTS
 
@@ -33,6 +35,12 @@ def test_the_starter_of_another_view_acts_in_that_view(tmp_path, capsys):
     assert main(["check", str(folder), "--max-steps", "5"]) == 0
     assert main(["new", str(tmp_path / "other"), "--view", "racin"]) == 2
     assert "Did you mean 'racing'?" in capsys.readouterr().err
+
+
+def test_new_refuses_a_view_with_pictures(tmp_path, capsys):
+    assert main(["new", str(tmp_path / "seer"), "--view", "camera"]) == 2
+    assert "has pictures, which drivers do not get" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_new_prints_the_next_commands(tmp_path, capsys):
@@ -116,3 +124,33 @@ def test_check_says_why_an_agent_fails(name, reason, capsys):
 def test_check_refuses_drivers_without_files(agent, expected, capsys):
     assert main(["check", agent]) == 2
     assert expected in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("broken.zip", "is not a readable zip"),
+        ("empty.zip", "has no pystk_actor.py in it"),
+        ("empty", "has no pystk_actor.py"),
+        ("notes.txt", "is another kind of file"),
+    ],
+)
+def test_check_rejects_files_that_are_no_agent(name, reason, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "broken.zip").write_bytes(b"PK\x03\x04 but not really")
+    with zipfile.ZipFile(tmp_path / "empty.zip", "w") as archive:
+        archive.writestr("notes.txt", "")
+    assert main(["check", str(tmp_path / name)]) == 3
+    assert re.search(f"FAIL: .*{reason}", capsys.readouterr().out)
+
+
+def test_a_check_uses_the_adapter(tmp_path):
+    (tmp_path / "agent.py").write_text("def get_actor(): return lambda: action\naction = 0\n")
+    adapter = tmp_path / "adapter.py"
+    adapter.write_text(
+        "def create_actor(get_actor, module_dir, observation_space, action_space):\n"
+        "    return lambda state, observation: action_space.sample()\n"
+    )
+    report = check_agent(str(tmp_path / "agent.py"), adapter=str(adapter), max_steps=3)
+    assert (report.passed, report.steps) == (True, 3)

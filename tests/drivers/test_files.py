@@ -97,6 +97,24 @@ def test_the_agent_can_be_in_several_places_in_a_zip(inside, tmp_path):
     assert load(path).name == "Alpha"
 
 
+def test_the_folder_views_of_macos_do_not_hide_the_agent_in_a_zip(tmp_path):
+    path = zip_of(AGENTS / "alpha" / "stk_actor", tmp_path / "agent.zip", "repository/")
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(".DS_Store", "")
+        archive.writestr("__MACOSX/repository/._pystk_actor.py", "")
+    assert load(path).name == "Alpha"
+
+
+@pytest.mark.parametrize("inside", ["team/agent/", "agent/"])
+def test_an_agent_in_an_inner_folder_of_a_zip_is_named(inside, tmp_path):
+    path = zip_of(AGENTS / "alpha" / "stk_actor", tmp_path / "agent.zip", inside)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("README.md", "")
+    message = f"has its pystk_actor.py in the inner folder '{inside[:-1]}'; zip that folder alone"
+    with pytest.raises(ConfigError, match=message):
+        load(path)
+
+
 def test_an_agent_in_a_folder_imports_the_modules_beside_it():
     """D29."""
     assert load(AGENTS / "plain").name == "Plain"
@@ -281,6 +299,11 @@ def written(path, *members):
 def test_a_path_outside_the_zips_folder_is_refused(name, tmp_path):
     with pytest.raises(ConfigError, match="leads out of it"):
         find_driver(written(tmp_path / "a.zip", (name, stat.S_IFREG | 0o644, "x")))
+
+
+def test_a_zip_with_backslashes_in_its_paths_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="has backslashes between folders, expected slashes"):
+        find_driver(written(tmp_path / "a.zip", ("mine\\out.py", stat.S_IFREG | 0o644, "x")))
 
 
 @pytest.mark.parametrize("kind", [stat.S_IFLNK, stat.S_IFIFO, stat.S_IFCHR])

@@ -29,6 +29,7 @@ from stkzoo.evaluation import (
 from stkzoo.evaluation.batch.entrants import fingerprint
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.ratings import rate
+from stkzoo.evaluation.tournament.run import resumed_plan
 from stkzoo.race import RaceResult
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import children_of, process_exists, run_program, wait_until
@@ -466,7 +467,7 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
     ):
         resume_tournament(folder)
     shutil.rmtree(agent)
-    with pytest.raises(ConfigError, match="files of agent 'Plain' have changed"):
+    with pytest.raises(ConfigError, match=f"agent 'Plain' is no longer at {agent}"):
         resume_tournament(folder)
 
 
@@ -559,6 +560,29 @@ def test_agents_with_the_same_file_name_are_labeled_by_player_name():
     paths = [str(AGENTS / name / "stk_actor") for name in ("alpha", "beta")]
     labels = [entrant.label for entrant in plan_tournament(paths).entrants]
     assert labels == ["Alpha", "Beta"]
+
+
+def test_an_agent_that_is_named_again_on_resume_does_not_join_twice(tmp_path):
+    (tmp_path / "late").mkdir()
+    one, two = write_agent(tmp_path, "ada"), write_agent(tmp_path / "late", "ada")
+    plan = plan_tournament(["ai", one], tracks=["lighthouse"], races=2)
+    for _ in range(3):
+        (tmp_path / "plan.json").write_text(plan.to_json())
+        plan = plan.continued(resumed_plan(tmp_path, [two, "ai"]))
+        assert [entrant.label for entrant in plan.entrants] == ["ai", "ada", "ada-2"]
+    renamed = plan.continued(resumed_plan(tmp_path, [f"{two}@:Eve", f"{one}@:ada"]))
+    assert [entrant.label for entrant in renamed.entrants][2:] == ["ada-2", "Eve"]
+
+
+def test_the_refusal_of_other_agents_names_only_those_that_differ(tmp_path):
+    agents = [write_agent(tmp_path, name) for name in ("ada", "bob", "eve")]
+    settings = {"tracks": ["lighthouse"], "races": 2, "per_race": 2}
+    plan = plan_tournament(agents, **settings)
+    other = plan_tournament([*agents[:2], "ai"], **settings)
+    (difference,) = plan.differences(other)
+    assert difference == (f"agents also has ['ai@:ai'] and no longer has ['{agents[2]}@:eve']")
+    (difference,) = plan.differences(plan_tournament(agents[::-1], **settings))
+    assert difference == "agents has the same items in another order"
 
 
 @pytest.mark.slow

@@ -40,10 +40,10 @@ from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
-from ..common.fleet import parse_races
 from ..common.matches import AI, MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.opponents import Rival
 from ..common.run_folder import LEAGUE, TrainingLog, check_resumed, read_run_file, write_json
+from ..common.starts import parse_races
 from ..ppo.network import initial_weights
 from ..ppo.selfplay import SelfPlayArguments
 from .learner import LeagueLearner

@@ -12,9 +12,9 @@ from stkzoo._schema import Count, Matching, OneOf, Share
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
-from ..common.fleet import Lineup
 from ..common.matches import SEATS, Match, MatchRecord
 from ..common.opponents import Rival, RivalPool
+from ..common.starts import Lineup
 
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"

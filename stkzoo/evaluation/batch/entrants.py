@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import os
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -98,14 +99,32 @@ def find_entrants(
         check_level(driver, settings)
         if driver.is_from_files and not settings.inline:
             say_what_is_missing(settings.sandbox)
-        given = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
-        name = given or declared_name(driver.source) or _short(driver.source)
-        labels.append(_unique(name, labels, is_fixed=bool(given) or driver.is_game_ai, text=text))
+        is_fixed = NAME_MARK in text or driver.is_game_ai
+        labels.append(_unique(_name_of(text, driver), labels, is_fixed=is_fixed, text=text))
         entrants.append(Entrant.of(labels[-1], _lasting(driver.source)))
     for agent in served:
         labels.append(_unique(agent.name or _short(agent.source), labels))
         entrants.append(Entrant(labels[-1], agent.place, served=agent))
     return tuple(entrants)
+
+
+def is_entered(text: str, entrants: Sequence[Entrant]) -> bool:
+    """Returns whether :func:`find_entrants` has already found an agent for a text.
+
+    Args:
+        text: text for :func:`~stkzoo.race.find_driver`.
+        entrants: the agents found so far.
+
+    Raises:
+        ConfigError: the agent does not exist.
+    """
+    driver = find_driver(text)
+    source, name = _lasting(driver.source), _plain(_name_of(text, driver))
+    number = "" if NAME_MARK in text else r"(-\d+)?"
+    return any(
+        entry.source == source and re.fullmatch(re.escape(name) + number, entry.label)
+        for entry in entrants
+    )
 
 
 def check_level(driver: Driver, settings: RaceSettings) -> None:
@@ -140,8 +159,7 @@ def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: 
     Raises:
         ConfigError: the label is fixed and already used.
     """
-    name = " ".join(printable(name).replace(NAME_MARK, " ").split())
-    label = name = name[:_MOST_CHARACTERS].strip() or "unnamed"
+    label = name = _plain(name)
     if is_fixed and label in taken:
         raise ConfigError(
             f"2 agents are called {label!r}; give each a name of its own, such as "
@@ -152,6 +170,18 @@ def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: 
             break
         label = f"{name}-{number}"
     return label
+
+
+def _name_of(text: str, driver: Driver) -> str:
+    """Returns the name that a text gives to its agent, or that of the agent's code or files."""
+    given = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
+    return given or declared_name(driver.source) or _short(driver.source)
+
+
+def _plain(name: str) -> str:
+    """Returns a name as a label: one printable line of limited length."""
+    name = " ".join(printable(name).replace(NAME_MARK, " ").split())
+    return name[:_MOST_CHARACTERS].strip() or "unnamed"
 
 
 def _lasting(source: str) -> str:

@@ -21,7 +21,8 @@ from stkzoo.race.settings import RaceSettings
 
 #: Names of the files of the plan and of the result in a batch's folder.
 PLAN_FILE, RESULT_FILE = "plan.json", "result.json"
-_MAX_SHOWN = 80
+#: Maximum length of a value, and of the items that differ, in an error [characters].
+_MAX_SHOWN, _MAX_ITEMS = 80, 300
 #: Maximum number of races of a batch.
 MAX_RACES = 100_000
 #: Maximum size of the result file of a batch [bytes].
@@ -132,8 +133,13 @@ class BatchPlan(Document, Generic[Result]):
         """
         found = describe_differences(self._comparable(), other._comparable())
         for mine, theirs in zip(self.agents, other.agents, strict=False):
-            if changed := mine.changed_files(theirs):
-                found.append(f"the files of agent {mine.label!r} have changed: {_shown(changed)}")
+            if not (changed := mine.changed_files(theirs)):
+                continue
+            found.append(
+                f"the files of agent {mine.label!r} have changed: {_shown(changed)}"
+                if theirs.files
+                else f"agent {mine.label!r} is no longer at {mine.source}"
+            )
         return found
 
     def _comparable(self) -> dict[str, Any]:
@@ -180,15 +186,31 @@ def describe_differences(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> 
         theirs: the new values by name.
     """
     return [
-        f"{name} is {_shown(theirs.get(name))} and was {_shown(mine.get(name))}"
+        f"{name} {_difference(mine.get(name), theirs.get(name))}"
         for name in sorted(set(mine) | set(theirs))
         if mine.get(name) != theirs.get(name)
     ]
 
 
-def _shown(value: object) -> str:
+def _difference(mine: object, theirs: object) -> str:
+    """Returns the difference between two values; of long lists, only the items that differ."""
+    is_long = max(len(repr(mine)), len(repr(theirs))) > _MAX_SHOWN
+    if is_long and isinstance(mine, list) and isinstance(theirs, list):
+        return _difference_of_lists(mine, theirs)
+    return f"is {_shown(theirs)} and was {_shown(mine)}"
+
+
+def _difference_of_lists(mine: Sequence[object], theirs: Sequence[object]) -> str:
+    more = [item for item in theirs if item not in mine]
+    fewer = [item for item in mine if item not in theirs]
+    parts = [f"also has {_shown(more, _MAX_ITEMS)}"] * bool(more)
+    parts += [f"no longer has {_shown(fewer, _MAX_ITEMS)}"] * bool(fewer)
+    return " and ".join(parts) or "has the same items in another order"
+
+
+def _shown(value: object, limit: int = _MAX_SHOWN) -> str:
     text = repr(value)
-    return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
+    return text if len(text) <= limit else text[:limit] + "..."
 
 
 def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[str, ...]:

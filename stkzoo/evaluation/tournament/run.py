@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._os import using_folder
-from stkzoo.evaluation.batch.entrants import find_entrants
+from stkzoo.evaluation.batch.entrants import find_entrants, is_entered
 from stkzoo.evaluation.batch.order import load_orders
 from stkzoo.evaluation.batch.plan import PLAN_FILE
 from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
@@ -94,8 +94,8 @@ def resumed_plan(
 
     Args:
         folder: folder of the tournament.
-        agents: agents that join the tournament.
-        servers: servers whose agents join the tournament.
+        agents: agents that join the tournament, unless they have already joined it.
+        servers: servers whose agents join the tournament, unless they have already joined it.
 
     Raises:
         ConfigError: there is no plan, or an agent is invalid.
@@ -107,7 +107,8 @@ def resumed_plan(
     known = {entry.served for entry in entrants}
     joining = [agent for agent in served if agent not in known]
     labels = [entry.label for entry in entrants]
-    new = find_entrants(agents, plan.settings, joining, labels)
+    others = [text for text in agents if not is_entered(text, entrants)]
+    new = find_entrants(others, plan.settings, joining, labels)
     return replace(
         plan, entrants=(*entrants, *new), access=access or plan.access, versions=versions_now()
     )
