@@ -134,8 +134,15 @@ class OpponentPool:
                 ``None`` if it is not decided.
 
         Raises:
-            ConfigError: a weight is invalid, or no opponent has a weight above 0.
+            ConfigError: a weight is invalid, missing or of no opponent, or no opponent has a
+                weight above 0.
         """
+        if self.weights.keys() != self._drivers.keys():
+            raise ConfigError(
+                f"the pool has weights of {', '.join(self.weights) or 'none'}, expected "
+                f"{', '.join(self._drivers) or 'none'}; add() adds an opponent, and weight 0 means "
+                "never"
+            )
         weights = {
             name: check_number(f"weight of opponent {name!r}", self.weights[name], 0, 1e12)
             for name, driver in self._drivers.items()

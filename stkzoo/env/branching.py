@@ -266,13 +266,8 @@ class BranchingRace(ClonableEnv):
         self, state: object, options: Mapping[str, Any], options_now: RaceOptions
     ) -> tuple[list[str], Episode]:
         """Returns the agents and the episode of a reset from a saved state."""
-        kept = _checked_state(state)
+        kept = self._checked_first_state(state, options)
         moment = kept.moment
-        self._check_roster("state", moment.roster)
-        _check_beside("state", options)
-        if not moment.agents:
-            raise ApiOrderError("the state was saved when all agents had left; nobody can act")
-        self._check_opponents(moment.opponents is not None)
         kept.resume_in(self._session)
         if self._opponents is not None and moment.opponents is not None:
             self._opponents.go_on_from(moment.opponents)
@@ -282,22 +277,8 @@ class BranchingRace(ClonableEnv):
         self, scenario: object, options: Mapping[str, Any], options_now: RaceOptions
     ) -> tuple[list[str], Episode]:
         """Returns the agents and the episode of a reset from a scenario or its file."""
-        _check_beside("scenario", options)
-        if isinstance(scenario, (str, os.PathLike)):
-            scenario = Scenario.load(scenario)
-        if not isinstance(scenario, Scenario):
-            raise ConfigError(
-                f"scenario is {scenario!r}, expected a Scenario or the path of its file"
-            )
-        self._check_roster("scenario", scenario.roster)
-        if not scenario.agents:
-            raise ApiOrderError("the scenario was saved when all agents had left; nobody can act")
+        scenario = self._checked_scenario(scenario, options)
         drivers = self._drivers_in(scenario)
-        if scenario.setup.track not in self._assets.tracks:
-            raise ConfigError(
-                f"the scenario's track {scenario.setup.track!r} is not here; `stkzoo assets "
-                "status` shows where the game's data comes from"
-            )
         self._end_race()  # in case the start fails
         setup, begun = scenario.setup, scenario.reach(self._session)
         drawn = setup, (*scenario.kart_indices, *scenario.opponents), begun
@@ -308,9 +289,38 @@ class BranchingRace(ClonableEnv):
             self._opponents.begin(drivers, episode)
         return [agent for agent in self.possible_agents if agent in scenario.agents], episode
 
+    def _checked_first_state(self, state: object, options: Mapping[str, Any]) -> RaceState:
+        """Returns a state with which an episode can start."""
+        kept = _checked_state(state)
+        self._check_roster("state", kept.moment.roster)
+        _check_beside("state", options)
+        if not kept.moment.agents:
+            raise ApiOrderError("the state was saved when all agents had left; nobody can act")
+        self._check_opponents(kept.moment.opponents is not None)
+        return kept
+
+    def _checked_scenario(self, scenario: object, options: Mapping[str, Any]) -> Scenario:
+        """Returns a scenario, or that of a file, with which an episode can start."""
+        _check_beside("scenario", options)
+        if isinstance(scenario, (str, os.PathLike)):
+            scenario = Scenario.load(scenario)
+        if not isinstance(scenario, Scenario):
+            raise ConfigError(
+                f"scenario is {scenario!r}, expected a Scenario or the path of its file"
+            )
+        self._check_roster("scenario", scenario.roster)
+        if not scenario.agents:
+            raise ApiOrderError("the scenario was saved when all agents had left; nobody can act")
+        self._check_opponents(bool(scenario.opponents))
+        if scenario.setup.track not in self._assets.tracks:
+            raise ConfigError(
+                f"the scenario's track {scenario.setup.track!r} is not here; `stkzoo assets "
+                "status` shows where the game's data comes from"
+            )
+        return scenario
+
     def _drivers_in(self, scenario: Scenario) -> tuple[Driver, ...]:
         """Returns the drivers of a scenario's opponents, which start at its moment."""
-        self._check_opponents(bool(scenario.opponents))
         if self._opponents is None:
             return ()
         drivers, _ = self._opponents.draw(self.np_random, scenario.setup.difficulty)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import PurePath
 from typing import Any
@@ -47,7 +47,7 @@ class OpponentChoice:
         found = {key: _driver_or_pool(m) for key, m in zip(keys, members, strict=True)}
         self._members = [found[key] for key in keys]  # shared, so that equal drivers run together
         self._codes: dict[Driver, AgentCode | AgentError] = {}
-        self._level(m for m in self._members if isinstance(m, Driver))
+        self.level()
         self._resources = ExitStack()
         weakref.finalize(self, self._resources.close)
 
@@ -99,17 +99,28 @@ class OpponentChoice:
             ConfigError: the opponents require another difficulty.
         """
         members = self._members if self._pool is None else [self._pool] * count
-        level = self._level((m for m in members if isinstance(m, Driver)), difficulty)
+        level = self.level(difficulty)
         drawn: list[Driver] = []
         for member in members:
             drawn.append(member if isinstance(member, Driver) else member.draw(random, level))
             level = level if drawn[-1].difficulty is None else drawn[-1].difficulty
         return tuple(drawn), level
 
-    def _level(self, drivers: Iterable[Driver], difficulty: int | None = None) -> int | None:
-        """Returns the difficulty that the drivers require; ``None`` if they require none."""
-        asked = [driver.difficulty for driver in drivers if driver.difficulty is not None]
-        levels = {*asked, *(() if difficulty is None else (difficulty,))}
+    def level(self, difficulty: int | None = None) -> int | None:
+        """Returns the difficulty that the opponents require, except those drawn from pools.
+
+        Args:
+            difficulty: difficulty requested in ``reset``, if any.
+
+        Returns:
+            The difficulty; ``None`` if none is required.
+
+        Raises:
+            ConfigError: the opponents require another difficulty.
+        """
+        drivers = [member for member in self._members if isinstance(member, Driver)]
+        asked = [difficulty, *(driver.difficulty for driver in drivers)]
+        levels = {level for level in asked if level is not None}
         if len(levels) > 1:
             raise ConfigError(
                 f"opponents and options ask for the difficulties {sorted(levels)}, but the game's "

@@ -120,6 +120,10 @@ class RaceOpponents:
         self._observations: dict[str, Any] | None = {}  # None after a step
         self._chains = self._chains_here()
 
+    def check_difficulty(self, difficulty: int | None) -> None:
+        """Checks a difficulty requested in ``reset``; see :meth:`OpponentChoice.level`."""
+        self._choice.level(difficulty)
+
     def draw(self, random: np.random.Generator, difficulty: int | None) -> Lineup:
         """Draws the drivers of the next race; see :meth:`OpponentChoice.draw`."""
         return self._choice.draw(len(self._ids), random, difficulty)

@@ -178,7 +178,7 @@ class StartCurriculum:
         """Records the outcome of an episode; returns whether the curriculum advances."""
         self._latest.append(bool(success))
         is_full = len(self._latest) == self._latest.maxlen
-        if not is_full or sum(self._latest) < self._promote_at * len(self._latest):
+        if not is_full or sum(self._latest) / len(self._latest) < self._promote_at:
             return False
         self._latest.clear()
         has_more = self.stage < self.stages

@@ -66,7 +66,7 @@ def rate(
     of all agents in random order, so that outcomes that have not occurred keep some probability.
 
     Args:
-        races: numbers of the agents in each race, best first.
+        races: numbers of the agents in each race, best first. A race of one agent rates nobody.
         num_agents: number of agents; their numbers start at 0.
         seed: seed of the bootstrap and the orders. The same arguments return the same ratings.
         places: places of these agents; equal places are ties. ``None`` if there are no ties.
@@ -110,6 +110,8 @@ def _pass(model: Any, races: Sequence[PlacedAgents], num_agents: int) -> list[tu
     """Returns the rating and standard deviation of every agent after a sequence of races."""
     ratings = [model.rating() for _ in range(num_agents)]
     for order, places in races:
+        if len(order) < 2:  # the model refuses it
+            continue
         after = model.rate([[ratings[agent]] for agent in order], ranks=list(places))
         for agent, (rating,) in zip(order, after, strict=True):
             ratings[agent] = rating

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -134,8 +135,10 @@ class Reward:
         for name, weight in self.weights.items():
             if name not in self.terms:
                 raise unknown_name("reward term", name, self.terms)
-            if not np.isfinite(weight):
-                raise ConfigError(f"weight of reward term {name!r} is {weight!r}, not finite")
+            if not isinstance(weight, Real) or not np.isfinite(float(weight)):
+                raise ConfigError(
+                    f"weight of reward term {name!r} is {weight!r}, expected a finite number"
+                )
 
     def __call__(self, step: Transition) -> dict[str, FloatArray]:
         """Returns the weighted value of each term, ``(K,)`` float64 by name.
@@ -181,7 +184,7 @@ class Reward:
         for name, change in changes.items():
             if callable(change):
                 terms[name] = change
-            elif isinstance(change, (int, float)):
+            elif isinstance(change, Real):
                 weights[name] = float(change)
             else:
                 raise ConfigError(

@@ -116,6 +116,16 @@ def test_weights_can_be_changed_and_are_checked():
         draws(pool, 1)
 
 
+def test_a_weight_of_no_opponent_and_a_missing_weight_are_refused():
+    pool = OpponentPool(["ai", "random"])
+    pool.weights["rando"] = 0
+    with pytest.raises(ConfigError, match="has weights of ai, random, rando, expected ai, random"):
+        draws(pool, 1)
+    pool.weights = {"ai": 1.0}
+    with pytest.raises(ConfigError, match="has weights of ai, expected ai, random"):
+        draws(pool, 1)
+
+
 def test_add_returns_the_driver():
     pool = OpponentPool()
     driver = pool.add(straight, view="racing", name="fast")

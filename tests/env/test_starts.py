@@ -344,6 +344,11 @@ def test_a_curriculum_moves_back_with_success():
         StartCurriculum(promote_at=2)
 
 
+def test_a_curriculum_advances_at_exactly_its_success_rate():
+    curriculum = StartCurriculum(window=100, promote_at=0.55)
+    assert [curriculum.report(n < 55) for n in range(100)] == [False] * 99 + [True]
+
+
 def test_a_curriculum_accepts_the_fields_of_its_start():
     curriculum = StartCurriculum(start={"speed": [3.0, 5.0]})
     assert curriculum.start() == RandomStart(share=(0.9, 1.0), speed=(3.0, 5.0))

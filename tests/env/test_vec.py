@@ -301,6 +301,37 @@ def test_set_options_refuses_invalid_options_and_changes_nothing(two_races, opti
     two_races.set_options({})
 
 
+def test_set_options_refuses_moments_of_other_races(two_races, tmp_path):
+    with race_v0.parallel_env(num_kart=4, track="olivermath") as env:
+        env.reset(seed=1)
+        with env.save_state() as state:
+            scenario = env.scenario()
+            for options, message in (
+                ({"state": state}, "the state is of 4 karts and 4 agents, but"),
+                ({"scenario": scenario}, "the scenario is of 4 karts and 4 agents, but"),
+                ({"state": 3}, "state is 3, expected what save_state"),
+                ({"scenario": tmp_path / "none"}, "cannot be read"),
+            ):
+                with pytest.raises(ConfigError, match=message):
+                    two_races.set_options([{}, options])
+    with race_v0.parallel_env(num_kart=3, agents=2, track="olivermath") as env:
+        env.reset(seed=1)
+        with env.save_state() as state:
+            with pytest.raises(ConfigError, match="a state and laps"):
+                two_races.set_options({"state": state, "laps": 2})
+            two_races.set_options({"state": state})
+    two_races.set_options({})
+
+
+def test_set_options_refuses_another_difficulty_than_that_of_the_opponents():
+    envs = make(1, agents=1, num_kart=2, opponents=["ai:1"])
+    with pytest.raises(ConfigError, match=r"the difficulties \[1, 3\]"):
+        envs.set_options({"difficulty": 3})
+    envs.reset(seed=1)
+    assert envs.races[0].race.difficulty == 1
+    envs.close()
+
+
 @pytest.fixture(scope="module")
 def two_races():
     envs = make(prefetch=False)
@@ -577,6 +608,22 @@ def test_large_whole_numbers_in_infos_keep_all_digits():
     infos = envs.step([700] * 4)[-1]
     assert infos["big"].tolist() == [2**60 + 1] * 4
     assert infos["big"].dtype == np.int64
+    envs.close()
+
+
+def test_infos_of_wrappers_can_be_arrays():
+    class Marks(gym.Wrapper):
+        def step(self, action):
+            *parts, info = self.env.step(action)
+            return *parts, {**info, "place": np.array([action, 2.0]), "marks": [1, action]}
+
+    envs = make(view=lambda env: Marks(VIEWS["flattened_discrete"](env)))
+    envs.reset(seed=1)
+    infos = envs.step([700, 701, 702, 703])[-1]
+    assert infos["place"].tolist() == [[700.0 + slot, 2.0] for slot in range(4)]
+    assert infos["marks"].tolist() == [[1, 700 + slot] for slot in range(4)]
+    assert infos["_place"].all()
+    assert (infos["position"] > 0).all()
     envs.close()
 
 

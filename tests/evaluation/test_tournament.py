@@ -161,6 +161,12 @@ def test_better_agents_are_rated_better():
     assert all(rating.low < rating.value < rating.high for rating in ratings)
 
 
+def test_a_race_of_one_agent_rates_nobody():
+    values = [rating.value for rating in rate([[0], [0, 1], [1]], 2)]
+    assert values == [rating.value for rating in rate([[0, 1]], 2)]
+    assert [rating.value for rating in rate([[0]], 1)] == [25]
+
+
 @pytest.mark.slow
 def test_more_races_make_the_interval_narrower():
     races = [[0, 1], [0, 1], [1, 0], [0, 1]]

@@ -226,6 +226,22 @@ def test_team_rewards_are_shared_by_the_share():
         assert len(set(own.values())) > 1
 
 
+def test_a_mate_that_was_terminated_no_longer_races_but_one_that_was_truncated_does():
+    still, driving = np.zeros(2, np.float32), np.array([1.0, 0.0], np.float32)
+    with race(num_kart=3, view="box_continuous", end_when_stuck=1.5, max_cycles=40) as env:
+        team = MessageChannel(Teams(env, teams=[[0, 1, 2]], observe=True), size=1)
+        team.reset(seed=1)
+        while team.agents:
+            actions = {a: still if a == "kart_0" else driving for a in team.agents}
+            message = np.ones(1, np.float32)
+            seen, *_ = team.step(
+                {agent: {"action": act, "message": message} for agent, act in actions.items()}
+            )
+        assert set(seen) == {"kart_1", "kart_2"}  # kart_0 was terminated earlier
+        assert seen["kart_1"]["observation"]["mates"][:, -1].tolist() == [0, 1]
+        assert seen["kart_1"]["heard"].tolist() == [0, 1]
+
+
 @pytest.mark.slow
 def test_agents_that_have_left_earn_nothing_for_their_team():
     one = {"kart_0": 0.99, "kart_1": 0.1}

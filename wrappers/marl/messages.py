@@ -29,7 +29,8 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
     dicts of ``observation``, the original observation; ``messages``, ``(agents - 1, size)``
     float32, the messages of the other agents in agent order; and ``heard``, ``(agents - 1,)`` int8,
     1 for agents whose message arrived. Agents that are out of reach, in another team or no longer
-    racing are not heard: their rows are zeros. Nothing is heard in the first observation.
+    racing are not heard: their rows are zeros. Nothing is heard in the first observation. Agents
+    that are truncated are heard once more, in the last observations.
 
     Args:
         env: a race (``race_v0.parallel_env``), perhaps wrapped.
@@ -100,11 +101,8 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         said = {agent: self._message(agent, actions) for agent in self.env.agents}
         bare = {agent: action["action"] for agent, action in actions.items() if agent in said}
         observations, rewards, terminations, truncations, infos = self.env.step(bare)
-        self._said = {
-            agent: message
-            for agent, message in said.items()
-            if not (terminations.get(agent) or truncations.get(agent))
-        }
+        # For agents that are truncated, the race would go on, so they still hear each other.
+        self._said = {a: message for a, message in said.items() if not terminations.get(a)}
         return self._with_messages(observations), rewards, terminations, truncations, infos
 
     def _message(self, agent: str, actions: Mapping[str, Any]) -> Message:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -102,7 +102,8 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Resets the race."""
         observations, infos = self.env.reset(seed=seed, options=options)
-        return self._seen(observations), self._with_team(infos, {}, {})
+        racing = frozenset(self.env.agents)
+        return self._seen(observations, racing), self._with_team(infos, {}, {})
 
     def step(self, actions: dict[str, Any]) -> StepParts:
         """Steps the race and shares the rewards."""
@@ -116,7 +117,10 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
             for agent, reward in own.items()
         }
         infos = self._with_team(infos, own, means)
-        return self._seen(observations), rewards, terminations, truncations, infos
+        # For an agent that is truncated, the race would go on.
+        cut = {agent for agent, is_cut in truncations.items() if is_cut}
+        observations = self._seen(observations, cut.union(self.env.agents))
+        return observations, rewards, terminations, truncations, infos
 
     def _with_team(
         self, infos: Mapping[str, Any], own: Mapping[str, float], means: Mapping[int, float]
@@ -131,10 +135,17 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
             for agent, info in infos.items()
         }
 
-    def _seen(self, observations: dict[str, Any]) -> dict[str, Any]:
+    def _seen(self, observations: dict[str, Any], racing: Set[str]) -> dict[str, Any]:
+        """Returns the observations with those of the team.
+
+        Args:
+            observations: the observations.
+            racing: agents that are still racing.
+        """
         if not self.observe or not observations:
             return observations
-        known = _known(self.env.unwrapped)
+        is_racing = np.array([agent in racing for agent in self.possible_agents])
+        known = _known(self.env.unwrapped, is_racing)
         return {
             agent: {
                 "observation": observation,
@@ -151,13 +162,17 @@ class Teams(BaseParallelWrapper[str, Any, Any]):
         return rows
 
 
-def _known(race: Any) -> npt.NDArray[np.float32]:
-    """Returns each agent's features in the frame of each observing agent, ``(A, A, 11)``."""
+def _known(race: Any, is_racing: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+    """Returns each agent's features in the frame of each observing agent, ``(A, A, 11)``.
+
+    Args:
+        race: the race.
+        is_racing: ``(A,)`` bool, whether each agent is still racing.
+    """
     agents = list(race.race.kart_indices)
     karts, driven = race.snapshot.karts[agents], progress_of(race.snapshot)[agents]
     turns = rotation_matrices(karts["rotation"])
     places, speeds = karts["location"], karts["velocity"]
-    is_racing = karts["has_finished_race"] <= 0
     own = [karts["position"], karts["energy"], karts["powerup_type"], is_racing]
     parts: list[Any] = [
         to_kart_frame(places[None], places, turns),

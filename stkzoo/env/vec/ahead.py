@@ -50,9 +50,16 @@ class AheadRace(RaceParallelEnv):
         """Checks options of :meth:`reset`.
 
         Raises:
+            ApiOrderError: no agent was racing any more at the moment of a state or scenario.
             ConfigError: an option is unknown or invalid.
         """
         self._options_now(options).tracks(self._assets.tracks)
+        if options.get("scenario") is not None:
+            self._checked_scenario(options["scenario"], options)
+        elif options.get("state") is not None:
+            self._checked_first_state(options["state"], options)
+        elif self._opponents is not None:
+            self._opponents.check_difficulty(options.get("difficulty"))
 
     def prepare(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Starts the race for the next :meth:`reset` with the same arguments, and returns at once.

@@ -247,7 +247,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
         Raises:
             ConfigError: an option is unknown or invalid; nothing has changed.
-            ApiOrderError: called after ``close``, or while another thread's call runs.
+            ApiOrderError: called after ``close``, or while another thread's call runs; or no agent
+                was racing any more at the moment of a state or scenario.
         """
         with self._turn.of("set_options"):
             self._set_options(options)

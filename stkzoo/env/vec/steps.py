@@ -229,7 +229,7 @@ class InfoDicts:
         infos = [self._dicts[slot] for slot in slots]
         keys = list(infos[0]) if infos else []
         is_table = bool(infos) and all(list(info) == keys for info in infos)
-        table = np.array([list(info.values()) for info in infos] if is_table else [])
+        table = _table([list(info.values()) for info in infos] if is_table else [])
         kinds = [np.asarray(value).dtype for value in infos[0].values()] if is_table else []
         columns: dict[str, Any] = {}
         if table.ndim != 2 or table.dtype.kind not in "biuf" or _loses_digits(table, kinds):
@@ -251,6 +251,14 @@ class InfoDicts:
     def value(self, slot: int, key: str) -> Any:
         """Returns one value of a slot's info; raises ``KeyError`` if there is none."""
         return self._dicts[slot][key]
+
+
+def _table(rows: Sequence[Sequence[Any]]) -> npt.NDArray[Any]:
+    """Returns the values of infos as one array; an empty one if some are arrays or lists."""
+    try:
+        return np.array(rows)
+    except ValueError:
+        return np.array([])
 
 
 def _loses_digits(table: npt.NDArray[Any], kinds: Sequence[np.dtype[Any]]) -> bool:
