@@ -158,12 +158,14 @@ class ProcessSession:
         process = self._living()
         if self._asked != kind:
             raise ApiOrderError("there is no request to wait for")
-        self._asked = None
         try:
-            return process.reply()
+            frames = process.reply()
         except BaseException as error:
             self._end_after(error, process)
             raise
+        if self._process is process:  # otherwise, a signal handler has closed it
+            self._asked = None
+        return frames
 
     def _idle(self) -> RaceProcess:
         process = self._living()

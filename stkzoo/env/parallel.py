@@ -346,10 +346,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
     def _finish_step(self) -> StepParts:
         episode, agents = self._awaited_episode(), self.agents
-        if not agents:
-            return {}, {}, {}, {}, {}
-        snapshot = self._session.step_wait()
-        rewards, terminations, truncations = episode.advance(snapshot, agents)
+        try:  # until the episode has advanced, signal handlers cannot save or copy the race
+            if not agents:
+                return {}, {}, {}, {}, {}
+            snapshot = self._session.step_wait()
+            rewards, terminations, truncations = episode.advance(snapshot, agents)
+        finally:
+            self._asked = None
         observations = self._chains.observe(agents, episode)
         infos = episode.infos(agents)
         parts = observations, rewards, terminations, truncations, infos
@@ -538,8 +541,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return episode
 
     def _awaited_episode(self) -> Episode:
-        """Returns the episode that is stepping, whose step the caller finishes."""
-        episode, self._asked = self._asked, None
+        """Returns the episode that is stepping. The caller finishes its step and forgets it."""
+        episode = self._asked
         if episode is None or episode is not self._episode:
             raise ApiOrderError("step_wait() without step_async(); call step_async() first")
         return episode

@@ -1,5 +1,6 @@
 """Calls during another thread's call, and calls from signal handlers."""
 
+import contextlib
 import os
 import signal
 import threading
@@ -9,6 +10,7 @@ import pytest
 
 import stkzoo
 from stkzoo import ApiOrderError, race_v0
+from stkzoo.engine import wire
 from tests.support.processes import run_program, wait_until
 
 OPTIONS = {"num_kart": 2, "track": "lighthouse", "view": "flattened_discrete"}
@@ -167,6 +169,31 @@ SIGNALS = """
 def test_a_signal_handler_can_end_the_step_that_it_interrupts(handler, then, error):
     program = run_program(SIGNALS.format(handler=handler, then=then))
     assert program.stdout.split("\n")[:2] == [error, "goes on"], program.stderr
+
+
+@pytest.mark.parametrize("kind", ["parallel", "batch"])
+def test_a_signal_handler_cannot_save_or_copy_the_race_in_the_middle_of_a_step(monkeypatch, kind):
+    form = Parallel() if kind == "parallel" else Vector()
+    race, receive, refused = form.core, wire.receive, []
+
+    def interrupted(connection):
+        if connection is race._session._process.connection:
+            monkeypatch.undo()
+            for call in (race.save_state, race.clone, race.scenario):
+                with pytest.raises(ApiOrderError):
+                    call()
+                refused.append(call)
+        return receive(connection)
+
+    with contextlib.closing(form.env):
+        form.env.reset(seed=1)
+        monkeypatch.setattr(wire, "receive", interrupted)
+        form.step()
+        assert len(refused) == 3
+        form.step()
+        assert len(race.scenario().controls) == 2
+        with race.save_state() as state:
+            assert state.race == race.race
 
 
 @pytest.mark.slow

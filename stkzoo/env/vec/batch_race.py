@@ -91,7 +91,10 @@ class BatchRace(AheadRace):
         with self._turn.of("step_wait"):
             episode, agents = self._awaited_episode(), self.agents
             ends = steps.rewards, steps.terminations, steps.truncations
-            episode.advance_into(self._session.step_wait(), agents, slots, ends)
+            try:
+                episode.advance_into(self._session.step_wait(), agents, slots, ends)
+            finally:
+                self._asked = None
             has_ended = steps.terminations[slots] | steps.truncations[slots]
             if has_ended.any():
                 self.agents = [
