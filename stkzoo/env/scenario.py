@@ -7,13 +7,14 @@ import json
 import os
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import write_whole, write_zip
 from stkzoo._reading import Unreadable, read_json, read_zip, reading
-from stkzoo._schema import Count, typed
+from stkzoo._schema import Count, Within, typed
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
@@ -26,6 +27,7 @@ _TYPE, _FORMAT = "stkzoo-scenario", 1
 _ABOUT, _CONTROLS = "scenario.json", "controls.f4"
 _MAX_MEMBER = {_ABOUT: 1 << 20, _CONTROLS: 256 << 20}
 _MAX_STEPS = 1_000_000
+_Steps = Annotated[int, Within(0, _MAX_STEPS)]
 _ENGINE = "PySuperTuxKart2"
 
 
@@ -67,6 +69,7 @@ class Scenario:
         names = ("kart_indices", "agents", "digest", "engine", "opponents")
         about = {"type": _TYPE, "format": _FORMAT, "setup": asdict(self.setup)}
         about |= {name: getattr(self, name) for name in names}
+        about["num_steps"] = len(self.controls)  # without players, steps have no controls
         members = {
             _ABOUT: json.dumps(about, indent=1).encode(),
             _CONTROLS: self.controls.astype("<f4").tobytes(),
@@ -138,8 +141,8 @@ def _read(text: bytes, numbers: bytes) -> Scenario:
     players = sum(not kart.is_bot for kart in scenario.setup.karts)
     if len(controls) % max(players * len(CONTROLS), 1) or (len(controls) and not players):
         raise Unreadable(f"{_CONTROLS} has {len(controls)} numbers, with {players} players")
-    shape = -1 if players else 0, players, len(CONTROLS)
-    return replace(scenario, controls=controls.reshape(shape))
+    num_steps = -1 if players else typed(_Steps, about.get("num_steps", 0))
+    return replace(scenario, controls=controls.reshape(num_steps, players, len(CONTROLS)))
 
 
 def _check(scenario: Scenario) -> None:

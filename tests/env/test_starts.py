@@ -378,6 +378,17 @@ def test_a_scenario_file_continues_as_the_race_did(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["hairpin.stkscene"]
 
 
+def test_a_scenario_file_of_a_race_in_which_only_the_game_drives_keeps_its_steps(tmp_path):
+    with race(agents=[AgentSpec(use_ai=True)]) as env:
+        env.reset(seed=5)
+        coast(env, 40)
+        here = env.snapshot.data
+        env.scenario().save(tmp_path / "ai.stkscene")
+        env.reset(options={"scenario": tmp_path / "ai.stkscene"})
+        assert env.snapshot.data == here
+    assert Scenario.load(tmp_path / "ai.stkscene").controls.shape == (40, 0, 7)
+
+
 def test_a_scenario_includes_the_steps_before_a_restored_state():
     with race() as env:
         env.reset(seed=5)
