@@ -220,7 +220,7 @@ class _ForkedProcess(RaceProcess):
 
 
 _fork_servers: dict[Path, ForkServerClient] = {}
-_fork_servers_lock = threading.Lock()
+_fork_servers_lock = threading.RLock()  # a signal handler may start a race
 
 
 def start_fork_server(root: Path) -> ForkServerClient:
@@ -231,7 +231,9 @@ def start_fork_server(root: Path) -> ForkServerClient:
     with _fork_servers_lock:
         if root not in _fork_servers:
             with explain_os_errors():
-                _fork_servers[root] = ForkServerClient(root)
+                started = ForkServerClient(root)
+            if _fork_servers.setdefault(root, started) is not started:
+                started.close()  # a signal handler has started one meanwhile
         return _fork_servers[root]
 
 
@@ -251,7 +253,7 @@ def _close_all() -> None:
 
 def _forget_all() -> None:
     global _fork_servers_lock
-    _fork_servers_lock = threading.Lock()
+    _fork_servers_lock = threading.RLock()
     while _fork_servers:
         fork_server = _fork_servers.popitem()[1]
         fork_server.forget()

@@ -265,6 +265,25 @@ def test_an_engine_error_has_the_games_error_message(session):
 
 
 @pytest.mark.slow
+def test_a_signal_handler_can_start_a_race_while_the_fork_server_starts(root, monkeypatch):
+    log, snapshots = fork_client.open_log, []
+
+    def interrupted():
+        monkeypatch.setattr(fork_client, "open_log", log)
+        session = WorkerSession(root)
+        snapshots.append(session.start(SETUP).snapshot)
+        session.close()
+        return log()
+
+    monkeypatch.setattr(fork_client, "_fork_servers", {})
+    monkeypatch.setattr(fork_client, "open_log", interrupted)
+    fork_server = fork_client.start_fork_server(root)
+    assert len(snapshots) == 1
+    fork_server.fork().release()
+    assert list(fork_client._fork_servers.values()) == [fork_server]
+    fork_server.close()
+
+
 def test_sessions_in_threads_do_not_affect_each_other(root, session):
     expected = trajectory(session)
     results = []
@@ -305,11 +324,15 @@ def test_a_missing_temporary_folder_is_named_and_the_next_start_works(
     session.start(SETUP)
 
 
-def test_closing_wakes_a_waiting_thread(session):
+def test_closing_wakes_a_waiting_thread(session, monkeypatch):
     session.start(SETUP)
     os.kill(session.pid, signal.SIGSTOP)
     session.step_async(full_throttle())
-    errors = []
+    errors, receive, is_waiting = [], wire.receive, threading.Event()
+
+    def received(connection):
+        is_waiting.set()
+        return receive(connection)
 
     def wait():
         try:
@@ -317,9 +340,10 @@ def test_closing_wakes_a_waiting_thread(session):
         except ApiOrderError as error:
             errors.append(str(error))
 
+    monkeypatch.setattr(wire, "receive", received)
     thread = threading.Thread(target=wait)
     thread.start()
-    assert wait_until(lambda: session._asked is None)
+    assert is_waiting.wait(10.0)
     session.close()
     thread.join(10.0)
     assert not thread.is_alive()
