@@ -3,7 +3,7 @@
 A message consists of its kind (one byte), its number of frames (one byte), their lengths (four
 bytes each), and the frames. A frame contains arrays in a fixed layout or JSON; nothing is pickled.
 After sending a message, each end waits for a message from the other, so one read of a connection
-returns at most one message.
+returns at most one message, or its beginning.
 """
 
 from __future__ import annotations
@@ -34,8 +34,10 @@ OK, ERROR = b"O", b"E"
 _HEADER = struct.Struct("<cB")
 #: Maximum size of a message [bytes]. A larger size means that the stream is damaged.
 _MAX_LENGTH = 1 << 28
-#: Size of a read [bytes], larger than any message over :func:`pair`, so one call reads it.
+#: Size of a read [bytes], larger than any packet, and than the messages of a step.
 _ONE_READ = 1 << 18
+#: Size of a write [bytes]. The system refuses larger packets than the send buffer of a socket.
+_ONE_WRITE = 1 << 16
 
 
 class EngineConnection(socket.socket):
@@ -90,7 +92,8 @@ def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence
     if files:
         socket.send_fds(connection, [message], files)
     else:
-        connection.sendall(message)
+        for begin in range(0, len(message), _ONE_WRITE):
+            connection.sendall(message[begin : begin + _ONE_WRITE])
 
 
 def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:

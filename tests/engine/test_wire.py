@@ -33,6 +33,14 @@ def test_a_message_is_received_whole(ends, delay):
     sending.join()
 
 
+def test_a_message_can_be_larger_than_the_buffers_of_a_connection(ends):
+    ours, theirs = ends
+    frames = [b"a", bytes(range(256)) * 8000, b"b"]
+    sending = after(0, wire.send, theirs, wire.OK, *frames)
+    assert wire.receive(ours) == (wire.OK, frames)
+    sending.join()
+
+
 def test_a_new_connection_blocks_whatever_the_default_timeout():
     socket.setdefaulttimeout(5.0)
     try:
