@@ -59,18 +59,20 @@ def main(race: int, connection: int, memory: int, cores: list[int], command: lis
     for descriptor in (0, woken):
         poller.register(descriptor, select.POLLIN)
     status = reason = None
-    while status is None and not reason and os.getppid() == race:
-        events = dict(poller.poll(_INTERVAL))
-        if woken in events:
-            os.read(woken, 4096)
-        if 0 in events:
-            break
-        status = _reap(agent)
-        reason = _excess(memory)
-    if reason:
-        with contextlib.suppress(OSError):
-            os.write(0, reason.encode())
-    _end_all()
+    try:
+        while status is None and not reason and os.getppid() == race:
+            events = dict(poller.poll(_INTERVAL))
+            if woken in events:
+                os.read(woken, 4096)
+            if 0 in events:
+                break
+            status = _reap(agent)
+            reason = _excess(memory)
+        if reason:
+            with contextlib.suppress(OSError):
+                os.write(0, reason.encode())
+    finally:  # an agent can use up the user's processes or memory, so that a check fails
+        _end_all()
     return 1 if status is None else status if status >= 0 else 128 - status
 
 
@@ -130,10 +132,17 @@ def _processes() -> list[int]:
 
 
 def _in_time(measure: Callable[[], int], otherwise: int) -> int:
-    """Returns a measurement, or ``otherwise`` if a process blocks it by locking its memory."""
+    """Returns a measurement, or ``otherwise`` if the agent prevents it.
+
+    A process can block the measurement by locking its memory. Without processes left for the user,
+    no thread can start.
+    """
     measured: list[int] = []
     reader = threading.Thread(target=lambda: measured.append(measure()), daemon=True)
-    reader.start()
+    try:
+        reader.start()
+    except RuntimeError:
+        return otherwise
     for _ in range(_MEASURE_TRIES):
         reader.join(_MEASURE_TIMEOUT)
         if measured or len(_processes()) > _MAX_PROCESSES:

@@ -13,6 +13,7 @@ import time
 
 import pytest
 
+from stkzoo.drivers import keeper
 from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race import RaceListener, run_race
 from tests.support.paths import AGENTS
@@ -319,6 +320,39 @@ def test_a_killed_keeper_leaves_no_threads_or_file_descriptors(monkeypatch, tmp_
     for pid in map(int, (tmp_path / "pids").read_text().split()):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
+
+
+def test_a_keeper_whose_check_fails_ends_the_daemons_of_its_agent(tmp_path):
+    pids = tmp_path / "pids"
+    daemon = f"echo $$ > {pids}.new; mv {pids}.new {pids}; sleep 100"
+    agent = f"setsid sh -c '{daemon}' >/dev/null 2>&1 & wait"
+    code = f"""
+        import os, pathlib
+        from stkzoo.drivers import keeper
+
+        def fail(memory):
+            if pathlib.Path({str(pids)!r}).exists():
+                raise MemoryError
+            return ""
+
+        keeper._excess = fail
+        connection = os.open(os.devnull, os.O_RDONLY)
+        keeper.main(os.getppid(), connection, 0, [], ["/bin/sh", "-c", {agent!r}])
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    race_end, keeper_end = socket.socketpair()
+    with race_end, keeper_end:
+        done = subprocess.run(command, stdin=keeper_end, capture_output=True, text=True)
+    assert "MemoryError" in done.stderr
+    assert wait_until(lambda: not process_exists(int(pids.read_text())))
+
+
+def test_memory_that_cannot_be_measured_counts_as_too_much(monkeypatch):
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    assert keeper._in_time(lambda: 1, otherwise=2) == 2
 
 
 @pytest.mark.slow
