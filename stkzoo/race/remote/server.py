@@ -23,6 +23,7 @@ from stkzoo.race.remote.sockets import (
     DEFAULT_ADDRESS,
     ClientAuthenticator,
     ServerKeys,
+    check_descriptors,
     full_address,
     server_socket,
     zmq_module,
@@ -87,6 +88,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         self._sessions: set[ClientSession] = set()  # including those that are ending
         self._replies = f"inproc://stkzoo-replies-{next(_NUMBERS)}"
         self._stop = threading.Event()
+        check_descriptors(ConfigError)
         self._context = self._zmq.Context()
         try:
             self._authenticator = (

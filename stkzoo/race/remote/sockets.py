@@ -7,11 +7,12 @@ import re
 import socket
 import struct
 from collections.abc import Collection
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from stkzoo._os import is_loopback
-from stkzoo.errors import ConfigError, RemoteError, import_extra
+from stkzoo.errors import ConfigError, RemoteError, StkzooError, import_extra
 from stkzoo.race.remote.protocol import LIMITS
 
 if TYPE_CHECKING:
@@ -81,6 +82,8 @@ _LIMITS = {
 #: Time limit for the handshake, in which a client proves that it has its keys [ms].
 _HANDSHAKE = 5000
 _DOMAIN = b"stkzoo"
+#: Number of file descriptors that ZeroMQ may need for a server's or a client's sockets.
+_DESCRIPTORS = 24
 #: Maximum unread data of a connection that carries a race [bytes].
 MAX_UNREAD = 96 << 20
 #: Position of the number of received bytes in Linux's ``struct tcp_info``.
@@ -114,6 +117,26 @@ class ServerKeys:
                 f"other machines can reach {address}; give the server a key of its own (--secret) "
                 "and those of its clients (--allow), or use --insecure"
             )
+
+
+def check_descriptors(error_type: type[StkzooError]) -> None:
+    """Checks that ZeroMQ can get file descriptors. If it gets none, it ends the program.
+
+    Args:
+        error_type: class of the error.
+
+    Raises:
+        StkzooError: there are too few; the error is an ``error_type``.
+    """
+    with ExitStack() as opened:
+        try:
+            for _ in range(_DESCRIPTORS):
+                opened.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+        except OSError as error:
+            raise error_type(
+                f"a networked race needs {_DESCRIPTORS} more open files: {error.strerror}; close "
+                "files and environments that are no longer needed, or raise the limit (ulimit -n)"
+            ) from error
 
 
 def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> zmq.Socket[Any]:
@@ -155,6 +178,7 @@ def client_socket(
     Raises:
         RemoteError: a connection to the address is impossible.
     """
+    check_descriptors(RemoteError)
     options: dict[str, Any] = {"RECONNECT_IVL": 50, "RECONNECT_IVL_MAX": 500}
     if server_key is not None:
         assert keys is not None  # noqa: S101 - RemoteDriverGroup generates them

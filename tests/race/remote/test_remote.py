@@ -16,6 +16,7 @@ from stkzoo.race.remote.protocol import VERSION, pack
 from stkzoo.race.remote.server import _PATIENCE
 from stkzoo.race.remote.session import ClientSession
 from stkzoo.race.remote.sockets import _QUEUE
+from tests.support.processes import run_program
 from tests.support.remote_race import raw_client, server_process, server_thread, write_agent
 
 TRACK = {"track": "lighthouse", "seed": 3}
@@ -309,3 +310,28 @@ def test_an_address_in_use_is_an_error():
         pytest.raises(ConfigError, match="cannot listen"),
     ):
         RaceServer([find_driver("heuristic")], server.address)
+
+
+@pytest.mark.slow
+def test_a_program_without_free_file_descriptors_gets_an_error():
+    """ZeroMQ itself ends such a program."""
+    program = run_program("""
+        import os, resource
+        from stkzoo import ConfigError
+        from stkzoo.errors import RemoteError
+        from stkzoo.race import find_driver
+        from stkzoo.race.remote import RaceServer, RemoteDriverGroup
+        server = RaceServer([find_driver("heuristic")], "tcp://127.0.0.1:*")
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) + 4, most))
+        for make, error in (
+            (lambda: RemoteDriverGroup([server.address]), RemoteError),
+            (lambda: RaceServer([find_driver("heuristic")], "tcp://127.0.0.1:*"), ConfigError),
+        ):
+            try:
+                make()
+            except error as problem:
+                print(problem)
+        server.close()
+    """)
+    assert program.stdout.count("Too many open files; close") == 2, program.stderr
