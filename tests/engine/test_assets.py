@@ -760,3 +760,15 @@ class TestCommandLine:
         process = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (process.returncode, process.stdout) == (1, "")
         assert process.stderr == "stkzoo: there is no file 'missing'.\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a working directory cannot be removed")
+def test_a_relative_cache_without_a_working_directory_is_an_error(monkeypatch, tmp_path):
+    monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
+    monkeypatch.setenv("STKZOO_CACHE", "cache")
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(AssetError, match="STKZOO_CACHE is 'cache', relative to a working"):
+        find_assets()

@@ -25,10 +25,20 @@ CACHE_VARIABLE = "STKZOO_CACHE"
 
 
 def cache_folder() -> Path:
-    """Returns the folder of stkzoo's cache, which may not exist yet."""
+    """Returns the folder of stkzoo's cache, which may not exist yet.
+
+    Raises:
+        AssetError: it is relative to the working directory, which is gone.
+    """
     own = os.environ.get(CACHE_VARIABLE)
     folder = Path(own).expanduser() if own else Path(platformdirs.user_cache_dir("stkzoo"))
-    return folder.absolute()
+    try:
+        return folder.absolute()
+    except FileNotFoundError as error:
+        raise AssetError(
+            f"the environment variable {CACHE_VARIABLE} is {own!r}, relative to a working "
+            "directory that is gone. Set it to an absolute path, or change to another folder."
+        ) from error
 
 
 def own_folder(kind: str) -> Path:
