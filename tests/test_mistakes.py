@@ -59,7 +59,6 @@ COMMANDS = [
     ("race ai --adapter none.py", "none.py"),
     ("check", "the following arguments are required: AGENT"),
     ("check ai", "ai"),
-    ("check {here}/empty", "pystk_actor.py"),
     ("new {here}/empty/../classless", "is not empty; choose another folder"),
     ("new {here}/text.zip", "text.zip"),
     ("replay {here}/none.stkz", "none.stkz"),

@@ -258,10 +258,13 @@ def test_leaving_ends_the_race(leaving):
 def test_a_pause_lasts_until_the_key_is_pressed_again():
     import threading
 
-    driving = Driving(step_5=lambda: press(pygame.K_p))
     goes_on = threading.Timer(1.0, lambda: press(pygame.K_p))
-    driving.at["step_6"] = lambda: None
-    goes_on.start()
+
+    def pause():
+        press(pygame.K_p)
+        goes_on.start()
+
+    driving = Driving(step_5=pause)
     result = play_race([], rate=60, max_steps=10, listeners=[driving], **WINDOW)
     goes_on.join()
     assert result.status == "max_steps"

@@ -28,7 +28,8 @@ def test_an_agent_that_uses_up_its_time_budget_is_retired(handling):
     assert result.time_budget == 1.0
     assert [rows[name].status for name in ("slow", "Plain")] == ["retired", "racing"]
     (failure,) = rows["slow"].errors
-    assert (failure.kind, failure.step) == ("timeout", 3)
+    assert failure.kind == "timeout"
+    assert failure.step <= 3  # earlier on a busy machine
     assert failure.message == "it has used up its time budget of 1 s for decisions"
     assert rows["slow"].action_time.total > 1.0
 
