@@ -31,6 +31,7 @@ from .run_folder import (
     TrainingLog,
     check_resumed,
     load_checkpoint,
+    policy_name,
     reading_checkpoint,
     save_checkpoint,
     write_json,
@@ -240,7 +241,7 @@ class OverlappedLearner(ABC):
 
     def save_policy(self, path: Path | None = None) -> Path:
         """Writes the current policy, by default to the run's folder; returns its path."""
-        path = path or self.folder / f"policy-{self.kart_steps:09d}.safetensors"
+        path = path or self.folder / f"{policy_name(self.kart_steps)}.safetensors"
         save_weights(path, self._network.weights()[0])
         return path
 

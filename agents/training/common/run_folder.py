@@ -32,6 +32,9 @@ LEAGUE = "league.json"
 #: Largest size of a file of a run, and of a checkpoint [bytes].
 _MAX_BYTES, _MAX_CHECKPOINT = 64 << 20, 4 << 30
 
+#: Number of digits of the kart-steps in the name of a policy, at least.
+_DIGITS = 9
+
 T = TypeVar("T")
 
 
@@ -164,10 +167,15 @@ def chapters_of(history: Sequence[Any], kart_steps: int | None) -> Sequence[Any]
     return [*history[:1], *(part for part in history[1:] if part["from"] < kart_steps)]
 
 
+def policy_name(kart_steps: int) -> str:
+    """Returns the name of a run's policy after a number of kart-steps."""
+    return f"policy-{kart_steps:0{_DIGITS}d}"
+
+
 def kart_steps_of(policy: Path) -> int | None:
-    """Returns the kart-steps in the name of a run's policy file; ``None`` for other names."""
+    """Returns the kart-steps of a file that :func:`policy_name` names; ``None`` for others."""
     digits = policy.stem.removeprefix("policy-")
-    is_round = len(digits) < 9  # imitation numbers its rounds
+    is_round = len(digits) < _DIGITS  # imitation numbers its rounds
     return int(digits) if digits.isdigit() and not is_round else None
 
 

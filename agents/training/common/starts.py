@@ -1,4 +1,4 @@
-"""How the races of training start: who drives, and where.
+"""Starts of training races: who drives, and from where.
 
 A race begins as a copy of a waiting race in the GO phase: copying takes milliseconds, starting the
 game a tenth of a second. One waiting race is kept per track, direction, lineup and starting point.

@@ -56,6 +56,7 @@ from ..common.run_folder import (
     TrainingLog,
     keep_arguments,
     load_checkpoint,
+    policy_name,
     read_run_file,
     reading_checkpoint,
     save_checkpoint,
@@ -389,7 +390,7 @@ class SB3Run:
 
     def _keep(self) -> str:
         """Writes the current policy; returns its name."""
-        name = f"policy-{self.kart_steps:09d}"
+        name = policy_name(self.kart_steps)
         save_driver(self.folder / f"{name}.safetensors", self._model.policy, self._held)
         return name
 
