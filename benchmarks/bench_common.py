@@ -297,9 +297,10 @@ def _whole(text: str) -> int:
 def _command(name: str, arguments: Mapping[str, Any]) -> str:
     words = ["python", "-m", f"benchmarks.bench_{name}"]
     for key, value in arguments.items():
-        if value is None:
+        if value is None or value is False:
             continue
-        parts = value if isinstance(value, (list, tuple)) else [value]
+        flag = value is True  # has no value
+        parts = value if isinstance(value, (list, tuple)) else [] if flag else [value]
         words += [f"--{key.replace('_', '-')}", *map(str, parts)]
     return " ".join(words)
 

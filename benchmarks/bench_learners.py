@@ -3,6 +3,7 @@
     python -m benchmarks.bench_learners
     python -m benchmarks.bench_learners --only engine ppo --rounds 3
     python -m benchmarks.bench_learners --only ppo --karts 1 5 20 --races 2 8 --cores 1 2
+    python -m benchmarks.bench_learners --only engine ppo --races 4 --per-core --cores 1 4 16
     python -m benchmarks.bench_learners --only engine rllib torchrl
 
 Contenders take turns. Each turn runs in a separate process that may use all cores. With every
@@ -103,6 +104,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of the environments"
     )
     words.add_argument("--races", type=int, nargs="+", default=[8], help="races (default: 8)")
+    words.add_argument("--per-core", action="store_true", help="--races counts races per core")
     words.add_argument("--rounds", type=int, default=5, help="measurements of each (default: 5)")
     words.add_argument("--iterations", type=int, default=12, help="measured updates (default: 12)")
     words.add_argument("--contender", help=argparse.SUPPRESS)
@@ -138,7 +140,8 @@ def _settings(options: argparse.Namespace) -> list[Setting]:
             if name == "engine":
                 found.append(_engine_setting(karts, num_cores))
                 continue
-            found += [Setting(name, karts, races, num_cores) for races in options.races]
+            unit = (num_cores or cpu_count()) if options.per_core else 1
+            found += [Setting(name, karts, races * unit, num_cores) for races in options.races]
     return found
 
 

@@ -37,6 +37,7 @@ _SECTIONS: dict[str, tuple[str, Callable[[Any], Sequence[Table]]]] = {
     "vector": ("Many races", bench_vector.tables),
     "learners": ("Learners", bench_learners.tables),
     "learners_scale": ("Learners by karts, races and cores", bench_learners.tables),
+    "learners_16_cores": ("Learners on 16 cores", bench_learners.tables),
     "states": ("Saved states", bench_states.tables),
     "resets": ("Imports and resets", bench_resets.tables),
     "memory": ("Memory", bench_memory.tables),

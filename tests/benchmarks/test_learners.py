@@ -47,3 +47,13 @@ def test_saved_results_contain_no_paths_of_this_machine(monkeypatch, tmp_path):
     assert str(tmp_path) not in output.read_text()
     (result,) = json.loads(output.read_text())["results"]
     assert result["kart_steps_per_second_per_core"]["median"] == 2.0
+
+
+def test_races_per_core_are_multiplied_by_the_cores(monkeypatch, tmp_path):
+    monkeypatch.setattr(bench_learners, "_measure", lambda *_: {"rate": 2.0})
+    output = tmp_path / "learners.json"
+    words = ["--only", "ppo", "--rounds", "1", "--races", "4", "--per-core", "--cores", "1", "16"]
+    assert bench_learners.main([*words, "--output", str(output)]) == 0
+    report = json.loads(output.read_text())
+    assert [(result["cores"], result["races"]) for result in report["results"]] == [(1, 4), (16, 64)]
+    assert "--per-core --" in report["command"]
