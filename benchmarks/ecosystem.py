@@ -43,6 +43,8 @@ SETS = {
     "rllib": (TORCH, "ray[rllib]==2.60.0"),  # requires gymnasium 1.2.2
     "agilerl": (TORCH, "agilerl==2.58.0", "peft==0.21.2"),  # requires pettingzoo < 1.27
     "pufferlib": ("pufferlib-core==3.0.23",),  # requires torch 2.9.0
+    # requires torchvision, which fits one version of torch, and PyAV < 14
+    "benchmarl": ("torch==2.14.1", "torchvision==0.29.1", "benchmarl==1.5.2"),
 }
 
 
@@ -107,6 +109,7 @@ LIBRARIES = (
         "a dataset of the game's AI",
     ),
     Example("Ray RLlib", "ray", "rllib_ppo", "rllib", "box_discrete", "PPO, new API stack"),
+    Example("BenchMARL", "benchmarl", "benchmarl_vdn", "benchmarl", "racing", "VDN in teams"),
     Example("AgileRL", "agilerl", "agilerl_ippo", "agilerl", "box_continuous", "IPPO"),
     Example(
         "PufferLib",
