@@ -290,8 +290,8 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         moments = front if isinstance(front, tuple) else ()
         if len(moments) <= depth or not isinstance(moments[depth], _AdapterMoment):
             raise ConfigError(
-                f"state is {state!r:.200}, expected one that save_state() of this adapter returned, "
-                "with the memory of its wrappers"
+                f"state is {state!r:.200}, expected one that save_state() of this adapter "
+                "returned, with the memory of its wrappers"
             )
         moment, chains = moments[depth], self._walker.chains
         if moment.wrappers.keys() != chains.keys():

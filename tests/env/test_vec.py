@@ -569,6 +569,16 @@ def test_random_streams_are_those_of_the_races():
     envs.close()
 
 
+def test_the_seeds_are_those_of_the_races():
+    envs = make(num_races=2)
+    assert envs.np_random_seed == (-1, -1)
+    envs.reset(seed=[7, None])
+    assert envs.np_random_seed == (7, -1)
+    envs.reset()
+    assert envs.np_random_seed == (7, -1)
+    envs.close()
+
+
 # ---------------------------------------------------------------------- errors
 
 
