@@ -163,7 +163,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         """Random generator of each race."""
         return tuple(race.np_random for race in self.races)
 
-    @property  # type: ignore[misc]
+    @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
         """Seed of each race's random generator; -1 if no :meth:`reset` has seeded it."""
         return tuple(-1 if seed is None else seed for seed in self._seeds)
