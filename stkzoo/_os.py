@@ -8,6 +8,7 @@ import hashlib
 import ipaddress
 import os
 import secrets
+import signal
 import stat
 import sys
 import zipfile
@@ -28,6 +29,7 @@ __all__ = [
     "above_standard_streams",
     "atomic_write",
     "check_display",
+    "check_exit_codes",
     "check_writable",
     "cpu_count",
     "file_digest",
@@ -35,6 +37,7 @@ __all__ = [
     "has_display",
     "ip_address_of",
     "is_loopback",
+    "loses_exit_codes",
     "make_folder",
     "max_descriptors",
     "network_of",
@@ -53,6 +56,31 @@ def cpu_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def loses_exit_codes() -> bool:
+    """Returns whether this program ignores SIGCHLD, so that all exit codes of programs read as 0.
+
+    Programs inherit ignored signals.
+    """
+    number = getattr(signal, "SIGCHLD", None)
+    return number is not None and signal.getsignal(number) is signal.SIG_IGN
+
+
+def check_exit_codes(need: str) -> None:
+    """Checks that this program can see whether other programs fail.
+
+    Args:
+        need: what needs this, for the message, such as ``"a video is written by ffmpeg"``.
+
+    Raises:
+        ConfigError: it ignores SIGCHLD.
+    """
+    if loses_exit_codes():
+        raise ConfigError(
+            f"{need}, but this program ignores SIGCHLD, so it cannot see whether others fail; call "
+            "signal.signal(signal.SIGCHLD, signal.SIG_DFL) first"
+        )
 
 
 def max_descriptors() -> int:

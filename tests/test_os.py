@@ -1,11 +1,12 @@
 """Files are replaced as a whole, and keep their links and permissions."""
 
 import os
+import signal
 import sys
 
 import pytest
 
-from stkzoo._os import check_writable, write_text
+from stkzoo._os import check_writable, loses_exit_codes, write_text
 from stkzoo.errors import ConfigError
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs permissions and links")
@@ -56,3 +57,12 @@ def test_a_link_into_a_missing_folder_is_reported_before_the_work(tmp_path):
     link.symlink_to("missing/result.json")
     with pytest.raises(ConfigError, match=r"there is no folder .*missing"):
         check_writable(link, "the result")
+
+
+@pytest.mark.parametrize(("action", "loses"), [(signal.SIG_DFL, False), (signal.SIG_IGN, True)])
+def test_a_program_that_ignores_its_children_loses_exit_codes(action, loses):
+    before = signal.signal(signal.SIGCHLD, action)
+    try:
+        assert loses_exit_codes() == loses
+    finally:
+        signal.signal(signal.SIGCHLD, before)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NoReturn
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -14,6 +15,7 @@ from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
 
@@ -168,11 +170,20 @@ class GymAgentAdapter(
         return {f"original/{agent}": copy.deepcopy(value) for agent, value in own.items()}
 
 
+@dataclass(frozen=True, slots=True)
+class _AdapterMoment:
+    """State of an adapter: the memory of its wrappers by agent, and the agents that have left."""
+
+    wrappers: Mapping[str, WrapperMemory]
+    retired: frozenset[str]
+
+
 class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any, Any]):
     """:class:`MonoAgentWrapperAdapter` around a PettingZoo ``ParallelEnv``.
 
     An agent whose wrapper ends its episode early leaves ``agents``; its kart stays in the race with
-    an action of zeros.
+    an action of zeros. Around a race, saved states include the attributes of the wrappers. For
+    clones, use views instead: ``race_v0.parallel_env(view=wrapper_factories)``.
     """
 
     def __init__(
@@ -250,6 +261,69 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         observations = self._with_originals(observations, originals)
         return observations, rewards, terminations, truncations, infos
 
+    def save_state(self) -> Any:
+        """Saves the current moment of the race and of the wrappers.
+
+        See :meth:`~stkzoo.env.parallel.RaceParallelEnv.save_state`.
+
+        Raises:
+            AgentException: a wrapper holds an object that cannot be copied.
+        """
+        wrappers = {agent: chain.memory() for agent, chain in self._walker.chains.items()}
+        state = self._race_method("save_state")()
+        state.front = (*(state.front or ()), _AdapterMoment(wrappers, self._retired))
+        return state
+
+    def restore_state(self, state: Any) -> None:
+        """Continues from a saved state, with the race and the wrappers as they were.
+
+        See :meth:`~stkzoo.env.parallel.RaceParallelEnv.restore_state`.
+
+        Args:
+            state: a state from :meth:`save_state` of this adapter or of an equal one.
+
+        Raises:
+            AgentException: the state is of other wrappers.
+            ConfigError: the state was saved without the adapter.
+        """
+        front, depth = getattr(state, "front", None), _num_adapters(self.env)
+        moments = front if isinstance(front, tuple) else ()
+        if len(moments) <= depth or not isinstance(moments[depth], _AdapterMoment):
+            raise ConfigError(
+                f"state is {state!r:.200}, expected one that save_state() of this adapter "
+                "returned, with the memory of its wrappers"
+            )
+        moment, chains = moments[depth], self._walker.chains
+        if moment.wrappers.keys() != chains.keys():
+            raise ConfigError(
+                f"the state is of agents {', '.join(moment.wrappers)}, this environment has "
+                f"{', '.join(chains)}"
+            )
+        for agent, chain in chains.items():
+            chain.check_memory(moment.wrappers[agent])
+        self._race_method("restore_state")(state)
+        for agent, chain in chains.items():
+            chain.recall(moment.wrappers[agent])
+        self._retired = moment.retired
+
+    def clone(self) -> NoReturn:
+        """Raises ``ConfigError``: a clone would lack the wrappers."""
+        raise _unclonable("clone")
+
+    def lookahead(self) -> NoReturn:
+        """Raises ``ConfigError``: a clone would lack the wrappers."""
+        raise _unclonable("lookahead")
+
+    def follow(self, other: object) -> NoReturn:  # noqa: ARG002 - the race's signature
+        """Raises ``ConfigError``: the wrappers would stay at their moment."""
+        raise _unclonable("follow")
+
+    def _race_method(self, name: str) -> Any:
+        method = getattr(self.env, name, None)
+        if method is None:
+            raise ConfigError(f"{name}() needs an environment with saved states, not {self.env!r}")
+        return method
+
     def close(self) -> None:
         """Closes all wrappers and the environment."""
         self._walker.close()
@@ -268,6 +342,23 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
     def _copies(self, observations: Mapping[str, Any]) -> Mapping[str, Any]:
         """Returns copies of unwrapped observations if requested; call it before wrappers run."""
         return copy.deepcopy(dict(observations)) if self.keep_original else {}
+
+
+def _num_adapters(env: Any) -> int:
+    """Returns the number of adapters in an environment."""
+    count = 0
+    while isinstance(env, BaseParallelWrapper):
+        count += isinstance(env, ParallelAgentAdapter)
+        env = env.env
+    return count
+
+
+def _unclonable(method: str) -> ConfigError:
+    return ConfigError(
+        f"{method}() does not work around MonoAgentWrapperAdapter, whose wrappers belong to one "
+        "environment; make the race with view=wrapper_factories instead, or use "
+        f"unwrapped.{method}() for the race without these wrappers"
+    )
 
 
 #: The result of :func:`_subclass_in` for each pair of arguments.

@@ -50,7 +50,7 @@ class RaceCopy:
         self._kart = self._race.kart_indices[index]
         assert self._env.snapshot is not None  # noqa: S101 - since follow
         self._begin = float(self._env.snapshot.header["time"])
-        self._rescues = RescueCounter(self._env.options.num_kart, self._race.step_size)
+        self._rescues = RescueCounter(self._env.options.num_kart)
 
     @property
     def is_over(self) -> bool:
@@ -91,7 +91,8 @@ class RaceCopy:
         """Waits for the step."""
         observations, _, _, _, infos = self._env.step_wait()
         assert self._env.snapshot is not None  # noqa: S101 - since a step
-        self._rescues.update(self._env.snapshot.karts)
+        snapshot = self._env.snapshot
+        self._rescues.update(snapshot.karts, float(snapshot.header["time"]))
         self.observation, info = observations[self._agent], infos[self._agent]
         self.distance, self.finish_time = float(info["distance"]), float(info["finish_time"])
         self.steps += 1

@@ -15,12 +15,15 @@ module ``race_server`` is the command ``race-server``. Private modules contain s
 from __future__ import annotations
 
 import pkgutil
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser
+from stkzoo._os import loses_exit_codes
 from stkzoo.cli._arguments import add_command
 from stkzoo.cli._streams import discard_stdout, prepare_streams, writing_stdout
 from stkzoo.errors import StkzooError
@@ -87,6 +90,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         commands return further codes.
     """
     words = sys.argv[1:] if argv is None else list(argv)
+    if loses_exit_codes() and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     prepare_streams()
     try:
         return _run(words)

@@ -46,6 +46,12 @@ _SYSTEM = (
 #: Paths of the kernel that programs need. Bubblewrap mounts its own.
 _KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
 _DEVICES = ("/dev/null",)
+#: Runs a command with the default action of SIGCHLD. Bubblewrap waits forever if it inherits an
+#: ignored one.
+_TRIAL = (
+    "import os, signal, sys; signal.signal(signal.SIGCHLD, signal.SIG_DFL); "
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
 #: Environment variables that agents get. Others may contain secrets.
 _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "STKZOO_KERNEL")
 #: Environment variable that is set in processes that share the machine with other races.
@@ -190,14 +196,15 @@ def bubblewrap_problem() -> str:
         return "sandboxes need Linux"
     if shutil.which("bwrap") is None:
         return "bubblewrap is not installed; install it (Debian, Ubuntu: apt install bubblewrap)"
-    command = [*_bubblewrap_command([*_SYSTEM, *_python_paths([])]), sys.executable, "-I", "-S"]
+    interpreter = [sys.executable, "-I", "-S", "-c"]
+    inside = [*_bubblewrap_command([*_SYSTEM, *_python_paths([])]), *interpreter, "print('inside')"]
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter
-            [*command, "-c", ""], capture_output=True, text=True, timeout=_TRIAL_TIMEOUT
+            [*interpreter, _TRIAL, *inside], capture_output=True, text=True, timeout=_TRIAL_TIMEOUT
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap does not work: {error}"
-    if not done.returncode:
+    if done.stdout == "inside\n":  # the exit code is lost in a program that ignores SIGCHLD
         return ""
     said = (done.stderr.strip().splitlines() or ["no message"])[-1]
     return f"bubblewrap does not work here ({said[:100]}); it needs version 0.8 and user namespaces"

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import OwnDescriptor
+from stkzoo._os import OwnDescriptor, loses_exit_codes
 from stkzoo._python import python_command, search_path
 from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine import wire
@@ -348,6 +348,8 @@ def describe_end(returncode: int) -> str:
     Args:
         returncode: as in :class:`subprocess.Popen`.
     """
+    if returncode == 0 and loses_exit_codes():
+        return "ended (its exit code is unknown because this program ignores SIGCHLD)"
     if returncode >= 0:
         return f"exited with code {returncode}"
     try:

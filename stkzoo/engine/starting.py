@@ -21,7 +21,8 @@ from stkzoo.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
 
-_TICK = 1 / 120  # physics tick of the engine [s]
+#: Physics tick of the engine [s].
+TICK = 1 / 120
 _STRIDES = (12.0, 9.0, 6.0, 15.0)  # distances to move karts along the road per tick [m]
 _LED_HEIGHTS = (1.0, 0.4)  # above the road [m]; some lines only count low karts
 _ITEM_REACH = 2.5  # distance between the centers of a kart and an item at which it takes it [m]
@@ -69,7 +70,7 @@ def put_karts(
     road = CenterLine(track)
     places = [_Place(road, setup, kart) for kart in range(len(setup.starts))]
     players = [number for number, kart in enumerate(setup.karts) if not kart.is_bot]
-    race.config.step_size = _TICK
+    race.config.step_size = TICK
     mover = _Mover(race, world, {kart: make_action() for kart in players})
     mover.wait_for_go()
     _lead(mover, road, places)

@@ -221,7 +221,7 @@ class _RaceRun:
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._words = TeamWords(self._drivers)
         self._awaited = awaited
-        self._rescues = RescueCounter(len(self._drivers), env.options.step_size)
+        self._rescues = RescueCounter(len(self._drivers))
         from_files = [agent for agent, driver in self._drivers.items() if driver.is_from_files]
         self._cores = {
             agent: own_cores(number, len(from_files)) for number, agent in enumerate(from_files)
@@ -292,8 +292,9 @@ class _RaceRun:
         for agent, reward in self._rewards.items():
             self._totals[agent] += reward
         self._steps += 1
-        assert self._env.snapshot is not None  # noqa: S101 - since reset
-        self._rescues.update(self._env.snapshot.karts)
+        snapshot = self._env.snapshot
+        assert snapshot is not None  # noqa: S101 - since reset
+        self._rescues.update(snapshot.karts, float(snapshot.header["time"]))
         if self._steps_at_first is None and self._num_finished():
             self._steps_at_first = self._steps
 

@@ -117,15 +117,25 @@ class RaceVecEnv(VecEnv):
     def reset(self) -> Any:
         """Starts a new race in every environment and stores the infos in ``reset_infos``.
 
-        Options from ``set_options`` hold for one episode; each race uses those of its first slot.
+        Options from ``set_options`` hold for one episode. All slots of a race need the same ones.
         For options that hold until you change them, call ``races.set_options``.
 
         Returns:
             Observations of all slots.
+
+        Raises:
+            ConfigError: an option is invalid, or slots of one race have different options.
         """
         seeds, self._race_seeds = self._race_seeds, [None] * self.races.num_races
-        options = [dict(given) for given in self._options[:: self.races.num_agents]]
+        given, count = [dict(own) for own in self._options], self.races.num_agents
         self._reset_options()
+        options = given[::count]
+        for slot, own in enumerate(given):
+            if own != options[slot // count]:
+                raise ConfigError(
+                    f"the options of slots {slot // count * count} and {slot} differ, but both "
+                    "are in one race; give all slots of a race the same options"
+                )
         steps = self.races.reset_slots(seeds, options)
         self.reset_infos = [self._first_info(steps, slot) for slot in range(self.num_envs)]
         return self._batch(steps.observations)

@@ -15,7 +15,6 @@ from stkzoo.agents.planning.plans import DRIFT_LEFT, FREE
 from stkzoo.errors import AgentError, ConfigError
 from stkzoo.evaluation import check_demonstrations, record_demonstrations
 from stkzoo.race import run_race
-from stkzoo.race.rescues import RescueCounter
 
 SMALL = PlannerSettings(num_candidates=3, num_finalists=2, final_steps=4)
 #: Steps until the karts may drive, and steps after that.
@@ -104,11 +103,6 @@ def copy_of_long_race(env):
 
 def test_the_length_of_a_copy_counts_the_laps_of_its_race(env, copy_of_long_race):
     assert copy_of_long_race.length == 3 * env.track_map.length
-
-
-def test_a_copy_counts_rescues_with_the_step_size_of_its_race(copy_of_long_race):
-    descent = RescueCounter(num_kart=1, step_size=0.05)
-    assert copy_of_long_race._rescues._longest == descent._longest
 
 
 @pytest.mark.parametrize("view", ["flattened_discrete", "racing"])

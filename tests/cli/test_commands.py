@@ -9,6 +9,7 @@ import pytest
 
 import stkzoo.cli
 from stkzoo.cli import COMMANDS, build_parser, main
+from tests.support.processes import run_program
 
 MODULES = sorted(Path(stkzoo.cli.__file__).parent.glob("[!_]*.py"))
 
@@ -89,3 +90,14 @@ def test_a_closed_pipe_causes_no_traceback(words):
     with program.stderr:
         assert program.stderr.read() == b""
     assert program.wait() in (0, 1)  # argparse ignores the broken pipe
+
+
+def test_a_command_sees_exit_codes_although_its_parent_ignored_its_children():
+    code = """
+        import signal, subprocess, sys
+        from stkzoo.cli import main
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        main(["--version"])
+        print(subprocess.run([sys.executable, "-c", "raise SystemExit(3)"]).returncode)
+    """
+    assert run_program(code).stdout.splitlines()[-1] == "3"

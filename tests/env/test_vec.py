@@ -470,6 +470,22 @@ def test_a_killed_game_is_replaced_and_the_others_continue(prefetch, caplog):
     envs.close()
 
 
+@pytest.mark.parametrize(
+    "view", ["flattened_discrete", lambda env: gym.Wrapper(VIEWS["flattened_discrete"](env))]
+)
+def test_the_infos_of_a_crash_have_no_rewards_of_the_step_before(view):
+    envs = make(view=view, reward={"always": lambda step: np.ones(len(step.after.karts))})
+    envs.reset(seed=1)
+    before = envs.step(envs.action_space.sample())[4]
+    os.kill(pids(envs)[0], signal.SIGKILL)
+    _, rewards, _, _, infos = envs.step(envs.action_space.sample())
+    last = infos["final_info"]
+    assert before["reward/always"].tolist() == [1.0] * 4
+    assert last["reward/always"][:2].tolist() == rewards[:2].tolist() == [0.0, 0.0]
+    assert last["episode/reward/always"][:2].tolist() == [1.0, 1.0]
+    envs.close()
+
+
 def test_a_hanging_game_is_replaced():
     envs = make(engine_timeout=0.3)
     envs.reset(seed=1)
@@ -550,6 +566,16 @@ def test_random_streams_are_those_of_the_races():
     envs = make()
     envs.reset(seed=1)
     assert envs.np_random == tuple(race.np_random for race in envs.races)
+    envs.close()
+
+
+def test_the_seeds_are_those_of_the_races():
+    envs = make(num_races=2)
+    assert envs.np_random_seed == (-1, -1)
+    envs.reset(seed=[7, None])
+    assert envs.np_random_seed == (7, -1)
+    envs.reset()
+    assert envs.np_random_seed == (7, -1)
     envs.close()
 
 

@@ -268,6 +268,18 @@ def test_set_options_applies_to_one_reset():
     envs.close()
 
 
+def test_different_options_in_one_race_are_refused():
+    envs = make()
+    envs.set_options([{"track": "zengarden"}, {}, {}, {}])
+    with pytest.raises(ConfigError, match="slots 0 and 1 differ"):
+        envs.reset()
+    envs.set_options([{"track": "zengarden"}] * 2 + [{}] * 2)
+    envs.reset()
+    tracks = [race.track for race in envs.get_attr("race")]
+    assert tracks == ["zengarden"] * 2 + ["olivermath"] * 2
+    envs.close()
+
+
 def test_attributes_are_those_of_the_races():
     envs = make()
     envs.set_attr("max_cycles", 7, indices=[2, 3])

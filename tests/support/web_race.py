@@ -18,6 +18,7 @@ class WatchedRace:
 
     def __init__(self, drivers=("ai", "random"), *, steps=100_000, track="olivermath", **options):
         self.page = LivePage(**{"port": 0, "paused": True, **options})
+        self._turns = self.page.control._changed = _Turns()
         self.result = self.error = None
         self._drivers, self._settings = drivers, {"track": track, "max_steps": steps, "seed": 3}
         self._thread = threading.Thread(target=self._race)
@@ -38,6 +39,16 @@ class WatchedRace:
             raise self.error
         return self.result
 
+    async def still(self):
+        """Waits until the race waits in a pause; returns its number of steps."""
+        control = self.page.control
+        for _ in range(int(3 * PATIENCE / 0.01)):
+            with self._turns:
+                if self._turns.is_waiting and control.mode == "paused" and not control._steps:
+                    return self.page._server.news.steps
+            await asyncio.sleep(0.01)
+        raise TimeoutError("the race does not pause")
+
     def _race(self):
         try:
             self.result = run_race(self._drivers, listeners=[self.page], **self._settings)
@@ -56,6 +67,19 @@ class WatchedRace:
                 for _ in range(viewers)
             ]
             return await asyncio.wait_for(scenario(*joined), 3 * PATIENCE)
+
+
+class _Turns(threading.Condition):
+    """The condition of a race's control, which tells whether the race's thread waits."""
+
+    is_waiting = False
+
+    def wait(self, timeout=None):
+        self.is_waiting = True
+        try:
+            return super().wait(timeout)
+        finally:
+            self.is_waiting = False
 
 
 @contextlib.asynccontextmanager
@@ -100,11 +124,6 @@ class Viewer:
     async def silence(self, seconds=0.4):
         """Asserts that the race does not advance."""
         assert await self._moments(seconds) == []
-
-    async def halt(self, seconds=0.4):
-        """Waits until a paused race stands still, which may take one more step."""
-        await self.mode("paused")
-        assert len(await self._moments(seconds)) <= 1
 
     async def _moments(self, seconds):
         """Returns the steps that arrive until none has arrived for ``seconds``."""

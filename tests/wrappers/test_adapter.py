@@ -507,3 +507,79 @@ def test_a_race_continues_without_a_truncated_agent(race):
         seen.append(len(observations))
         assert all(np.isfinite(o["velocity"]).all() for o in observations.values())
     assert seen == [3, 3, 3, 2, 2]
+
+
+# ------------------------------------------------------------------ saved states
+
+
+@pytest.fixture
+def two_karts():
+    with race_v0.parallel_env(num_kart=2, track="lighthouse") as env:
+        yield env
+
+
+def returns_in(env, num_steps):
+    """Drives some steps; returns the sums that the wrapper of the first agent keeps."""
+    seen = [env.step(dict.fromkeys(env.agents, STEADY))[4]["kart_0"] for _ in range(num_steps)]
+    return [(info["episode"]["r"], info["episode"]["l"]) for info in seen if "episode" in info]
+
+
+class EndsAfterSix(gym.Wrapper):
+    """Ends its agent's episode after six steps."""
+
+    def reset(self, **options):
+        self.steps = 0
+        return self.env.reset(**options)
+
+    def step(self, action):
+        self.steps += 1
+        observation, reward, _, truncated, info = self.env.step(action)
+        return observation, reward, self.steps == 6, truncated, info
+
+
+def statistics_of_six(env):
+    return RecordEpisodeStatistics(EndsAfterSix(env))
+
+
+@pytest.mark.parametrize("is_nested", [False, True])
+def test_a_state_includes_the_memory_of_the_wrappers(two_karts, is_nested):
+    env = MonoAgentWrapperAdapter(two_karts, {"kart_0": statistics_of_six})
+    if is_nested:
+        env = MonoAgentWrapperAdapter(env, {"kart_1": Counter})
+    env.reset(seed=1)
+    assert returns_in(env, 3) == []
+    with env.save_state() as state:
+        (first,) = returns_in(env, 3)
+        assert env.agents == ["kart_1"]
+        env.restore_state(state)
+        assert env.agents == ["kart_0", "kart_1"]
+        assert returns_in(env, 3) == [first]
+        assert first[1] == 6
+
+
+def test_a_state_of_other_wrappers_is_refused(two_karts):
+    env = MonoAgentWrapperAdapter(two_karts, {"kart_0": statistics_of_six})
+    env.reset(seed=1)
+    with (
+        two_karts.save_state() as bare,
+        pytest.raises(ConfigError, match="of this adapter returned"),
+    ):
+        env.restore_state(bare)
+    other = MonoAgentWrapperAdapter(two_karts, {"kart_1": statistics_of_six})
+    with env.save_state() as state, pytest.raises(AgentException, match="take over a saved state"):
+        other.restore_state(state)
+
+
+@pytest.mark.parametrize("method", ["clone", "lookahead", "follow"])
+def test_a_clone_without_the_wrappers_is_refused(two_karts, method):
+    env = MonoAgentWrapperAdapter(two_karts, {"kart_0": statistics_of_six})
+    env.reset(seed=1)
+    with pytest.raises(ConfigError, match="make the race with view=wrapper_factories"):
+        getattr(env, method)(*([two_karts] if method == "follow" else []))
+
+
+def test_an_environment_without_saved_states_says_so():
+    env = MonoAgentWrapperAdapter(SmallRace(), {"kart_0": statistics_of_six})
+    env.reset(seed=1)
+    with pytest.raises(ConfigError, match="needs an environment with saved states"):
+        env.save_state()

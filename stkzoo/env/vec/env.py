@@ -145,6 +145,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         slots = CompiledSlots if self._has_rows else WalkedSlots
         self._rows: list[RaceSlots] = [slots(race, n) for n, race in enumerate(self.races)]
         self._names = [f"{a} of race {n}" for n in range(num_races) for a in first.possible_agents]
+        self._seeds: list[int | None] = [None] * num_races
         self._is_player = np.array([not spec.use_ai for spec in first.specs] * num_races)
 
     @property
@@ -161,6 +162,11 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """Random generator of each race."""
         return tuple(race.np_random for race in self.races)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
+        """Seed of each race's random generator; -1 if no :meth:`reset` has seeded it."""
+        return tuple(-1 if seed is None else seed for seed in self._seeds)
 
     def reset(
         self,
@@ -226,6 +232,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             seeds = [self._next_seed() for _ in seeds]
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.prepare(own_seed, own)
+        self._seeds = [
+            old if new is None else new for old, new in zip(self._seeds, seeds, strict=True)
+        ]
         steps = self._new_steps()
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.reset(steps, own_seed, own)

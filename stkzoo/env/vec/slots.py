@@ -143,7 +143,10 @@ class RaceSlots(ABC):
     def _end(self, steps: SlotSteps, rows: list[int]) -> None:
         self._is_racing[rows] = False
         last = self._last([self._agents[row] for row in rows])
+        has_crashed = bool(steps.crashed[self.slots.start])
         for row, (observation, info) in zip(rows, last, strict=True):
+            if has_crashed:  # the infos are those of the step before
+                info = {**info, **dict.fromkeys(filter(_is_of_a_step, info), 0.0)}
             episode = {"r": float(self._returns[row]), "l": self._num_steps}
             info = {**info, "episode": episode, "track": self.track}
             steps.finals[self.slots.start + row] = observation, info
@@ -235,3 +238,8 @@ class WalkedSlots(RaceSlots):
 
     def _slot(self, agent: str) -> int:
         return self.slots.start + self._agents.index(agent)
+
+
+def _is_of_a_step(key: str) -> bool:
+    """Returns whether a key of infos is about a single step: a reward's term or an event."""
+    return key.startswith(("reward/", "event/"))

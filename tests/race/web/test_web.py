@@ -152,20 +152,19 @@ def test_pause_step_and_run_work():
         await one.send("run")
         await one.moment(10)
         await one.send("pause")
-        await one.halt()
-        await one.send("step")
-        first = await one.next("moment")
-        await one.silence()
-        await one.send("step")
-        second = await one.next("moment")
-        await one.silence()
+        await one.mode("paused")
+        steps = [await race.still()]
+        for _ in range(2):
+            await one.send("step")
+            await one.moment(steps[-1] + 1)
+            steps.append(await race.still())
         await one.send("run")
-        await one.moment(second["steps"] + 20)
-        return first["steps"], second["steps"]
+        await one.moment(steps[-1] + 20)
+        return steps
 
     with WatchedRace() as race:
-        first, second = race.watch(scenario)
-    assert second == first + 1
+        paused, first, second = race.watch(scenario)
+    assert (first, second) == (paused + 1, paused + 2)
 
 
 def test_stop_ends_the_race_with_a_result():
