@@ -8,14 +8,14 @@ import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Annotated
 
 from stkzoo._os import file_digest
 from stkzoo._schema import Within, plain_text
 from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
-from stkzoo.drivers.files import find_files, installed_module
+from stkzoo.drivers.files import find_files, installed_module, name_of_files
 from stkzoo.drivers.sandbox import say_what_is_missing
 from stkzoo.errors import ConfigError
 from stkzoo.race.remote.drivers import ServedAgent
@@ -191,8 +191,7 @@ def _lasting(source: str) -> str:
 
 
 def _short(source: str) -> str:
-    path = PurePath(source)
-    return (path.stem if path.suffix in (".zip", ".py") else path.name) or source
+    return name_of_files(source) or source
 
 
 def fingerprint(source: str) -> dict[str, str]:
