@@ -7,7 +7,8 @@ import itertools
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -54,6 +55,23 @@ class Entrant:
     def now(self) -> Entrant:
         """Returns the agent with digests of its current files."""
         return self if self.served else Entrant.of(self.label, self.source)
+
+    def moved(self, folder: Path) -> Entrant:
+        """Returns the agent at its new place if it was moved together with a folder.
+
+        Args:
+            folder: the folder, near which an agent with the same files is searched.
+        """
+        place = Path(self.source)
+        if not self.files or not place.is_absolute() or place.exists():
+            return self
+        home = folder.resolve()
+        for near, start in itertools.product((home, *home.parents), range(1, len(place.parts))):
+            found = near.joinpath(*place.parts[start:])
+            with suppress(ConfigError):  # another kind of file
+                if found.exists() and fingerprint(str(found)) == self.files:
+                    return replace(self, source=str(found))
+        return self
 
     @property
     def text(self) -> str:
