@@ -6,10 +6,10 @@
 The first command drives races of four policies and one kart of the game's AI at its highest
 difficulty, on training tracks or those of ``--track``, with policies and grid positions drawn
 uniformly. Each race is a line of ``matches.jsonl``. To continue, also after a kill, run the same
-command again, perhaps with more ``--matches``. From all finishing orders it computes ratings with intervals (``ratings.json``),
-a plot of them over kart-steps (``ratings.png``), and how often the policy with more kart-steps
-finished ahead of one with fewer. ``start`` is the plans of the first run without learning; for
-networks without plans, it is the first saved policy of that run.
+command again, perhaps with more ``--matches``. From all finishing orders it computes ratings with
+intervals (``ratings.json``), a plot of them over kart-steps (``ratings.png``), and how often the
+policy with more kart-steps finished ahead of one with fewer. ``start`` is the plans of the first
+run without learning; for networks without plans, it is the first saved policy of that run.
 
 The second command rates one policy of a run against ``start``, one of its past selves, random
 choices, and a game bot of each difficulty in turn. It writes its results to the run's folder:
