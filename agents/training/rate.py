@@ -4,12 +4,12 @@
     python -m stkzoo.agents.training.rate runs/first --policy policy-000200000
 
 The first command drives races of four policies and one kart of the game's AI at its highest
-difficulty, on training tracks, with policies and grid positions drawn uniformly. Each race is a
-line of ``matches.jsonl``. To continue, also after a kill, run the same command again, perhaps with
-more ``--matches``. From all finishing orders it computes ratings with intervals (``ratings.json``),
-a plot of them over kart-steps (``ratings.png``), and how often the policy with more kart-steps
-finished ahead of one with fewer. ``start`` is the plans of the first run without learning; for
-networks without plans, it is the first saved policy of that run.
+difficulty, on training tracks or those of ``--track``, with policies and grid positions drawn
+uniformly. Each race is a line of ``matches.jsonl``. To continue, also after a kill, run the same
+command again, perhaps with more ``--matches``. From all finishing orders it computes ratings with
+intervals (``ratings.json``), a plot of them over kart-steps (``ratings.png``), and how often the
+policy with more kart-steps finished ahead of one with fewer. ``start`` is the plans of the first
+run without learning; for networks without plans, it is the first saved policy of that run.
 
 The second command rates one policy of a run against ``start``, one of its past selves, random
 choices, and a game bot of each difficulty in turn. It writes its results to the run's folder:
@@ -128,7 +128,7 @@ def _steps_of(name: str) -> int:
 # ---------------------------------------------------------------------- all against all
 
 
-def draw_match(names: Sequence[str], number: int) -> Match:
+def draw_match(names: Sequence[str], number: int, tracks: Sequence[str] = QUICK_TRACKS) -> Match:
     """Draws the match with a number; the same arguments give the same match.
 
     Names are shuffled, dealt and shuffled again, so that all occur equally often.
@@ -137,7 +137,7 @@ def draw_match(names: Sequence[str], number: int) -> Match:
     rounds = {seat // len(names) for seat in seats}
     order = {turn: np.random.default_rng([turn, len(names)]).permutation(names) for turn in rounds}
     chosen = [str(order[seat // len(names)][seat % len(names)]) for seat in seats]
-    places = list(itertools.product(QUICK_TRACKS, (False, True)))
+    places = list(itertools.product(tracks, (False, True)))
     lap, at = divmod(number, len(places))
     track, reverse = places[int(np.random.default_rng([lap, 1]).permutation(len(places))[at])]
     return Match(tuple(chosen), track, reverse, 3000 + lap)
@@ -188,18 +188,27 @@ def _millions(name: str) -> float:
     return 0.0 if name == START else float(name.rpartition(" ")[2])
 
 
-def _rate_runs(runs: Sequence[Path], folder: Path, wanted: int, every: int) -> None:
+def _rate_runs(
+    runs: Sequence[Path], folder: Path, wanted: int, every: int, tracks: Sequence[str]
+) -> None:
     drivers = run_drivers(runs, kept_policies(runs, every))
     names = sorted(drivers)
     if len(names) < SEATS:
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
     file = folder / _MATCHES
     records = continue_json_lines(file, MatchRecord)
+    for number, record in enumerate(records):
+        track = draw_match(names, number, tracks).track
+        if record.track != track:
+            raise ConfigError(
+                f"{file} has match {number} on {record.track!r}, expected {track!r}; give the "
+                "same --track, or another --output"
+            )
     if unknown := {name for r in records for name in r.order} - {*names, AI}:
         raise ConfigError(f"{file} has matches of {min(unknown)[:60]!r}; give another --output")
     while len(records) < wanted:
         numbers = range(len(records), min(wanted, len(records) + _AT_ONCE))
-        played = play_records([draw_match(names, number) for number in numbers], drivers)
+        played = play_records([draw_match(names, number, tracks) for number in numbers], drivers)
         with file.open("a") as out:
             out.writelines(json.dumps(asdict(record)) + "\n" for record in played)
         records += played
@@ -351,7 +360,8 @@ class RatingOptions:
         policy: rate only this policy of one run, and write to the run's folder.
         matches: total races (default: 200; 6 with --policy).
         every: minimum kart-steps between two policies; the last one is always rated.
-        tracks: tracks; only with --policy.
+        tracks: names of tracks or of splits (default: the training tracks but black_forest;
+            lighthouse with --policy).
 
     Raises:
         ConfigError: output and policy are both given or both missing, a policy is given with
@@ -363,7 +373,7 @@ class RatingOptions:
     policy: str = ""
     matches: int | None = None
     every: int = 1_000_000
-    tracks: tuple[str, ...] = option(("lighthouse",), flag="--track", metavar="TRACK")
+    tracks: tuple[str, ...] = option((), flag="--track", metavar="TRACK")
 
     def __post_init__(self) -> None:
         if bool(self.policy) == bool(self.output):
@@ -385,12 +395,15 @@ def _run(options: RatingOptions) -> None:
     limit_threads()
     if options.output:
         with locked_folder(options.output, "rating"):
-            _rate_runs(options.runs, options.output, options.matches or 200, options.every)
+            tracks = track_names(options.tracks or QUICK_TRACKS)
+            _rate_runs(options.runs, options.output, options.matches or 200, options.every, tracks)
         return
     if hasattr(os, "nice"):
         os.nice(5)  # yields to the training process
     run = options.runs[0]
-    evaluate_policy(run, options.policy, track_names(options.tracks), options.matches or 6)
+    evaluate_policy(
+        run, options.policy, track_names(options.tracks or ("lighthouse",)), options.matches or 6
+    )
     print("\n".join(write_ratings(run)))
 
 

@@ -12,8 +12,9 @@ Examples:
   stkzoo replay race.stkz --info               describe the file, run nothing
 
 exit codes:
-  0 the race is as recorded, 1 it differs, or the file is not playable, 2
-  invalid command line, 130 interrupted
+  0 the race is as recorded (as far as it ran, if stopped on its page), 1 it
+  differs, or the file is not playable, 2 invalid command line, 130
+  interrupted
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
-from stkzoo.drivers.files import AgentFiles, AgentPlace, declared
+from stkzoo.drivers.files import INSTALLED, AgentFiles, AgentPlace, declared
 from stkzoo.errors import ConfigError, shortened, unknown_name
 from stkzoo.views import VIEWS, View, ViewFactory, find_view
 
@@ -42,7 +42,6 @@ _REFERENCE = "stkzoo._pystk2_gymnasium"
 _DEFAULT_ENV = "supertuxkart/full-v0"
 #: Package with the tasks of the suite, another layer above, and the beginning of their ids.
 _SUITE, _TASK_IDS = "stkzoo.suite", "stkzoo-suite/"
-_INSTALLED = {"site-packages", "dist-packages"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,14 +329,14 @@ class ModuleScope:
     def _is_own(self, module: ModuleType) -> bool:
         path = _path_of(module)
         return path is not None and any(
-            path.is_relative_to(root) and not _INSTALLED & set(path.relative_to(root).parts)
+            path.is_relative_to(root) and not INSTALLED & set(path.relative_to(root).parts)
             for root in self._roots
         )
 
     def _is_foreign(self, name: str) -> bool:
         """Returns whether the module with this name belongs to another agent."""
         path = _path_of(sys.modules.get(_top(name)))
-        if path is None or _INSTALLED & set(path.parts):
+        if path is None or INSTALLED & set(path.parts):
             return False
         return not any(path.is_relative_to(root) for root in self._roots)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 from gymnasium import spaces
@@ -22,7 +22,7 @@ from stkzoo.drivers.code import (
     load_agent,
     read_module,
 )
-from stkzoo.drivers.files import AgentFiles, declared, find_files
+from stkzoo.drivers.files import AgentFiles, declared, find_files, is_zip
 from stkzoo.drivers.inline import InlineInstance
 from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedInstance
@@ -213,7 +213,7 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
 
 
 def _unknown(source: str) -> ConfigError:
-    if "/" in source or source.endswith((".zip", ".py")):
+    if "/" in source or is_zip(PurePath(source)) or source.endswith(".py"):
         return ConfigError(f"there is no agent {source!r}; expected a folder, a .zip or a .py file")
     first, _, known = str(unknown_name("driver", source, driver_names())).partition(" Known:")
     known = f" Known:{known}" if known and "Did you" not in first else ""

@@ -7,12 +7,13 @@ import importlib.util
 import re
 import shutil
 import stat
+import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 
 from stkzoo._reading import Unreadable, is_there, open_zip
 from stkzoo._temporary import LockedTemporaryDirectory
@@ -21,6 +22,10 @@ from stkzoo.errors import ConfigError
 #: Name of the module that contains an agent.
 ACTOR_MODULE = "pystk_actor"
 _PACKAGE = "stk_actor"
+#: Names of folders with installed packages.
+INSTALLED = {"site-packages", "dist-packages"}
+#: Packages that an agent imports even where they are not installed.
+_PROVIDED = {"stkzoo", "pystk2_gymnasium"}
 #: Pattern of an assignment to a name in a module; a literal of a few lines follows it.
 _ASSIGNMENT = r"^{name}\s*(?::[^=\n]+)?=(?!=)"
 _MAX_LINES, _MAX_LITERAL = 20, 2000
@@ -155,6 +160,17 @@ def installed_module(top: str) -> ModuleSpec | None:
         return None
 
 
+def is_zip(path: PurePath) -> bool:
+    """Returns whether a path is named like a zip."""
+    return path.suffix.lower() == ".zip"
+
+
+def name_of_files(source: str) -> str:
+    """Returns the name of an agent's folder, or of its zip or file without the suffix."""
+    path = PurePath(source)
+    return path.stem if is_zip(path) or path.suffix == ".py" else path.name
+
+
 def find_files(source: str) -> AgentFiles | None:
     """Returns the files of an agent; ``None`` if the source is neither a path nor a module.
 
@@ -170,7 +186,7 @@ def find_files(source: str) -> AgentFiles | None:
         path = path.resolve()
         if path.is_dir():
             _place_in(path, source)
-        elif path.suffix == ".zip":
+        elif is_zip(path):
             with _opened(path) as archive:
                 names = {PurePosixPath(member.filename).name for member in _checked(archive)}
             if not names & {f"{ACTOR_MODULE}.py", "__init__.py"}:
@@ -241,10 +257,19 @@ def _place_in_zip(home: Path, source: str) -> AgentPlace:
 
 
 def _package(folder: Path, module: str) -> AgentPlace:
-    name = folder.name.replace(".", "_")
-    return AgentPlace(
-        (name + module,), first=str(folder.parent), last=str(folder), package=str(folder)
-    )
+    name, first = folder.name.replace(".", "_"), str(folder.parent)
+    if _is_library(name):  # neither hides the other
+        name, first = f"agent_{name}", ""
+    return AgentPlace((name + module,), first=first, last=str(folder), package=str(folder))
+
+
+def _is_library(name: str) -> bool:
+    """Returns whether a top-level module comes with Python or stkzoo, or is installed."""
+    if name in sys.stdlib_module_names or name in _PROVIDED:
+        return True
+    spec = installed_module(name)
+    places = [*(spec.submodule_search_locations or ()), spec.origin or ""] if spec else []
+    return any(INSTALLED & {*Path(place).parts} for place in places)
 
 
 def unpacked_folder(place: AgentPlace) -> Path:

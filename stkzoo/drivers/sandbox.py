@@ -24,9 +24,11 @@ from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
+    INSTALLED,
     AgentFiles,
     AgentPlace,
     installed_module,
+    is_zip,
     unpacked_folder,
 )
 from stkzoo.errors import ConfigError
@@ -56,7 +58,6 @@ _TRIAL = (
 _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "STKZOO_KERNEL")
 #: Environment variable that is set in processes that share the machine with other races.
 SHARED_CORES = "STKZOO_SHARED_CORES"
-_INSTALLED = {"site-packages", "dist-packages"}
 #: Prefixes of the lines of a ``.pth`` file that are not folders: code and comments.
 _NO_PATH = ("import ", "import\t", "#")
 _TRIAL_TIMEOUT = 10.0
@@ -236,7 +237,7 @@ def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
         return [
             os.path.abspath(path) for path in (*found, top, f"{top}.py") if os.path.exists(path)
         ]
-    if files.path.suffix == ".zip" and files.path.is_file():
+    if is_zip(files.path) and files.path.is_file():
         return [str(unpacked_folder(place))]
     if files.path.name == f"{ACTOR_MODULE}.py":
         return [str(files.path.parent)]
@@ -246,7 +247,7 @@ def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
 def _python_paths(own: Sequence[str]) -> Iterator[str]:
     """Yields the paths of Python, installed packages and stkzoo, but no parent of the agent."""
     yield from (sys.prefix, sys.base_prefix, sys.exec_prefix, str(_PACKAGE))
-    packages = {path for path in sys.path if _INSTALLED & {*Path(path).parts}}
+    packages = {path for path in sys.path if INSTALLED & {*Path(path).parts}}
     yield from sorted(packages)
     linked: set[str] = set()
     for folder in {*packages, *site.getsitepackages(), str(_PACKAGE)}:

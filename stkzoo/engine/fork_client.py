@@ -17,6 +17,7 @@ from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     LOST_CONNECTION,
+    REPLACE_DATA,
     START_TIMEOUT,
     RaceProcess,
     SpawnedProcess,
@@ -109,9 +110,10 @@ class ForkServerClient:
         except (EOFError, ConnectionError):
             log = tail(self._log)
             what = "is gone" if self._has_forked else "could not start"
+            remedy = "" if self._has_forked else f"; {REPLACE_DATA}"
             _retire(self)
             raise EngineCrashed(
-                f"the game's fork server {what}; `stkzoo doctor` looks for the cause", log
+                f"the game's fork server {what}; `stkzoo doctor` looks for the cause{remedy}", log
             ) from None
         self._has_forked = True
         return process
@@ -171,6 +173,8 @@ class ForkServerClient:
         with contextlib.suppress(EOFError, OSError), self._lock:
             asked = str(pid).encode()
             wire.send(self._control, wire.END, asked)
+            if _is_stopped(self._process.pid):
+                return None  # it ends the child when it continues
             replied = b""
             while replied != asked:  # a reply to an interrupted request may come first
                 _, (replied, status) = wire.receive(self._control)
@@ -191,6 +195,15 @@ class ForkServerClient:
         self._control.close()
         self._process.returncode = 0  # not a child of this process, so there is nothing to wait for
         self._home.release()
+
+
+def _is_stopped(pid: int) -> bool:
+    """Returns whether a signal such as SIGSTOP has stopped a process."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_bytes()
+    except OSError:
+        return False
+    return status.rpartition(b") ")[2][:1] in (b"T", b"t")
 
 
 def _is_closed(connection: socket.socket) -> bool:

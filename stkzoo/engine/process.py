@@ -164,6 +164,12 @@ LOST_CONNECTION = (
 )
 
 
+#: Remedy in the error text when a process ended while it loaded the game's data.
+REPLACE_DATA = (
+    "if this repeats, the game's data may be damaged; replace it: `stkzoo assets install --force`"
+)
+
+
 @contextlib.contextmanager
 def explain_os_errors() -> Iterator[None]:
     """Converts an OSError during the start of a process to an EngineError with a remedy."""

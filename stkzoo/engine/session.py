@@ -20,6 +20,7 @@ from stkzoo.engine import wire
 from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (
     LOST_CONNECTION,
+    REPLACE_DATA,
     START_TIMEOUT,
     RaceProcess,
     engine_environment,
@@ -197,6 +198,9 @@ class ProcessSession:
                     f"{self.what} was closed while it worked on a request; {self.remedy}"
                 ) from None
             return
+        remedy = self.remedy
+        if self._asked == wire.BEGIN:
+            remedy = f"{remedy}; {REPLACE_DATA}"
         self._process, self._asked = None, None
         seconds, is_lost = process.connection.gettimeout(), process.connection.is_lost
         how, log = process.end(), tail(process.log)
@@ -209,7 +213,7 @@ class ProcessSession:
             )
             raise EngineTimeout(message, log) from None
         if isinstance(error, (EOFError, OSError)):
-            raise EngineCrashed(f"{self.what} {how}; {self.remedy}", log) from None
+            raise EngineCrashed(f"{self.what} {how}; {remedy}", log) from None
 
 
 class WorkerSession(ProcessSession, Session):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from stkzoo.drivers import Driver, OpponentPool
 from stkzoo.drivers.code import AgentCode
 from stkzoo.drivers.failures import in_words
+from stkzoo.drivers.files import name_of_files
 from stkzoo.drivers.pool import as_driver
 from stkzoo.errors import AgentError, ConfigError, shortened
 
@@ -157,5 +157,4 @@ def _driver_or_pool(member: object) -> Driver | OpponentPool:
 
 def name_of(driver: Driver) -> str:
     """Returns the name of a driver without loading it."""
-    source = PurePath(driver.source)
-    return driver.name or (source.stem if source.suffix in (".zip", ".py") else source.name)
+    return driver.name or name_of_files(driver.source)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.drivers.driver import find_driver
-from stkzoo.drivers.files import MAX_BYTES, MAX_FILES, AgentFiles, find_files
+from stkzoo.drivers.files import MAX_BYTES, MAX_FILES, AgentFiles, find_files, is_zip
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.isolated import IsolatedInstance
 from stkzoo.errors import ConfigError
@@ -197,7 +197,7 @@ def _measure(files: AgentFiles) -> tuple[int | None, int | None]:
     path = files.path
     if path is None:
         return None, None
-    if path.suffix == ".zip" and path.is_file():
+    if is_zip(path) and path.is_file():
         with zipfile.ZipFile(path) as archive:
             sizes = [entry.file_size for entry in archive.infolist() if not entry.is_dir()]
     else:

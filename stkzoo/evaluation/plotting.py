@@ -19,6 +19,15 @@ INK, BLUE, GRAY = "#22303c", "#2f6db5", "#8a949c"
 #: Colors of several series in one plot.
 PALETTE = (BLUE, "#d1762b", "#3b8f5a", "#8a5bb0", "#b23b4e", "#5b6f7d")
 _MAX_LABEL = 18
+#: Fonts that systems have, for names that matplotlib's own font cannot write.
+_FALLBACK_FONTS = (
+    "Noto Sans CJK JP",
+    "WenQuanYi Micro Hei",
+    "Droid Sans Fallback",
+    "Arial Unicode MS",
+    "Microsoft YaHei",
+    "Malgun Gothic",
+)
 
 
 def require_matplotlib(extra: str = "benchmark", alternative: str = "") -> Any:
@@ -142,6 +151,12 @@ def shorten(label: str) -> str:
     return label if len(label) <= _MAX_LABEL else label[: _MAX_LABEL - 3] + "..."
 
 
+def _fallback_fonts() -> list[str]:
+    """Returns the installed fonts among :data:`_FALLBACK_FONTS`."""
+    manager = import_extra("matplotlib.font_manager", "the plot needs", "benchmark")
+    return [name for name in _FALLBACK_FONTS if name in {*manager.get_font_names()}]
+
+
 def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     """Writes a figure to a file, atomically. The same figure always makes the same file.
 
@@ -160,8 +175,10 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
     for text in figure.findobj(matplotlib.text.Text):
         if "$" in text.get_text():  # a name of an agent, not a formula
             text.set_parse_math(False)
+        if not text.get_text().isascii():
+            text.set_fontfamily([*text.get_fontfamily(), *_fallback_fonts()])
     with write_whole(file, "the plot") as part, fixed_ids, warnings.catch_warnings():
-        # The font has no letters of some names; boxes are drawn instead.
+        # No installed font has the letters of some names; boxes are drawn instead.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         try:
             figure.savefig(part, format=kind, dpi=110, metadata=metadata)

@@ -129,15 +129,22 @@ def estimate_clustered(
 
 
 def _student_t(freedom: int) -> float:
-    """Returns the 97.5 % quantile of Student's t (Abramowitz and Stegun 1964, 26.7.5)."""
-    z = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)
-    terms = (
-        z,
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-    )
-    return math.fsum(term / float(freedom) ** power for power, term in enumerate(terms))
+    """Returns the 97.5 % quantile of Student's t, by bisection of the angle ``atan(t / sqrt(n))``.
+
+    The probability is exact (Abramowitz and Stegun 1964, 26.7.3 and 26.7.4).
+    """
+    low, high = 0.0, math.pi / 2
+    for _ in range(60):
+        angle = (low + high) / 2
+        sine, cosine = math.sin(angle), math.cos(angle)
+        is_odd = freedom % 2
+        term, total = cosine if is_odd else 1.0, 0.0
+        for factor in range(2 + is_odd, freedom + 1, 2):
+            total += term
+            term *= cosine**2 * (factor - 1) / factor
+        within = 2 / math.pi * (angle + sine * total) if is_odd else sine * total
+        low, high = (angle, high) if within < CONFIDENCE else (low, angle)
+    return math.sqrt(freedom) * math.tan(low)
 
 
 def resampled_medians(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import logging
 from dataclasses import replace
-from pathlib import PurePath
 from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
@@ -13,6 +12,7 @@ from gymnasium.wrappers.utils import create_zero_array
 from stkzoo._reading import json_size
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import bounded, fitted, in_words, printable
+from stkzoo.drivers.files import name_of_files
 from stkzoo.drivers.instances import DriverInstance, DriverRequest, ThinkingClock
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.race.result import AgentFailure
@@ -212,9 +212,7 @@ class RacingDriver:
         self.close()
 
     def _default_name(self) -> str:
-        source = PurePath(self._driver.source)
-        name = source.stem if source.suffix in (".zip", ".py") else source.name
-        return one_line(name) or self.agent
+        return one_line(name_of_files(self._driver.source)) or self.agent
 
     def _replacement(self) -> Any:
         """Returns the action that replaces a missing or invalid one."""

@@ -70,12 +70,13 @@ def _draw_label(
     detail = f"{line.detail}   {max(speed, 0.0) * 3.6:.0f} km/h"
     draw.text((right, middle), detail, _FAINT, font, anchor="rm")
     begin = left + unit * 2.6
-    name = fitted_text(line.name, font, right - font.getlength(detail) - unit - begin)
+    room, font = right - font.getlength(detail) - unit - begin, font_of(unit, line.name)
+    name = fitted_text(line.name, font, room)
     draw.text((begin, middle), name, _TEXT, font, anchor="lm")
 
 
 def _draw_title(draw: Any, title: str, width: int, unit: int) -> None:
-    font = font_of(unit)
+    font = font_of(unit, title)
     half = font.getlength(title) / 2 + unit
     box = [width / 2 - half, -unit, width / 2 + half, unit * 2]
     draw.rounded_rectangle(box, radius=unit, fill=(*_DARK, 185))
@@ -102,8 +103,9 @@ def end_card(
     draw = drawing.Draw(image, "RGBA")
     unit = max(9, min(height // 24, width // 30))
     top = unit * 2
-    title = fitted_text(title, font_of(unit * 2), width - 2 * unit)
-    draw.text((width / 2, top), title, _TEXT, font_of(unit * 2), anchor="mm")
+    font = font_of(unit * 2, title)
+    title = fitted_text(title, font, width - 2 * unit)
+    draw.text((width / 2, top), title, _TEXT, font, anchor="mm")
     draw.text((width / 2, top + unit * 2), subtitle, _FAINT, font_of(unit), anchor="mm")
     half = min(width * 0.44, unit * 13)
     first, step = top + unit * 3.8, unit * 2.5
@@ -128,7 +130,7 @@ def _draw_result(
     middle = top + high / 2
     ink = rgb(_MEDALS[rank]) if rank in _MEDALS else _FAINT
     draw.text((left + unit * 2, middle), str(rank), ink, font_of(int(unit * 1.3)), anchor="mm")
-    begin, end, font = left + unit * 3.4, right - unit, font_of(int(unit * 1.1))
+    begin, end, font = left + unit * 3.4, right - unit, font_of(int(unit * 1.1), name)
     draw.text((end, middle), outcome, _FAINT, font_of(unit), anchor="rm")
     name = fitted_text(name, font, end - font_of(unit).getlength(outcome) - unit - begin)
     draw.text((begin, middle), name, _TEXT, font, anchor="lm")

@@ -185,7 +185,9 @@ class MapView:
         box = [x - radius, y - radius, x + radius, y + radius]
         draw.ellipse(box, outline=_GHOST, width=max(_FINE, round(radius / 4)))
         text = f"ghost: {self._ghost.name}"
-        draw.text((x, y - 1.4 * radius), text, _GHOST, font=self._label, anchor="mb")
+        draw.text(
+            (x, y - 1.4 * radius), text, _GHOST, font_of(int(self._label.size), text), anchor="mb"
+        )
 
     def _draw_karts(self, draw: Any, snapshot: Snapshot) -> None:
         karts = snapshot.karts

@@ -38,7 +38,7 @@ def draw_panel(picture: Image, scene: Scene, snapshot: Snapshot, left: int) -> N
     draw.rectangle([left, 0, width, height], fill=_PANEL)
     unit = max(9, min(height // 26, (width - left) // 12))
     pad = unit
-    font = font_of(unit + 3)
+    font = font_of(unit + 3, scene.title)
     title = fitted_text(scene.title, font, width - left - 2 * pad)
     draw.text((left + pad, pad), title, _TEXT, font)
     draw.text((left + pad, pad + unit * 1.7), _subtitle(scene, snapshot), _FAINT, font_of(unit))
@@ -74,7 +74,7 @@ def _draw_line(
     detail = draw.textlength(line.detail, small)
     draw.text((right, middle - unit * 0.2), line.detail, _FAINT, small, anchor="rm")
     begin = left + badge + unit * 0.5
-    font = font_of(unit)
+    font = font_of(unit, line.name)
     name = fitted_text(line.name, font, right - detail - unit * 0.4 - begin)
     draw.text((begin, middle - unit * 0.2), name, _TEXT, font, anchor="lm")
     bar = top + badge

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,8 @@ from stkzoo.errors import import_extra
 
 if TYPE_CHECKING:
     from PIL import ImageFont
+
+_IN_NO_FONT, _TRIAL_SIZE = "\uffff", 16
 
 
 @lru_cache(maxsize=1)
@@ -29,11 +32,53 @@ def pillow() -> Any:
     return sys.modules["PIL"]
 
 
+#: Files of fonts that systems have, for names that Pillow's built-in font (ASCII) cannot write.
+FALLBACK_FONTS = (
+    "DejaVuSans.ttf",
+    "NotoSans-Regular.ttf",
+    "arial.ttf",  # Windows
+    "Arial Unicode.ttf",  # macOS
+    "NotoSansCJK-Regular.ttc",
+    "wqy-microhei.ttc",
+    "DroidSansFallbackFull.ttf",
+    "msyh.ttc",
+    "malgun.ttf",
+)
+
+
+def font_of(size: int, text: str = "") -> ImageFont.FreeTypeFont:
+    """Returns a font that can write a text.
+
+    Args:
+        size: size [pixels].
+        text: the text. If no installed font has all of its characters, the font has most of them,
+            and draws boxes for the others.
+    """
+    return _font("" if text.isascii() else _font_file(text), max(6, size))
+
+
+@lru_cache(maxsize=256)
+def _font_file(text: str) -> str:
+    """Returns the first font file that lacks the fewest characters; empty for the built-in font."""
+    files = [""]
+    for file in FALLBACK_FONTS:
+        with suppress(OSError):  # not installed
+            _font(file, _TRIAL_SIZE)
+            files.append(file)
+    return min(files, key=lambda file: _num_missing(text, _font(file, _TRIAL_SIZE)))
+
+
 @lru_cache(maxsize=64)
-def font_of(size: int) -> ImageFont.FreeTypeFont:
-    """Returns Pillow's built-in font in a size [pixels]."""
-    font: ImageFont.FreeTypeFont = pillow().ImageFont.load_default(max(6, size))
+def _font(file: str, size: int) -> ImageFont.FreeTypeFont:
+    fonts = pillow().ImageFont
+    font: ImageFont.FreeTypeFont = fonts.truetype(file, size) if file else fonts.load_default(size)
     return font
+
+
+def _num_missing(text: str, font: ImageFont.FreeTypeFont) -> int:
+    """Counts the characters for which a font draws the same box as for a character of no font."""
+    box = [*font.getmask(_IN_NO_FONT)]
+    return sum([*font.getmask(character)] == box for character in text)
 
 
 def fitted_text(text: str, font: ImageFont.FreeTypeFont, room: float) -> str:

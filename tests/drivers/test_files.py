@@ -1,5 +1,6 @@
 """Agents from folders, zips, files and modules (D20, D29), and malicious zips."""
 
+import importlib
 import shutil
 import stat
 import struct
@@ -13,7 +14,7 @@ import pytest
 
 from stkzoo.drivers import files
 from stkzoo.drivers.code import load_agent
-from stkzoo.drivers.files import find_files
+from stkzoo.drivers.files import find_files, name_of_files
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import plan_tournament
 from stkzoo.race import find_driver, run_race
@@ -95,6 +96,27 @@ def test_a_module_of_the_program_is_not_used_as_an_agents_module(tmp_path, monke
 def test_the_agent_can_be_in_several_places_in_a_zip(inside, tmp_path):
     path = zip_of(AGENTS / "alpha" / "stk_actor", tmp_path / "agent.zip", inside)
     assert load(path).name == "Alpha"
+
+
+def test_a_zip_can_end_in_capitals(tmp_path):
+    path = zip_of(AGENTS / "plain", tmp_path / "Mine.ZIP")
+    assert load(path).name == "Plain"
+    assert name_of_files(path) == "Mine"
+    with pytest.raises(ConfigError, match=r"there is no agent 'missing\.ZIP'"):
+        find_driver("missing.ZIP")
+
+
+@pytest.mark.parametrize("name", ["numpy", "json", "gymnasium", "stkzoo", "scipy"])
+def test_a_package_can_have_the_name_of_a_library(name, tmp_path):
+    shutil.copytree(AGENTS / "alpha" / "stk_actor", tmp_path / name)
+    (tmp_path / name / "uses.py").write_text(f"import {name}\nplace = {name}.__file__\n")
+    with (tmp_path / name / "__init__.py").open("a") as file:
+        file.write("from .uses import place\nplayer_name = place\n")
+    with (tmp_path / name / "pystk_actor.py").open("a") as file:
+        file.write("from . import player_name\n")
+    library = importlib.import_module(name)
+    assert load(tmp_path / name).name == library.__file__
+    assert sys.modules[name] is library
 
 
 def test_the_folder_views_of_macos_do_not_hide_the_agent_in_a_zip(tmp_path):

@@ -210,6 +210,39 @@ def test_a_crash_report_has_the_games_last_lines(session):
     assert "Segmentation fault" in caught.value.log
 
 
+@pytest.mark.parametrize("name", ["stk_config.xml", "tracks/olivermath/olivermath_track.spm"])
+def test_a_crash_because_of_damaged_data_says_how_to_replace_it(name, root, tmp_path):
+    copy = Path(shutil.copytree(root, tmp_path / "copy", copy_function=os.symlink))
+    (file,) = copy.rglob(name)
+    data = file.read_bytes()
+    file.unlink()
+    file.write_bytes(data[: len(data) // 2])
+    session = WorkerSession(copy)
+    with pytest.raises(EngineCrashed, match="replace it: `stkzoo assets install --force`"):
+        session.start(SETUP)
+    session.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a fork server")
+def test_a_crash_is_reported_while_the_fork_server_is_stopped(session, monkeypatch):
+    session.start(SETUP)
+    fork_server, receive = session._process.fork_server, wire.receive
+
+    def receive_from_race(connection):
+        assert connection is not fork_server._control  # it would answer only after SIGCONT
+        return receive(connection)
+
+    monkeypatch.setattr(wire, "receive", receive_from_race)
+    server = fork_server._process.pid
+    os.kill(server, signal.SIGSTOP)
+    try:
+        os.kill(session.pid, signal.SIGKILL)
+        with pytest.raises(EngineCrashed, match="the game's process was lost"):
+            drive_on(session)
+    finally:
+        os.kill(server, signal.SIGCONT)
+
+
 @pytest.mark.slow
 def test_a_stopped_game_times_out_and_is_ended(root):
     session = WorkerSession(root, timeout=0.3)

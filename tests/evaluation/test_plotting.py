@@ -3,7 +3,7 @@
 import warnings
 from types import SimpleNamespace
 
-from stkzoo.evaluation import new_figure, save_figure
+from stkzoo.evaluation import new_figure, plotting, save_figure
 from stkzoo.evaluation.benchmark.plot import plot_time_trial
 from stkzoo.evaluation.plotting import draw_intervals
 from stkzoo.evaluation.statistics import Estimate
@@ -31,6 +31,14 @@ def test_letters_that_the_font_lacks_cause_no_warnings(tmp_path):
         warnings.simplefilter("error")
         save_figure(figure, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").exists()
+
+
+def test_letters_that_the_font_lacks_are_written_in_installed_fonts(tmp_path, monkeypatch):
+    monkeypatch.setattr(plotting, "_FALLBACK_FONTS", ("No Such Font", "DejaVu Serif"))
+    figure = new_figure(4, 3)
+    title = figure.subplots().set_title("\u540d\u524d")
+    save_figure(figure, tmp_path / "plot.png")
+    assert title.get_fontfamily() == ["sans-serif", "DejaVu Serif"]
 
 
 def test_a_legend_shows_names_with_an_underscore():

@@ -477,6 +477,28 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
         resume_tournament(folder)
 
 
+@pytest.mark.slow
+def test_a_tournament_that_was_moved_with_its_agents_resumes(tmp_path):
+    course = tmp_path / "course"
+    course.mkdir()
+    for name in ("mine", "yours"):
+        shutil.copytree(AGENTS / "plain", course / "students" / name)
+    agents = [str(course / "students" / name) for name in ("mine", "yours")]
+    options = {**SMALL, "per_race": 2}
+    whole = run_tournament(agents, output=course / "cup", **options)
+    (course / "cup" / "races" / "00001.json").unlink()
+    moved = course.rename(tmp_path / "moved")
+    resumed = resume_tournament(moved / "cup", plot=False)
+    assert resumed.races == whole.races
+    assert {entry.source for entry in resumed.plan.entrants} == {
+        str(moved / "students" / name) for name in ("mine", "yours")
+    }
+    changed = moved.rename(tmp_path / "changed")
+    (changed / "students" / "mine" / "helper.py").write_text("")
+    with pytest.raises(ConfigError, match=f"is no longer at {moved}/students/mine"):
+        resume_tournament(changed / "cup")
+
+
 def test_a_plan_keeps_digests_of_files_with_unprintable_names(tmp_path):
     agent = tmp_path / "mine"
     shutil.copytree(AGENTS / "plain", agent)

@@ -46,6 +46,13 @@ def examples(count=4000):
     return observations, np.stack(actions, axis=1)
 
 
+def test_a_teacher_that_plans_with_its_own_races_is_refused_before_any_work(tmp_path, capsys):
+    folder = tmp_path / "run"
+    assert main(["--output", str(folder), "--teacher", "planner"]) == 1
+    assert "planner cannot label what a learner sees" in capsys.readouterr().err
+    assert not (folder / "demos.npz").exists()
+
+
 @pytest.mark.slow
 def test_a_network_learns_choices_that_depend_on_its_observations():
     observations, actions = examples()

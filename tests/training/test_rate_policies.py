@@ -8,6 +8,7 @@ import pytest
 
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.training import rate
 from stkzoo.agents.training.common.fleet import Finish
 from stkzoo.agents.training.common.matches import (
     Match,
@@ -71,6 +72,20 @@ def test_all_policies_race_equally_often_and_on_all_tracks():
     assert Counter(name for match in matches for name in match.drivers) == dict.fromkeys(names, 16)
     assert len({(match.track, match.reverse) for match in matches}) == 28
     assert draw_match(names, 5) == matches[5]
+
+
+def test_all_policies_race_on_the_given_tracks(run, tmp_path, monkeypatch, capsys):
+    def without_driving(matches, _):
+        return [MatchRecord(0, each.track, each.reverse, [*each.drivers]) for each in matches]
+
+    monkeypatch.setattr(rate, "play_records", without_driving)
+    folder = tmp_path / "out"
+    words = [str(run), "--every=0", f"--output={folder}"]
+    assert main([*words, "--matches=5", "--track", "mines", "hacienda"]) == 0
+    lines = (folder / "matches.jsonl").read_text().splitlines()
+    assert {json.loads(line)["track"] for line in lines} == {"mines", "hacienda"}
+    assert main([*words, "--matches=9", "--track", "abyss"]) == 1
+    assert "expected 'abyss'; give the same --track, or another" in capsys.readouterr().err
 
 
 @pytest.mark.slow

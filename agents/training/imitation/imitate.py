@@ -38,7 +38,7 @@ from stkzoo._arguments import option
 from stkzoo._os import cpu_count
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.mlp import load_driver
-from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.errors import AgentError, ConfigError, StkzooError
 from stkzoo.evaluation import DemoView, load_demonstrations, record_demonstrations
 from stkzoo.mdp import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
@@ -118,6 +118,8 @@ def run(
             return _demonstrations(arguments, folder, report)
         return Lesson.joined([*_drive(arguments, number, policy, report)])
 
+    if arguments.rounds:
+        _check_teacher(arguments.teacher)
     return run_rounds(arguments, folder, arguments.teacher, drive, report)
 
 
@@ -235,6 +237,21 @@ def drive_race(
     ratios = tuple(time_ratio(time, track, False, difficulty) for time in times)
     finished = sum(time is not None for time in times)
     return Lesson(np.array(seen, np.float32), np.array(labels, np.int8), ratios, finished)
+
+
+def _check_teacher(teacher: str) -> None:
+    """Checks that the teacher can say what it would do in a kart of the learner.
+
+    Raises:
+        ConfigError: it cannot, as the planner, which copies races that it drives.
+    """
+    try:
+        _instance(teacher, 0).close()
+    except AgentError as error:
+        raise ConfigError(
+            f"{teacher} cannot label what a learner sees ({error}); give --rounds 0 (behavior "
+            "cloning alone), or another --teacher"
+        ) from error
 
 
 def _instance(teacher: str, seed: int) -> DriverInstance:

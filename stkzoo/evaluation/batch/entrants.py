@@ -7,15 +7,16 @@ import itertools
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path, PurePath
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated
 
 from stkzoo._os import file_digest
 from stkzoo._schema import Within, plain_text
 from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
-from stkzoo.drivers.files import find_files, installed_module
+from stkzoo.drivers.files import find_files, installed_module, name_of_files
 from stkzoo.drivers.sandbox import say_what_is_missing
 from stkzoo.errors import ConfigError
 from stkzoo.race.remote.drivers import ServedAgent
@@ -54,6 +55,23 @@ class Entrant:
     def now(self) -> Entrant:
         """Returns the agent with digests of its current files."""
         return self if self.served else Entrant.of(self.label, self.source)
+
+    def moved(self, folder: Path) -> Entrant:
+        """Returns the agent at its new place if it was moved together with a folder.
+
+        Args:
+            folder: the folder, near which an agent with the same files is searched.
+        """
+        place = Path(self.source)
+        if not self.files or not place.is_absolute() or place.exists():
+            return self
+        home = folder.resolve()
+        for near, start in itertools.product((home, *home.parents), range(1, len(place.parts))):
+            found = near.joinpath(*place.parts[start:])
+            with suppress(ConfigError):  # another kind of file
+                if found.exists() and fingerprint(str(found)) == self.files:
+                    return replace(self, source=str(found))
+        return self
 
     @property
     def text(self) -> str:
@@ -191,8 +209,7 @@ def _lasting(source: str) -> str:
 
 
 def _short(source: str) -> str:
-    path = PurePath(source)
-    return (path.stem if path.suffix in (".zip", ".py") else path.name) or source
+    return name_of_files(source) or source
 
 
 def fingerprint(source: str) -> dict[str, str]:

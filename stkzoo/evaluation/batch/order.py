@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import NoReturn
 
 from stkzoo._os import write_text
@@ -151,10 +151,16 @@ class RaceOrder:
             f"{row.source}{NAME_MARK}{row.driver}" if NAME_MARK in text else row.source
             for row, text in zip(rows, self.drivers, strict=False)
         ]
-        return found == list(self.drivers) and all(
+        # An agent keeps its name when its folder is moved.
+        return [*map(_last_part, found)] == [*map(_last_part, self.drivers)] and all(
             getattr(result, name) == getattr(self.settings, name)
             for name in ("seed", "track", "reverse", "mode", "laps", "difficulty")
         )
+
+
+def _last_part(driver: str) -> str:
+    source, mark, label = driver.partition(NAME_MARK)
+    return f"{PurePath(source).name}{mark}{label}"
 
 
 def replay_file(folder: Path, number: int) -> Path:

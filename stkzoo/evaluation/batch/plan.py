@@ -109,6 +109,14 @@ class BatchPlan(Document, Generic[Result]):
         """The agents of the batch."""
         return ()
 
+    def moved(self: Plan, folder: Path) -> Plan:  # noqa: ARG002 - some plans can find their agents
+        """Returns the plan with the present places of agents that were moved with its folder.
+
+        Args:
+            folder: folder of the batch.
+        """
+        return self
+
     def continued(self: Plan, other: Plan) -> Plan:  # noqa: ARG002 - some plans can grow
         """Returns the plan to run in the folder of this plan when another plan is requested.
 

@@ -202,7 +202,7 @@ def _keep_plan(plan: Plan, folder: Path) -> Plan:
     """
     file = folder / PLAN_FILE
     started = type(plan).load(file) if file.exists() else None
-    kept = started.continued(plan).shown_like(plan) if started else plan
+    kept = started.moved(folder).continued(plan).shown_like(plan) if started else plan
     if differences := kept.differences(plan):
         raise ConfigError(
             f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another folder, "

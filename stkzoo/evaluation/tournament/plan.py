@@ -102,6 +102,10 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
             known += count
         return races
 
+    def moved(self, folder: Path) -> TournamentPlan:
+        """See :meth:`BatchPlan.moved`."""
+        return replace(self, entrants=tuple(entry.moved(folder) for entry in self.entrants))
+
     def continued(self, other: TournamentPlan) -> TournamentPlan:
         """Returns this plan, extended by the agents that only another plan has.
 

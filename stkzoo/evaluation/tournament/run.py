@@ -101,7 +101,7 @@ def resumed_plan(
         ConfigError: there is no plan, or an agent is invalid.
         RemoteError: a server does not answer.
     """
-    plan = TournamentPlan.load(Path(folder) / PLAN_FILE)
+    plan = TournamentPlan.load(Path(folder) / PLAN_FILE).moved(Path(folder))
     entrants = tuple(entry.now() for entry in plan.entrants)
     served, access = ask_servers(servers)
     known = {entry.served for entry in entrants}
