@@ -292,7 +292,7 @@ def keeps(_, __, ___):
 @pytest.mark.parametrize(
     ("opponent", "why"),
     [
-        (str(AGENTS / "plain"), r"process of its own; let it run here, by find_driver\("),
+        (str(AGENTS / "plain"), r"its own process; to run it in this one, use find_driver\("),
         (Driver.of_actor("keeps", keeps), "give an object with __call__"),
     ],
 )
