@@ -244,7 +244,7 @@ class TestFinding:
     @pytest.mark.usefixtures("cache")
     def test_unfinished_download_of_pystk2_is_skipped(self):
         make_data(find.pystk2_cache_folder() / "1.5" / "data", version="1.5")
-        with pytest.raises(AssetError, match="never finished"):
+        with pytest.raises(AssetError, match="is incomplete"):
             find_assets()
 
     @pytest.mark.usefixtures("cache")
@@ -447,7 +447,7 @@ class TestDebianPackage:
 
     def test_truncated_package_is_reported(self, package, tmp_path):
         package.write_bytes(package.read_bytes()[:-100])
-        with pytest.raises(AssetError, match=r"broken|cannot be unpacked"):
+        with pytest.raises(AssetError, match=r"damaged|cannot be unpacked"):
             unpack_package(package, self.empty(tmp_path), Progress())
 
     @staticmethod
@@ -619,13 +619,13 @@ class TestArchive:
 
     def test_truncated_archive_is_reported(self, archive, cache):
         archive.write_bytes(archive.read_bytes()[:-200])
-        self.refused(archive, "is broken", cache)
+        self.refused(archive, "is damaged", cache)
 
     def test_damaged_archive_is_reported(self, archive, cache):
         data = bytearray(archive.read_bytes())
         data[len(data) // 2] ^= 1
         archive.write_bytes(data)
-        self.refused(archive, "is broken", cache)
+        self.refused(archive, "is damaged", cache)
 
     def test_archive_without_its_marker_is_reported(self, archive, cache):
         rebuild(archive, lambda members: [m for m in members if m[0].name != MARKER])
