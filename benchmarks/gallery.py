@@ -244,7 +244,7 @@ def page() -> str:
             "",
             "## Tracks",
             "",
-            "Each track as the game draws it, and as a film of one lap on the map, four times as",
+            "Each track as the game draws it, and an animated map of one lap, four times as",
             "fast as the race. [Tracks](tracks.md) lists lengths, items and lap times.",
             "",
             *_grid(_track_cards()),

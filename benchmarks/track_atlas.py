@@ -49,23 +49,23 @@ The game has 21 race tracks. Each can also be driven in reverse (`reverse=True`)
 | `test` | 6 | report the result for a finished driver, once |
 
 **The validation tracks are training tracks too:** `train` contains them, because published results
-and the shipped drivers use all 15. Pass `--track train_only` to a training command to leave them
-out. The four were chosen to differ: the narrowest track with the most bends (*minigolf*), a hilly
-one without forks (*snowtuxpeak*), a long and hilly one with two forks (*ravenbridge_mansion*), and
-a wide one with three forks (*gran_paradiso_island*). Together they are about as hard as the test
+and stkzoo's own drivers use all 15. To leave them out of training, pass `--track train_only`. The
+four differ from each other: *minigolf* is the narrowest track with the most bends, *snowtuxpeak* is
+hilly without forks, *ravenbridge_mansion* is long and hilly with two forks, and
+*gran_paradiso_island* is wide with three forks. Together, they are about as hard as the test
 tracks: on the validation tracks, the plans without learning take 0.87 of the AI's time alone and
 0.94 against four AI karts; on the test tracks, the *heuristic* takes 0.88 and 0.95.
 
-Do not train or tune on the six test tracks, in either direction. They resemble the training
-tracks: they are short and long, with and without forks, with few and many items, easy and hard for
+Do not train or tune on the six test tracks, in either direction. Like the training tracks, they
+include short and long tracks, with and without forks, with few and many items, easy and hard for
 drivers that follow the line. A [log](../explanation/research-log.md#visits-to-the-test-tracks)
-lists every benchmark on them. *black_forest*, the longest, is a training track; a lap there takes
-as long as two on most others.
+lists every benchmark on them. *black_forest*, the longest track, is a training track; a lap there
+takes as long as two laps on most others.
 
 """
 
 _ABOUT = """\
-*Segments* are those of the driving line, *forks* the segments with more than one successor.
+*Segments* are parts of the driving line; *forks* are segments with more than one successor.
 *Items* are those on the track at the start. *AI times* are the medians in seconds at difficulty
 0 / 1 / 2 / 3, of {karts} karts in races of five AI karts.
 [`stkzoo benchmark`](benchmark-protocol.md) divides by them. The best and worst times are in

@@ -67,7 +67,7 @@ class MonoAgentWrapperAdapter:
         if isinstance(env, gym.Env):
             return super().__new__(GymAgentAdapter)
         raise ConfigError(
-            f"MonoAgentWrapperAdapter goes around a ParallelEnv or a gymnasium.Env, not {env!r}."
+            f"MonoAgentWrapperAdapter wraps a ParallelEnv or a gymnasium.Env, not {env!r}."
         )
 
     def __init__(

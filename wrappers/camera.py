@@ -131,7 +131,7 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper)
         camera: Camera | None = getattr(self.unwrapped, "camera", None)
         if camera is None:
             raise ConfigError(
-                f"{type(self.unwrapped).__name__} has no camera; CameraObservations goes around a "
+                f"{type(self.unwrapped).__name__} has no camera; CameraObservations wraps a "
                 "supertuxkart id of one kart, or into a view of stkzoo.race_v0"
             )
         return camera

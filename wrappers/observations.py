@@ -95,8 +95,8 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
             entries = {key: entry for key, entry in entries.items() if key not in MOTION}
         elif "motion" not in extras_of(space):
             raise ConfigError(
-                "karts_motion needs an environment that tells how the other karts move. Choose a "
-                "view with the option, such as view=('simple', {'karts_motion': True}), or give "
+                "karts_motion needs an environment that observes how the other karts move. Choose "
+                "a view with the option, such as view=('simple', {'karts_motion': True}), or give "
                 "the function that is your view an attribute sees_motion that is true"
             )
         for group, size in self._sizes.items():
@@ -195,7 +195,7 @@ def refuse_polar(space: spaces.Dict, wrapper: str, place: str) -> None:
     polar = [key for key in _POSITIONS if key in space.spaces and _is_polar(space[key])]
     if polar:
         raise ConfigError(
-            f"{wrapper} found polar positions under {', '.join(polar)}. It goes around a view with "
+            f"{wrapper} found polar positions under {', '.join(polar)}. Use it around a view with "
             f"positions in meters, such as full, and {place}."
         )
 
@@ -213,7 +213,7 @@ def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Sp
         low, high = (np.repeat(bound[None], size, axis=0) for bound in (entry.low, entry.high))
         return type(entry)(low, high, dtype=np.float32)
     raise ConfigError(
-        f"ConstantSizedObservations needs a list (a Sequence space) under {key!r}. It goes around "
+        f"ConstantSizedObservations needs a list (a Sequence space) under {key!r}. Use it around "
         f"the full view, and only once. Found {space!r:.200}"
     )
 

@@ -1,7 +1,7 @@
 """A rule-based driver without learning that beats the game's bots on most tracks.
 
 It runs the planner (:mod:`stkzoo.agents.planning`) for one kart and begins the plan with the
-highest worth. It uses the ``full`` view and ignores other karts.
+highest value. It uses the ``full`` view and ignores other karts.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ class MlpDriver:
     def seat(self) -> NoReturn:
         """Rejects a call from an agent that an older version exported."""
         raise ConfigError(
-            "this agent is of another version of stkzoo; make it again from its "
+            "this agent is from another version of stkzoo; export it again from its "
             "policy.safetensors with python -m stkzoo.agents.training.export"
         )
 

@@ -78,7 +78,7 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
     ):
         raise ConfigError(
             f"the weights {name!r} have the shapes {found}, expected finite numbers of "
-            f"{wanted}; they are of another version of stkzoo, or of something else"
+            f"{wanted}; they are from another version of stkzoo or another program"
         )
 
 

@@ -5,7 +5,7 @@ r"""Exports learned weights as an agent: a folder that you can race and share.
 
 The weights come from a run of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``league``. With
 ``--ensemble-weight 1``, one or more networks without plans form an ensemble with the plans: the
-agent chooses a plan by its worth and, with this weight, by its probability under the networks.
+agent chooses a plan by its value and, with this weight, by its probability under the networks.
 Policies over plans can be members too; their learned logits are added to those of the plans. The
 folder of an ensemble adds its members. ``--plans FILE`` gives an ensemble of networks other plans.
 
@@ -122,7 +122,7 @@ def export_policy(
             networks, policies over plans, and folders of ensembles, which add their members.
         name: name of the agent, a Python identifier.
         folder: folder of the agent.
-        ensemble_weight: weight of the networks relative to the worth of plans; ``None`` for no
+        ensemble_weight: weight of the networks relative to the values of plans; ``None`` for no
             ensemble.
         plans: JSON file of plan parameters for an ensemble of networks; empty for the default ones.
 

@@ -205,7 +205,7 @@ def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: RunRa
     policies = ratings.policies
     steps = [policy.kart_steps / 1e6 for policy in policies]
     names = ("rating", "rating_low", "rating_high")
-    style_axes(rating_axis, "Rating, with 95 % interval")
+    style_axes(rating_axis, "Rating, with 95% interval")
     draw_ratings(
         rating_axis, run, steps, [[getattr(policy, n) for n in names] for policy in policies]
     )
@@ -278,7 +278,7 @@ def rating_figure(
         draw_ratings(axis, name, [at for at, _ in points], [rating for _, rating in points])
     draw_levels(axis, levels)
     axis.set_xlabel("million kart-steps", color=INK)
-    axis.set_ylabel("rating (Plackett-Luce; bands: 95 %)", color=INK)
+    axis.set_ylabel("rating (Plackett-Luce; bands: 95%)", color=INK)
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8, framealpha=0.0, labelcolor=INK)
     return figure

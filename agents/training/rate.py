@@ -337,7 +337,7 @@ def write_ratings(run: Path) -> list[str]:
 
 
 def _table(evaluations: Sequence[PolicyEvaluation], ratings: Mapping[str, Rating]) -> list[str]:
-    lines = [f"{'':>18}  rating (95 % interval)  time ratio"]
+    lines = [f"{'':>18}  rating (95% interval)  time ratio"]
     for name in sorted(ratings, key=lambda name: -ratings[name].value):
         rating = ratings[name]
         found = [ratio for each in evaluations for ratio in each.ratios.get(name, [])]

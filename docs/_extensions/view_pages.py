@@ -125,7 +125,7 @@ _PARTS = {
     "continuous": "the numbers, in the alphabetical order of their entries",
     "discrete": "the choices, in the alphabetical order of their entries",
     "observation": "all entries as one vector",
-    "action_mask": "1 for each action that can do something now, by its number",
+    "action_mask": "1 for each action that has an effect now, by its number",
     "image": "the picture of the kart's camera, red, green and blue",
 }
 

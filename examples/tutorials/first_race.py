@@ -9,8 +9,8 @@
 # %% [markdown]
 # # A first race
 #
-# Race four karts on a short track. Look at what an agent observes, drive by a rule of three lines, and
-# plot where the karts went.
+# Race four karts on a short track. You look at what an agent observes, drive with a short rule, and plot
+# the paths of the karts.
 
 # %%
 import os
@@ -20,14 +20,14 @@ import numpy as np
 
 from stkzoo import race_v0
 
-SHORT = "STKZOO_SHORT" in os.environ  # a test runs this page in seconds
+SHORT = "STKZOO_SHORT" in os.environ  # for a quick test of this notebook
 np.set_printoptions(suppress=True, precision=1)
 
 # %% [markdown]
-# ## Make a race and look at it
+# ## Create a race
 #
-# The view `simple` is a dict of fixed size. Positions are polar: angle to the right [rad], angle up
-# [rad], distance [m].
+# Observations in the view `simple` are dicts of fixed size. Positions are polar: angle to the right
+# [rad], angle up [rad], distance [m].
 
 # %%
 env = race_v0.parallel_env(
@@ -52,8 +52,8 @@ plt.show()
 # %% [markdown]
 # ## A rule that drives
 #
-# Steer towards a point of the road ahead, at full throttle. `paths_end[i]` is the end of the i-th
-# segment ahead. Each of the four drivers looks at a different segment.
+# Steer toward a point on the road ahead, at full throttle. `paths_end[i]` is the end of the i-th road
+# segment ahead. Each of the four drivers aims at a different segment.
 
 
 # %%
@@ -86,15 +86,15 @@ while env.agents:
                 finished[agent] = infos[agent]["finish_time"]
 
 # %% [markdown]
-# ## What happened
+# ## Compare the drivers
 #
-# A driver that looks at a near segment turns too late and hits a wall. One that looks farther ahead
-# cuts the corners and wins.
+# A driver that aims at a near segment turns too late and hits a wall. One that aims farther ahead cuts
+# the corners and wins.
 
 # %%
 for ahead, agent in enumerate(env.possible_agents):
     end = f"finished in {finished[agent]:.1f} s" if agent in finished else "did not finish"
-    print(f"{agent}, looking {ahead} segments ahead: {end}")
+    print(f"{agent}, aiming {ahead} segments ahead: {end}")
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4))
@@ -102,8 +102,8 @@ for start, end in env.track_map.path_nodes[:, :, [0, 2]]:
     left.plot(
         *zip(start, end, strict=True), color="0.85", linewidth=9, solid_capstyle="round", zorder=0
     )
-for agent, way in places.items():
-    left.plot(*np.array(way).T, label=agent, linewidth=1.5)
+for agent, path in places.items():
+    left.plot(*np.array(path).T, label=agent, linewidth=1.5)
     right.plot(np.arange(len(speeds[agent])) / 10, speeds[agent], label=agent)
 left.set_aspect("equal")
 left.axis("off")
@@ -119,6 +119,6 @@ plt.show()
 env.close()
 
 # %% [markdown]
-# The same seed gives the same race, bit for bit: run the page again and compare.
+# The same seed gives the same race, bit for bit. Run the notebook again to check.
 #
-# Next: put your rule into [an agent](first-agent.md), or [train a driver](train_a_driver.ipynb).
+# Next, put your rule into [an agent](first-agent.md), or [train a driver](train_a_driver.ipynb).

@@ -9,9 +9,10 @@
 # %% [markdown]
 # # Self-play and ratings
 #
-# A policy that races against itself always meets rivals of its own strength. Train one, save a copy
-# after each stage, a *generation*, and run a tournament to see whether later generations are better. It
-# takes about five minutes and needs the extra `tutorials`: see [Install](../how-to/install.md).
+# A policy that races against itself always meets rivals of its own strength. Train such a policy, save a
+# copy (a *generation*) after each stage, and run a tournament to see whether later generations are
+# better. This takes about five minutes and needs the extra `tutorials`: see
+# [Install](../how-to/install.md).
 
 # %%
 import os
@@ -24,16 +25,15 @@ from stable_baselines3 import PPO
 from stkzoo.evaluation import run_tournament
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv, save_agent
 
-SHORT = "STKZOO_SHORT" in os.environ  # a quick check of this page
+SHORT = "STKZOO_SHORT" in os.environ  # for a quick test of this notebook
 TRACK = "olivermath"
 torch.set_num_threads(1)  # the network is small; leave the cores to the races
 
 # %% [markdown]
 # ## Generations
 #
-# One policy drives all karts of all races. The default reward pays for places and for progress, so the
-# policy gains by driving better than its copies. [Train a driver](train_a_driver.ipynb) explains the
-# settings.
+# One policy drives all karts in all races. The default reward pays for progress and for gaining places.
+# [Train a driver](train_a_driver.ipynb) explains the settings.
 
 # %%
 races = RaceVecEnv(
@@ -69,11 +69,11 @@ races.close()
 print(f"{model.num_timesteps:,} steps, {len(generations)} generations")
 
 # %% [markdown]
-# ## Which one is better?
+# ## Compare the generations
 #
-# In a [tournament](../how-to/tournaments.md), every agent races equally often from each grid place. An
-# interval shows how much a rating would vary with other races: if two intervals do not overlap, one
-# agent is better.
+# In a [tournament](../how-to/tournaments.md), every agent starts equally often from each grid place. An
+# interval shows how much a rating would vary with other races. If the intervals of two agents do not
+# overlap, one of them is better.
 
 # %%
 result = run_tournament(
@@ -105,6 +105,6 @@ plt.show()
 # %% [markdown]
 # ## Past selves as rivals
 #
-# A policy that meets only itself may forget how to beat earlier generations. An
-# [opponent pool](../how-to/opponents.md#self-play-against-past-selves) puts them on the grid while it
-# trains.
+# A policy that races only against itself may forget how to beat earlier generations. An
+# [opponent pool](../how-to/opponents.md#self-play-against-past-selves) adds earlier generations to the
+# training races.

@@ -9,9 +9,9 @@
 # %% [markdown]
 # # Train a driver
 #
-# Train one policy with PPO from Stable-Baselines3 for about five minutes. It learns to finish a lap
-# of lighthouse faster than the game's easiest AI. Then save it as an agent, and race it. You need the
-# extra `tutorials`: see [Install](../how-to/install.md).
+# Train a policy with PPO from Stable-Baselines3 for about five minutes. It learns to finish a lap of
+# lighthouse faster than the game's easiest AI. Then save it as an agent and race it. You need the extra
+# `tutorials`: see [Install](../how-to/install.md).
 
 # %%
 import os
@@ -26,7 +26,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stkzoo.race import run_race
 from stkzoo.sb3 import ActiveRolloutBuffer, RaceVecEnv, save_agent
 
-SHORT = "STKZOO_SHORT" in os.environ  # a quick check of this page
+SHORT = "STKZOO_SHORT" in os.environ  # for a quick test of this notebook
 STEPS = int(os.environ.get("STKZOO_STEPS", 10_240 if SHORT else 600_000))
 SEED = int(os.environ.get("STKZOO_SEED", 1))
 torch.set_num_threads(1)  # the network is small; leave the cores to the races
@@ -34,10 +34,11 @@ torch.set_num_threads(1)  # the network is small; leave the cores to the races
 # %% [markdown]
 # ## The races
 #
-# The view `racing` has the road ahead, the other karts and the items as one vector of numbers, and
-# five small choices as its action. All four karts of a race are agents, so each step of the game gives
-# four steps to learn from. With `start="random"`, the policy sees every corner from the beginning. The
-# [default reward](../how-to/choose-a-reward.md) pays for progress, places and speed.
+# The view `racing` observes the road ahead, the other karts and the items as one vector, and its action
+# is five small choices. All four karts of a race are agents, so each step of the race gives four
+# transitions to learn from. With `start="random"`, the policy sees every corner from the beginning. The
+# [default reward](../how-to/choose-a-reward.md) pays for progress, for gaining places and for finishing,
+# and costs a little in every step.
 
 # %%
 TRACK = "lighthouse"
@@ -49,12 +50,12 @@ print(races.observation_space, races.action_space)
 # %% [markdown]
 # ## The policy
 #
-# `ActiveRolloutBuffer` leaves out the steps of agents that have finished and wait for the others.
+# `ActiveRolloutBuffer` leaves out agents that have finished and are waiting for the others.
 #
-# A new policy chooses all actions equally often, so it would mostly brake or call for a rescue. Raise
-# the odds of the accelerator and lower those of the rescue; training can change both later. The last
-# layer has the choices in this order: 21 steering angles, 4 pedals (go, roll, brake, rescue), three
-# buttons.
+# An untrained policy takes all actions equally often, so it brakes and calls for a rescue as often as it
+# accelerates. Raise the odds of the accelerator and lower those of the rescue; training can change both
+# later. The outputs of the last layer are, in this order: 21 steering angles, 4 pedals (go, roll, brake,
+# rescue) and 3 buttons.
 
 # %%
 model = PPO(
@@ -80,8 +81,8 @@ with torch.no_grad():
 # %% [markdown]
 # ## An agent in a folder
 #
-# An agent is a folder with a `pystk_actor.py`. `save_agent` writes one that needs numpy but not torch,
-# and starts in a tenth of a second. Save the untrained policy, to compare.
+# An agent is a folder with a `pystk_actor.py`. `save_agent` writes one that needs only numpy, not torch,
+# and starts in a tenth of a second. Save the untrained policy for comparison.
 
 
 # %%
@@ -93,7 +94,7 @@ untrained = save_agent(model, "untrained", view="racing", name="Untrained")
 
 # %%
 class Curve(BaseCallback):
-    """Records the speed along the track of the episodes that end."""
+    """Records the mean speed along the track of each finished episode."""
 
     def __init__(self):
         super().__init__()
@@ -127,8 +128,8 @@ if len(curve.speeds) > 20:
 # %% [markdown]
 # ## Before and after
 #
-# Race both policies over a whole lap, from the grid, against the game's easiest AI and random actions.
-# Training had no such rivals.
+# Race both policies over a whole lap, from the grid, against the game's easiest AI and a driver that
+# takes random actions. The policy met neither in training.
 
 # %%
 trained = save_agent(model, "my_driver", view="racing", name="Trained")
@@ -149,7 +150,7 @@ for name, rows in table.items():
 # %% [markdown]
 # ## Next steps
 #
-# - [Film a race](../how-to/rendering.md): `stkzoo race my_driver ai ai ai --track lighthouse --video race.mp4`.
+# - [Record a video](../how-to/rendering.md): `stkzoo race my_driver ai ai ai --track lighthouse --video race.mp4`.
 # - [Watch it in the browser](../how-to/live-page.md): `--web` instead of `--video race.mp4`.
 # - Train longer, on more tracks (`track="train"`), against [opponents](../how-to/opponents.md).
 # - [Measure the driver](../reference/benchmark-protocol.md) on unseen tracks: `stkzoo benchmark my_driver`.

@@ -81,7 +81,7 @@ def descendants() -> frozenset[int]:
         if state not in "ZX":
             parents[int(folder.name)] = int(parent)
     if os.getpid() not in parents:
-        raise NotApplicable("this system has no /proc that tells of processes")
+        raise NotApplicable("this system has no /proc to list processes")
     found: set[int] = set()
     while (
         new := {pid for pid, parent in parents.items() if parent in {os.getpid(), *found}} - found

@@ -72,7 +72,7 @@ class VideoArguments:
         width: width of the video
         height: height of the video
         render_sub_steps: frames per step (usually 0.1 s)
-        render_backend: engine films in the game; map draws the race from above, ten times as fast;
+        render_backend: engine draws the game in 3D; map draws it from above, ten times as fast;
             auto uses the game if it can draw here
         ghost: draw the winner of a replay (.stkz) of the same track on the map
     """
@@ -111,7 +111,7 @@ def add_viewing_options(parser: CommandParser) -> None:
     add_options(parser, WindowArguments, group="game window")
     video = parser.group("video")
     formats = ".mp4, .mkv, .avi, .webm, .ogv, .mov, .gif"
-    video.add_argument("--video", metavar="FILE", help=f"film the race into FILE: {formats}")
+    video.add_argument("--video", metavar="FILE", help=f"record a video to FILE: {formats}")
     add_options(parser, VideoArguments, group="video")
     add_options(parser, LivePageArguments, group="live page in the browser")
 

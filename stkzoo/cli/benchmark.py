@@ -4,7 +4,7 @@ Measures an agent in races that are the same for all agents: on the test tracks,
 reversed, alone (P), as one kart against four of the game's AI (PAAAA), and as two karts against
 three (PPAAA), from both ends of the grid. The results are the agent's time as a multiple of the
 AI's median time, its win rate, its mean rank, the share of races that it did not finish, and its
-number of rescues per race, each with a 95 % interval.
+number of rescues per race, each with a 95% interval.
 
 With --time-trial, the agent instead drives each track alone under the conditions of the human
 world records: time trial, forward, difficulty 3, kart pidgin, as many laps as the record. The
@@ -274,7 +274,7 @@ def show_results(results: Sequence[BenchmarkResult]) -> None:
         label = result.label
         for group in result.groups:
             if group.by in (_SHOWN_GROUPS if is_one else _MAIN_GROUPS):
-                chance = "-" if group.chance is None else f"{100 * group.chance:.0f} %"
+                chance = "-" if group.chance is None else f"{100 * group.chance:.0f}%"
                 cells = (group.name or "all", str(group.races), chance)
                 rows.append(cells if is_one else (label, *cells))
                 groups.append(group)
@@ -288,7 +288,7 @@ def show_results(results: Sequence[BenchmarkResult]) -> None:
         say(
             f"{result.label}: {len(result.races)} of {len(plan.races())} races on "
             f"{', '.join(plan.tracks)}; AI difficulty {plan.settings.difficulty}; {interval} "
-            f"95 % intervals{errors}."
+            f"95% intervals{errors}."
         )
 
 

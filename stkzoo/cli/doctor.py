@@ -242,9 +242,9 @@ def _fork() -> str:
 
 def _kernel() -> str:
     if os.environ.get("STKZOO_KERNEL") == "off":
-        raise NotFound("turned off: numpy does its work", "unset STKZOO_KERNEL")
+        raise NotFound("turned off: numpy replaces it", "unset STKZOO_KERNEL")
     if not IS_COMPILED:
-        raise NotFound("not compiled: a step costs more")
+        raise NotFound("not compiled: steps are slower")
     return "compiled"
 
 

@@ -10,7 +10,7 @@ The page is one file. It needs no server, loads no other files and runs no scrip
 Examples:
   stkzoo report league
   stkzoo report league --publish public --title "Racing course 2026"
-  stkzoo report league --films 0 17 42             map films of these races
+  stkzoo report league --films 0 17 42             animate these races
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class ReportArguments:
         folder: folder of the tournament
         publish: write a page without private details to FOLDER
         title: heading of the page
-        films: races with a map film (default: six races of the best agents)
+        films: races to animate on the map (default: six races of the best agents)
     """
 
     folder: str = positional(metavar="FOLDER")

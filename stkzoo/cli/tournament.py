@@ -132,7 +132,7 @@ def _refuse_other_arguments(arguments: argparse.Namespace) -> None:
 def _show(result: TournamentResult) -> None:
     from stkzoo.cli._console import say, show_table
 
-    columns = ("place", "agent", "rating", "95 %", "races", "wins", "rank", "finished", "failed")
+    columns = ("place", "agent", "rating", "95%", "races", "wins", "rank", "finished", "failed")
     rows = [
         (
             str(row.place),

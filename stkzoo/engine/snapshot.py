@@ -80,8 +80,8 @@ _OFFSETS = [
 
 if layouts() not in (None, _OFFSETS):
     raise ImportError(
-        "stkzoo's compiled part belongs to another version; install stkzoo again, "
-        "or set STKZOO_KERNEL=off to go on without it"
+        "stkzoo's compiled kernel is from another version; install stkzoo again, "
+        "or set STKZOO_KERNEL=off to run without it"
     )
 
 

@@ -109,7 +109,7 @@ class _Place:
         room = road.half_width(self.distance) - _EDGE
         if abs(start.offset) > room:
             raise ConfigError(
-                f"the start of kart {kart} is {start.offset:.1f} m beside the center line at "
+                f"the start of kart {kart} is {start.offset:.1f} m from the center line at "
                 f"{self.distance:.1f} m, where the road has room for {max(room, 0.0):.1f} m"
             )
         along = road.direction(self.distance)

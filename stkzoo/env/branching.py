@@ -295,7 +295,9 @@ class BranchingRace(ClonableEnv):
         self._check_roster("state", kept.moment.roster)
         _check_beside("state", options)
         if not kept.moment.agents:
-            raise ApiOrderError("the state was saved when all agents had left; nobody can act")
+            raise ApiOrderError(
+                "the state was saved after all agents had left, so no agent can act"
+            )
         self._check_opponents(kept.moment.opponents is not None)
         return kept
 
@@ -310,7 +312,9 @@ class BranchingRace(ClonableEnv):
             )
         self._check_roster("scenario", scenario.roster)
         if not scenario.agents:
-            raise ApiOrderError("the scenario was saved when all agents had left; nobody can act")
+            raise ApiOrderError(
+                "the scenario was saved after all agents had left, so no agent can act"
+            )
         self._check_opponents(bool(scenario.opponents))
         if scenario.setup.track not in self._assets.tracks:
             raise ConfigError(
@@ -328,15 +332,15 @@ class BranchingRace(ClonableEnv):
         if bots != [driver.is_game_ai for driver in drivers]:
             raise ConfigError(
                 f"the scenario has {len(bots)} opponents, {sum(bots)} of them driven by the game; "
-                "this environment's are others; make one with the same"
+                "this environment has different ones; create one with the same opponents"
             )
         return drivers
 
     def _check_opponents(self, has_opponents: bool) -> None:
         if has_opponents != (self._opponents is not None):
             raise ConfigError(
-                f"the moment is of a race with{'' if has_opponents else 'out'} opponents, unlike "
-                "this environment's races; make one with the same opponents"
+                f"the saved race has {'' if has_opponents else 'no '}opponents, unlike this "
+                "environment's races; create an environment with the same opponents"
             )
 
     def _roster(self) -> RaceRoster:
@@ -346,8 +350,8 @@ class BranchingRace(ClonableEnv):
     def _check_roster(self, what: str, roster: RaceRoster) -> None:
         if roster != self._roster():
             raise ConfigError(
-                f"the {what} is of {roster}, but this environment has {self._roster()}; take one "
-                "with the same"
+                f"the {what} has {roster}, but this environment has {self._roster()}; use an "
+                "environment with the same"
             )
 
     def _moment(self) -> Moment:
@@ -386,6 +390,6 @@ def _check_beside(what: str, options: Mapping[str, Any]) -> None:
     both = ({*RaceOptions.__dataclass_fields__, "state"} - own) & set(options)
     if both:
         raise ConfigError(
-            f"options have a {what} and {', '.join(sorted(both))}, which the {what}'s race has "
-            "already; leave out one or the other"
+            f"options have a {what} and {', '.join(sorted(both))}, which the {what} already "
+            "determines; leave out one of them"
         )

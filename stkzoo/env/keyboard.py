@@ -120,7 +120,7 @@ def _action_in(seen: Any, chain: AgentChain, name: str) -> Any:
     action = seen.get("action") if isinstance(seen, dict) else None
     if action is None or action not in chain.action_space:
         raise ConfigError(
-            f"view {name} does not say which of its actions a key is: its wrappers do not turn "
-            'the entry "action" of what AI agents observe; pass keys_to_action to play()'
+            f"view {name} has no default keys, because its wrappers do not convert the "
+            'observation\'s entry "action"; pass keys_to_action to play()'
         )
     return action

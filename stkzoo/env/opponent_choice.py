@@ -74,7 +74,7 @@ class OpponentChoice:
             count = len(self._members)
         elif num_agents is None:
             raise ConfigError(
-                "a pool drives all karts that are no agents; say how many agents there are, such "
+                "a pool drives all karts that are not agents; say how many agents there are, such "
                 "as agents=1, or give a list such as opponents=[pool]"
             )
         else:

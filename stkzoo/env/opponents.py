@@ -65,12 +65,12 @@ class Opponent:
         """
         if self.instance is not None:
             raise self._uncopied(
-                "it runs in a process of its own; let it run here, by "
+                "it runs in its own process; to run it in this one, use "
                 f"find_driver({self.driver.source!r}, inline=True)"
             )
         parts = self.actor.args if isinstance(self.actor, partial) else (self.actor,)
         if any(isinstance(part, FunctionType) and part.__closure__ for part in parts):
-            raise self._uncopied("a function keeps it; give an object with __call__")
+            raise self._uncopied("its function is a closure; use an object with __call__ instead")
         try:
             return replace(self, actor=copy.deepcopy(self.actor))
         except Exception as error:

@@ -108,9 +108,9 @@ class Scenario:
         if digest_of(snapshot) != self.digest:
             here = version(_ENGINE)
             raise ConfigError(
-                f"the scenario on {self.setup.track!r} did not come out as it was saved, with "
-                f"{_ENGINE} {self.engine}; here is {here}. Use that version and the same data of "
-                "the game, or save the scenario again"
+                f"the scenario on {self.setup.track!r} does not repeat as recorded with "
+                f"{_ENGINE} {self.engine}; {here} is installed. Use that version and the same game "
+                "data, or save the scenario again"
             )
         return replace(begun, snapshot=snapshot)
 

@@ -54,7 +54,7 @@ def estimate_mean(
     strata: Sequence[Hashable],
     bounds: tuple[float, float] | None = None,
 ) -> Estimate | None:
-    """Returns the mean of one value per race, with a 95 % bootstrap interval.
+    """Returns the mean of one value per race, with a 95% bootstrap interval.
 
     The bootstrap resamples the races within each stratum, and draws one race less than the
     stratum has. The variance of the resampled means then matches that of the mean, even in small
@@ -96,7 +96,7 @@ def estimate_clustered(
     counts: npt.NDArray[np.float64],
     redrawn: npt.NDArray[np.float64] | None = None,
 ) -> Estimate | None:
-    """Returns the mean over clusters of values, with a 95 % bootstrap interval over clusters.
+    """Returns the mean over clusters of values, with a 95% bootstrap interval over clusters.
 
     The bootstrap resamples whole clusters, one less than there are, as in :func:`estimate_mean`.
     The interval covers other clusters of the same kind, such as other tracks. Percentiles of few
@@ -129,7 +129,7 @@ def estimate_clustered(
 
 
 def _student_t(freedom: int) -> float:
-    """Returns the 97.5 % quantile of Student's t, by bisection of the angle ``atan(t / sqrt(n))``.
+    """Returns the 97.5% quantile of Student's t, by bisection of the angle ``atan(t / sqrt(n))``.
 
     The probability is exact (Abramowitz and Stegun 1964, 26.7.3 and 26.7.4).
     """
@@ -170,7 +170,7 @@ def resampled_medians(
 
 
 def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Returns both ends ``(2, ...)`` of the central 95 % interval of draws ``(n, ...)``."""
+    """Returns both ends ``(2, ...)`` of the central 95% interval of draws ``(n, ...)``."""
     tail = 50 * (1 - CONFIDENCE)
     ends: npt.NDArray[np.float64] = np.percentile(np.asarray(draws), (tail, 100 - tail), axis=0)
     return ends

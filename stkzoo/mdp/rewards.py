@@ -157,7 +157,7 @@ class Reward:
             if value.shape != (step.num_kart,) or not np.isfinite(value).all():
                 raise ConfigError(
                     f"reward term {name!r} returned {value!r}, expected {step.num_kart} finite "
-                    "numbers, one a kart"
+                    "numbers, one per kart"
                 )
             values[name] = value * self.weights[name] if name in self.weights else value
         return values

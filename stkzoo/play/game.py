@@ -78,7 +78,7 @@ def _check(backend: str, rate: int, view: str) -> None:
         raise unknown_name("backend", backend, BACKENDS)
     if rate not in RATES:
         raise ConfigError(
-            f"rate is {rate!r}, expected one of {', '.join(map(str, RATES))} steps a second"
+            f"rate is {rate!r}, expected one of {', '.join(map(str, RATES))} steps per second"
         )
     if view not in VIEWS:
         raise unknown_name("view", view, VIEWS)

@@ -88,7 +88,7 @@ class RaceStanding:
 
     @property
     def outcome(self) -> str:
-        """Its finish time, or the completed share of the race, which is below 100 %."""
+        """Its finish time, or the completed share of the race, which is below 100%."""
         share = min(int(100 * self.progress), 99)
         return self.detail if self.has_finished else f"{share}% of the way"
 

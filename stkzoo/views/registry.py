@@ -24,7 +24,7 @@ VIEWS: dict[str, ViewFactory] = {}
 #: Views that need rendering. Environments support them; drivers do not.
 CAMERA_VIEWS: dict[str, ViewFactory] = {}
 
-_TELLS = {"ground": "shows the ground", "motion": "tells how the other karts move"}
+_SHOWN = {"ground": "the ground", "motion": "how the other karts move"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,11 @@ class View:
         """
         missing = sorted(self._own_extras() - extras_of(env.observation_space))
         if missing:
-            tells, env_id = _TELLS[missing[0]], f"supertuxkart/{self.name}-v0"
+            shown, env_id = _SHOWN[missing[0]], f"supertuxkart/{self.name}-v0"
             raise ConfigError(
-                f"the {self.name} view goes around an environment that {tells}. Choose "
+                f"the {self.name} view needs an environment that observes {shown}. Choose "
                 f"view={self._with_its_options(self.name)!r}, and write in an agent's module "
-                f"env_name = {self._with_its_options(env_id)!r} as it stands here. Found "
+                f"env_name = {self._with_its_options(env_id)!r}, as a literal. Found "
                 f"{shortened(env.observation_space, 200)}"
             )
         for wrapper in self.wrappers:

@@ -31,7 +31,7 @@ SHIPPED = (
     View("full", "Everything a kart sees, in lists of varying length; the game's own actions."),
     View(
         "ground",
-        "``full``, and what is beside the road ahead: walls, drops, what slows, zippers.",
+        "``full``, and the ground beside the road ahead: walls, drops, slow ground, zippers.",
         needs=frozenset({"ground"}),
     ),
     View(
@@ -41,12 +41,12 @@ SHIPPED = (
     ),
     View(
         "flattened",
-        "``simple`` as one continuous and one discrete vector, both ways.",
+        "``simple``, with observations and actions as one continuous and one discrete vector.",
         (*_SIMPLE, FlattenerWrapper),
     ),
     View(
         "flattened_continuous_actions",
-        "``flattened``, acting by acceleration and steering alone.",
+        "``flattened``, with acceleration and steering as the only actions.",
         _CONTINUOUS,
     ),
     View(
@@ -56,43 +56,43 @@ SHIPPED = (
     ),
     View(
         "flattened_discrete",
-        "``flattened_multidiscrete`` with one number for the whole action.",
+        "``flattened_multidiscrete``, with one number for the whole action.",
         _DISCRETE,
     ),
     View(
         "box_discrete",
-        "``flattened_discrete`` with all observations in one vector.",
+        "``flattened_discrete``, with the whole observation in one vector.",
         (*_DISCRETE, JoinedObservations),
     ),
     View(
         "box_continuous",
-        "``flattened_continuous_actions`` with all observations in one vector.",
+        "``flattened_continuous_actions``, with the whole observation in one vector.",
         (*_CONTINUOUS, JoinedObservations),
     ),
     View(
         "masked_discrete",
-        "``box_discrete``, and a mask of the actions that can do something.",
+        "``box_discrete``, with a mask of the actions that have an effect.",
         (*_DISCRETE, ActionMasks, JoinedObservations),
     ),
     View(
         "racing",
-        "The road ahead and what is near as one vector of fixed size; acting by a few choices.",
+        "The road ahead, nearby karts and items as one vector; five small choices as the action.",
         (RacingObservations, RacingActions),
     ),
     View(
         "control",
-        "``simple``, acting by speed [m/s] and steering angle [rad].",
+        "``simple``, with speed [m/s] and steering angle [rad] as the action.",
         (*_SIMPLE, ControlWrapper),
     ),
     View(
         "flattened_control",
-        "``flattened``, acting by speed and steering angle, each from -1 to 1.",
+        "``flattened``, with speed and steering angle as the action, each from -1 to 1.",
         (*_SIMPLE, ControlWrapper, FlattenerWrapper),
         options={"normalize_act": True},
     ),
     View(
         "camera",
-        "``flattened_discrete``, and the picture of the kart's camera, 84 by 84 pixels.",
+        "``flattened_discrete``, with the picture of the kart's camera, 84 by 84 pixels.",
         (*_DISCRETE, CameraObservations),
         needs=frozenset({"camera"}),
     ),

@@ -172,7 +172,7 @@ def change_card(folder, **facts):
 def test_weights_with_invalid_shapes_or_values_are_refused():
     weights = network()
     weights["w0"] = weights["w0"][:-1]
-    with pytest.raises(ConfigError, match="of another version"):
+    with pytest.raises(ConfigError, match="from another version"):
         check_shapes(weights, "w")
     weights = network()
     weights["b2"][3] = np.nan

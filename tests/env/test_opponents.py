@@ -292,8 +292,8 @@ def keeps(_, __, ___):
 @pytest.mark.parametrize(
     ("opponent", "why"),
     [
-        (str(AGENTS / "plain"), r"process of its own; let it run here, by find_driver\("),
-        (Driver.of_actor("keeps", keeps), "give an object with __call__"),
+        (str(AGENTS / "plain"), r"its own process; to run it in this one, use find_driver\("),
+        (Driver.of_actor("keeps", keeps), "use an object with __call__"),
     ],
 )
 def test_an_opponent_whose_memory_cannot_be_copied_is_an_error(opponent, why):

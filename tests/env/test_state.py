@@ -240,7 +240,7 @@ def test_a_reset_to_a_state_refuses_another_track(env):
 def test_a_reset_to_a_race_that_is_over_is_refused():
     with make(max_cycles=5) as env:
         state = started(env, 5).save_state()
-        with pytest.raises(ApiOrderError, match="nobody can act"):
+        with pytest.raises(ApiOrderError, match="no agent can act"):
             env.reset(options={"state": state})
 
 

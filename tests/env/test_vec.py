@@ -287,7 +287,7 @@ def test_options_of_reset_override_those_of_set_options():
         ({"trakc": "hacienda"}, "unknown option 'trakc'.*Did you mean 'track'"),
         ({"track": "hacienda2"}, "unknown track"),
         ({"num_kart": 5}, "5 karts in an environment of 3"),
-        ([{}], "a list of 2, one a race"),
+        ([{}], "a list of 2, one per race"),
         ([{}, {"difficulty": 9}], "difficulty is 9"),
         (7, "options is 7"),
     ],
@@ -307,8 +307,8 @@ def test_set_options_refuses_moments_of_other_races(two_races, tmp_path):
         with env.save_state() as state:
             scenario = env.scenario()
             for options, message in (
-                ({"state": state}, "the state is of 4 karts and 4 agents, but"),
-                ({"scenario": scenario}, "the scenario is of 4 karts and 4 agents, but"),
+                ({"state": state}, "the state has 4 karts and 4 agents, but"),
+                ({"scenario": scenario}, "the scenario has 4 karts and 4 agents, but"),
                 ({"state": 3}, "state is 3, expected what save_state"),
                 ({"scenario": tmp_path / "none"}, "cannot be read"),
             ):
@@ -655,7 +655,7 @@ def test_infos_of_wrappers_can_be_arrays():
 
 def test_a_list_of_seeds_of_another_length_is_refused():
     envs = make()
-    with pytest.raises(ConfigError, match="one a race"):
+    with pytest.raises(ConfigError, match="one per race"):
         envs.reset(seed=[1, 2, 3])
     envs.close()
 

@@ -53,8 +53,6 @@ def blocks(page, language):
 SHORTER = [
     ("README.md", "learn(1_000_000)", "learn(256)"),
     ("README.md", '("MultiInputPolicy", envs', '("MultiInputPolicy", envs, n_steps=32'),
-    ("docs/how-to/quickstart.md", "model.learn(1_000_000)", "model.n_steps; model.learn(1)"),
-    ("docs/how-to/quickstart.md", "seed=1, device", "n_steps=32, seed=1, device"),
     ("docs/how-to/stable-baselines3.md", "learn(1_000_000)", "learn(1)"),
     ("docs/how-to/stable-baselines3.md", "seed=1)\nfor", "seed=1, max_steps=20)\nfor"),
     ("docs/how-to/stable-baselines3.md", "learn(500_000", "learn(1"),
@@ -81,11 +79,6 @@ SHORTER = [
 
 #: Blocks that do not run: the page, a part of the block, and the reason.
 NOT_RUN = [
-    (
-        "docs/how-to/quickstart.md",
-        "ray.rllib",
-        "RLlib wants an older Gymnasium: benchmarks/ecosystem.py",
-    ),
     (
         "docs/how-to/rllib.md",
         "ray.rllib",

@@ -73,8 +73,8 @@ def test_a_single_name_is_completed_with_the_default():
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["speed", "accl"], "two of one kind"),
-        (["steering_angle", "steering_speed"], "two of one kind"),
+        (["speed", "accl"], "two names of the same kind"),
+        (["steering_angle", "steering_speed"], "two names of the same kind"),
         (["speed", "wheel"], "'wheel', expected one of accl, speed"),
         ([], "expected one of"),
         (["speed", "accl", "steering_angle"], "expected one of"),

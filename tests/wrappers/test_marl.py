@@ -136,7 +136,7 @@ def test_a_multidiscrete_mask_joins_the_masks_of_its_choices():
 
 
 def test_masks_need_discrete_actions():
-    with pytest.raises(Exception, match="goes around flattened_multidiscrete"):
+    with pytest.raises(Exception, match="wraps flattened_multidiscrete"):
         race(view=masked("flattened"))
 
 
@@ -301,7 +301,7 @@ def test_spaces_of_an_unknown_agent_are_refused(make):
         ({"teams": [[0, 1], [2]]}, "'kart_3' is in 0 teams"),
         ({"teams": [[0, 1], [1, 2, 3]]}, "'kart_1' is in 2 teams"),
         ({"teams": [[0, 1, 2, 3, 4]]}, "unknown agent 4"),
-        ({"teams": [[0, 1, 2, 3], []]}, "no list of agents, or empty"),
+        ({"teams": [[0, 1, 2, 3], []]}, "not a list of agents, or is empty"),
         ({"teams": [[0, 1, 2, 3]], "share": 1.5}, "share is 1.5"),
     ],
 )

@@ -219,11 +219,11 @@ def test_agents_on_servers_can_request_motion(agent):
     [
         (
             lambda: MonoAgentWrapperAdapter(race_v0.parallel_env(num_kart=1), {0: WITH_MOTION}),
-            "the simple view goes around an environment that tells how the other karts move",
+            "the simple view needs an environment that observes how the other karts move",
         ),
         (
             lambda: ConstantSizedObservations(gym.make("supertuxkart/full-v0"), karts_motion=True),
-            "karts_motion needs an environment that tells how the other karts move",
+            "karts_motion needs an environment that observes how the other karts move",
         ),
         (
             lambda: gym.make("supertuxkart/simple-v0", karts_motion="yes"),

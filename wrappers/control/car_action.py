@@ -231,7 +231,9 @@ def _kinds(control_input: object) -> tuple[type[LongitudinalAction], type[SteerA
         if not kind.is_valid(name):
             raise ConfigError(f"control_input has {name!r}, {_EXPECTED}")
         if kind in found:
-            raise ConfigError(f"control_input is {control_input!r}, two of one kind; {_EXPECTED}")
+            raise ConfigError(
+                f"control_input is {control_input!r}, two names of the same kind; {_EXPECTED}"
+            )
         found[kind] = kind.from_string(name)
     return (
         found.get(LongitudinalActionEnum, SpeedAction),

@@ -93,7 +93,7 @@ class CarParameters:
             tan(s)``.
         speed_gain: gain of the speed controller: acceleration per speed error [1/s].
         T_steer: time constant of the wheels [s]. They follow a ``steering_angle`` with a
-            first-order lag and cover 63 % of the way in this time. With 0, only ``sv_max`` limits
+            first-order lag and cover 63% of the way in this time. With 0, only ``sv_max`` limits
             them.
     """
 

@@ -48,7 +48,7 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
             or not isinstance(env.action_space, (spaces.Discrete, spaces.MultiDiscrete))
         ):
             raise ConfigError(
-                "ActionMasks goes around flattened_multidiscrete or flattened_discrete. Found "
+                "ActionMasks wraps flattened_multidiscrete or flattened_discrete. Found "
                 f"observations {space!r:.200} and actions {env.action_space!r:.200}"
             )
         inner: Any = flattener.env.observation_space

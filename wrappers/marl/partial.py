@@ -55,7 +55,7 @@ class PartialObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper
             if not isinstance(space.spaces.get(key), gym.spaces.Sequence):
                 raise ConfigError(
                     f"PartialObservations needs a list (a Sequence space) under {key!r}, but found "
-                    f"{space.spaces.get(key)!r}. It goes around the full view."
+                    f"{space.spaces.get(key)!r}. Use it around the full view."
                 )
         refuse_polar(space, "PartialObservations", "inside PolarObservations")
 

@@ -1,7 +1,7 @@
 """Words in the view of one kart, for agents that talk in races.
 
 In a race, each agent is wrapped on its own, so no :class:`~stkzoo.wrappers.marl.MessageChannel`
-goes around all of them. Instead, the race adds the words to the observations of the kart and takes
+wraps all of them. Instead, the race adds the words to the observations of the kart and takes
 them from its actions (:class:`WordChannel`), and :class:`TalkingView` gives both the form of
 ``MessageChannel``.
 """

@@ -191,7 +191,7 @@ def _checked_teams(
             f"teams is {teams!r}, expected a list of teams, each a list of agents: [[0, 1], [2, 3]]"
         )
     if any(isinstance(team, str) or not isinstance(team, Sequence) or not team for team in teams):
-        raise ConfigError(f"a team of {teams!r} is no list of agents, or empty")
+        raise ConfigError(f"a team of {teams!r} is not a list of agents, or is empty")
     found = tuple(tuple(find_agent(name, agents) for name in team) for team in teams)
     members = [agent for team in found for agent in team]
     for agent in agents:

@@ -55,7 +55,7 @@ _HANGING = ", ".join(kind.name for kind in ATTACHMENTS)
 #: Unit and meaning of each part.
 MEANINGS: dict[str, tuple[str, str]] = {
     "velocity": ("20 m/s", "the kart's velocity: right, up, ahead"),
-    "max_steer_angle": ("rad", "the wheels' angle at full lock, at this speed"),
+    "max_steer_angle": ("rad", "the wheels' angle at full lock, at the current speed"),
     "skeed_factor": ("", "how much the kart skids; 1 is not at all"),
     "energy": ("20 s", "nitro in the tank"),
     "attachment_time_left": ("10 s", "how long the attachment stays"),

@@ -85,8 +85,8 @@ def check_resumed(
     """
     if set(before) != set(now):
         raise ConfigError(
-            f"the run in {str(folder)!r} is of another version of stkzoo, with other arguments; "
-            "give another --output (and --init with its newest policy to start from that)"
+            f"the run in {str(folder)!r} is from another version of stkzoo, with different "
+            "arguments; give another --output (and --init with its newest policy to start from it)"
         )
     given = json.loads(json.dumps(now))
     changed = [f"{n} was {before[n]!r}, now {given[n]!r}" for n in given if before[n] != given[n]]

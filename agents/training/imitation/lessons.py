@@ -113,9 +113,9 @@ class Lesson:
                     f"actions has the shape {actions.shape}, expected {len(seen)} rows"
                 )
             if seen.ndim != 2 or seen.dtype != np.float32 or not np.isfinite(seen).all():
-                raise Unreadable("observations are no finite numbers")
+                raise Unreadable("observations are not finite numbers")
             if (actions < 0).any() or (actions >= CHOICES).any():
-                raise Unreadable("actions are no choices")
+                raise Unreadable("actions are not valid choices")
             ratios = typed(tuple[float, ...], found["ratios"].tolist())
             return cls(seen, actions, ratios, typed(Count, found["finished"].tolist()))
 

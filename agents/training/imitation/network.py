@@ -71,7 +71,7 @@ def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]
 
 
 def held_out(count: int, seed: Sequence[int]) -> npt.NDArray[np.bool_]:
-    """Returns which examples of a lesson are held out, ``(count,)``: 5 % of them, in blocks.
+    """Returns which examples of a lesson are held out, ``(count,)``: 5% of them, in blocks.
 
     Args:
         count: number of examples.

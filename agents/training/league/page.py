@@ -68,7 +68,7 @@ def page(
 <p>{steps:,} kart-steps, {len(members)} members, {len(matches)} matches of up to four members and
 one of the game's AI at its hardest.</p>
 <h2>Ratings</h2>
-<p>Plackett-Luce, of the orders of all matches; 25 is the mean, the bands are 95 % intervals. Each
+<p>Plackett-Luce, of the orders of all matches; 25 is the mean, the bands are 95% intervals. Each
 point is a past self, where the league was when it was kept.</p>
 {_chart(members, players, ratings)}
 <h2>Who beats whom</h2>

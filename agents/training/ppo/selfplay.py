@@ -4,7 +4,7 @@
 
 One policy drives all karts of many races, against itself and against the game's AI, and is trained
 with proximal policy optimization (Schulman et al., 2017). A small network sees the racing view
-(:mod:`stkzoo.wrappers.racing`), the driver's memory, and the worth of plans for the next two
+(:mod:`stkzoo.wrappers.racing`), the driver's memory, and the values of plans for the next two
 seconds (:mod:`stkzoo.agents.planning`). It chooses which maneuver to begin, nitro and fire, and
 optionally a steering offset from the plan. Training starts from the driver that takes the best
 plan. Half of the karts, drawn for each race, drive mirrored left to right. The reward is the

@@ -202,7 +202,7 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
         wrong = f"{package} unpacked to wrong or missing files: md5sum"
         _run(["md5sum", "--check", "--quiet", "md5sums"], folder=whole, name=wrong)
         if not (whole / _INSIDE).is_dir():
-            raise AssetError(f"{package} holds no files in {_INSIDE}.")
+            raise AssetError(f"{package} has no files in {_INSIDE}.")
         (whole / _INSIDE).replace(target / "data")
 
 

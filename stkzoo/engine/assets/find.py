@@ -112,7 +112,7 @@ def _look(source: str, path: Path, root_of: Callable[[Path], Path] = Path) -> Pl
 
 def _downloaded(root: Path) -> Path:
     if not (root / "__downloaded__.txt").is_file():
-        raise AssetError(f"the download of pystk2 in {root} was never finished.")
+        raise AssetError(f"the download of pystk2 in {root} is incomplete.")
     return root
 
 

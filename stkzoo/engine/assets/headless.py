@@ -170,13 +170,13 @@ def read_archive(file: Path, target: Path, progress: Progress) -> None:
         marker = read_marker(target)
     except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError) as error:
         raise AssetError(
-            f"{file} is broken or no archive of `stkzoo assets pack --output`: {error}. "
+            f"{file} is damaged, or not written by `stkzoo assets pack --output`: {error}. "
             f"Copy it again, or make a new one."
         ) from error
     except OSError as error:
         raise AssetError(f"{file} cannot be unpacked: {error}.") from error
     if marker is None or not marker.headless:
-        raise AssetError(f"{file} holds no headless pack.")
+        raise AssetError(f"{file} does not contain a headless pack.")
 
 
 class _XzReader:
@@ -311,7 +311,8 @@ def _check_member(member: tarfile.TarInfo, target: Path, left: int) -> None:
         )
     if not member.isreg() or len(path.parts) > _MAX_DEPTH or (target / name).exists():
         raise AssetError(
-            f"the archive's member {name[:100]!r} is no plain file, lies too deep, or comes twice."
+            f"the archive's member {name[:100]!r} is not a regular file, is nested too "
+            "deep, or occurs twice."
         )
     most = _MAX_XML if path.suffix in (".xml", ".json") else _MAX_SIZE
     if not 0 <= member.size <= most:

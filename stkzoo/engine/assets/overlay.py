@@ -48,7 +48,7 @@ def _check_version(data: Path) -> None:
     if not any((data / f"supertuxkart.{version}").exists() for version in _KNOWN_VERSIONS):
         found = sorted(path.name for path in data.glob("supertuxkart.*"))
         raise AssetError(
-            f"{data} is of another version of the game ({', '.join(found) or 'not marked'}); "
+            f"{data} is from another version of the game ({', '.join(found) or 'not marked'}); "
             f"races need data of {' or '.join(_KNOWN_VERSIONS)}."
         )
 
@@ -59,7 +59,7 @@ def _adapt_skin(skins: Path) -> None:
         return
     others = sorted(path.name for path in skins.iterdir() if (path / "stkskin.xml").exists())
     if not others:
-        raise AssetError(f"{skins} holds no skin.")
+        raise AssetError(f"{skins} has no skin.")
     classic.symlink_to("peach" if "peach" in others else others[0])
 
 
@@ -68,7 +68,7 @@ def _adapt_fonts(fonts: Path) -> None:
     usable += sorted(path for path in fonts.iterdir() if path.is_file())
     dangling = [path for path in fonts.iterdir() if not path.exists()]
     if dangling and not usable:
-        raise AssetError(f"{fonts} holds no font.")
+        raise AssetError(f"{fonts} has no font.")
     for font in dangling:
         font.unlink()
         link_or_copy(usable[0], font)

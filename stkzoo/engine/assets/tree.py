@@ -124,13 +124,13 @@ def check_shape(root: Path) -> None:
     if not data.is_dir():
         hint = " (this is a data folder: use its parent folder)"
         above = (root / "stk_config.xml").is_file()
-        raise AssetError(f"{root} holds no folder 'data'{hint if above else ''}.")
+        raise AssetError(f"{root} has no folder 'data'{hint if above else ''}.")
     for name in ("stk_config.xml", f"supertuxkart.{ENGINE_DATA_VERSION}"):
         if not (data / name).is_file():
-            raise AssetError(f"{data} holds no file {name!r}, without which the game stops.")
+            raise AssetError(f"{data} has no file {name!r}, which the game needs.")
     for name in ("karts", "skins/classic", "tracks", "ttf"):
         if not (data / name).is_dir():
-            raise AssetError(f"{data} holds no folder {name!r}, without which the game stops.")
+            raise AssetError(f"{data} has no folder {name!r}, which the game needs.")
     for font in (data / "ttf").iterdir():
         if not font.exists():
             raise AssetError(f"the font {font} is a link to a file that is not there.")

@@ -270,7 +270,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             options = [options] * self.num_races
         if not isinstance(options, Sequence) or len(options) != self.num_races:
             raise ConfigError(
-                f"options is {options!r}, expected a dict or a list of {self.num_races}, one a race"
+                f"options is {options!r}, expected a dict or a list of {self.num_races}, "
+                "one per race"
             )
         by_race = [{} if own is None else own for own in options]
         for row, own in zip(self._rows, by_race, strict=True):

@@ -54,7 +54,9 @@ class MapFilm(Document):
         if len({len(way) for way in self.karts.values()}) > 1 or any(
             len(way) % 2 for way in self.karts.values()
         ):
-            raise ConfigError("the karts of the film have different moments, or half a place")
+            raise ConfigError(
+                "the karts of the film have different numbers of positions, or half a position"
+            )
 
     def to_json(self) -> str:
         """Returns the film as one line of JSON."""

@@ -57,7 +57,7 @@ def _draw_ratings(axes: Any, result: TournamentResult, labels: list[str]) -> Non
     axes.set_yticks(range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.7)
     axes.margins(x=0.08)
-    style_axes(axes, "Rating, with 95 % interval")
+    style_axes(axes, "Rating, with 95% interval")
 
 
 def _draw_matrix(axes: Any, result: TournamentResult, labels: list[str]) -> None:

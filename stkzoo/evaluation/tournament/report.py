@@ -136,7 +136,7 @@ class TournamentReport:
         lines = "".join(self._standing(row, low, span) for row in rows)
         return (
             '<section><h2>Standings</h2><div class="scroll"><table><thead><tr>'
-            '<th class="n">#<th>Agent<th class="n">Rating<th class="chart">95 % interval'
+            '<th class="n">#<th>Agent<th class="n">Rating<th class="chart">95% interval'
             '<th class="n wide">Wins'
             '<th class="n wide">Races<th class="n wide">Mean place<th class="n wide">Finished'
             f'<th class="n">Failed</tr></thead><tbody>{lines}</tbody></table></div>'

@@ -372,7 +372,7 @@ class Connection:
 
     def _decide(self, seat: int, outcome: Decision | Failure) -> None:
         if seat not in self._asked:
-            raise ProtocolError(f"an answer of seat {seat}, which was not asked")
+            raise ProtocolError(f"an answer for seat {seat}, which was not requested")
         self._asked.discard(seat)
         self._answers[seat] = outcome
 

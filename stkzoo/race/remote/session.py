@@ -209,7 +209,7 @@ class ClientSession(threading.Thread):
         step = protocol.field(fields, "step", int)
         observations = dict(map(_observation, protocol.field(fields, "observations", list)))
         if len(observations) < len(fields["observations"]):
-            raise ProtocolError("a seat is asked twice")
+            raise ProtocolError("a seat is requested twice")
         failures: list[list[Any]] = []
         asked = [s for s, data in observations.items() if self._attempt(s, failures, _ask, data)]
         answers = [self._attempt(seat, failures, _answer) for seat in asked]

@@ -205,7 +205,7 @@ def _replay_of(members: dict[str, bytes]) -> Replay:
     if header.get("steps") != len(controls) or len(members[_DIGESTS]) != size:
         raise Unreadable(f"{_CONTROLS} has {len(controls)} steps, and steps or {_DIGESTS} do not")
     if sorted(replay.start_positions) != list(range(1, count + 1)):
-        raise Unreadable("start_positions does not have each place once")
+        raise Unreadable("start_positions does not contain each place once")
     if len(replay.kart_types) != count:
         raise Unreadable(f"kart_types has {len(replay.kart_types)} entries, expected {count}")
     settings: dict[str, Any] = {name: getattr(replay, name) for name in _SETTINGS}

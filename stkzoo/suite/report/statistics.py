@@ -48,7 +48,7 @@ class ScoreTable:
 
 
 def estimate(statistic: Statistic, *tables: ScoreTable) -> Estimate:
-    """Returns a statistic with a 95 % bootstrap interval over runs and columns.
+    """Returns a statistic with a 95% bootstrap interval over runs and columns.
 
     Args:
         statistic: function that takes as many tables ``(..., R, C)`` as there are, and returns one
@@ -68,7 +68,7 @@ def estimate(statistic: Statistic, *tables: ScoreTable) -> Estimate:
 def estimate_curve(
     statistic: Statistic, *tables: ScoreTable
 ) -> tuple[FloatArray, FloatArray | None, FloatArray | None]:
-    """Returns a statistic with several values, and both ends of their 95 % intervals.
+    """Returns a statistic with several values, and both ends of their 95% intervals.
 
     Args:
         statistic: as for :func:`estimate`; it returns ``(..., N)``.

@@ -146,9 +146,12 @@ LIES = {
     "another step": (lies(step=77), "an answer to step 77"),
     "another seat": (
         lies(decisions=[[5, encode(ACTION), 0.1, False]]),
-        "seat 5, which was not asked",
+        "seat 5, which was not requested",
     ),
-    "twice": (lies(decisions=[[0, encode(ACTION), 0.1, False]] * 2), "seat 0, which was not asked"),
+    "twice": (
+        lies(decisions=[[0, encode(ACTION), 0.1, False]] * 2),
+        "seat 0, which was not requested",
+    ),
     "no answer": (lies(decisions=[]), "no answer for seats [0]"),
     "odd action": (lies(decisions=[[0, b"\xc1", 0.1, False]]), "not a valid message"),
     "odd time": (lies(decisions=[[0, encode(ACTION), float("nan")]]), "a decision"),
