@@ -55,5 +55,8 @@ def test_races_per_core_are_multiplied_by_the_cores(monkeypatch, tmp_path):
     words = ["--only", "ppo", "--rounds", "1", "--races", "4", "--per-core", "--cores", "1", "16"]
     assert bench_learners.main([*words, "--output", str(output)]) == 0
     report = json.loads(output.read_text())
-    assert [(result["cores"], result["races"]) for result in report["results"]] == [(1, 4), (16, 64)]
+    assert [(result["cores"], result["races"]) for result in report["results"]] == [
+        (1, 4),
+        (16, 64),
+    ]
     assert "--per-core --" in report["command"]
