@@ -9,11 +9,14 @@ import ipaddress
 import os
 import secrets
 import signal
+import socket
 import stat
+import struct
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stkzoo.errors import ConfigError, StkzooError, reason
 
@@ -23,11 +26,15 @@ try:
 except ImportError:  # Windows
     fcntl = resource = None  # type: ignore[assignment]
 
+if TYPE_CHECKING:
+    from asyncio.trsock import TransportSocket
+
 __all__ = [
     "PART_FILES",
     "OwnDescriptor",
     "above_standard_streams",
     "atomic_write",
+    "bytes_received",
     "check_display",
     "check_exit_codes",
     "check_writable",
@@ -49,6 +56,8 @@ __all__ = [
 
 #: Glob pattern of the temporary files of :func:`atomic_write`.
 PART_FILES = ".*.part"
+#: Position of the number of received bytes in Linux's ``struct tcp_info``.
+_BYTES_RECEIVED = struct.Struct("@128xQ")
 
 
 def cpu_count() -> int:
@@ -379,3 +388,15 @@ def is_loopback(host: str) -> bool:
     """Returns whether an address or name can only be reached from this machine."""
     address = ip_address_of(host)
     return host.lower() == "localhost" or (address is not None and address.is_loopback)
+
+
+def bytes_received(connection: socket.socket | TransportSocket) -> int:
+    """Returns how many bytes a TCP connection has received; 0 if the system does not report it."""
+    if not hasattr(socket, "TCP_INFO"):
+        return 0
+    try:
+        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED.size)
+        received: int = _BYTES_RECEIVED.unpack(info)[0]
+    except (OSError, struct.error):  # the connection is closed, or does not use TCP
+        return 0
+    return received

@@ -325,7 +325,8 @@ def open_zip(
         max_bytes: maximum size of the file [bytes]; by default, ``max_unpacked``.
 
     Raises:
-        Unreadable: a limit is exceeded, or a member is encrypted or has an unusual compression.
+        Unreadable: a limit is exceeded, a member is encrypted or has an unusual compression, or two
+            members have the same name.
         Exception: the zip is damaged; zipfile and zlib raise errors of many classes.
     """
     file = Path(path)
@@ -340,6 +341,9 @@ def open_zip(
         most = min(max_unpacked, _SMALL + _MAX_RATIO * file.stat().st_size)
         if sum(member.file_size for member in members) > most:
             raise Unreadable(f"unpacked it is larger than {most:,} bytes")
+        if len(archive.NameToInfo) < len(members):  # readers disagree about which one counts
+            names = Counter(member.filename for member in members)
+            raise Unreadable(f"it has the file {names.most_common(1)[0][0][:60]!r} more than once")
         yield archive
 
 
@@ -393,17 +397,18 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
     Raises:
         Unreadable: the header is invalid or does not match.
     """
+    name = repr(member.filename[:60])
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         if version != (1, 0):  # headers of other versions have no limit on their length
-            raise Unreadable(f"{member.filename} has version {version}, expected (1, 0)")
+            raise Unreadable(f"{name} has version {version}, expected (1, 0)")
         shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
         if dtype.kind not in _KINDS or not dtype.itemsize:
-            raise Unreadable(f"{member.filename} has the type {dtype!s:.60}, expected numbers")
+            raise Unreadable(f"{name} has the type {dtype!s:.60}, expected numbers")
         size = math.prod(shape) * dtype.itemsize
         if min(shape, default=0) < 0 or size != member.file_size - stream.tell():
             found = shortened(shape, 60)
-            raise Unreadable(f"{member.filename} has another size than its shape {found}")
+            raise Unreadable(f"{name} has another size than its shape {found}")
         data = bytearray(size)  # unlike bytes, makes the array writable
         for start in range(0, size, _BLOCK):
             block = stream.read(min(_BLOCK, size - start))

@@ -215,3 +215,22 @@ def test_a_long_invalid_value_is_not_in_the_message():
     with pytest.raises(ConfigError) as caught, reading("a", "b"):
         read_json(json.dumps("x" * 100_000)[:-1])
     assert len(str(caught.value)) < 400
+
+
+def test_a_zip_with_a_repeated_name_is_refused(tmp_path):
+    file = tmp_path / "a.zip"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("a", b"1")
+        with pytest.warns(UserWarning, match="Duplicate name"):
+            archive.writestr("a", b"2")
+    with pytest.raises(Unreadable, match="it has the file 'a' more than once"):
+        read_zip(file, {"a": 10})
+
+
+def test_the_name_of_an_array_cannot_control_the_terminal(tmp_path):
+    file = tmp_path / "a.npz"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("\x1b]0;gone\x07.npy", b"\x93NUMPY\x02\x00")
+    with pytest.raises(Unreadable, match="gone") as caught:
+        read_arrays(file, MEGABYTE)
+    assert str(caught.value).isprintable()

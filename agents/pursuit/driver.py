@@ -16,6 +16,7 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Spacing of the points at which the curve ahead is measured [m].
 _APART = 4.0
+_MAX_SPEED = 100.0  # [m/s]; no kart is as fast
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,8 @@ class PursuitDriver:
     def aim(self, observation: Mapping[str, Any]) -> tuple[float, float]:
         """Returns the steering angle [rad], positive to the right, and the target speed [m/s]."""
         rules = self.parameters
-        speed = max(float(observation["velocity"][2]), 0.0)
+        # An observation from a network can have any speed, and the curve's size depends on it.
+        speed = min(max(float(observation["velocity"][2]), 0.0), _MAX_SPEED)
         aim = rules.aim_distance + rules.aim_time * speed
         curve = np.arange(0.0, 12.0 + 1.2 * speed, _APART)
         _, around = surroundings_of(observation, np.array([aim, *curve], np.float32))

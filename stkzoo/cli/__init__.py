@@ -105,7 +105,9 @@ def _run(words: list[str]) -> int:
         with writing_stdout():
             return _exit_code(words)
     except StkzooError as error:
-        print(f"stkzoo: {error}", file=sys.stderr)
+        from stkzoo._schema import plain_text
+
+        print(f"stkzoo: {plain_text(str(error))}", file=sys.stderr)  # it may name strange files
         return 1
     except KeyboardInterrupt:
         print("stkzoo: interrupted", file=sys.stderr)

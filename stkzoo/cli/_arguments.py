@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo._arguments import CommandParser, add_options, option
+from stkzoo._schema import plain_text
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
 
@@ -31,7 +32,7 @@ def usage_errors(run: Run) -> Run:
         try:
             return run(arguments)
         except ConfigError as error:
-            arguments.fail(str(error))
+            arguments.fail(plain_text(str(error)))  # it may name strange files
             raise  # not reached: fail() exits
 
     return checked

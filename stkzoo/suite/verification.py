@@ -13,6 +13,7 @@ from typing import Any
 
 from stkzoo._os import cpu_count
 from stkzoo._reading import read_json, read_text, reading
+from stkzoo._schema import plain_text
 from stkzoo.drivers.driver import GAME_AI
 from stkzoo.errors import StkzooError, shortened
 from stkzoo.evaluation.batch.entrants import NAME_MARK
@@ -78,7 +79,7 @@ class VerifyOrder(RaceOrder):
         self._check_facts(replay)
         own = tuple(self.wait_for or ())
         live = {n: text for n, text in enumerate(self.drivers) if n not in own}
-        watch = _RaceWatch(replay, own, [n for n, text in live.items() if text not in GAME_AI])
+        watch = _RaceWatch(replay, own)
         playback = play_replay(replay, listeners=[watch], live=live)
         if playback.first_difference is not None:
             raise EntryRefused(f"step {playback.first_difference} differs from the recording")
@@ -86,39 +87,59 @@ class VerifyOrder(RaceOrder):
             raise EntryRefused(f"step {replay.steps}: {'; '.join(playback.result_differences)}")
         if replay_digest(folder, self.number) != self.replay:
             raise EntryRefused(f"the replay is not the one of {ENTRY_FILE} (SHA-256)")
-        if watch.first_other_action is not None:
-            raise EntryRefused(f"step {watch.first_other_action} has other controls of a rival")
+        if watch.other_controls:
+            raise EntryRefused(watch.other_controls)
+        recorded, measured = replay.result, playback.measured
+        assert recorded is not None  # noqa: S101 - the replay is not partial
+        agents = [f"kart_{number}" for number in own]
         _refuse_others(
             {
                 "kart_types": (replay.kart_types, watch.kart_types),
                 "names of the drivers": (
                     [agent.name for agent in replay.agents],
-                    [row.driver for row in _rows(playback.measured)],
+                    [row.driver for row in _rows(measured)],
                 ),
-                "drivers and rescues of the result": (
-                    _claims(replay.result),
-                    _claims(playback.measured),
-                ),
+                **_claims(recorded, measured, agents),
             }
         )
-        self._check_end(replay, watch.last_finish)
-        return playback.measured
+        self._check_end(replay, recorded, measured, watch.last_finish)
+        return _with_failures(measured, recorded, agents)
 
-    def _check_end(self, replay: Replay, last: int | None) -> None:
+    def _check_end(
+        self, replay: Replay, recorded: RaceResult, measured: RaceResult, last: int | None
+    ) -> None:
         """Checks that a race ended when and as the rules say.
 
         Args:
             replay: the race.
+            recorded: its result.
+            measured: result of the new race.
             last: step in which the last kart of the agent finished; ``None`` without one.
         """
         if last not in (None, replay.steps):
             raise EntryRefused(f"step {last} ends the race, and the recording has {replay.steps}")
-        ends = {"finished", "awaited_finished"}
-        if last is None:  # out of time, or retired after a failure
-            is_late = replay.steps == self.settings.max_steps
-            ends = {"max_steps"} if is_late else {*ends, "abandoned"}
-        if replay.status not in ends:
-            raise EntryRefused(f"step {replay.steps}: status is {shortened(replay.status)}")
+        own = {f"kart_{number}" for number in self.wait_for or ()}
+        driving = [  # before it has finished, only a failure ends a kart's race
+            row.agent
+            for row in recorded.agents
+            if row.agent in own
+            and row.finish_time is None
+            and not (row.status == "retired" and row.num_errors > 0)
+        ]
+        if driving and replay.steps < (self.settings.max_steps or math.inf):
+            raise EntryRefused(f"step {replay.steps} does not end the race of {driving[0]}")
+        if driving:
+            expected = "max_steps"
+        elif any(row.status == "racing" for row in measured.agents if row.agent not in own):
+            expected = "awaited_finished"
+        else:
+            is_any_finished = any(row.finish_time is not None for row in measured.agents)
+            expected = "finished" if is_any_finished else "abandoned"
+        for name, found in (("status", replay.status), ("status of the result", recorded.status)):
+            if found != expected:
+                raise EntryRefused(
+                    f"step {replay.steps}: {name} is {shortened(found)}, expected {expected!r}"
+                )
 
     def suspects(self) -> tuple[int, ...]:
         """See :meth:`RaceOrder.suspects`. No code of agents runs."""
@@ -173,33 +194,72 @@ def _rows(result: RaceResult | None) -> list[AgentResult]:
     return sorted(result.agents, key=lambda row: (len(row.agent), row.agent)) if result else []
 
 
-def _claims(result: RaceResult | None) -> list[tuple[str, str, int | None]]:
-    """Returns the facts of a result that playing a replay does not compare, for each agent."""
-    return [(row.driver, row.source, row.rescues) for row in _rows(result)]
+def _claims(
+    recorded: RaceResult, measured: RaceResult, own: Sequence[str]
+) -> dict[str, tuple[object, object]]:
+    """Returns facts of two results that playing a replay does not compare exactly, by name.
+
+    The agent's failures and all decision times are left out: a replay cannot show them.
+
+    Args:
+        recorded: result in the replay.
+        measured: result of the new race.
+        own: ids of the agent's karts.
+    """
+    pairs = [
+        {
+            "drivers and rescues of the result": [
+                (row.agent, row.driver, row.source, row.rescues) for row in result.agents
+            ],
+            "finish times of the result": [row.finish_time for row in result.agents],
+            "status and failures of the rivals": [
+                (row.status, row.num_errors, row.num_clipped, row.errors)
+                for row in result.agents
+                if row.agent not in own
+            ],
+            "finished karts of the result": [
+                row.agent for row in result.agents if row.status == "finished"
+            ],
+            "race_time of the result": result.race_time,
+        }
+        for result in (recorded, measured)
+    ]
+    return {name: (pairs[0][name], pairs[1][name]) for name in pairs[0]}
+
+
+def _with_failures(measured: RaceResult, recorded: RaceResult, own: Sequence[str]) -> RaceResult:
+    """Returns a result with the recorded numbers of the agent's failures.
+
+    Args:
+        measured: result of the new race.
+        recorded: result in the replay.
+        own: ids of the agent's karts.
+    """
+    failures = {row.agent: row.num_errors for row in recorded.agents if row.agent in own}
+    rows = (replace(row, num_errors=failures.get(row.agent, 0)) for row in measured.agents)
+    return replace(measured, agents=tuple(rows))
 
 
 class _RaceWatch(RaceListener):
-    """Finds when the agent's karts finish, and whether its rivals act as recorded.
+    """Finds when the agent's karts finish, and whether all karts are driven as recorded.
 
     Args:
         replay: the recorded race.
         own: numbers of the agent's karts.
-        rivals: numbers of the karts of drivers that act again.
 
     Attributes:
         kart_types: model of each kart, in grid order.
         last_finish: step in which the last of the agent's karts finishes; ``None`` if some have
             not finished.
-        first_other_action: first step in which a rival's action differs from the recording.
+        other_controls: the first step in which a recorded control differs; empty without one.
     """
 
-    def __init__(self, replay: Replay, own: Sequence[int], rivals: Sequence[int]) -> None:
+    def __init__(self, replay: Replay, own: Sequence[int]) -> None:
         self._replay = replay
         self._own = {f"kart_{number}" for number in own}
-        self._rivals = {f"kart_{number}": number for number in rivals}
         self.kart_types: tuple[str, ...] = ()
         self.last_finish: int | None = None
-        self.first_other_action: int | None = None
+        self.other_controls = ""
 
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -209,12 +269,11 @@ class _RaceWatch(RaceListener):
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         if self.last_finish is None and not self._own & set(race.env.agents):
             self.last_finish = race.steps
-        recorded = self._replay.controls[race.steps - 1]
-        for agent, number in self._rivals.items():
-            action = race.actions.get(agent)
-            row = controls_of(action) if action is not None else [0.0] * len(recorded[number])
-            if self.first_other_action is None and row != recorded[number].tolist():
-                self.first_other_action = race.steps
+        for number, recorded in enumerate(self._replay.controls[race.steps - 1].tolist()):
+            action = race.actions.get(f"kart_{number}")
+            row = controls_of(action) if action is not None else [0.0] * len(recorded)
+            if not self.other_controls and row != recorded:
+                self.other_controls = f"step {race.steps} has other controls of kart_{number}"
 
 
 def verify_entry(
@@ -311,7 +370,7 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
         problems.append(f"it has {len(entry.races)} of {len(expected.races())} races")
     names = {order.replay_file(folder).name for order in expected.orders()}
     if strange := names ^ {file.name for file in (folder / REPLAYS).glob("*")}:
-        shown = ", ".join(sorted(strange)[:_MAX_SHOWN])
+        shown = plain_text(", ".join(sorted(strange)[:_MAX_SHOWN]))
         problems.append(f"{REPLAYS} does not have exactly one replay per race; see {shown}")
     _refuse(problems)
 
@@ -320,26 +379,16 @@ def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceRe
     """Compares all numbers of an entry with those of the races that were run again."""
     plan = entry.plan
     measured = BenchmarkPlan.summarize(plan, results, Path()).races
-    races = tuple(_with_errors(race, own) for race, own in zip(measured, entry.races, strict=True))
     problems = [
         f"race {race.number} ({race.track} {direction_name(race.reverse)}), step "
         f"{results[race.number].steps}: {difference}"
-        for race, own in zip(races, entry.races, strict=True)
+        for race, own in zip(measured, entry.races, strict=True)
         if (difference := _difference(_plain(own), _plain(race)))
     ]
     _refuse(problems)
-    fresh = json.loads(replace(entry, races=races).to_json())
+    fresh = json.loads(replace(entry, races=measured).to_json())
     if difference := _difference(claimed, fresh):
         _refuse([f"{ENTRY_FILE}: {difference}"])
-
-
-def _with_errors(race: RaceOutcome, claimed: RaceOutcome) -> RaceOutcome:
-    """Returns an outcome with the claimed numbers of failures, which no replay can show."""
-    karts = tuple(
-        replace(kart, errors=own.errors)
-        for kart, own in zip(race.karts, claimed.karts, strict=True)
-    )
-    return replace(race, karts=karts)
 
 
 def _plain(race: RaceOutcome) -> Any:

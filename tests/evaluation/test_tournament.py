@@ -1,5 +1,6 @@
 """Tournaments run every race exactly once, even after interruptions."""
 
+import hashlib
 import json
 import os
 import shutil
@@ -26,6 +27,7 @@ from stkzoo.evaluation import (
     resume_tournament,
     run_tournament,
 )
+from stkzoo.evaluation.batch import entrants
 from stkzoo.evaluation.batch.entrants import fingerprint
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.ratings import rate
@@ -535,6 +537,17 @@ def test_the_fingerprint_of_an_agent_covers_all_its_files(source):
     names = {file.relative_to(home).as_posix() for file in on_disk if file.is_file()}
     assert set(files) == {name for name in names if "__pycache__" not in name}
     assert fingerprint("heuristic") == {}
+
+
+def test_the_fingerprint_of_an_agent_covers_a_bounded_amount_of_data(tmp_path, monkeypatch):
+    """A link in an agent's folder can name a file without end, such as /proc/self/pagemap."""
+    monkeypatch.setattr(entrants, "MAX_BYTES", 10_000)
+    for name in "ab":
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(1 << 42)
+    assert [*fingerprint(str(tmp_path)).values()] == [
+        hashlib.blake2b(bytes(size), digest_size=8).hexdigest() for size in (10_000, 0)
+    ]
 
 
 def test_the_fingerprint_of_a_module_covers_its_files():

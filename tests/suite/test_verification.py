@@ -7,6 +7,7 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
+from stkzoo.race.replay import load_replay, play_replay
 from stkzoo.suite import TASKS, EntryRefused, evaluate, plan_entry, verify_entry
 from tests.support.entries import (
     SMALL,
@@ -192,7 +193,7 @@ def test_controls_that_a_rival_did_not_choose_are_refused(entry):
     assert plan_entry(SMALL, "random").orders()[WITH_DRIVER].drivers[0] == "heuristic"
     change_controls(entry, WITH_DRIVER, brake)
     name_replays(entry)
-    expected = f"race {WITH_DRIVER} (lighthouse forward): step 101 has other controls of a rival"
+    expected = f"race {WITH_DRIVER} (lighthouse forward): step 101 has other controls of kart_0"
     assert expected in refusal(entry)
 
 
@@ -243,3 +244,90 @@ def test_an_entry_of_the_games_ai_is_verified(tmp_path, monkeypatch):
     monkeypatch.setitem(TASKS, SMALL.name, SMALL)
     written = evaluate(SMALL, "ai", output=tmp_path, plot=False)
     assert verify_entry(tmp_path).score == written.score
+
+
+@pytest.mark.slow
+def test_facts_of_the_replays_that_no_score_depends_on_are_also_verified(entry):
+    def change_row(agent, **changes):
+        def change(header):
+            (row,) = (row for row in header["result"]["agents"] if row["agent"] == agent)
+            row.update(changes)
+
+        return change
+
+    def finish_sooner(header):
+        header["result"]["agents"][0]["finish_time"] -= 0.005
+
+    def steer(controls):
+        controls[:, 1, 0] = 0.5
+        return controls
+
+    failure = {"step": 3, "kind": "error", "message": "x", "trace": ""}
+    failed = change_row("kart_1", num_errors=1, errors=[failure])
+    assert plan_entry(SMALL, "random").orders()[1].drivers[1] == "ai:3"
+    change_controls(entry, 1, steer)
+    for number, change in (
+        (0, lambda header: header["result"].update(status="max_steps")),
+        (2, finish_sooner),
+        (3, lambda header: header["result"].update(race_time=1.0)),
+        (4, failed),
+        (5, lambda header: header["result"]["agents"].reverse()),
+    ):
+        change_header(entry, number, change)
+    name_replays(entry)
+    text = refusal(entry)
+    for number, problem in enumerate(
+        [
+            "step 3[0-9]+: status of the result is 'max_steps', expected 'finished'",
+            "step 1 has other controls of kart_1",
+            "step 0: finish times of the result is",
+            "step 0: race_time of the result is 1.0",
+            "step 0: status and failures of the rivals is",
+            "step 0: drivers and rescues of the result is",
+        ]
+    ):
+        assert re.search(rf"race {number} .*: {problem}", text), text
+
+
+@pytest.mark.slow
+def test_another_reason_for_the_end_of_a_race_is_refused(entry):
+    def change(values):
+        values["status"] = "awaited_finished"
+
+    change_header(entry, ALONE, lambda header: [change(header), change(header["result"])])
+    card = read_entry(entry)
+    change(card["races"][ALONE])
+    write_entry(entry, card)
+    name_replays(entry)
+    assert "status is 'awaited_finished', expected 'finished'" in refusal(entry)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("status", ["abandoned", "finished", "awaited_finished"])
+def test_a_race_that_ends_early_without_a_failure_is_refused(entry, status):
+    change_controls(entry, ALONE, lambda controls: controls[:20])
+    change_header(entry, ALONE, lambda header: header.update(status=status, result=None))
+    shorter = play_replay(load_replay(replay_of(entry, ALONE))).measured
+    assert shorter.steps == 20
+    change_header(entry, ALONE, lambda header: header.update(result=shorter.to_dict()))
+    name_replays(entry)
+    expected = (
+        "does not end the race of kart_0" if status == "abandoned" else "expected 'abandoned'"
+    )
+    assert re.search(f"race 0 .*: step 20.* {expected}", refusal(entry))
+
+
+@pytest.mark.slow
+def test_other_numbers_of_failures_than_in_the_replays_are_refused(entry):
+    card = read_entry(entry)
+    card["races"][ALONE]["karts"][0]["errors"] = 3
+    write_entry(entry, card)
+    assert "karts[0].errors is 3, and the races give 0" in refusal(entry)
+
+
+def test_a_strange_file_name_cannot_control_the_terminal(entry, capsys):
+    (entry / "replays" / "\x1b]0;gone\x07").touch()
+    assert main(["suite", "verify", str(entry)]) == 1
+    shown = capsys.readouterr().err
+    assert "?]0;gone?" in shown
+    assert "\x1b" not in shown

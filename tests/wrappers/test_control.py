@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import tracemalloc
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 import stkzoo
 from benchmarks import step_responses
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
+from stkzoo.agents.pursuit.driver import PursuitDriver, PursuitState
 from stkzoo.drivers import Driver
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.race import run_race
@@ -549,6 +551,23 @@ def test_step_responses_are_measured_and_drawn(tmp_path, monkeypatch):
     assert responses["steering_speed"][0]["error"] < 0.1
     step_responses.draw(responses, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("speed", [1e6, 3e38])
+def test_the_pursuit_driver_needs_little_memory_for_an_impossible_speed(speed):
+    """A client of a server can send any observation."""
+    with race_v0.parallel_env(num_kart=1, track="lighthouse", view="full") as env:
+        observations, _ = env.reset(seed=1)
+    seen = observations["kart_0"]
+    PursuitDriver()(PursuitState(), seen)
+    fast = {**seen, "velocity": np.float32([0, 0, speed])}
+    tracemalloc.start()
+    try:
+        action = PursuitDriver()(PursuitState(), fast)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+    assert np.isfinite(action["control"]).all()
 
 
 def test_the_pursuit_driver_can_be_chosen_by_name():

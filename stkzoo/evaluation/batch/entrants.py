@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-from stkzoo._os import file_digest
 from stkzoo._schema import Within, plain_text
 from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
-from stkzoo.drivers.files import find_files, installed_module, name_of_files
+from stkzoo.drivers.files import MAX_BYTES, find_files, installed_module, name_of_files
 from stkzoo.drivers.sandbox import say_what_is_missing
 from stkzoo.errors import ConfigError
 from stkzoo.race.remote.drivers import ServedAgent
@@ -27,6 +26,7 @@ NAME_MARK = "@:"
 _MOST_FILES = 1000
 _MOST_CHARACTERS = 40
 _DIGEST_SIZE = 8
+_BLOCK = 1 << 20
 #: Folders and file name suffixes that a running agent may write beside its code.
 _IGNORED_FOLDERS, _IGNORED_ENDINGS = ("__pycache__",), (".pyc", ".log")
 
@@ -216,7 +216,8 @@ def fingerprint(source: str) -> dict[str, str]:
     """Returns digests of an agent's files, by path.
 
     Paths begin with the name of the agent's folder or file. Hidden files, logs, compiled modules
-    and all files after the first 1,000 are left out. Drivers that come with stkzoo have no files;
+    and all files after the first 1,000 are left out, and all content after the first GiB: a link of
+    the agent can name a file without end. Drivers that come with stkzoo have no files;
     stkzoo's version identifies them.
 
     Args:
@@ -225,8 +226,12 @@ def fingerprint(source: str) -> dict[str, str]:
     home = None if source in driver_names() else _home(source)
     if home is None:
         return {}
-    files = itertools.islice(_files(home), _MOST_FILES)
-    return {plain_text(file.relative_to(home.parent).as_posix()): _digest(file) for file in files}
+    found, left = {}, MAX_BYTES
+    for file in itertools.islice(_files(home), _MOST_FILES):
+        digest, size = _digest(file, left)
+        found[plain_text(file.relative_to(home.parent).as_posix())] = digest
+        left -= size
+    return found
 
 
 def _home(source: str) -> Path | None:
@@ -252,8 +257,14 @@ def _files(home: Path) -> Iterator[Path]:
                 yield file
 
 
-def _digest(file: Path) -> str:
+def _digest(file: Path, most: int) -> tuple[str, int]:
+    """Returns the digest of the beginning of a file and its size, which is at most ``most``."""
+    digest, size = hashlib.blake2b(digest_size=_DIGEST_SIZE), 0
     try:
-        return file_digest(file, hashlib.blake2b(digest_size=_DIGEST_SIZE))
+        with file.open("rb") as stream:
+            while block := stream.read(min(_BLOCK, most - size)):
+                digest.update(block)
+                size += len(block)
     except OSError:
-        return "unreadable"
+        return "unreadable", size
+    return digest.hexdigest(), size

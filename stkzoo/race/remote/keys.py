@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stkzoo._reading import Unreadable, is_there, read_text
+from stkzoo._schema import plain_text
 from stkzoo.errors import ConfigError, reason
 from stkzoo.race.remote.sockets import zmq_module
 
@@ -141,7 +142,7 @@ def _publics_of(file: Path) -> Iterable[list[str]]:
 
 def _lines_of(path: Path) -> list[list[str]]:
     try:
-        text = read_text(path, _MAX_BYTES)
+        text = plain_text(read_text(path, _MAX_BYTES))
     except (OSError, Unreadable) as error:
         raise ConfigError(
             f"the key {path} cannot be read: {reason(error)}; make one with: stkzoo keys new NAME"

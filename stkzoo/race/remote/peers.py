@@ -12,8 +12,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._os import max_descriptors, network_of
-from stkzoo.race.remote.sockets import MAX_UNREAD, bytes_received, zmq_module
+from stkzoo._os import bytes_received, max_descriptors, network_of
+from stkzoo.race.remote.sockets import MAX_UNREAD, zmq_module
 
 #: Connections use at most 1/4 of the process's file descriptors; agents need the others.
 _SHARE = 4

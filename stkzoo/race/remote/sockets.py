@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import re
 import socket
-import struct
 from collections.abc import Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from stkzoo._os import is_loopback
+from stkzoo._os import bytes_received, is_loopback
 from stkzoo.errors import ConfigError, RemoteError, StkzooError, import_extra
 from stkzoo.race.remote.protocol import LIMITS
 
@@ -86,8 +85,6 @@ _DOMAIN = b"stkzoo"
 _DESCRIPTORS = 24
 #: Maximum unread data of a connection that carries a race [bytes].
 MAX_UNREAD = 96 << 20
-#: Position of the number of received bytes in Linux's ``struct tcp_info``.
-_BYTES_RECEIVED = struct.Struct("@128xQ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,18 +213,6 @@ def _new_socket(
 def _why(error: Exception) -> str:
     """Returns ZeroMQ's reason without the address, which the error text already has."""
     return str(error).partition(" (addr=")[0]
-
-
-def bytes_received(connection: socket.socket) -> int:
-    """Returns how many bytes a TCP connection has received; 0 if the system does not report it."""
-    if not hasattr(socket, "TCP_INFO"):
-        return 0
-    try:
-        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED.size)
-        received: int = _BYTES_RECEIVED.unpack(info)[0]
-    except (OSError, struct.error):  # the connection is closed, or does not use TCP
-        return 0
-    return received
 
 
 class UnreadData:

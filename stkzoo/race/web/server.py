@@ -11,14 +11,14 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from aiohttp import web
 
 from stkzoo._logs import RepeatFilter
-from stkzoo._os import ip_address_of, is_loopback
+from stkzoo._os import bytes_received, ip_address_of, is_loopback
 from stkzoo.errors import ConfigError, reason
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceNews
@@ -230,16 +230,27 @@ class LiveServer:
         if refusal := self._gate.promote(transport):
             raise web.HTTPServiceUnavailable(text=f"{refusal}; try again later\n")
         try:
-            await self._serve_viewer(request, connection)
+            sent = partial(bytes_received, transport.get_extra_info("socket"))
+            await self._serve_viewer(request, connection, sent)
         finally:
             self._gate.demote(transport)
         return connection
 
-    async def _serve_viewer(self, request: web.Request, connection: web.WebSocketResponse) -> None:
+    async def _serve_viewer(
+        self,
+        request: web.Request,
+        connection: web.WebSocketResponse,
+        count_bytes: Callable[[], int],
+    ) -> None:
         await connection.prepare(request)
         may_steer = self._guard.may_steer(request.query.get("key", ""))
         viewer = Viewer(
-            connection, lambda: self.news, self._control, self._closing, may_steer=may_steer
+            connection,
+            lambda: self.news,
+            self._control,
+            self._closing,
+            count_bytes,
+            may_steer=may_steer,
         )
         self.num_viewers += 1
         try:

@@ -27,6 +27,9 @@ _MOMENT_PAUSE, _OBSERVATION_PAUSE = 1 / 30, 1 / 5
 _PATIENCE = 20.0
 #: Maximum number of messages from a viewer per second; a person sends fewer.
 _MOST_MESSAGES = 50
+#: Maximum data from a viewer per second [bytes], twice that of these messages. A message in endless
+#: parts never counts as a message.
+_MOST_BYTES = 100_000
 
 #: Methods of :class:`RaceControl` that a viewer may call.
 _COMMANDS = ("run", "pause", "step", "stop", "speed")
@@ -43,6 +46,7 @@ class Viewer:
         read_news: returns the current content of the page.
         control: control of the race.
         closing: event that is set when the page closes.
+        count_bytes: returns how many bytes the viewer has sent; 0 if unknown.
         may_steer: whether the viewer may control the race.
     """
 
@@ -52,16 +56,19 @@ class Viewer:
         read_news: Callable[[], RaceNews],
         control: RaceControl,
         closing: asyncio.Event,
+        count_bytes: Callable[[], int],
         *,
         may_steer: bool,
     ) -> None:
         self._socket, self._read_news, self._control = socket, read_news, control
         self._closing, self._may_steer = closing, may_steer
+        self._count_bytes = count_bytes
         self._sent: dict[str, Any] = {}  # last message of each kind
         self._step = -1  # last step of the traces that the viewer has
         self._watched: str | None = None
         self._next_observation = 0.0
         self._second, self._num_messages = 0, 0  # messages from the viewer in this second
+        self._data_second, self._num_before = 0, 0  # bytes from the viewer before this second
 
     async def serve(self) -> None:
         """Sends and receives until the viewer disconnects or the page closes."""
@@ -81,6 +88,7 @@ class Viewer:
         try:
             await self._put(encoded(hello))
             while not self._closing.is_set():
+                self._check_data()
                 await self._put_news()
                 await asyncio.sleep(_MOMENT_PAUSE)
             await self._put_news()
@@ -150,6 +158,13 @@ class Viewer:
         self._second = second
         if self._num_messages > _MOST_MESSAGES:
             raise ProtocolError(f"too many messages, expected at most {_MOST_MESSAGES} in a second")
+
+    def _check_data(self) -> None:
+        second, received = int(asyncio.get_running_loop().time()), self._count_bytes()
+        if second != self._data_second:
+            self._data_second, self._num_before = second, received
+        if received - self._num_before > _MOST_BYTES:
+            raise ConnectionAbortedError("too much data came")
 
     def _execute(self, message: Any) -> None:
         command = _parsed(message)

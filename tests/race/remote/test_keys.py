@@ -143,3 +143,10 @@ def test_the_command_makes_and_shows_keys(tmp_path, capsys):
     assert read_public(tmp_path / "ada.public") in capsys.readouterr().out
     assert main(["keys", "new", "ada", "--folder", str(tmp_path)]) == 2
     assert main(["keys", "show", str(tmp_path / "none")]) == 2
+
+
+def test_the_name_of_a_key_cannot_control_the_terminal(tmp_path, capsys):
+    file = tmp_path / "bob.public"
+    file.write_text(f"public {'a' * 40} \x1b]0;gone\x07bob\n")
+    assert main(["keys", "show", str(file)]) == 0
+    assert capsys.readouterr().out == f"public {'a' * 40} ?]0;gone?bob\n"

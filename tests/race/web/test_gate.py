@@ -164,6 +164,15 @@ def test_a_viewer_that_floods_the_page_with_messages_is_disconnected(page):
     assert asyncio.run(flood(lambda one: one.ping())) == 1008
 
 
+@pytest.mark.skipif(not hasattr(socket, "TCP_INFO"), reason="counts the bytes on Linux")
+def test_a_viewer_that_sends_a_message_in_endless_parts_is_disconnected(page):
+    first, more = (bytes([kind, 0x80]) + bytes(4) for kind in (1, 0))  # empty and not final
+    with socket.create_connection(("127.0.0.1", page.port), timeout=10) as one:
+        one.sendall(upgrade_request() + first)
+        with pytest.raises(ConnectionError):
+            one.sendall(more * 5_000_000)
+
+
 def test_a_ping_is_answered(page):
     with socket.create_connection(("127.0.0.1", page.port), timeout=10) as one:
         one.sendall(upgrade_request())
