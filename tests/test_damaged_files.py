@@ -127,7 +127,7 @@ def test_values_that_break_the_published_schema_are_refused(kind):
     validator.validate(valid)
     own = {entry.name: valid[entry.name] for entry in fields(kind)}
     checked = 0
-    for _ in range(300):
+    for _ in range(100):
         changed = mutate(own, source)
         text = json.dumps(valid | changed if isinstance(changed, dict) else changed)
         problems = [e for e in validator.iter_errors(json.loads(text)) if e.validator != "required"]
@@ -135,7 +135,7 @@ def test_values_that_break_the_published_schema_are_refused(kind):
             checked += 1
             place = list(problems[0].absolute_path)
             assert is_refused(kind, text), f"{place}: {problems[0].message[:200]}"
-    assert checked > 100
+    assert checked > 30
 
 
 def published_schemas():

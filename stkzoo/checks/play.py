@@ -308,6 +308,14 @@ def _fingerprints(path: str, value: Any) -> Iterator[tuple[str, str]]:
         yield path, fingerprint(value)
 
 
+def are_alike(values: Sequence[Any], dtype: np.dtype[Any] | None, shape: Any) -> bool:
+    """Whether all values are plain arrays with a dtype and a shape."""
+    return all(
+        type(value) is np.ndarray and value.dtype == dtype and value.shape == shape
+        for value in values
+    )
+
+
 def _packable(value: Any) -> Any:
     """Converts a value that msgpack does not support to its type and content."""
     kind = type(value).__name__
@@ -316,6 +324,9 @@ def _packable(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     if isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
+        first = value[0] if value else None
+        if isinstance(first, np.ndarray) and are_alike(value, first.dtype, first.shape):
+            return [kind, len(value), np.array(value)]  # faster than one by one
         return [kind, list(value)]
     return [kind, repr(value)]
 

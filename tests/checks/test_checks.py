@@ -20,7 +20,9 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from stkzoo import race_v0
-from stkzoo.checks import CHECKS, load_factory, play, run_check, trace
+from stkzoo.checks import CHECKS, CheckFailed, load_factory, play, run_check, trace
+from stkzoo.checks.play import fingerprint
+from stkzoo.checks.values import expect_in
 from stkzoo.errors import ConfigError
 from stkzoo.views import VIEWS
 
@@ -519,9 +521,17 @@ VIEW_CHECKS = (
     "bad_actions_are_refused",
 )
 RACE_CASES = [
-    (view, name)
-    for view in BUILT_IN_VIEWS
-    for name in (CHECKS if view in ("full", "flattened_discrete") else VIEW_CHECKS)
+    (view, name) for view in BUILT_IN_VIEWS for name in (CHECKS if view == "full" else VIEW_CHECKS)
+]
+# These checks also cover the memory of wrappers over a whole race.
+RACE_CASES += [
+    ("flattened_discrete", name)
+    for name in (
+        "actions_of_departed_agents_are_ignored",
+        "pickled_copies_play_the_same_race",
+        "seed_repeats_in_a_fresh_process",
+        "seed_repeats_in_one_env",
+    )
 ]
 
 
@@ -606,6 +616,41 @@ def test_a_factory_is_loaded_by_name():
 def test_a_missing_factory_is_a_config_error():
     with pytest.raises(ConfigError, match="cannot be loaded"):
         load_factory("stkzoo.race_v0:nothing")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.array([0, 2], np.float32),
+        np.array([0, np.nan], np.float32),
+        np.zeros(2, np.float64),
+        np.zeros(3, np.float32),
+    ],
+    ids=["above the bounds", "not a number", "another dtype", "another shape"],
+)
+def test_a_wrong_entry_of_a_sequence_is_named(wrong):
+    space, row = spaces.Sequence(spaces.Box(0, 1, (2,))), np.zeros(2, np.float32)
+    expect_in(space, (row, row), "seen")
+    with pytest.raises(CheckFailed, match=r"seen\[1\] (is|has dtype)"):
+        expect_in(space, (row, wrong), "seen")
+
+
+def test_a_fingerprint_distinguishes_sequences_of_arrays():
+    row = np.zeros(2, np.float32)
+    values = [
+        (row, row),
+        [row, row],
+        (row,),
+        (row, row, row),
+        (row, row + 1),
+        (row.astype(np.int32),) * 2,
+        (row[:, None], row[:, None]),
+        (row, row[:1]),
+        (np.stack([row, row]),),
+        np.stack([row, row]),
+    ]
+    assert len({fingerprint(value) for value in values}) == len(values)
+    assert fingerprint((row, row)) == fingerprint((row.copy(), row.copy()))
 
 
 def test_a_trace_distinguishes_types():

@@ -14,7 +14,7 @@ from unittest import mock
 import pytest
 
 from stkzoo.agents.training.common.command import command_parser
-from stkzoo.cli import build_parser
+from stkzoo.cli import build_parser, main
 from tests.support.docs_blocks import (
     NOT_RUN,
     ROOT,
@@ -27,17 +27,34 @@ from tests.support.docs_blocks import (
 )
 
 PAGES = pages()
-#: Runs each block in a new namespace, like a reader who copies only this block. A block can read
-#: files that an earlier one wrote.
+#: Reads names of folders. Forks a process for the blocks in each, and prints its exit status. Pages
+#: share the imports of other libraries, but not of stkzoo. Each block runs in a new namespace, like
+#: a reader who copies only this block. A block can read files that an earlier one wrote.
 RUNNER = """\
-import doctest, json, sys
-for page, line, code in json.load(open(sys.argv[1])):
-    names = {"__name__": "__main__"}
-    if ">>>" in code:
-        example = doctest.DocTestParser().get_doctest(code, names, page, page, line)
-        doctest.DebugRunner().run(example)
-    else:
-        exec(compile("\\n" * line + code, page, "exec"), names)
+import doctest, json, os, sys
+import gymnasium, matplotlib.pyplot, pettingzoo, stable_baselines3, torch
+
+def run_blocks(folder):
+    os.chdir(folder)
+    sys.path.insert(0, folder)
+    for number in (1, 2):
+        os.dup2(os.open("output.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND), number)
+    for page, line, code in json.load(open("blocks.json")):
+        names = {"__name__": "__main__"}
+        if ">>>" in code:
+            example = doctest.DocTestParser().get_doctest(code, names, page, page, line)
+            doctest.DebugRunner().run(example)
+        else:
+            exec(compile("\\n" * line + code, page, "exec"), names)
+
+for line in iter(sys.stdin.readline, ""):
+    if not (pid := os.fork()):
+        break
+    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    print(line.strip(), status, sep="\\t", flush=True)
+else:
+    sys.exit()
+run_blocks(line.strip())
 """
 
 #: Commands that run as written, with options that shorten them.
@@ -48,6 +65,8 @@ SHORT = {
     "karts": [],
     "keys": [],
 }
+#: The same for films; tests/race/test_video.py and tests/race/replay have the game render them.
+IN_FILMS = ["--render-backend", "map"]
 #: Commands that are only parsed here, and the tests that run them.
 PARSED = {
     "assets": "it is here already: tests/engine/test_assets.py",
@@ -82,9 +101,23 @@ def enter_folder(path, monkeypatch):
     monkeypatch.chdir(path)
 
 
+@pytest.fixture(scope="module")
+def runner():
+    """Starts the process that runs the Python blocks of pages."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, "-c", RUNNER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as process:
+        yield process
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")])
-def test_each_python_block_of_a_page_runs_on_its_own(page, tmp_path, monkeypatch):
+def test_each_python_block_of_a_page_runs_on_its_own(page, runner, tmp_path, monkeypatch):
     enter_folder(tmp_path, monkeypatch)
     to_run = []
     for block in blocks(page, "python"):
@@ -97,8 +130,10 @@ def test_each_python_block_of_a_page_runs_on_its_own(page, tmp_path, monkeypatch
         else:
             to_run.append((page, block.line, shortened(block)))
     (tmp_path / "blocks.json").write_text(json.dumps(to_run))
-    (tmp_path / "runner.py").write_text(RUNNER)
-    run([sys.executable, "runner.py", "blocks.json"])
+    print(tmp_path, file=runner.stdin, flush=True)
+    answers = (line.split("\t") for line in runner.stdout)
+    status = next((status for folder, status in answers if folder == str(tmp_path)), "none")
+    assert status == "0\n", f"{status}: {(tmp_path / 'output.txt').read_text()[-4000:]}"
 
 
 @pytest.mark.slow
@@ -158,7 +193,8 @@ def try_stkzoo(words):
     words = words[: words.index(">")] if ">" in words else words
     assert is_understood(words), f"stkzoo {' '.join(words)}"
     if words[0] in SHORT and not PARSED.keys() & set(words):
-        run([sys.executable, "-m", "stkzoo", *words, *SHORT[words[0]]])
+        options = [*SHORT[words[0]], *(IN_FILMS if "--video" in words else ())]
+        assert main([*words, *options]) == 0, f"stkzoo {' '.join(words)}"
 
 
 def is_understood(words):
@@ -167,12 +203,6 @@ def is_understood(words):
     except SystemExit as end:
         return end.code == 0
     return True
-
-
-def run(words):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(words, capture_output=True, text=True, env=environment, timeout=300)
-    assert done.returncode == 0, f"{words}\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
 
 
 @pytest.mark.parametrize(("page", "part", "reason"), NOT_RUN)

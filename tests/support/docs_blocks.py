@@ -51,7 +51,11 @@ def blocks(page, language):
 #: Replacements in blocks so that they run in seconds: the page, a part of the block, and its
 #: replacement.
 SHORTER = [
+    ("README.md", '"flattened_discrete")\nobs', '"flattened_discrete", max_cycles=100)\nobs'),
+    ("docs/index.md", 'view="flattened_discrete")', 'view="flattened_discrete", max_cycles=100)'),
+    ("docs/how-to/live-page.md", 'listeners=[page]', 'max_steps=20, listeners=[page]'),
     ("README.md", "learn(1_000_000)", "learn(256)"),
+    ("README.md", 'track="train"', 'track="lighthouse"'),
     ("README.md", '("MultiInputPolicy", envs', '("MultiInputPolicy", envs, n_steps=32'),
     ("docs/how-to/stable-baselines3.md", "learn(1_000_000)", "learn(1)"),
     ("docs/how-to/stable-baselines3.md", "seed=1)\nfor", "seed=1, max_steps=20)\nfor"),

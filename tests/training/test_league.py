@@ -46,7 +46,7 @@ SMALL = {
     "matches": 1,
     "tracks": ("olivermath",),
     "races": ("2x1", "1+1x1"),
-    "actors": 2,
+    "actors": 1,
     "n_steps": 16,
     "n_epochs": 1,
     "batch_size": 32,
