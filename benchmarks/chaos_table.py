@@ -6,13 +6,13 @@ python -m benchmarks.chaos_table --write    # write it to the page
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 
 RESULTS = Path(__file__).parent / "results" / "robustness"
@@ -23,11 +23,7 @@ _HEAD = "| what | tried | survived | lost | command |\n| --- | ---: | ---: | ---
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Prints the table or writes it to the page."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.chaos_table",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.chaos_table", description=__doc__)
     words.add_argument("--write", action="store_true", help="write it to the page")
     if words.parse_args(argv).write:
         with atomic_write(PAGE) as part:

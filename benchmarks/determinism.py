@@ -11,7 +11,6 @@ every step. A race with another seed must differ.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -28,6 +27,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from stkzoo import RaceParallelEnv, race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo.agents.heuristic import create_state, get_actor
 from stkzoo.checks import Step, Trace, first_difference, play, trace
 from stkzoo.checks.play import fingerprint
@@ -153,9 +153,7 @@ def examine(track: str, seed: int) -> Result:
 
 def main() -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.determinism", description=__doc__)
     parser.add_argument(
         "--track", nargs="+", choices=SPLITS["all"], default=SPLITS["all"], metavar="NAME"
     )

@@ -33,6 +33,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 
 RESULTS = Path(__file__).parent / "results" / "robustness" / "fuzz.json"
@@ -76,11 +77,7 @@ _INSTRUMENTED = [
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Feeds the missing inputs and prints the table."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.fuzz",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.fuzz", description=__doc__)
     words.add_argument(
         "--inputs",
         type=int,

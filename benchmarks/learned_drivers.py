@@ -12,7 +12,6 @@ controls).
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import json
 import time
@@ -29,6 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stkzoo import race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo.agents.planning.driver import ALL_LOOKS, PlanDriver
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.tracks import SPLITS
@@ -118,9 +118,7 @@ def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.learned_drivers", description=__doc__)
     parser.add_argument(
         "--karts", type=int, nargs="+", default=[1, 32, 128], help="batch sizes (1 32 128)"
     )

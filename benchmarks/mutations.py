@@ -10,7 +10,6 @@ are damaged in their parts.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import random
 import resource
@@ -28,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.mutation_kinds import KINDS, FileKind
+from stkzoo._arguments import CommandParser
 from stkzoo.errors import StkzooError
 
 #: Replacements for a value.
@@ -139,11 +139,7 @@ def run_kind(kind: FileKind, count: int, seed: int, folder: Path) -> Outcome:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Damages and reads files, and prints a table."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.mutations",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser(prog="python -m benchmarks.mutations", description=__doc__)
     parser.add_argument("--mutations", type=int, default=10_000, metavar="N", help="of each kind")
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--seed", type=int, default=0)

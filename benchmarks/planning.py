@@ -14,7 +14,6 @@ already in the file are not repeated: after a change of the planner, use --again
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import statistics
@@ -27,6 +26,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_whole
 from stkzoo.agents.planner import PlannerSettings
 from stkzoo.evaluation import load_ai_times
@@ -104,9 +104,7 @@ def save(path: Path, results: dict[Any, Result]) -> None:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.planning", description=__doc__)
     parser.add_argument(
         "--track",
         nargs="+",

@@ -11,7 +11,6 @@ complete all iterations. The result is ``benchmarks/results/rllib_cluster.json``
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import json
 import os
@@ -26,6 +25,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 
 ROOT = Path(__file__).parent.parent
@@ -38,9 +38,7 @@ PAUSE = 2
 
 def main() -> int:
     """Runs the trial; returns 0 if the run completes and its env runners restart."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.rllib_cluster", description=__doc__)
     parser.add_argument(
         "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of Ray's environment"
     )

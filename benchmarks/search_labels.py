@@ -12,7 +12,6 @@ decisions agree.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -23,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo import RaceParallelEnv, race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 from stkzoo.agents.planner import Candidate, Planner
 from stkzoo.tracks import SPLITS
@@ -90,9 +90,7 @@ def _chance(pairs: Sequence[tuple[Any, Any]]) -> float:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.search_labels", description=__doc__)
     parser.add_argument(
         "--track", nargs="+", choices=SPLITS["train"], default=TRACKS, metavar="NAME"
     )

@@ -10,7 +10,6 @@ full throttle. The bonus would raise its top speed.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 
 from benchmarks.step_responses import STRAIGHT, game_action
 from stkzoo import AgentSpec, Start, race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 from stkzoo.config import RACE_MODES
 from stkzoo.engine.track import TrackMap
@@ -37,7 +37,7 @@ ASIDE_AFTER, ASIDE = 40, 4.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = CommandParser(prog="python -m benchmarks.start_boost", description=__doc__)
     parser.add_argument("--output", type=Path, default=OUTPUT)
     output = parser.parse_args().output
     results = {mode: measure(mode) for mode in RACE_MODES}

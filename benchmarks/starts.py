@@ -10,7 +10,6 @@ rejects because there is no ground.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo import Start, race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 from stkzoo.agents import heuristic
 from stkzoo.engine.starting import CenterLine
@@ -34,7 +34,7 @@ _HEIGHT = 4.0  # above or below the road; jumps are high [m]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = CommandParser(prog="python -m benchmarks.starts", description=__doc__)
     parser.add_argument("--starts", type=int, default=1000, help="total number of starts")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--track", dest="tracks", nargs="+", default=list(SPLITS["all"]))

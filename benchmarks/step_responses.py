@@ -10,7 +10,6 @@ action.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import AgentSpec, Start, race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 from stkzoo.agents.pursuit import PursuitDriver, PursuitState
 from stkzoo.wrappers.control import CarParameters, ControlView
@@ -38,7 +38,7 @@ _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = CommandParser(prog="python -m benchmarks.step_responses", description=__doc__)
     parser.add_argument("--output", type=Path, default=RESULTS)
     parser.add_argument("--plot", type=Path, default=PLOT)
     arguments = parser.parse_args()
