@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._arguments import CommandParser
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 
 RESULTS = Path(__file__).parent / "results" / "robustness"
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "robustness.md"
@@ -26,8 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = CommandParser(prog="python -m benchmarks.chaos_table", description=__doc__)
     words.add_argument("--write", action="store_true", help="write it to the page")
     if words.parse_args(argv).write:
-        with atomic_write(PAGE) as part:
-            part.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+        write_text(PAGE, updated(PAGE.read_text(encoding="utf-8")))
     else:
         print(table())
     return 0

@@ -29,7 +29,7 @@ import numpy as np
 
 from benchmarks.bench_common import RESULTS, host_facts, progress_bar
 from stkzoo._arguments import CommandParser
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from tests.chaos.family import family
 from tests.support.processes import wait_until
 
@@ -57,8 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     result = train(arguments.steps, arguments.every)
     print(json.dumps(result, indent=2))
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(arguments.output) as part:
-        part.write_text(json.dumps(result, indent=2) + "\n")
+    write_text(arguments.output, json.dumps(result, indent=2) + "\n")
     return 0 if result["survived"] else 1
 
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from benchmarks.events_races import RATE, TICKS, Recording, record
 from benchmarks.events_truth import truth_of
 from stkzoo._arguments import CommandParser
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.mdp.events import EVENTS, RaceEvents
 
 RESULTS = Path(__file__).parent / "results" / "events.json"
@@ -55,8 +55,7 @@ def main() -> None:
             print(name, track, seed, flush=True)
         results[name] = {"totals": totals(rows), "races": rows}
         show(name, results[name]["totals"])
-    with atomic_write(arguments.output) as part:
-        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_text(arguments.output, json.dumps(results, indent=1) + "\n")
 
 
 def counted(race: Recording) -> Totals:

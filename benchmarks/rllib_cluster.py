@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._arguments import CommandParser
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "rllib_cluster.json"
@@ -52,8 +52,7 @@ def main() -> int:
         return _with_ray(args.folder)
     with tempfile.TemporaryDirectory(prefix="stkzoo-rllib-") as folder:
         result = Trial(Path(folder), args.iterations, args.timeout, args.pack).run()
-    with atomic_write(RESULTS) as part:
-        part.write_text(json.dumps(result, indent=1) + "\n")
+    write_text(RESULTS, json.dumps(result, indent=1) + "\n")
     print(json.dumps({k: v for k, v in result.items() if k != "log"}, indent=1))
     return 0 if result["passed"] else 1
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from stkzoo import RaceParallelEnv, race_v0
 from stkzoo._arguments import CommandParser
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.agents.planner import Candidate, Planner
 from stkzoo.tracks import SPLITS
 
@@ -101,8 +101,7 @@ def main() -> None:
     everything = [pair for labels in by_track.values() for pair in labels]
     tracks = {track: figures(labels) for track, labels in by_track.items()}
     result = {"seed": options.seed, "tracks": tracks, "all": figures(everything)}
-    with atomic_write(options.output) as part:
-        part.write_text(json.dumps(result, indent=1) + "\n")
+    write_text(options.output, json.dumps(result, indent=1) + "\n")
     for name, own in (*tracks.items(), ("all", result["all"])):
         print(name, own)
 

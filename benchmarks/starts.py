@@ -19,7 +19,7 @@ import numpy as np
 
 from stkzoo import Start, race_v0
 from stkzoo._arguments import CommandParser
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.agents import heuristic
 from stkzoo.engine.starting import CenterLine
 from stkzoo.errors import ConfigError
@@ -152,8 +152,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def write(path: Path, results: dict[str, Any]) -> None:
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_text(path, json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

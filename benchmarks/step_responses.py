@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from stkzoo import AgentSpec, Start, race_v0
 from stkzoo._arguments import CommandParser
-from stkzoo._os import atomic_write
+from stkzoo._os import write_text
 from stkzoo.agents.pursuit import PursuitDriver, PursuitState
 from stkzoo.wrappers.control import CarParameters, ControlView
 from stkzoo.wrappers.control.kart import KARTS
@@ -52,8 +52,7 @@ def main() -> None:
         "laps": [lap(kinds) for kinds in KINDS],
     }
     results = kart | {"responses": responses}
-    with atomic_write(arguments.output) as part:
-        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_text(arguments.output, json.dumps(results, indent=1) + "\n")
     show(results)
     draw(responses, arguments.plot)
 
