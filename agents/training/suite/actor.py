@@ -110,8 +110,13 @@ class TaskActor:
                     row = np.concatenate([last, step["state"][slot]])
                     step["next_values"][slot] = values_of(row[None])[0, 0] * VALUE_UNIT
                 if self._is_own[slot]:
-                    own = float(self._returns[slot]), bool(steps.terminations[slot])
-                    ended.append(KartRace(*own, int(info["position"])))
+                    ended.append(
+                        KartRace(
+                            reward=float(self._returns[slot]),
+                            is_finished=bool(steps.terminations[slot]),
+                            position=int(info["position"]),
+                        )
+                    )
                 self._returns[slot] = 0.0
             self._look_at(steps.finals)
             self._observations = steps.observations
