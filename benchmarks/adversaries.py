@@ -14,7 +14,6 @@ may be void, and the agent must be rated last.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import sys
@@ -25,6 +24,7 @@ from collections.abc import Sequence
 from itertools import cycle, islice
 from pathlib import Path
 
+from stkzoo._arguments import CommandParser
 from stkzoo.evaluation import TournamentResult, run_tournament
 from stkzoo.race import AgentResult, RaceResult, run_race
 from tests.support.adversaries import (
@@ -139,11 +139,7 @@ def _run_cup(races: int) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the races; returns 1 if an adversary did more than fail."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.adversaries",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser(prog="python -m benchmarks.adversaries", description=__doc__)
     parser.add_argument("--races", type=int, default=200, help="races in turn (default: 200)")
     parser.add_argument("--cup", type=int, metavar="RACES", help="run a tournament instead")
     arguments = parser.parse_args(argv)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from benchmarks import bench_charts, bench_tables
 from benchmarks.bench_common import RESULTS, progress_bar
+from stkzoo._arguments import CommandParser
 
 #: Benchmarks in the order in which they run, with the arguments of ``--quick``.
 BENCHMARKS: dict[str, tuple[str, ...]] = {
@@ -58,11 +59,7 @@ BENCHMARKS: dict[str, tuple[str, ...]] = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.bench_all",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.bench_all", description=__doc__)
     words.add_argument("--only", nargs="+", choices=list(BENCHMARKS), default=list(BENCHMARKS))
     words.add_argument("--quick", action="store_true", help="trial run; figures mean nothing")
     words.add_argument("--steps", type=int, metavar="N", help="measured steps of each contender")

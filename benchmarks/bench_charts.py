@@ -5,7 +5,6 @@ python -m benchmarks.bench_charts
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -14,6 +13,7 @@ from statistics import fmean
 from typing import Any
 
 from benchmarks.bench_common import RESULTS
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_whole
 from stkzoo.evaluation.plotting import GRAY, PALETTE, draw_shares, new_figure, style_axes
 
@@ -135,7 +135,7 @@ CHARTS: dict[str, tuple[Callable[[Path, Any], None], float]] = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(prog="python -m benchmarks.bench_charts", description=__doc__)
+    words = CommandParser(prog="python -m benchmarks.bench_charts", description=__doc__)
     words.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
     words.add_argument("--output", type=Path, default=PICTURES, help="folder of the pictures")
     options = words.parse_args(arguments)

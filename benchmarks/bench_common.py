@@ -22,6 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 import stkzoo.views
 from benchmarks.bench_driver import Times
+from stkzoo._arguments import CommandParser
 from stkzoo.tracks import SPLITS
 
 __all__ = [
@@ -74,11 +75,7 @@ def parser(
         track: default of ``--track``; with a sequence, the option accepts several tracks.
         cores: default of ``--cores``; with a sequence, the option accepts several numbers.
     """
-    made = argparse.ArgumentParser(
-        prog=f"python -m benchmarks.bench_{name}",
-        description=doc,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    made = CommandParser(prog=f"python -m benchmarks.bench_{name}", description=doc)
     made.add_argument(
         "--steps",
         type=_positive,

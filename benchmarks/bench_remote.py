@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.bench_common import RESULTS, Table, print_tables, save
+from stkzoo._arguments import CommandParser
 from stkzoo.race import Driver, RaceListener, RaceProgress, find_driver, run_race
 from stkzoo.race.remote import RemoteDriverGroup
 
@@ -108,11 +109,7 @@ def _compare(agents: Sequence[str], options: argparse.Namespace) -> dict[str, An
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs, prints and saves the comparison; returns 1 if a step costs more than allowed."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.bench_remote",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser(prog="python -m benchmarks.bench_remote", description=__doc__)
     parser.add_argument("--steps", type=int, default=300, help="steps (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=5, help="rounds (default: %(default)s)")
     parser.add_argument("--track", default="lighthouse", help="track (default: %(default)s)")

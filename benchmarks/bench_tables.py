@@ -6,7 +6,6 @@ python -m benchmarks.bench_tables --results trial --output page.md
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -27,6 +26,7 @@ from benchmarks import (
     bench_vector,
 )
 from benchmarks.bench_common import RESULTS, Table
+from stkzoo._arguments import CommandParser
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "benchmark-results.md"
 
@@ -57,11 +57,7 @@ quantiles in brackets.
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.bench_tables",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.bench_tables", description=__doc__)
     words.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
     words.add_argument("--output", type=Path, default=PAGE, help="page to write")
     options = words.parse_args(arguments)

@@ -30,6 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.bench_common import RESULTS, progress_bar, read_rows
+from stkzoo._arguments import CommandParser
 from tests.chaos.family import marked
 from tests.chaos.forms import FORMS
 from tests.chaos.plan import fault_of
@@ -46,11 +47,7 @@ _SETTLE = 15.0  # [s]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Injects the missing faults and prints the table."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.chaos",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.chaos", description=__doc__)
     words.add_argument("--faults", type=int, default=1000, metavar="N", help="faults that hit")
     words.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the faults")
     words.add_argument("--output", type=Path, default=OUTPUT, help="JSON lines file")

@@ -6,14 +6,14 @@ python -m benchmarks.chaos_table --write    # write it to the page
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 
 RESULTS = Path(__file__).parent / "results" / "robustness"
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "robustness.md"
@@ -23,15 +23,10 @@ _HEAD = "| what | tried | survived | lost | command |\n| --- | ---: | ---: | ---
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Prints the table or writes it to the page."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.chaos_table",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.chaos_table", description=__doc__)
     words.add_argument("--write", action="store_true", help="write it to the page")
     if words.parse_args(argv).write:
-        with atomic_write(PAGE) as part:
-            part.write_text(updated(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+        write_text(PAGE, updated(PAGE.read_text(encoding="utf-8")))
     else:
         print(table())
     return 0

@@ -11,7 +11,6 @@ processes.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -29,7 +28,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_common import RESULTS, host_facts, progress_bar
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 from tests.chaos.family import family
 from tests.support.processes import wait_until
 
@@ -49,11 +49,7 @@ _ENGINE_TIMEOUT = 5.0  # [s]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Trains while killing processes, and writes the results."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.chaos_training",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.chaos_training", description=__doc__)
     words.add_argument("--steps", type=int, default=200_000, metavar="N", help="agent-steps")
     words.add_argument("--every", type=float, default=20.0, metavar="SECONDS", help="kill interval")
     words.add_argument("--output", type=Path, default=OUTPUT, help="JSON file to write")
@@ -61,8 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     result = train(arguments.steps, arguments.every)
     print(json.dumps(result, indent=2))
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(arguments.output) as part:
-        part.write_text(json.dumps(result, indent=2) + "\n")
+    write_text(arguments.output, json.dumps(result, indent=2) + "\n")
     return 0 if result["survived"] else 1
 
 

@@ -13,7 +13,6 @@ intervals over tracks.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -27,6 +26,7 @@ import numpy as np
 
 from benchmarks.bench_common import RESULTS, Table, print_tables, progress_bar
 from benchmarks.conduct_races import GROUPS, RAMMER, JudgedRaceOrder, orders
+from stkzoo._arguments import CommandParser
 from stkzoo._os import cpu_count, write_text
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.statistics import estimate_clustered
@@ -120,11 +120,7 @@ def _show(group: str, found: dict[str, Any]) -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.conduct",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.conduct", description=__doc__)
     words.add_argument("--races", type=int, default=96, help="races with the rammer")
     words.add_argument("--blind", type=int, default=16, help="races whose victims ignore it")
     words.add_argument("--ordinary", type=int, default=10, help="races without it")

@@ -5,13 +5,12 @@ same seed is raced three times in one environment, once in another, and once in 
 program. All observations, rewards, ends, infos and the global state must be equal bit for bit at
 every step. A race with another seed must differ.
 
-    python benchmarks/determinism.py
-    python benchmarks/determinism.py --track zengarden lighthouse --seed 3
+    python -m benchmarks.determinism
+    python -m benchmarks.determinism --track zengarden lighthouse --seed 3
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import time
@@ -22,12 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
+from benchmarks.bench_common import Table, print_tables, progress_bar
 from stkzoo import RaceParallelEnv, race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo.agents.heuristic import create_state, get_actor
 from stkzoo.checks import Step, Trace, first_difference, play, trace
 from stkzoo.checks.play import fingerprint
@@ -153,9 +150,7 @@ def examine(track: str, seed: int) -> Result:
 
 def main() -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.determinism", description=__doc__)
     parser.add_argument(
         "--track", nargs="+", choices=SPLITS["all"], default=SPLITS["all"], metavar="NAME"
     )
@@ -166,21 +161,13 @@ def main() -> int:
     options.output.parent.mkdir(parents=True, exist_ok=True)
     report = {"seed": options.seed, "tracks": [asdict(result) for result in results]}
     options.output.write_text(json.dumps(report, indent=2) + "\n")
-    console = Console()
-    console.print(_table(results))
-    console.print(f"written to {options.output}", markup=False, highlight=False, soft_wrap=True)
+    print_tables([_table(results)])
+    print(f"written to {options.output}")
     return int(not all(result.is_right for result in results))
 
 
 def _with_progress(tracks: list[str], seed: int) -> Iterator[Result]:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("", total=len(tracks))
+    with progress_bar(len(tracks)) as (progress, task):
         for track in tracks:
             progress.update(task, description=track)
             result = examine(track, seed)
@@ -192,12 +179,9 @@ def _with_progress(tracks: list[str], seed: int) -> Iterator[Result]:
 
 def _table(results: list[Result]) -> Table:
     title = "Same seed, same race: 3 agents, 3 bots, to the finish"
-    table = Table(title=title, box=box.SIMPLE, padding=(0, 1, 0, 0))
-    table.add_column("track", no_wrap=True)
-    for name in ("steps", "finished", "one env", "other env", "fresh program", "other seed"):
-        table.add_column(name)
-    for result in results:
-        table.add_row(
+    columns = ("track", "steps", "finished", "one env", "other env", "fresh program", "other seed")
+    rows = [
+        (
             result.track,
             str(result.steps),
             f"{result.finished}/{NUM_AGENTS}",
@@ -206,7 +190,9 @@ def _table(results: list[Result]) -> Table:
             result.fresh_program or "same",
             "differs" if result.other_seed_differs else "SAME",
         )
-    return table
+        for result in results
+    ]
+    return Table(title, columns, rows)
 
 
 if __name__ == "__main__":

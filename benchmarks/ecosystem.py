@@ -11,7 +11,6 @@ only to the folder of the environments.
 
 from __future__ import annotations
 
-import argparse
 import json
 import platform
 import subprocess
@@ -20,6 +19,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 
 ROOT = Path(__file__).parent.parent
@@ -137,9 +137,7 @@ class Outcome:
 
 def main() -> int:
     """Makes the environments, runs the examples, and writes the results and the page's table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.ecosystem", description=__doc__)
     names = [example.script for example in LIBRARIES]
     parser.add_argument("--only", nargs="+", metavar="NAME", help=f"some of {', '.join(names)}")
     parser.add_argument(

@@ -10,7 +10,6 @@ heuristic driver races alone, to check that no false events are counted.
 
 from __future__ import annotations
 
-import argparse
 import json
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +20,8 @@ import numpy.typing as npt
 
 from benchmarks.events_races import RATE, TICKS, Recording, record
 from benchmarks.events_truth import truth_of
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 from stkzoo.mdp.events import EVENTS, RaceEvents
 
 RESULTS = Path(__file__).parent / "results" / "events.json"
@@ -35,7 +35,7 @@ Totals = dict[str, npt.NDArray[np.float64]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = CommandParser(prog="python -m benchmarks.events", description=__doc__)
     parser.add_argument("--races", type=int, default=20, help="races with scripted karts")
     parser.add_argument("--solo", type=int, default=10, help="races of the heuristic driver alone")
     parser.add_argument("--seconds", type=float, default=60.0, help="duration of a race")
@@ -55,8 +55,7 @@ def main() -> None:
             print(name, track, seed, flush=True)
         results[name] = {"totals": totals(rows), "races": rows}
         show(name, results[name]["totals"])
-    with atomic_write(arguments.output) as part:
-        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_text(arguments.output, json.dumps(results, indent=1) + "\n")
 
 
 def counted(race: Recording) -> Totals:

@@ -10,7 +10,6 @@ complete, and whether the next race was served. It returns 1 if any of these che
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import tempfile
 import threading
@@ -21,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from stkzoo._arguments import CommandParser
 from stkzoo.race import RaceResult
 from stkzoo.race.replay import load_replay
 from tests.fuzz.messages import resident_memory
@@ -189,9 +189,7 @@ def _heartbeats(address: str) -> None:
 
 def main() -> int:
     """Runs the attacks and prints a line for each."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.floods", description=__doc__)
     parser.add_argument("--requests", type=int, default=5000, help="half-open requests")
     parser.add_argument("--clients", type=int, default=1200, help="idle clients")
     parser.add_argument("--resets", type=int, default=10_000, help="connections that are reset")

@@ -33,7 +33,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 
 RESULTS = Path(__file__).parent / "results" / "robustness" / "fuzz.json"
 #: Relative numbers of inputs; fast readers get more.
@@ -76,11 +77,7 @@ _INSTRUMENTED = [
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Feeds the missing inputs and prints the table."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.fuzz",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.fuzz", description=__doc__)
     words.add_argument(
         "--inputs",
         type=int,
@@ -133,8 +130,7 @@ def _run_reader(
         row["how"] = "at random" if plain else "atheris"
         row["findings"] += [finding] if finding else []
         output.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(output) as part:
-            part.write_text(json.dumps({"readers": state}, indent=2) + "\n")
+        write_text(output, json.dumps({"readers": state}, indent=2) + "\n")
         print(f"{name}: {row['inputs']} of {goal} inputs", file=sys.stderr)
 
 

@@ -10,7 +10,6 @@ same moment.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -23,6 +22,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from stkzoo import GroundKind, Start, race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.errors import EngineError
 from stkzoo.evaluation import GRAY, INK, new_figure, style_axes
@@ -284,11 +284,7 @@ def _view_cards() -> Iterator[tuple[str, list[str]]]:
 
 def main() -> None:
     """Draws the pictures and writes the page."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.gallery",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser(prog="python -m benchmarks.gallery", description=__doc__)
     parser.add_argument("--only", choices=("tracks", "views"), help="draw these pictures alone")
     only = parser.parse_args().only
     for folder in ("tracks", "views"):

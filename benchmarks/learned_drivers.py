@@ -12,7 +12,6 @@ controls).
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import json
 import time
@@ -24,11 +23,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks.bench_common import Table, print_tables
 from stkzoo import race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo.agents.planning.driver import ALL_LOOKS, PlanDriver
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.tracks import SPLITS
@@ -118,9 +116,7 @@ def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.learned_drivers", description=__doc__)
     parser.add_argument(
         "--karts", type=int, nargs="+", default=[1, 32, 128], help="batch sizes (1 32 128)"
     )
@@ -132,14 +128,12 @@ def main() -> None:
         name: {karts: cost(name, karts, options.track, options.steps) for karts in options.karts}
         for name in NAMES
     }
-    table = Table(title="A decision [µs a kart]", box=box.SIMPLE)
-    for column in ("driver", "karts", *PARTS, "all"):
-        table.add_column(column, justify="left" if column == "driver" else "right")
-    for name, rows in found.items():
-        for karts, parts in rows.items():
-            numbers = (*parts.values(), sum(parts.values()))
-            table.add_row(name, str(karts), *(f"{number:.0f}" for number in numbers))
-    Console().print(table)
+    rows = [
+        (name, str(karts), *(f"{number:.0f}" for number in (*parts.values(), sum(parts.values()))))
+        for name, by_karts in found.items()
+        for karts, parts in by_karts.items()
+    ]
+    print_tables([Table("A decision [µs a kart]", ("driver", "karts", *PARTS, "all"), rows)])
     options.output.parent.mkdir(parents=True, exist_ok=True)
     report = {"track": options.track, "steps": options.steps, "us": found}
     options.output.write_text(json.dumps(report, indent=2) + "\n")

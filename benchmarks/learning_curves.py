@@ -11,7 +11,6 @@ same command resumes an interrupted run.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_common import RESULTS, Table, host_facts, print_tables
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.agents.training.common.run_folder import read_log
 from stkzoo.agents.training.ppo import selfplay
@@ -34,11 +34,7 @@ _POINTS = 40
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.learning_curves",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.learning_curves", description=__doc__)
     words.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], metavar="N")
     words.add_argument("--total-timesteps", type=int, default=2_000_000, metavar="N")
     words.add_argument("--folder", type=Path, default=Path("runs/curves"), help="of the runs")

@@ -10,7 +10,6 @@ are damaged in their parts.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import random
 import resource
@@ -23,11 +22,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
-
+from benchmarks.bench_common import Table, print_tables
 from benchmarks.mutation_kinds import KINDS, FileKind
+from stkzoo._arguments import CommandParser
 from stkzoo.errors import StkzooError
 
 #: Replacements for a value.
@@ -39,6 +36,7 @@ VALUES: tuple[Any, ...] = (
 )
 _DEPTH = 100_000
 _MAX_SHOWN = 3
+_COLUMNS = ("kind", "mutations", "refused", "read", "bare errors", "slowest", "a second")
 
 
 @dataclass(slots=True)
@@ -139,18 +137,12 @@ def run_kind(kind: FileKind, count: int, seed: int, folder: Path) -> Outcome:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Damages and reads files, and prints a table."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.mutations",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = CommandParser(prog="python -m benchmarks.mutations", description=__doc__)
     parser.add_argument("--mutations", type=int, default=10_000, metavar="N", help="of each kind")
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
-    table = Table(box=box.SIMPLE)
-    for name in ("kind", "mutations", "refused", "read", "bare errors", "slowest", "a second"):
-        table.add_column(name, justify="left" if name == "kind" else "right")
+    rows: list[tuple[str, ...]] = []
     found: list[str] = []
     for name in arguments.kinds:
         begin = time.perf_counter()
@@ -160,10 +152,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         speed = arguments.mutations / (time.perf_counter() - begin)
         counts = (arguments.mutations, outcome.refused, outcome.read, len(own))
         times = (f"{outcome.slowest * 1e3:.0f} ms", f"{speed:.0f}")
-        table.add_row(name, *(f"{number:,}" for number in counts), *times)
+        rows.append((name, *(f"{number:,}" for number in counts), *times))
         found += own[:_MAX_SHOWN]
         print(f"{name}: {len(own)} bare errors", file=sys.stderr, flush=True)
-    Console(width=100).print(table)
+    print_tables([Table("damaged files", _COLUMNS, rows)])
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     print(f"peak memory of the process: {peak} MB")
     print("\n".join(found))

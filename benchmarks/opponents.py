@@ -11,7 +11,6 @@ in both alternatives.
 
 from __future__ import annotations
 
-import argparse
 import json
 import statistics
 import time
@@ -24,6 +23,7 @@ import numpy as np
 
 from benchmarks.bench_common import host_facts
 from stkzoo import RaceVectorEnv
+from stkzoo._arguments import CommandParser
 from stkzoo.race import Driver, find_driver
 
 RESULTS = Path(__file__).parent / "results" / "opponents.json"
@@ -74,9 +74,7 @@ def cost(races: int, steps: int, track: str) -> dict[str, float]:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.opponents", description=__doc__)
     parser.add_argument("--races", type=int, nargs="+", default=[1, 4], help="parallel races (1 4)")
     parser.add_argument("--track", default="lighthouse", metavar="NAME")
     parser.add_argument("--steps", type=int, default=200, help="steps per measurement (200)")

@@ -34,6 +34,7 @@ from benchmarks.parity_reference import (
     inner_spaces,
 )
 from stkzoo import AgentSpec
+from stkzoo._arguments import CommandParser
 from stkzoo.engine.assets import find_assets
 
 __all__ = [
@@ -181,8 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.parity", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser = CommandParser(prog="python -m benchmarks.parity", description=__doc__)
     parser.add_argument("--ids", nargs="+", choices=ENV_IDS, default=ENV_IDS, metavar="ID")
     parser.add_argument("--track", dest="tracks", nargs="+", default=TRACKS, metavar="TRACK")
     parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES, metavar="MODE")

@@ -14,7 +14,6 @@ already in the file are not repeated: after a change of the planner, use --again
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import statistics
@@ -23,11 +22,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
-
-from stkzoo._os import write_whole
+from benchmarks.bench_common import Table, print_tables
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 from stkzoo.agents.planner import PlannerSettings
 from stkzoo.evaluation import load_ai_times
 from stkzoo.race import run_race
@@ -35,7 +32,7 @@ from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 RESULTS = Path(__file__).parent / "results" / "planning.json"
 DIFFICULTY = 3
-BASE, PLANNER = DRIVERS = ("pretrained:ace", "planner")
+DRIVERS = ("pretrained:ace", "planner")
 
 
 @dataclass(frozen=True)
@@ -98,15 +95,12 @@ def save(path: Path, results: dict[Any, Result]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     races = [asdict(results[key]) for key in sorted(results)]
     report = {"settings": asdict(PlannerSettings()), "difficulty": DIFFICULTY, "races": races}
-    with write_whole(path) as temporary:
-        temporary.write_text(json.dumps(report, indent=1) + "\n")
+    write_text(path, json.dumps(report, indent=1) + "\n")
 
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.planning", description=__doc__)
     parser.add_argument(
         "--track",
         nargs="+",
@@ -126,27 +120,23 @@ def main() -> None:
         if options.again or key not in results:
             results[key] = race(*key)
             save(options.output, results)
-    Console().print(_table([results[key] for key in races]))
+    print_tables([_table([results[key] for key in races])])
 
 
 def _table(results: list[Result]) -> Table:
     title = "Finish time as a fraction of the AI's median time, lower is better"
-    table = Table(title=title, box=box.SIMPLE)
-    for name in ("track", "seed", *DRIVERS, "gain"):
-        table.add_column(name, justify="left" if name == "track" else "right")
-    pairs = []
+    rows, pairs = [], []
     for base, planned in zip(results[::2], results[1::2], strict=True):
         cells = [_cell(base), _cell(planned), ""]
         if base.ratio is not None and planned.ratio is not None:
             pairs.append((base.ratio, planned.ratio))
             cells[-1] = f"{base.ratio - planned.ratio:+.3f}"
-        table.add_row(base.track, str(base.seed), *cells)
+        rows.append((base.track, str(base.seed), *cells))
     if pairs:
         means = [statistics.mean(ratios) for ratios in zip(*pairs, strict=True)]
-        table.add_section()
         gain = f"{means[0] - means[1]:+.3f}"
-        table.add_row("mean", "", *(f"{mean:.3f}" for mean in means), gain)
-    return table
+        rows.append(("mean", "", *(f"{mean:.3f}" for mean in means), gain))
+    return Table(title, ("track", "seed", *DRIVERS, "gain"), rows)
 
 
 def _cell(result: Result) -> str:

@@ -13,7 +13,6 @@ recomputes rewards::
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo._os import atomic_write
 from stkzoo.config import AgentSpec
 from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
@@ -172,9 +172,7 @@ def recorded() -> Iterator[RecordedRace]:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.rewards", description=__doc__)
     parser.add_argument("--record", action="store_true", help="drive all the races again")
     parser.add_argument("--track", help="drive one race and compare the built-in rewards")
     arguments = parser.parse_args()

@@ -11,7 +11,6 @@ complete all iterations. The result is ``benchmarks/results/rllib_cluster.json``
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import json
 import os
@@ -26,7 +25,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "rllib_cluster.json"
@@ -38,9 +38,7 @@ PAUSE = 2
 
 def main() -> int:
     """Runs the trial; returns 0 if the run completes and its env runners restart."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.rllib_cluster", description=__doc__)
     parser.add_argument(
         "--folder", type=Path, default=ROOT / ".ecosystem", help="folder of Ray's environment"
     )
@@ -54,8 +52,7 @@ def main() -> int:
         return _with_ray(args.folder)
     with tempfile.TemporaryDirectory(prefix="stkzoo-rllib-") as folder:
         result = Trial(Path(folder), args.iterations, args.timeout, args.pack).run()
-    with atomic_write(RESULTS) as part:
-        part.write_text(json.dumps(result, indent=1) + "\n")
+    write_text(RESULTS, json.dumps(result, indent=1) + "\n")
     print(json.dumps({k: v for k, v in result.items() if k != "log"}, indent=1))
     return 0 if result["passed"] else 1
 

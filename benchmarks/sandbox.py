@@ -8,11 +8,11 @@ the medians.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import time
 from pathlib import Path
 
+from stkzoo._arguments import CommandParser
 from stkzoo.drivers import sandbox
 from stkzoo.drivers.driver import find_driver
 from stkzoo.drivers.instances import DriverLimits, DriverRequest
@@ -42,9 +42,7 @@ def measure(mode: str, steps: int) -> tuple[float, float]:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.sandbox", description=__doc__)
     parser.add_argument("--starts", type=int, default=15, help="starts with each sandbox")
     parser.add_argument("--steps", type=int, default=1000, help="decisions after each start")
     arguments = parser.parse_args()

@@ -12,7 +12,6 @@ decisions agree.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -23,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from stkzoo import RaceParallelEnv, race_v0
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 from stkzoo.agents.planner import Candidate, Planner
 from stkzoo.tracks import SPLITS
 
@@ -90,9 +90,7 @@ def _chance(pairs: Sequence[tuple[Any, Any]]) -> float:
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.search_labels", description=__doc__)
     parser.add_argument(
         "--track", nargs="+", choices=SPLITS["train"], default=TRACKS, metavar="NAME"
     )
@@ -103,8 +101,7 @@ def main() -> None:
     everything = [pair for labels in by_track.values() for pair in labels]
     tracks = {track: figures(labels) for track, labels in by_track.items()}
     result = {"seed": options.seed, "tracks": tracks, "all": figures(everything)}
-    with atomic_write(options.output) as part:
-        part.write_text(json.dumps(result, indent=1) + "\n")
+    write_text(options.output, json.dumps(result, indent=1) + "\n")
     for name, own in (*tracks.items(), ("all", result["all"])):
         print(name, own)
 

@@ -11,7 +11,6 @@ written immediately, and the same command resumes an interrupted run.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
 import json
@@ -34,6 +33,7 @@ from rich.table import Table
 
 from benchmarks.bench_common import RESULTS, progress_bar, read_rows
 from stkzoo import race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import StkzooError
 from tests.chaos.family import family
@@ -87,11 +87,7 @@ class Plan:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the missing races and prints the figures."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.soak",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.soak", description=__doc__)
     words.add_argument("--races", type=int, default=2000, metavar="N", help="total races")
     words.add_argument("--output", type=Path, default=OUTPUT, help="JSON lines file")
     arguments = words.parse_args(argv)

@@ -10,7 +10,6 @@ full throttle. The bonus would raise its top speed.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ import numpy as np
 
 from benchmarks.step_responses import STRAIGHT, game_action
 from stkzoo import AgentSpec, Start, race_v0
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 from stkzoo.config import RACE_MODES
 from stkzoo.engine.track import TrackMap
 from stkzoo.names import Phase
@@ -37,12 +37,11 @@ ASIDE_AFTER, ASIDE = 40, 4.0
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = CommandParser(prog="python -m benchmarks.start_boost", description=__doc__)
     parser.add_argument("--output", type=Path, default=OUTPUT)
     output = parser.parse_args().output
     results = {mode: measure(mode) for mode in RACE_MODES}
-    with atomic_write(output) as part:
-        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_text(output, json.dumps(results, indent=1) + "\n")
     for mode, found in results.items():
         fastest = max(found["throttle"].values())
         print(f"{mode}: 1 s after the start, AI {found['ai']:.2f} m/s, an agent at most ", end="")

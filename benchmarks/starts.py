@@ -10,7 +10,6 @@ rejects because there is no ground.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from pathlib import Path
@@ -19,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from stkzoo import Start, race_v0
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 from stkzoo.agents import heuristic
 from stkzoo.engine.starting import CenterLine
 from stkzoo.errors import ConfigError
@@ -34,7 +34,7 @@ _HEIGHT = 4.0  # above or below the road; jumps are high [m]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = CommandParser(prog="python -m benchmarks.starts", description=__doc__)
     parser.add_argument("--starts", type=int, default=1000, help="total number of starts")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--track", dest="tracks", nargs="+", default=list(SPLITS["all"]))
@@ -152,8 +152,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def write(path: Path, results: dict[str, Any]) -> None:
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_text(path, json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

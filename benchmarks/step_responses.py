@@ -10,7 +10,6 @@ action.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import AgentSpec, Start, race_v0
-from stkzoo._os import atomic_write
+from stkzoo._arguments import CommandParser
+from stkzoo._os import write_text
 from stkzoo.agents.pursuit import PursuitDriver, PursuitState
 from stkzoo.wrappers.control import CarParameters, ControlView
 from stkzoo.wrappers.control.kart import KARTS
@@ -38,7 +38,7 @@ _BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = CommandParser(prog="python -m benchmarks.step_responses", description=__doc__)
     parser.add_argument("--output", type=Path, default=RESULTS)
     parser.add_argument("--plot", type=Path, default=PLOT)
     arguments = parser.parse_args()
@@ -52,8 +52,7 @@ def main() -> None:
         "laps": [lap(kinds) for kinds in KINDS],
     }
     results = kart | {"responses": responses}
-    with atomic_write(arguments.output) as part:
-        part.write_text(json.dumps(results, indent=1) + "\n")
+    write_text(arguments.output, json.dumps(results, indent=1) + "\n")
     show(results)
     draw(responses, arguments.plot)
 

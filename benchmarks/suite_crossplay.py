@@ -12,7 +12,6 @@ do not finish are ranked by distance. ``python -m benchmarks.bench_charts`` draw
 
 from __future__ import annotations
 
-import argparse
 import json
 import random
 import sys
@@ -26,6 +25,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from stkzoo._arguments import CommandParser
 from stkzoo._os import cpu_count, write_text
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.pool import run_in_parallel
@@ -96,11 +96,7 @@ def matrix(orders: Sequence[RaceOrder], results: dict[int, RaceResult]) -> list[
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.suite_crossplay",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.suite_crossplay", description=__doc__)
     words.add_argument("--rounds", type=int, default=24, help="races a track and direction")
     words.add_argument("--folder", type=Path, default=Path("runs/crossplay"), help="of the races")
     words.add_argument("--output", type=Path, default=FILE, help="JSON file to write")

@@ -11,7 +11,6 @@ Writes ``benchmarks/results/suite_intervals.json``.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Callable
@@ -22,6 +21,7 @@ import numpy.typing as npt
 from rich.progress import track
 
 from benchmarks.bench_common import RESULTS
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.evaluation import percentile_interval
 from stkzoo.suite.report.statistics import DRAWS, ScoreTable, estimate, mean
@@ -43,11 +43,7 @@ Ends = tuple[float, float]
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.suite_intervals",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.suite_intervals", description=__doc__)
     words.add_argument("--trials", type=int, default=1000, help="trials of each case")
     words.add_argument("--output", type=Path, default=OUTPUT, help="JSON file to write")
     options = words.parse_args(arguments)

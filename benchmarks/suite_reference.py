@@ -13,7 +13,6 @@ seed are run before the next seed. Runs that have a result are skipped.
 
 from __future__ import annotations
 
-import argparse
 import importlib.metadata
 import itertools
 import sys
@@ -28,6 +27,7 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.bench_common import RESULTS
+from stkzoo._arguments import CommandParser
 from stkzoo._os import cpu_count, write_text
 from stkzoo._schema import Count, Whole, Within
 from stkzoo.agents.training.common.run_folder import ARGUMENTS, read_run_file, require_log
@@ -79,11 +79,7 @@ _Chapters: Any = Annotated[tuple[_Chapter, ...], Within(1)]
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.suite_reference",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.suite_reference", description=__doc__)
     known = [name for name, task in TASKS.items() if not task.words]
     words.add_argument("--tasks", nargs="+", choices=known, default=REFERENCE_TASKS)
     words.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=ALGORITHMS)

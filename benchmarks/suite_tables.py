@@ -9,7 +9,6 @@ lists runs without a result.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from benchmarks import suite_intervals
 from benchmarks.suite_reference import OUTPUT, reference_keys
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.suite import load_runs, make_report
 from stkzoo.suite.report.figures import draw_figures
@@ -29,11 +29,7 @@ PICTURES = _DOCS / "images" / "suite"
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.suite_tables",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.suite_tables", description=__doc__)
     words.add_argument("--results", type=Path, default=OUTPUT, help="folder of the results")
     words.add_argument("--page", type=Path, default=PAGE, help="page to write")
     words.add_argument("--pictures", type=Path, default=PICTURES, help="folder of the figures")

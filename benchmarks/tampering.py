@@ -16,7 +16,6 @@ entry is accepted and not counted; the benchmark draws another one.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import random
@@ -33,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_common import RESULTS, Table, host_facts, print_tables, progress_bar
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.errors import StkzooError
 from stkzoo.suite import evaluate, verify_entry
@@ -215,11 +215,7 @@ def _refusal(folder: Path) -> str | None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = argparse.ArgumentParser(
-        prog="python -m benchmarks.tampering",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    words = CommandParser(prog="python -m benchmarks.tampering", description=__doc__)
     words.add_argument("--entries", type=int, default=1000, metavar="N")
     words.add_argument("--seed", type=int, default=0)
     words.add_argument("--output", type=Path, default=RESULTS / "tampering.json")

@@ -7,7 +7,6 @@ resumes) and stores its times where ``stkzoo benchmark`` reads them.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from PIL import Image
 
 from stkzoo import race_v0
+from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.engine.ground import Ground
 from stkzoo.engine.track import TrackMap
@@ -281,7 +281,7 @@ def _tell(progress: BatchProgress) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = CommandParser(prog="python -m benchmarks.track_atlas", description=__doc__)
     parser.add_argument("--measure", metavar="FOLDER", help="measure the AI's times first")
     parser.add_argument("--jobs", type=int, help="parallel races")
     arguments = parser.parse_args()

@@ -10,7 +10,6 @@ it in Colab and a cell that installs stkzoo there.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+from stkzoo._arguments import CommandParser
 from stkzoo._installation import repository_url
 from stkzoo._os import write_text
 
@@ -66,9 +66,7 @@ if importlib.util.find_spec("stkzoo") is None:
 
 def main() -> int:
     """Runs the command; returns its exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandParser(prog="python -m benchmarks.tutorials", description=__doc__)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these")
     parser.add_argument("--short", action="store_true", help="run only a few steps")
     parser.add_argument("--output", type=Path, help="folder (default: docs/tutorials)")

@@ -78,13 +78,9 @@ class BackgroundHandler(QueueHandler):
         except queue.Full:
             self._num_dropped += 1
 
-    def drain(self, seconds: float = 1.0) -> None:
-        """Waits until all lines are written.
-
-        Args:
-            seconds: maximum time to wait [s].
-        """
-        deadline = time.monotonic() + seconds
+    def drain(self) -> None:
+        """Waits until all lines are written, but at most one second."""
+        deadline = time.monotonic() + 1.0
         while self._waiting.unfinished_tasks and time.monotonic() < deadline:
             time.sleep(0.005)
 

@@ -14,7 +14,6 @@ from gymnasium import spaces
 from stkzoo.errors import ConfigError, check_whole, unknown_name
 from stkzoo.views.bases import RecordedWrapper
 
-BACKENDS = ("auto", "engine", "map")
 _SMALLEST, _LARGEST = 32, 4096
 
 
@@ -160,6 +159,8 @@ def checked_size(size: Sequence[int], name: str = "size") -> tuple[int, int]:
 
 
 def _kind(size: Sequence[int], depth: bool, backend: str) -> CameraKind:
+    from stkzoo.render.renderer import BACKENDS  # `import stkzoo` loads no renderer
+
     if backend not in BACKENDS:
         raise unknown_name("backend", backend, BACKENDS)
     if depth and backend == "map":

@@ -17,11 +17,6 @@ from stkzoo.errors import ConfigError
 _MOST_BYTES = 1 << 26
 
 
-def digest_of(content: bytes) -> str:
-    """Returns the SHA-256 of a file's content in hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
-
-
 def packed_weights(weights: Mapping[str, FloatArray]) -> bytes:
     """Returns the content of a file of float32 arrays."""
     arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in weights.items()}
@@ -39,14 +34,14 @@ def load_weights(path: str | os.PathLike[str], digest: str | None = None) -> dic
 
     Args:
         path: path of the file.
-        digest: expected result of :func:`digest_of`; ``None`` skips the check.
+        digest: expected SHA-256 of the file in hexadecimal; ``None`` skips the check.
 
     Raises:
         ConfigError: the file is missing or damaged, or has another digest.
     """
     with reading(f"the weights {str(path)!r} cannot be read", "a safetensors file of an agent"):
         data = read_file(path, _MOST_BYTES)
-    found = digest_of(data)
+    found = hashlib.sha256(data).hexdigest()
     if digest is not None and found != digest:
         raise ConfigError(
             f"the weights {str(path)!r} are not those of the card: their SHA-256 is {found}, "

@@ -17,6 +17,7 @@ race agents/pretrained/swift``, or with ``pretrained:swift`` if it is one of stk
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -41,7 +42,6 @@ from stkzoo.agents.pretrained.ensemble import (
 from stkzoo.agents.pretrained.mlp import MlpDriver, is_network
 from stkzoo.agents.pretrained.policy import check_shapes
 from stkzoo.agents.pretrained.weights import (
-    digest_of,
     load_weights,
     packed_weights,
     save_weights,
@@ -148,7 +148,7 @@ def export_policy(
     content = packed_weights(arrays)
     facts: dict[str, Any] = {
         "name": name,
-        "sha256": digest_of(content),
+        "sha256": hashlib.sha256(content).hexdigest(),
         "size": len(content),
         "parameters": sum(array.size for array in arrays.values()),
         "runs": [run for source in sources for run in _runs_of(source)],

@@ -24,7 +24,7 @@ from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser
 from stkzoo._os import loses_exit_codes
-from stkzoo.cli._arguments import add_command
+from stkzoo.cli._arguments import INTERRUPTED, add_command
 from stkzoo.cli._streams import discard_stdout, prepare_streams, writing_stdout
 from stkzoo.errors import StkzooError
 
@@ -111,7 +111,7 @@ def _run(words: list[str]) -> int:
         return 1
     except KeyboardInterrupt:
         print("stkzoo: interrupted", file=sys.stderr)
-        return 130
+        return INTERRUPTED
 
 
 def _exit_code(words: list[str]) -> int:

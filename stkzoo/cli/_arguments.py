@@ -17,6 +17,9 @@ from stkzoo.race import RaceSettings
 #: Values of ``reverse`` by the names of ``--directions``.
 DIRECTIONS = {"forward": False, "reversed": True}
 
+#: Exit codes when an agent failed and after Ctrl-C.
+AGENT_FAILED, INTERRUPTED = 3, 130
+
 Run = Callable[[argparse.Namespace], int]
 
 

@@ -14,13 +14,13 @@ from typing import TypeVar
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
+from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED
 from stkzoo.cli._console import make_bars, say
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.batch import run as batch
 from stkzoo.evaluation.batch.order import RACES
 from stkzoo.evaluation.batch.plan import BatchPlan
 
-_AGENT_FAILED, _INTERRUPTED = 3, 130
 #: Leading dots, and characters that separate folders or are invalid in names on some systems.
 _UNSAFE = re.compile(r"^\.+|[/\\<>\"|?*]")
 
@@ -67,7 +67,7 @@ def run_batch(
             saved = f"{done} of {total} races are saved; run the same command to resume"
             text = saved if is_saved and total else "nothing was saved"
             print(f"stkzoo: interrupted; {text}", file=sys.stderr)
-            return None, _INTERRUPTED
+            return None, INTERRUPTED
 
 
 def run_replays(
@@ -128,4 +128,4 @@ def run_plan(
         names = (plan.result_file, f"{plan.noun}.png", "report.html", RACES)
         kept = ", ".join(name for name in names if (folder / name).exists())
         say(f"More in {folder}{os.sep}: {kept}")
-    return code or (_AGENT_FAILED if getattr(result, "errors", 0) else 0)
+    return code or (AGENT_FAILED if getattr(result, "errors", 0) else 0)

@@ -21,14 +21,13 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from stkzoo._arguments import CommandParser, add_options, positional, values_of
-from stkzoo.cli._arguments import usage_errors
+from stkzoo.cli._arguments import AGENT_FAILED, usage_errors
 from stkzoo.race import RaceSettings
 
 if TYPE_CHECKING:
     from stkzoo.evaluation import AgentReport
 
 _SETTINGS = ("show_output", "action_timeout", "start_timeout", "agent_memory", "sandbox")
-_AGENT_FAILED = 3
 
 
 @dataclass
@@ -68,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(asdict(report), indent=2))
     else:
         _show(report, arguments)
-    return 0 if report.passed else _AGENT_FAILED
+    return 0 if report.passed else AGENT_FAILED
 
 
 def _show(report: AgentReport, arguments: argparse.Namespace) -> None:

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo.cli._arguments import usage_errors
+from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED, usage_errors
 from stkzoo.cli._race_options import add_replay_options, replay_listeners
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceSettings
@@ -115,9 +115,9 @@ def run(arguments: argparse.Namespace) -> int:
         )
     except RaceInterrupted as interrupt:
         show_race(interrupt.result)
-        return 130
+        return INTERRUPTED
     show_race(result)
-    return 3 if result.has_errors else 0
+    return AGENT_FAILED if result.has_errors else 0
 
 
 def _recording(arguments: argparse.Namespace) -> dict[str, Any]:

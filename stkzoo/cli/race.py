@@ -42,7 +42,7 @@ from typing import TYPE_CHECKING, Any
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo._os import check_writable, write_whole
 from stkzoo.cli import _race_options
-from stkzoo.cli._arguments import usage_errors
+from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED, usage_errors
 from stkzoo.cli._streams import writing_stdout
 from stkzoo.drivers.failures import in_words
 from stkzoo.errors import AgentError, ConfigError, StkzooError
@@ -64,7 +64,6 @@ _DEMO_DRIVERS = ("pretrained:apex", "ai:3", "ai:3", "ai:3")
 _DEMO_TRACK = "lighthouse"
 _DEMO_SEED = 8
 _DECIDED = ("seed",)
-_AGENT_FAILED, _INTERRUPTED = 3, 130
 
 
 @dataclass
@@ -142,11 +141,11 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
                 results.append(_race(drivers, settings, arguments, problems))
     except AgentError as error:
         print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
-        code, failure = _AGENT_FAILED, error
+        code, failure = AGENT_FAILED, error
     except RaceInterrupted as interrupt:
         results.append(interrupt.result)
         print("stkzoo: interrupted; the last race is incomplete", file=sys.stderr)
-        code = _INTERRUPTED
+        code = INTERRUPTED
     except StkzooError as error:
         if not results:
             raise
@@ -259,7 +258,7 @@ def _report(
     Returns:
         The exit code: 3 if an agent failed, otherwise 0.
     """
-    code = _AGENT_FAILED if any(result.has_errors for result in results) else 0
+    code = AGENT_FAILED if any(result.has_errors for result in results) else 0
     text = arguments.document(results, failure, arguments)
     try:
         if arguments.output and text:

@@ -32,7 +32,7 @@ from stkzoo.race import RaceSettings
 if TYPE_CHECKING:
     from stkzoo.race.remote import RaceServer
 
-_log = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 _SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "sandbox", "inline", "adapter")
 
 
@@ -88,11 +88,11 @@ def _serve(arguments: argparse.Namespace) -> None:
     with _server(arguments) as server:
         signal.signal(signal.SIGTERM, lambda *_: server.stop())
         print(f"serving {', '.join(arguments.agents)} at {server.address}", flush=True)
-        _log.info("%s", _sandbox_of(arguments))
+        logger.info("%s", _sandbox_of(arguments))
         try:
             server.serve()
         except KeyboardInterrupt:
-            _log.warning("stkzoo: server stopped")
+            logger.warning("stkzoo: server stopped")
 
 
 def _sandbox_of(arguments: argparse.Namespace) -> str:

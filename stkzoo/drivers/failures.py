@@ -188,10 +188,6 @@ class OutputTail:
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
-    def show_as(self, label: str) -> None:
-        """Changes the label of further lines and resets the count of shown lines."""
-        self._label, self._num_shown = label, 0
-
     def text(self, lines: int = _KEPT_LINES) -> str:
         """Returns the last lines received so far."""
         text = printable(self._tail.decode(errors="replace"))

@@ -105,8 +105,9 @@ class InlineInstance:
         request, make_race_actor = self._request, self._code.make_race_actor
         if make_race_actor is not None and request.env is not None:
             return self._resources.enter_context(make_race_actor(request.env, request.seed))
-        view = self._chain.observation_space, self._chain.action_space
-        return self._code.make_actor(*view, request.seed)
+        return self._code.make_actor(
+            self._chain.observation_space, self._chain.action_space, request.seed
+        )
 
     def _see(self, observation: Any) -> Any:
         """Converts the observation by the wrappers' ``reset`` or their pending ``step``."""

@@ -106,11 +106,17 @@ def _start(channel: Channel, order: dict[str, Any]) -> InlineInstance | None:
         code.scope.__enter__()  # never left: this process has no other agent's modules
         return code
 
-    spaces = kart_observation_space(extras=order["extras"]), kart_action_space()
     no_limits = DriverLimits(action_timeout=None, start_timeout=math.inf)  # the race's task
     seed: int = order["seed"]
     words = order["channel"] and WordChannel(**order["channel"])
-    request = DriverRequest(order["agent"], *spaces, seed, no_limits, channel=words)
+    request = DriverRequest(
+        order["agent"],
+        kart_observation_space(extras=order["extras"]),
+        kart_action_space(),
+        seed,
+        no_limits,
+        channel=words,
+    )
     instance = InlineInstance(request, load)
     _seed_everything(seed)
     try:

@@ -62,7 +62,7 @@ SHARED_CORES = "STKZOO_SHARED_CORES"
 _NO_PATH = ("import ", "import\t", "#")
 _TRIAL_TIMEOUT = 10.0
 
-_logger = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,7 @@ def say_what_is_missing(mode: str) -> None:
     if mode == "off" or (kind := sandbox_kind(mode)) == BUBBLEWRAP:
         return
     how = "without a sandbox" if kind == NONE else "in a weaker sandbox (Landlock)"
-    _logger.warning("agents run %s: %s", how, bubblewrap_problem())
+    logger.warning("agents run %s: %s", how, bubblewrap_problem())
 
 
 @functools.cache

@@ -99,5 +99,10 @@ def decode_track(data: bytes) -> TrackMap:
     count = len(facts["successors"])
     numbers = np.frombuffer(data, "f4", offset=start).copy()  # the copy is aligned
     nodes, widths, distances = np.split(numbers, [6 * count, 7 * count])
-    shaped = nodes.reshape(count, 2, 3), widths.reshape(count, 1), distances.reshape(count, 2)
-    return TrackMap(facts["length"], *shaped, facts["successors"])
+    return TrackMap(
+        facts["length"],
+        nodes.reshape(count, 2, 3),
+        widths.reshape(count, 1),
+        distances.reshape(count, 2),
+        facts["successors"],
+    )

@@ -179,7 +179,7 @@ class BranchingRace(ClonableEnv):
         Raises:
             ApiOrderError: called before the first ``reset``, or while a step is running.
         """
-        if self._asked is not None:
+        if self._stepping is not None:
             raise ApiOrderError("a step is under way; call step_wait() first")
         episode = self._running("scenario")
         return Scenario(
@@ -243,7 +243,7 @@ class BranchingRace(ClonableEnv):
         """Forgets the current race until another one starts."""
         self.agents: list[str] = []
         self._episode: Episode | None = None
-        self._asked: Episode | None = None  # the episode with a running step
+        self._stepping: Episode | None = None  # the episode with a running step
         if self._opponents is not None:
             self._opponents.close()
 
@@ -281,8 +281,9 @@ class BranchingRace(ClonableEnv):
         drivers = self._drivers_in(scenario)
         self._end_race()  # in case the start fails
         setup, begun = scenario.setup, scenario.reach(self._session)
-        drawn = setup, (*scenario.kart_indices, *scenario.opponents), begun
-        episode = Episode(options_now, *drawn, self._rewards, self._assets.root)
+        kart_indices = (*scenario.kart_indices, *scenario.opponents)
+        root = self._assets.root
+        episode = Episode(options_now, setup, kart_indices, begun, self._rewards, root)
         for row in scenario.controls:
             episode.remember(row)
         if self._opponents is not None:
@@ -355,7 +356,7 @@ class BranchingRace(ClonableEnv):
             )
 
     def _moment(self) -> Moment:
-        if self._asked is not None:
+        if self._stepping is not None:
             raise ApiOrderError("a step is under way; call step_wait() first")
         episode = self._running("save_state").copy()
         random = copy.deepcopy(self.np_random)
@@ -369,7 +370,7 @@ class BranchingRace(ClonableEnv):
         self._chains.check_memory(moment.memory)
 
     def _go_on_from(self, moment: Moment) -> None:
-        self._asked = None
+        self._stepping = None
         self._chains.recall(moment.memory)
         self._episode = moment.episode.copy()
         self.agents = list(moment.agents)

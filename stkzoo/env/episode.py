@@ -80,16 +80,19 @@ class Episode:
         root: Path,
     ) -> None:
         self.setup, self._root = setup, root
-        names = ("track", "reverse", "mode", "laps", "difficulty", "seed", "step_size")
-        chosen = {name: getattr(setup, name) for name in names}
         agents, opponents = kart_indices[: len(rewards)], kart_indices[len(rewards) :]
-        called = tuple(setup.karts[kart].name for kart in opponents)
         self.race = RaceInfo(
-            **chosen,
+            track=setup.track,
+            reverse=setup.reverse,
+            mode=setup.mode,
+            laps=setup.laps,
+            difficulty=setup.difficulty,
+            seed=setup.seed,
+            step_size=setup.step_size,
             kart_indices=agents,
             kart_types=start.kart_types,
             opponent_indices=opponents,
-            opponents=called,
+            opponents=tuple(setup.karts[kart].name for kart in opponents),
         )
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
@@ -234,11 +237,13 @@ class Episode:
         """Sets all counters to zero."""
         self._rewards = rewards
         race_length = self.track_map.length * self.race.laps
-        endings, events = endings_of(options), None
+        endings = endings_of(options)
+        events = None
         if options.events or endings is not None:
             events = RaceEvents(self.track_map, self.setup.step_size, len(self.setup.karts))
-        parts = events, endings, options.events
-        self._record = EpisodeRecord(rewards, self.race.kart_indices, race_length, *parts)
+        self._record = EpisodeRecord(
+            rewards, self.race.kart_indices, race_length, events, endings, options.events
+        )
         self._num_steps = 0
         self._max_cycles = options.max_cycles
         num_nodes = self.track_map.num_nodes
@@ -432,11 +437,20 @@ class EpisodeRecord:
             racing = [where[row] for row in group.rows.tolist() if row in where]
             if terms is not None:
                 rewards.append((*terms, group.columns, np.array(racing, np.intp)))
-        numbers = self._last, self._sums, self.info_keys, self._race_length
         events = self._shown_events
         if events is None:
             events = np.zeros((int(self._karts.max()) + 1, 0))
-        return StepScorer(agents, self._karts[rows], rows, *numbers, tuple(rewards), events)
+        return StepScorer(
+            agents,
+            self._karts[rows],
+            rows,
+            self._last,
+            self._sums,
+            self.info_keys,
+            self._race_length,
+            tuple(rewards),
+            events,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         # The scorer writes into these arrays, so a copy needs its own.

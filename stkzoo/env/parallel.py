@@ -234,13 +234,15 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         self._check_specs()
         with self._exchange():
             if options.get("scenario") is not None:
-                found = self._from_scenario(options["scenario"], options, options_now)
+                agents, self._episode = self._from_scenario(
+                    options["scenario"], options, options_now
+                )
             elif options.get("state") is not None:
-                found = self._from_state(options["state"], options, options_now)
+                agents, self._episode = self._from_state(options["state"], options, options_now)
             else:
-                found = list(self.possible_agents), self._new_race(options_now, options)
-            agents, self._episode = found
-            self.agents, self._asked = [], None  # in case a wrapper fails
+                agents = list(self.possible_agents)
+                self._episode = self._new_race(options_now, options)
+            self.agents, self._stepping = [], None  # in case a wrapper fails
         result = self._chains.reset(
             agents,
             self._episode,
@@ -332,7 +334,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         if self.agents:
             self._session.step_async(controls)
             self._running("step").remember(controls)
-        self._asked = self._running("step")
+        self._stepping = self._running("step")
 
     def step_wait(self) -> StepParts:
         """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.
@@ -352,7 +354,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             snapshot = self._session.step_wait()
             rewards, terminations, truncations = episode.advance(snapshot, agents)
         finally:
-            self._asked = None
+            self._stepping = None
         observations = self._chains.observe(agents, episode)
         infos = episode.infos(agents)
         parts = observations, rewards, terminations, truncations, infos
@@ -508,8 +510,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             except ConfigError:  # a place where no kart can stand
                 if not draws_left or not is_random(options.start):
                     raise
-        drawn = setup, kart_indices, begun
-        episode = Episode(options, *drawn, self._rewards, self._assets.root)
+        root = self._assets.root
+        episode = Episode(options, setup, kart_indices, begun, self._rewards, root)
         if self._opponents is not None:
             self._opponents.begin(drivers, episode)
         return episode
@@ -536,13 +538,13 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
     def _idle_episode(self) -> Episode:
         """Returns the running episode; raises if it is already stepping."""
         episode = self._running("step")
-        if self._asked is episode:
+        if self._stepping is episode:
             raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
         return episode
 
     def _awaited_episode(self) -> Episode:
         """Returns the episode that is stepping. The caller finishes its step and forgets it."""
-        episode = self._asked
+        episode = self._stepping
         if episode is None or episode is not self._episode:
             raise ApiOrderError("step_wait() without step_async(); call step_async() first")
         return episode

@@ -68,13 +68,13 @@ class Document(ABC):
             return typed(cls, values)
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any], place: str = "the text") -> Self:
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """Reads the output of :meth:`to_dict` and ignores unknown entries.
 
         Raises:
             ConfigError: a field is missing or invalid.
         """
-        with cls._reading(place):
+        with cls._reading("the text"):
             return typed(cls, values)
 
     @classmethod

@@ -140,12 +140,12 @@ class AgentChains:
         self._identities = {agent: plan.identity() for agent, plan in self._plans.items()}
         self._numbers = {agent: number for number, agent in enumerate(self._chains)}
         self._ignored = frozenset(ignored)
-        self._made: dict[Hashable, tuple[Observer, ActionReader, CarController | None]] = {}
+        self._kernels: dict[Hashable, tuple[Observer, ActionReader, CarController | None]] = {}
         #: Wheel angle [rad], remaining speed change [m/s] and step length [s] of each agent with
         #: actions in physical units
         #: (:class:`~stkzoo.kernel.reference.car_controller.CarController`).
         self._cars = np.zeros((len(self._chains), 3))
-        self._present: _Roster | None = None
+        self._latest_roster: _Roster | None = None
         self.observation_spaces = self._walker.observation_spaces
         self.action_spaces = self._walker.action_spaces
         self.is_compiled = all(chain.is_empty for chain in self._chains.values())
@@ -183,13 +183,7 @@ class AgentChains:
     def check(
         self, actions: Mapping[str, Any], agents: Sequence[str], rows: IntArray, num_rows: int
     ) -> CheckedActions:
-        """First half of :meth:`decode`: checks the actions and changes nothing.
-
-        Args:
-            actions: see :meth:`decode`.
-            agents: see :meth:`decode`.
-            rows: see :meth:`decode`.
-            num_rows: see :meth:`decode`.
+        """First half of :meth:`decode`, with its arguments: checks the actions, changes nothing.
 
         Raises:
             ActionError: an action is missing or not in its space.
@@ -240,8 +234,7 @@ class AgentChains:
         controls = np.zeros((num_rows, len(self._columns)), np.float32)
         for group in roster.groups:
             acting = group.acting_rows
-            own = slots[acting], rows[acting]
-            if not group.reader.read_batch(batch, num_slots, *own, controls):
+            if not group.reader.read_batch(batch, num_slots, slots[acting], rows[acting], controls):
                 return None
         return CheckedActions(roster, rows, controls, {})
 
@@ -278,8 +271,8 @@ class AgentChains:
         for group in roster.groups:
             if group.car is not None:
                 karts = source.karts(roster.agents)[group.rows]
-                own, data = rows[group.rows], source.snapshot.data
-                group.car.drive(controls, own, data, karts, self._cars, group.numbers)
+                data = source.snapshot.data
+                group.car.drive(controls, rows[group.rows], data, karts, self._cars, group.numbers)
 
     def observe(self, agents: Sequence[str], source: ObservationSource) -> dict[str, Any]:
         """Returns the agents' observations before the Python wrappers.
@@ -312,8 +305,7 @@ class AgentChains:
         roster, karts = self._roster(agents), source.karts(agents)
         for group in roster.groups:
             if group.row_observer is not None:
-                own = karts[group.rows], rows[group.rows]
-                group.row_observer.observe_into(source, *own, batch)
+                group.row_observer.observe_into(source, karts[group.rows], rows[group.rows], batch)
 
     def reset(
         self,
@@ -420,9 +412,9 @@ class AgentChains:
 
     def _roster(self, agents: Sequence[str]) -> _Roster:
         key = tuple(agents)
-        if self._present is None or key != self._present.agents:
-            self._present = self._new_roster(key)
-        return self._present
+        if self._latest_roster is None or key != self._latest_roster.agents:
+            self._latest_roster = self._new_roster(key)
+        return self._latest_roster
 
     def _new_roster(self, agents: tuple[str, ...]) -> _Roster:
         members: dict[Hashable, list[int]] = {}
@@ -435,11 +427,11 @@ class AgentChains:
     def _group(self, agents: tuple[str, ...], rows: list[int]) -> _Group:
         own = tuple(agents[row] for row in rows)
         identity, plan = self._identities[own[0]], self._plans[own[0]]
-        if identity not in self._made:
+        if identity not in self._kernels:
             observer = plan.observer or _observer_of(plan)
-            made = observer, plan.new_reader(), plan.new_controller()
-            self._made[identity] = made
-        observer, reader, car = self._made[identity]
+            objects = observer, plan.new_reader(), plan.new_controller()
+            self._kernels[identity] = objects
+        observer, reader, car = self._kernels[identity]
         players = [row for row in rows if agents[row] not in self._ignored]
         acting = [row for row in players if self._chains[agents[row]].is_empty]
         walking = [row for row in players if row not in acting]
@@ -459,7 +451,7 @@ class AgentChains:
 
     def __getstate__(self) -> dict[str, Any]:
         # The kernel objects are rebuilt from the plans on demand.
-        return {**self.__dict__, "_made": {}, "_present": None}
+        return {**self.__dict__, "_kernels": {}, "_latest_roster": None}
 
 
 def _observer_of(plan: ViewPlan) -> Observer:

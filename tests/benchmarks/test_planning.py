@@ -15,7 +15,7 @@ def raced(monkeypatch):
 
     def race(*key):
         keys.append(key)
-        seconds = 25.0 if key[-1] == planning.PLANNER else 30.0
+        seconds = 25.0 if key[-1] == "planner" else 30.0
         return planning.Result(*key, seconds, rank=1, rescues=0, seconds=1.0)
 
     monkeypatch.setattr(planning, "race", race)

@@ -205,7 +205,7 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
     for _ in range(12):
         actions.append({a: with_kernel.action_space(a).sample() for a in with_kernel.agents})
         steps.append(with_kernel.step(actions[-1]))
-    assert with_kernel._chains._present.walked == ()
+    assert with_kernel._chains._latest_roster.walked == ()
     with_kernel.close()
 
     numpy_only()
@@ -316,7 +316,7 @@ def test_a_compiled_view_matches_its_wrappers(view):
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))
         for _ in range(20):
-            seen = env._chains._made[full_of(env)][0].observe(env._episode, np.array([0]))
+            seen = env._chains._kernels[full_of(env)][0].observe(env._episode, np.array([0]))
             assert_close(observations["kart_0"], chain.observe(seen[0]))
             observations = env.step({a: env.action_space(a).sample() for a in env.agents})[0]
 
@@ -466,7 +466,7 @@ def test_custom_wrappers_and_terms_work_without_the_kernel():
     )
     env.reset(seed=0)
     env.step({a: env.action_space(a).sample() for a in env.agents})
-    assert env._chains._present.walked == ("kart_0",)
+    assert env._chains._latest_roster.walked == ("kart_0",)
     env.close()
 
 

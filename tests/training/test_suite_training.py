@@ -5,11 +5,11 @@ import pytest
 
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
+from stkzoo.agents.training.common.learner import RolloutResult
 from stkzoo.agents.training.common.ppo import advantages_of
 from stkzoo.agents.training.suite.actor import (
     KartRace,
     TaskActor,
-    TaskRollout,
     reward_shares,
     rollout_type,
 )
@@ -258,7 +258,7 @@ def test_v_trace_learns_beside_karts_that_wait_for_the_end_of_their_race(tmp_pat
     learner = small_run(tmp_path, IMPALA)
     rollout, last_values = random_rollout(16, 4)
     rollout["active"] = rollout["driven"] = np.arange(16)[:, None] < own_steps
-    driven = [TaskRollout(last_values, [])]
+    driven = [RolloutResult(last_values, [])]
     try:
         figures = learner._update([rollout], driven)
         weights = arrays_of(learner)

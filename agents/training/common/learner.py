@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -42,6 +42,22 @@ Weights = Mapping[str, FloatArray]
 
 #: Number of finished races in the means of the log.
 _RECENT = 200
+
+
+@dataclass(frozen=True, slots=True)
+class RolloutResult:
+    """Results of an actor's rollout that are not in its array.
+
+    Attributes:
+        last_values: ``(S,)`` values of the inputs after its last step.
+        finishes: the races of learners that ended.
+        duels: name of the rival and fraction of the duels that the learners won, for each race with
+            a rival that ended.
+    """
+
+    last_values: FloatArray
+    finishes: list[Any]
+    duels: list[tuple[str, float]] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +163,7 @@ class OverlappedLearner(ABC):
         """Starts the actors.
 
         Their ``begin(seed)`` starts new races. Their ``drive(number, policy, critic)`` fills the
-        rollout ``number`` and returns an object with ``finishes``, the ends of learners' races,
-        and what :meth:`_update` needs.
+        rollout ``number`` and returns a :class:`RolloutResult`.
 
         Returns:
             The actors, and two rollouts ``(2, T, S)`` of each.
@@ -160,13 +175,13 @@ class OverlappedLearner(ABC):
 
     @abstractmethod
     def _update(
-        self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[Any]
+        self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[RolloutResult]
     ) -> dict[str, float]:
         """Updates the networks.
 
         Args:
             rollouts: a rollout ``(T, S)`` of each actor.
-            driven: what each actor returned for it.
+            driven: its other results.
 
         Returns:
             Figures for the log.
@@ -229,7 +244,7 @@ class OverlappedLearner(ABC):
         """Returns more arguments of the actors' ``drive``."""
         return ()
 
-    def _driven(self) -> list[Any]:
+    def _driven(self) -> list[RolloutResult]:
         """Waits for the actors' rollouts."""
         return self._actors.receive()
 

@@ -18,7 +18,7 @@ from stkzoo.agents.pretrained.policy import INPUT_CLIP
 
 from .arguments import OverlappedArguments
 from .command import training_torch
-from .learner import FloatArray, LearningNetwork, OverlappedLearner
+from .learner import FloatArray, LearningNetwork, OverlappedLearner, RolloutResult
 
 #: Value that corresponds to an output of 1 of the value network.
 VALUE_UNIT = 10.0
@@ -168,17 +168,13 @@ def advantages_of(
 
 
 class OverlappedPPO(OverlappedLearner):
-    """A run of PPO; see :class:`.learner.OverlappedLearner`.
-
-    For each rollout, the actors also return ``last_values``, the values ``(S,)`` after its last
-    step.
-    """
+    """A run of PPO; see :class:`.learner.OverlappedLearner`."""
 
     _network: PPONetwork
     arguments: OverlappedArguments
 
     def _update(
-        self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[Any]
+        self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[RolloutResult]
     ) -> dict[str, float]:
         """Runs several epochs of gradient steps on the rollouts."""
         settings, nets = self.arguments, self._network

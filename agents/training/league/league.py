@@ -223,8 +223,9 @@ class League:
         if (self.folder / LEAGUE).exists():
             self._restore()
             return
-        counts = arguments.mains, arguments.exploiters, arguments.league_exploiters
-        self._state.players = new_players(*counts)
+        self._state.players = new_players(
+            arguments.mains, arguments.exploiters, arguments.league_exploiters
+        )
         save_weights(self._policies.file(START), _start_weights(arguments))
         self._admit(START, "", 0)
         self._save()

@@ -14,9 +14,9 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 
 from ..common.actors import ActorPool, SharedArray
 from ..common.fleet import Finish, FleetStep
-from ..common.learner import Weights
+from ..common.learner import RolloutResult, Weights
 from ..common.starts import Lineup
-from ..ppo.rollouts import ActorArguments, Driven, RaceActor
+from ..ppo.rollouts import ActorArguments, RaceActor
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
 from .players import PlayerMatchmaker, has_duels
 
@@ -72,7 +72,7 @@ class LeagueActor(RaceActor):
         for race in self._races:
             self._assign(race)
 
-    def drive(self, number: int, policy: Weights, critic: Weights) -> Driven:
+    def drive(self, number: int, policy: Weights, critic: Weights) -> RolloutResult:
         """See :meth:`~stkzoo.agents.training.ppo.rollouts.RaceActor.drive`."""
         driven = super().drive(number, policy, critic)
         duels, self._duels = self._duels, []
@@ -149,7 +149,7 @@ class LeagueLearner(PPOLearner):
         ]
         return ActorPool(LeagueActor, own)
 
-    def _driven(self) -> list[Driven]:
+    def _driven(self) -> list[RolloutResult]:
         driven = super()._driven()
         for rival, beaten in (duel for own in driven for duel in own.duels):
             self._matchmaker.update(rival, beaten)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from stkzoo.errors import ConfigError
 
 from ..common.actors import SharedArray
 from ..common.fleet import Finish, Fleet, FleetStep
-from ..common.learner import Weights
+from ..common.learner import RolloutResult, Weights
 from ..common.ppo import FIELDS, VALUE_UNIT
 from ..common.starts import Lineup
 
@@ -74,22 +74,6 @@ class ActorArguments:
         return sum(lineup.learners for lineup in self.lineups)
 
 
-@dataclass(frozen=True, slots=True)
-class Driven:
-    """Results of a rollout that are not in its array.
-
-    Attributes:
-        last_values: ``(S,)`` values of the inputs after its last step.
-        finishes: the races that ended.
-        duels: name of the rival and fraction of the duels won, for each race with a rival that
-            ended; only in leagues.
-    """
-
-    last_values: FloatArray
-    finishes: list[Finish]
-    duels: list[tuple[str, float]] = field(default_factory=list)
-
-
 class RaceActor:
     """Drives some races with the learner's policy.
 
@@ -113,7 +97,7 @@ class RaceActor:
         self._random = np.random.default_rng(seed)
         self._view = self._fleet.begin(seed)
 
-    def drive(self, number: int, policy: Weights, critic: Weights) -> Driven:
+    def drive(self, number: int, policy: Weights, critic: Weights) -> RolloutResult:
         """Fills a rollout.
 
         Args:
@@ -139,7 +123,7 @@ class RaceActor:
             if outcome.ended.any():
                 last = predict_values(value_network, outcome.last_inputs[outcome.ended])
                 step["next_values"][outcome.ended] = last
-        return Driven(predict_values(value_network, self._view.inputs), finishes)
+        return RolloutResult(predict_values(value_network, self._view.inputs), finishes)
 
     def close(self) -> None:
         """Ends all races."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from stkzoo.suite import Task
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.actors import SharedArray
-from ..common.learner import FloatArray, Weights
+from ..common.learner import FloatArray, RolloutResult, Weights
 from ..common.ppo import FIELDS, VALUE_UNIT
 
 
@@ -52,22 +52,6 @@ class KartRace:
     position: Place
 
 
-@dataclass(frozen=True, slots=True)
-class TaskRollout:
-    """Results of a rollout that are not in its array.
-
-    Attributes:
-        last_values: ``(S,)`` values of the observations after its last step.
-        finishes: the races of learners that ended.
-        duels: names of past policies, each with the share of its duels that the learners won in a
-            race that ended.
-    """
-
-    last_values: FloatArray
-    finishes: list[KartRace]
-    duels: list[tuple[str, float]] = field(default_factory=list)
-
-
 class TaskActor:
     """Drives races of a task, whose learners share one policy.
 
@@ -95,7 +79,7 @@ class TaskActor:
         self._observations = self._races.reset_slots(seeds, [None] * count).observations
         self._returns[:] = 0.0
 
-    def drive(self, number: int, policy: Weights, critic: Weights) -> TaskRollout:
+    def drive(self, number: int, policy: Weights, critic: Weights) -> RolloutResult:
         """Fills a rollout.
 
         Args:
@@ -126,13 +110,18 @@ class TaskActor:
                     row = np.concatenate([last, step["state"][slot]])
                     step["next_values"][slot] = values_of(row[None])[0, 0] * VALUE_UNIT
                 if self._is_own[slot]:
-                    own = float(self._returns[slot]), bool(steps.terminations[slot])
-                    ended.append(KartRace(*own, int(info["position"])))
+                    ended.append(
+                        KartRace(
+                            reward=float(self._returns[slot]),
+                            is_finished=bool(steps.terminations[slot]),
+                            position=int(info["position"]),
+                        )
+                    )
                 self._returns[slot] = 0.0
             self._look_at(steps.finals)
             self._observations = steps.observations
         latest = np.concatenate([self._observations, self._states()], axis=1)
-        return TaskRollout(values_of(latest)[:, 0] * np.float32(VALUE_UNIT), ended)
+        return RolloutResult(values_of(latest)[:, 0] * np.float32(VALUE_UNIT), ended)
 
     def close(self) -> None:
         """Ends all races."""

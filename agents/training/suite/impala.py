@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..common.learner import FloatArray
+from ..common.learner import FloatArray, RolloutResult
 from ..common.ppo import VALUE_UNIT
 from .learner import TaskArguments, TaskLearner, run_task
 
@@ -34,7 +33,7 @@ class IMPALA(TaskLearner):
         return replace(super().arguments_of(task, kart_steps, seed), n_epochs=1, batch_size=512)
 
     def _update(
-        self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[Any]
+        self, rollouts: Sequence[npt.NDArray[np.void]], driven: Sequence[RolloutResult]
     ) -> dict[str, float]:
         """Makes gradient steps on the rollouts."""
         settings = self.arguments

@@ -21,9 +21,9 @@ from stkzoo.errors import ConfigError
 from stkzoo.suite import Task
 
 from ..common.actors import ActorPool
-from ..common.learner import Weights
+from ..common.learner import RolloutResult, Weights
 from ..common.opponents import Rival, RivalPool
-from .actor import TaskActor, TaskRollout
+from .actor import TaskActor
 from .learner import TaskArguments, TaskFacts, TaskLearner
 
 #: Number of past policies that a run keeps.
@@ -56,7 +56,7 @@ class PastActor(TaskActor):
 
     def drive(
         self, number: int, policy: Weights, critic: Weights, odds: Mapping[str, float] | None = None
-    ) -> TaskRollout:
+    ) -> RolloutResult:
         """Fills a rollout.
 
         Args:
@@ -173,8 +173,8 @@ class PastSelfPlay(TaskLearner):
         odds = self._pool.odds()
         return (odds if self.is_prioritized else dict.fromkeys(odds, 1 / max(len(odds), 1)),)
 
-    def _driven(self) -> list[TaskRollout]:
-        driven: list[TaskRollout] = super()._driven()
+    def _driven(self) -> list[RolloutResult]:
+        driven = super()._driven()
         for name, beaten in (duel for own in driven for duel in own.duels):
             self._pool.update(name, beaten)
         return driven

@@ -94,7 +94,7 @@ class BatchRace(AheadRace):
             try:
                 episode.advance_into(self._session.step_wait(), agents, slots, ends)
             finally:
-                self._asked = None
+                self._stepping = None
             has_ended = steps.terminations[slots] | steps.truncations[slots]
             if has_ended.any():
                 self.agents = [

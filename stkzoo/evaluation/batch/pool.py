@@ -31,7 +31,7 @@ from stkzoo.evaluation.batch.order import RaceOrder
 _MAX_TRIALS = 32
 _END_TIMEOUT = 5.0  # [s]
 _WAIT_INTERVAL = 0.5  # [s]
-_logger = logging.getLogger(__name__)
+logger = logging.getLogger(__name__)
 _WORKER = "from stkzoo.evaluation.batch.pool import serve; serve()"
 
 
@@ -163,7 +163,7 @@ class _Worker:
     def _report(self, order: RaceOrder, outcome: OrderOutcome, suspects: Sequence[int]) -> None:
         names = ", ".join(order.drivers[number] for number in suspects) or "none"
         reason = outcome.error.partition("\n")[0]
-        _logger.warning("race %d: %s; it is repeated; suspects: %s", order.number, reason, names)
+        logger.warning("race %d: %s; it is repeated; suspects: %s", order.number, reason, names)
 
     def _run_once(self, order: RaceOrder) -> tuple[OrderOutcome, bool]:
         """Runs a race once, and returns its outcome and whether its process is still running."""

@@ -62,8 +62,9 @@ class DemoView:
                 f"observations in view {name!r} differ in size from step to step, or need their "
                 "past; record in racing, simple, or a flattened view"
             )
-        with_action = kart_observation_space(use_ai=True), kart_action_space()
-        self._acting = AgentChain("kart_0", *with_action, VIEWS[name])
+        self._acting = AgentChain(
+            "kart_0", kart_observation_space(use_ai=True), kart_action_space(), VIEWS[name]
+        )
         self.observation_space = self._seeing.observation_space
         self.action_space = self._seeing.action_space
 

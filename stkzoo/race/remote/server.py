@@ -29,8 +29,8 @@ from stkzoo.race.remote.sockets import (
     zmq_module,
 )
 
-_log = logging.getLogger(__name__)
-_log.addFilter(RepeatFilter())
+logger = logging.getLogger(__name__)
+logger.addFilter(RepeatFilter())
 
 #: Time without a message after which the server ends a client's session [s].
 _PATIENCE = 600.0
@@ -160,8 +160,8 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
                 if origin is not None and frames[0] in _NAMED:
                     self._peers.name(origin, identity)
                 self._dispatch(identity, frames)
-            except Exception:  # noqa: BLE001 - a client must not end the server
-                _log.exception("a message could not be handled")
+            except Exception:  # a client must not end the server
+                logger.exception("a message could not be handled")
                 self._dismiss(identity)
 
     def _frames(self) -> tuple[list[bytes], Any]:
@@ -228,16 +228,16 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         session.put(protocol.OPEN, body)
         session.start()
         self._sessions.add(session)
-        _log.info("client connected; %d of %d sessions", len(self._clients), self._max_sessions)
+        logger.info("client connected; %d of %d sessions", len(self._clients), self._max_sessions)
 
     def _update_peers(self) -> None:
         if self._peers.update():
-            _log.warning("too many connections; closing the oldest ones without a race")
+            logger.warning("too many connections; closing the oldest ones without a race")
 
     def _authenticate(self) -> None:
         assert self._authenticator is not None  # noqa: S101 - it has a socket
         if not self._authenticator.answer():
-            _log.warning("refused a client whose key is not allowed")
+            logger.warning("refused a client whose key is not allowed")
 
     # ------------------------------------------------------------------ outgoing messages
 
@@ -262,7 +262,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         if client is not None:
             client.end()
             self._peers.end_session(identity)
-            _log.info(
+            logger.info(
                 "client disconnected; %d of %d sessions", len(self._clients), self._max_sessions
             )
 

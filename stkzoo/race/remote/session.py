@@ -20,8 +20,8 @@ from stkzoo.errors import AgentError, ProtocolError, shortened
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.remote import protocol
 
-_log = logging.getLogger(__name__)
-_log.addFilter(RepeatFilter())
+logger = logging.getLogger(__name__)
+logger.addFilter(RepeatFilter())
 
 #: Time after which the server pings a silent client [s]. Further pings become less frequent,
 #: because a paused race does not read them and its queue must not overflow.
@@ -95,8 +95,8 @@ class ClientSession(threading.Thread):
                 self._serve()
             except ProtocolError as error:
                 self._send(protocol.ERROR, text=f"the session is over: {error}")
-            except Exception:  # noqa: BLE001 - the server continues after any error
-                _log.exception("a session failed")
+            except Exception:  # the server continues after any error
+                logger.exception("a session failed")
                 self._send(protocol.ERROR, text="the session is over: the server failed")
             finally:
                 self._reply(b"", b"")

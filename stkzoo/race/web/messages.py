@@ -31,7 +31,6 @@ _LEGEND = {
     "phase": Phase,
     "powerup_type": PowerupType,
 }
-_BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 _COLUMN = {name: number for number, name in enumerate(CONTROLS)}
 
 
@@ -70,7 +69,7 @@ def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> 
         "step_size": setup.step_size,
         "seed": seed,
         "karts": karts,
-        "buttons": _BUTTONS,
+        "buttons": CONTROLS[2:],
         "powerups": {str(kind.value): _word(kind.name) for kind in PowerupType},
         "road": {
             "quads": _rounded(road.quads[road.order].reshape(-1, 8)),
@@ -135,7 +134,7 @@ def moment_message(
     length = scene.track_map.length * laps
     distance = _distances(scene, snapshot)
     finished = karts["has_finished_race"] != 0
-    buttons = controls[:, [_COLUMN[name] for name in _BUTTONS]] > 0
+    buttons = controls[:, 2:] > 0
     speed, rank, _, reward, steer, throttle = traces
     return {
         "type": "moment",
