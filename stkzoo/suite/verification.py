@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -119,22 +119,7 @@ class VerifyOrder(RaceOrder):
         if last not in (None, replay.steps):
             raise EntryRefused(f"step {last} ends the race, and the recording has {replay.steps}")
         own = {f"kart_{number}" for number in self.wait_for or ()}
-        driving = [  # before it has finished, only a failure ends a kart's race
-            row.agent
-            for row in recorded.agents
-            if row.agent in own
-            and row.finish_time is None
-            and not (row.status == "retired" and row.num_errors > 0)
-        ]
-        if driving and replay.steps < (self.settings.max_steps or math.inf):
-            raise EntryRefused(f"step {replay.steps} does not end the race of {driving[0]}")
-        if driving:
-            expected = "max_steps"
-        elif any(row.status == "racing" for row in measured.agents if row.agent not in own):
-            expected = "awaited_finished"
-        else:
-            is_any_finished = any(row.finish_time is not None for row in measured.agents)
-            expected = "finished" if is_any_finished else "abandoned"
+        expected = _expected_status(recorded, measured, own, self.settings.max_steps or math.inf)
         for name, found in (("status", replay.status), ("status of the result", recorded.status)):
             if found != expected:
                 raise EntryRefused(
@@ -192,6 +177,37 @@ def _source_and_label(driver: str) -> tuple[str, str]:
 def _rows(result: RaceResult | None) -> list[AgentResult]:
     """Returns the rows of a result in the order of the agents."""
     return sorted(result.agents, key=lambda row: (len(row.agent), row.agent)) if result else []
+
+
+def _expected_status(
+    recorded: RaceResult, measured: RaceResult, own: Collection[str], max_steps: float
+) -> str:
+    """Returns the status with which the rules end a race.
+
+    Args:
+        recorded: result in the replay; only it shows failures of the agent.
+        measured: result of the new race.
+        own: ids of the agent's karts.
+        max_steps: maximum number of steps.
+
+    Raises:
+        EntryRefused: the race ends too early.
+    """
+    driving = [  # before it has finished, only a failure ends a kart's race
+        row.agent
+        for row in recorded.agents
+        if row.agent in own
+        and row.finish_time is None
+        and not (row.status == "retired" and row.num_errors > 0)
+    ]
+    if driving and measured.steps < max_steps:
+        raise EntryRefused(f"step {measured.steps} does not end the race of {driving[0]}")
+    if driving:
+        return "max_steps"
+    if any(row.status == "racing" for row in measured.agents if row.agent not in own):
+        return "awaited_finished"
+    is_any_finished = any(row.finish_time is not None for row in measured.agents)
+    return "finished" if is_any_finished else "abandoned"
 
 
 def _claims(

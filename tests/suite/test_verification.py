@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 
@@ -9,6 +10,7 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race.replay import load_replay, play_replay
 from stkzoo.suite import TASKS, EntryRefused, evaluate, plan_entry, verify_entry
+from stkzoo.suite.verification import _expected_status
 from tests.support.entries import (
     SMALL,
     change_controls,
@@ -313,10 +315,17 @@ def test_a_race_that_ends_early_without_a_failure_is_refused(entry, status):
     assert shorter.steps == 20
     change_header(entry, ALONE, lambda header: header.update(result=shorter.to_dict()))
     name_replays(entry)
-    expected = (
-        "does not end the race of kart_0" if status == "abandoned" else "expected 'abandoned'"
-    )
-    assert re.search(f"race 0 .*: step 20.* {expected}", refusal(entry))
+    assert re.search("race 0 .*: step 20 does not end the race of kart_0", refusal(entry))
+
+
+@pytest.mark.slow
+def test_an_agent_may_fail_in_the_last_step(honest):
+    result = load_replay(replay_of(honest, ALONE)).result
+    racing = replace(result.agents[0], status="racing", finish_time=None)
+    measured = replace(result, agents=(racing,))
+    assert _expected_status(measured, measured, {"kart_0"}, result.steps) == "max_steps"
+    failed = replace(measured, agents=(replace(racing, status="retired", num_errors=1),))
+    assert _expected_status(failed, measured, {"kart_0"}, result.steps) == "abandoned"
 
 
 @pytest.mark.slow
