@@ -63,13 +63,13 @@ def scaling(results: Path, axes: Any) -> None:
 
 
 def drivers(results: Path, axes: Any) -> None:
-    """Draws the fraction of races won against four of the hardest AI karts, with 95 % intervals."""
+    """Draws the fraction of races won against four of the hardest AI karts, with 95% intervals."""
     for row, name in enumerate(_DRIVERS):
         figures = _figures(results, name, "PAAAA")
         won = {key: 100 * figures["win_rate"][key] for key in ("value", "low", "high")}
         axes.plot([won["low"], won["high"]], [row, row], color=PALETTE[0], linewidth=3, alpha=0.5)
         axes.plot(won["value"], row, "o", color=PALETTE[0])
-        axes.text(won["high"] + 1, row, f"{won['value']:.0f} %", va="center", fontsize=9)
+        axes.text(won["high"] + 1, row, f"{won['value']:.0f}%", va="center", fontsize=9)
     axes.axvline(20, color=GRAY, linewidth=1, linestyle="--", zorder=0)
     axes.set_yticks(range(len(_DRIVERS)), _DRIVERS)
     axes.set_xlim(-1, 75)
@@ -77,7 +77,7 @@ def drivers(results: Path, axes: Any) -> None:
 
 
 def time_ratios(results: Path, axes: Any) -> None:
-    """Draws the time ratios on the test tracks by race form, with 95 % intervals."""
+    """Draws the time ratios on the test tracks by race form, with 95% intervals."""
     names = _DRIVERS[1:]  # random never finishes
     for number, (form, title) in enumerate(_FORMS.items()):
         color = PALETTE[number]
@@ -94,7 +94,7 @@ def time_ratios(results: Path, axes: Any) -> None:
 
 
 def ratings(results: Path, axes: Any) -> None:
-    """Draws the ratings of a run's policies over kart-steps, with 95 % intervals."""
+    """Draws the ratings of a run's policies over kart-steps, with 95% intervals."""
     found = json.loads((results / "learning" / "apex" / "ratings.json").read_text())
     rows = {row["name"]: row for row in found["ratings"]}
     ai, start = rows.pop("ai"), rows.pop("start")

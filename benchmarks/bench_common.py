@@ -133,7 +133,7 @@ def cores(number: int) -> tuple[int, ...]:
 
 
 def quantiles(values: Iterable[float]) -> dict[str, float]:
-    """Returns the median and the 10 and 90 % quantiles.
+    """Returns the median and the 10 and 90% quantiles.
 
     Raises:
         ValueError: there are no values.

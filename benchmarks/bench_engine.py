@@ -154,7 +154,7 @@ def _time(both: Mapping[str, _Contender], track: str, steps: int, karts: int) ->
 
 
 def speedup(before: Sequence[float], after: Sequence[float]) -> tuple[float, float, float]:
-    """Returns the speedup and its 95 % interval, from resampled pairs of blocks."""
+    """Returns the speedup and its 95% interval, from resampled pairs of blocks."""
     pairs = np.array([before, after])
     random = np.random.default_rng(0)
     drawn = random.integers(pairs.shape[1], size=(RESAMPLES, pairs.shape[1]))

@@ -363,7 +363,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
         "to engine: the rate over the engine's in the same round; core minutes: for a million "
         "kart-steps; then shares of the time of all cores"
     )
-    return [Table("learners: median (10..90 %)", (*columns, *SHARES), rows, note)]
+    return [Table("learners: median (10..90%)", (*columns, *SHARES), rows, note)]
 
 
 if __name__ == "__main__":

@@ -119,7 +119,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     columns = (*_FRESH, "to first observation", "later resets")
     return [
         Table(
-            f"{result['karts']} karts: milliseconds, median (10..90 %)",
+            f"{result['karts']} karts: milliseconds, median (10..90%)",
             ("", *columns, "to engine", "to forked"),
             [
                 (

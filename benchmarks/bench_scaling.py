@@ -107,7 +107,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     )
     titles = {"karts": "more karts", "tracks": "other tracks"}
     return [
-        Table(f"{titles[part]}: one step [µs], median (10..90 %)", columns, rows)
+        Table(f"{titles[part]}: one step [µs], median (10..90%)", columns, rows)
         for part in titles
         if (rows := [row for r in results if r["part"] == part for row in _rows(r)])
     ]
@@ -123,7 +123,7 @@ def _rows(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
             str(result["items"]),
             spread(found.get("engine")),
             spread(found.get("overhead")),
-            f"{100 / found['ratio']['median']:.0f} %" if "ratio" in found else "-",
+            f"{100 / found['ratio']['median']:.0f}%" if "ratio" in found else "-",
             f"{found['to_bare']:.3f}",
         )
         for name, found in result["contenders"].items()

@@ -80,7 +80,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Returns the results as a table."""
     return [
         Table(
-            "milliseconds, median (10..90 %)",
+            "milliseconds, median (10..90%)",
             ("karts", *_PARTS),
             [
                 (str(result["karts"]), *(spread(result[part], 1) for part in _PARTS))

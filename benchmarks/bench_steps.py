@@ -150,7 +150,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     columns = ("", "view", "karts", "step", "in engine", "ratio", "added", "to bare", "same race")
     return [
         Table(
-            f"{group}: one step [µs], median (10..90 %)",
+            f"{group}: one step [µs], median (10..90%)",
             columns,
             [row for result in results if result["group"] == group for row in _rows(result)],
         )

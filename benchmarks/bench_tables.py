@@ -50,7 +50,7 @@ _HEAD = """# Benchmark results
 
 `python -m benchmarks.bench_tables` writes this page from `benchmarks/results`; `make bench`
 measures everything again first. [Benchmarks](../explanation/benchmarks.md) has the charts and the
-method. *Reference* means pystk2-gymnasium 0.10.0. Figures are medians, with the 10 and 90 %
+method. *Reference* means pystk2-gymnasium 0.10.0. Figures are medians, with the 10 and 90%
 quantiles in brackets.
 """
 

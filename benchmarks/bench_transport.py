@@ -188,7 +188,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
         )
         for result in results
     ]
-    return [Table("what the worker adds to a step [µs], median (10..90 %)", columns, rows)]
+    return [Table("what the worker adds to a step [µs], median (10..90%)", columns, rows)]
 
 
 if __name__ == "__main__":

@@ -147,7 +147,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     notes = {"slots": "gain: over one race", "single": "gain: over the reference"}
     return [
         Table(
-            f"{group}: agent-steps a second, median (10..90 %)",
+            f"{group}: agent-steps a second, median (10..90%)",
             ("", "agent-steps/s", "gain"),
             [
                 (

@@ -6,8 +6,8 @@
 A scripted rammer chases drivers that avoid other karts (*ace*, *scout*, *apex* and the game's AI)
 on the training tracks, in both directions. A *ram* is a contact before which the rammer moves
 toward the other kart faster than the other kart toward the rammer. The rammer should be at fault in
-at least 95 % of its rams, and its victims in at most 2 %. Further races have victims that ignore
-other karts, or no rammer. The command writes ``benchmarks/results/conduct.json``. Rates have 95 %
+at least 95% of its rams, and its victims in at most 2%. Further races have victims that ignore
+other karts, or no rammer. The command writes ``benchmarks/results/conduct.json``. Rates have 95%
 intervals over tracks.
 """
 
@@ -109,13 +109,13 @@ def _row(name: str, found: dict[str, Any]) -> list[str]:
     if share is None:
         return [name, "0", "", ""]
     low, high = share["low"], share["high"]
-    interval = "" if low is None else f"{100 * low:.1f} to {100 * high:.1f} %"
-    return [name, str(found["contacts"]), f"{100 * share['value']:.1f} %", interval]
+    interval = "" if low is None else f"{100 * low:.1f} to {100 * high:.1f}%"
+    return [name, str(found["contacts"]), f"{100 * share['value']:.1f}%", interval]
 
 
 def _show(group: str, found: dict[str, Any]) -> None:
     rows = [_row(name, value) for name, value in found.items()]
-    print_tables([Table(group, ("driver", "contacts", "at fault", "95 %"), rows)])
+    print_tables([Table(group, ("driver", "contacts", "at fault", "95%"), rows)])
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -6,7 +6,7 @@ Each race has six drivers on a validation track, in both directions, in a random
 The drivers take turns. All AI karts of a race have the same difficulty, so AI drivers of different
 difficulties never meet.
 Writes ``benchmarks/results/suite_crossplay.json``: for each pair, the share of their races in which
-the first finished ahead of the second, with 95 % intervals over tracks and directions. Karts that
+the first finished ahead of the second, with 95% intervals over tracks and directions. Karts that
 do not finish are ranked by distance. ``python -m benchmarks.bench_charts`` draws the matrix.
 """
 

@@ -82,7 +82,7 @@ def _interval_table() -> str:
     rule = "| ---: " * (4 + len(names)) + "|"
     rows = [
         f"| {row['runs']} | {row['by_track']:.2f} | {row['by_run']:.2f} | {row['by_both']:.2f} | "
-        + " | ".join(f"{100 * row[name]:.0f} %" for name in names)
+        + " | ".join(f"{100 * row[name]:.0f}%" for name in names)
         + " |"
         for row in found["rows"]
     ]

@@ -229,7 +229,7 @@ def test_the_interval_contains_the_true_mean_at_the_stated_rate():
     for _ in range(300):
         found = estimate_mean(chance.normal(size=60).tolist(), strata)
         hits += found.low <= 0.0 <= found.high
-    assert 273 <= hits <= 296  # 91 to 98.7 %
+    assert 273 <= hits <= 296  # 91 to 98.7%
 
 
 def test_a_kind_with_one_race_gives_no_interval():

@@ -38,7 +38,7 @@ def test_the_interval_contains_the_true_mean_over_tracks_at_the_stated_rate():
         of_track = chance.normal(1.0, 0.04, (12, 1))
         found = estimate_clustered(*clusters_of(chance.normal(of_track, 0.03, (12, 5))))
         hits += found.low <= 1.0 <= found.high
-    assert 273 <= hits <= 296  # 91 to 98.7 %
+    assert 273 <= hits <= 296  # 91 to 98.7%
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def test_the_same_scores_have_the_same_interval():
 
 
 def test_simulated_intervals_contain_the_true_mean():
-    """Most 95 % intervals from four runs and twelve tracks contain the true mean."""
+    """Most 95% intervals from four runs and twelve tracks contain the true mean."""
     random, hits = np.random.default_rng(0), 0
     for _ in range(100):
         tracks, runs = random.normal(0, 0.15, 12), random.normal(0, 0.05, (4, 1))

@@ -17,12 +17,12 @@ from stkzoo.suite.tasks import TIME_RATIO
 #: Captions of the figures, by name.
 CAPTIONS = {
     "learning_curves": "Mean return of the training races. Bands contain all runs.",
-    "scores": "Interquartile mean on the test tracks, with 95 % intervals.",
-    "profiles": "Share of runs, tracks and directions with a score above each value, with 95 % "
+    "scores": "Interquartile mean on the test tracks, with 95% intervals.",
+    "profiles": "Share of runs, tracks and directions with a score above each value, with 95% "
     "bands.",
     "improvement": "Probability that a run of the first algorithm is better than one of the "
-    "second, with 95 % intervals.",
-    "gap": "Mean score on the training tracks minus that on the test tracks, with 95 % intervals.",
+    "second, with 95% intervals.",
+    "gap": "Mean score on the training tracks minus that on the test tracks, with 95% intervals.",
 }
 _HOURS = "{:.2f}"
 

@@ -79,7 +79,7 @@ export class Standings {
 function detailOf(karts, k, outcome) {
   if (karts.finish_time[k] > 0) return `✓ ${clock(karts.finish_time[k])}`;
   if (outcome?.status === "retired") return "retired";
-  return `${karts.speed[k].toFixed(1)} m/s · ${Math.floor(100 * karts.progress[k])} %`;
+  return `${karts.speed[k].toFixed(1)} m/s · ${Math.floor(100 * karts.progress[k])}%`;
 }
 
 export function clock(seconds) {
