@@ -14,8 +14,14 @@ from typing import Any
 
 from benchmarks.bench_common import RESULTS
 from stkzoo._arguments import CommandParser
-from stkzoo._os import write_whole
-from stkzoo.evaluation.plotting import GRAY, PALETTE, draw_shares, new_figure, style_axes
+from stkzoo.evaluation.plotting import (
+    GRAY,
+    PALETTE,
+    draw_shares,
+    new_figure,
+    save_figure,
+    style_axes,
+)
 
 PICTURES = Path(__file__).parents[1] / "docs" / "images" / "benchmarks"
 WIDTH = 8.0  # [in]
@@ -143,8 +149,7 @@ def main(arguments: list[str] | None = None) -> int:
     for name, (draw, height) in CHARTS.items():
         figure = new_figure(WIDTH, height)
         draw(options.results, figure.add_subplot())
-        with write_whole(options.output / f"{name}.svg") as part:
-            figure.savefig(part, format="svg", metadata={"Date": None})
+        save_figure(figure, options.output / f"{name}.svg")
     print(f"written to {options.output}")
     return 0
 
