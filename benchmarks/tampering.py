@@ -48,7 +48,7 @@ from tests.support.entries import (
     write_entry,
 )
 
-#: Entries of the card that nothing can verify (``docs/how-to/suite.md``).
+#: Entries of the card that nothing can verify (``docs/reference/suite.md``).
 UNVERIFIED = re.compile(
     r"\.(about|versions|agent|errors|sandboxes|protections|type|schema_version)(\.|\[|$)"
     r"|^\.(agent|interval)|\.settings\.(?!track|laps|difficulty|reverse|mode|kart|seed|max_paths|"
