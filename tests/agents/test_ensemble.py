@@ -298,5 +298,5 @@ def test_policies_of_runs_with_different_plans_are_refused(plan_file, tmp_path):
 def test_weights_of_another_kind_are_refused_as_a_member(tmp_path):
     file = tmp_path / "odd.safetensors"
     save_weights(file, {"w0": np.zeros((2, 2), np.float32)})
-    with pytest.raises(ConfigError, match="another version of stkzoo, or of something else"):
+    with pytest.raises(ConfigError, match="another version of stkzoo or another program"):
         export_policy([file], "wise", tmp_path / "wise", ensemble_weight=1.0)

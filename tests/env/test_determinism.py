@@ -25,8 +25,8 @@ SHORT_TRACKS = ("olivermath",)
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     output = tmp_path_factory.mktemp("determinism") / "report.json"
-    command = [sys.executable, ROOT / "benchmarks" / "determinism.py", "--track", *SHORT_TRACKS]
-    run = subprocess.run([*command, "--output", output], capture_output=True, text=True)
+    command = [sys.executable, "-m", "benchmarks.determinism", "--track", *SHORT_TRACKS]
+    run = subprocess.run([*command, "--output", output], capture_output=True, text=True, cwd=ROOT)
     assert run.returncode == 0, run.stdout + run.stderr
     return {result["track"]: result for result in json.loads(output.read_text())["tracks"]}
 

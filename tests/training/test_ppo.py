@@ -153,7 +153,7 @@ def test_unknown_choices_are_refused(tmp_path, names):
 def test_weights_of_another_network_are_refused(tmp_path):
     file = tmp_path / "network.safetensors"
     save_weights(file, small_network())
-    with pytest.raises(ConfigError, match="or of something else"):
+    with pytest.raises(ConfigError, match="or another program"):
         PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
     save_weights(file, RacingPolicy.of_plans_alone().weights)
     with pytest.raises(ConfigError, match="give --hidden 1 1"):

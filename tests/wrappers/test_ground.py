@@ -152,7 +152,7 @@ def test_demonstrations_do_not_depend_on_the_ground():
 
 
 def test_around_an_environment_without_ground_the_view_is_an_error():
-    with pytest.raises(ConfigError, match=r"shows the ground.*Choose view='ground'"):
+    with pytest.raises(ConfigError, match=r"observes the ground.*Choose view='ground'"):
         stkzoo.views.VIEWS["ground"](gym.make("supertuxkart/full-v0"))
 
 
