@@ -48,6 +48,7 @@ __all__ = [
     "make_folder",
     "max_descriptors",
     "network_of",
+    "read_blocks",
     "using_folder",
     "write_text",
     "write_whole",
@@ -56,6 +57,8 @@ __all__ = [
 
 #: Glob pattern of the temporary files of :func:`atomic_write`.
 PART_FILES = ".*.part"
+#: Size of a read of a large file [bytes].
+_BLOCK = 1 << 20
 #: Position of the number of received bytes in Linux's ``struct tcp_info``.
 _BYTES_RECEIVED = struct.Struct("@128xQ")
 
@@ -278,10 +281,22 @@ def file_digest(path: Path, digest: hashlib._Hash | hashlib.blake2b) -> str:
         path: the file.
         digest: a new hash object of :mod:`hashlib`.
     """
-    with path.open("rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
+    for block in read_blocks(path):
+        digest.update(block)
     return digest.hexdigest()
+
+
+def read_blocks(path: Path, most: int = sys.maxsize) -> Iterator[bytes]:
+    """Yields the content of a file in blocks.
+
+    Args:
+        path: the file.
+        most: maximum size of all blocks [bytes]; the rest of the file is left out.
+    """
+    with path.open("rb") as stream:
+        while block := stream.read(min(_BLOCK, most)):
+            yield block
+            most -= len(block)
 
 
 def _target_of(file: Path) -> Path:

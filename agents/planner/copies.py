@@ -90,8 +90,8 @@ class RaceCopy:
     def finish_step(self) -> None:
         """Waits for the step."""
         observations, _, _, _, infos = self._env.step_wait()
-        assert self._env.snapshot is not None  # noqa: S101 - since a step
         snapshot = self._env.snapshot
+        assert snapshot is not None  # noqa: S101 - since a step
         self._rescues.update(snapshot.karts, float(snapshot.header["time"]))
         self.observation, info = observations[self._agent], infos[self._agent]
         self.distance, self.finish_time = float(info["distance"]), float(info["finish_time"])

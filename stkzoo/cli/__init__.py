@@ -24,6 +24,7 @@ from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser
 from stkzoo._os import loses_exit_codes
+from stkzoo._schema import plain_text
 from stkzoo.cli._arguments import INTERRUPTED, add_command
 from stkzoo.cli._streams import discard_stdout, prepare_streams, writing_stdout
 from stkzoo.errors import StkzooError
@@ -105,8 +106,6 @@ def _run(words: list[str]) -> int:
         with writing_stdout():
             return _exit_code(words)
     except StkzooError as error:
-        from stkzoo._schema import plain_text
-
         print(f"stkzoo: {plain_text(str(error))}", file=sys.stderr)  # it may name strange files
         return 1
     except KeyboardInterrupt:

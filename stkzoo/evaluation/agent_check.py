@@ -188,8 +188,21 @@ def _problem_of(path: str) -> str:
 
 def _rejected(source: str, path: str, reason: str) -> AgentReport:
     """Returns the report of a path that is not an agent."""
-    nothing = (None,) * 5
-    return AgentReport(source, PurePath(path).name, False, reason, "", 0, 0.0, 0, *nothing)
+    return AgentReport(
+        agent=source,
+        name=PurePath(path).name,
+        passed=False,
+        reason=reason,
+        trace="",
+        steps=0,
+        distance=0.0,
+        num_clipped=0,
+        load_time=None,
+        thinking_time=None,
+        memory=None,
+        num_files=None,
+        size=None,
+    )
 
 
 def _measure(files: AgentFiles) -> tuple[int | None, int | None]:

@@ -154,7 +154,8 @@ def shorten(label: str) -> str:
 def _fallback_fonts() -> list[str]:
     """Returns the installed fonts among :data:`_FALLBACK_FONTS`."""
     manager = import_extra("matplotlib.font_manager", "the plot needs", "benchmark")
-    return [name for name in _FALLBACK_FONTS if name in {*manager.get_font_names()}]
+    installed = {*manager.get_font_names()}
+    return [name for name in _FALLBACK_FONTS if name in installed]
 
 
 def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:

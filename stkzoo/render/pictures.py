@@ -60,12 +60,19 @@ def font_of(size: int, text: str = "") -> ImageFont.FreeTypeFont:
 @lru_cache(maxsize=256)
 def _font_file(text: str) -> str:
     """Returns the first font file that lacks the fewest characters; empty for the built-in font."""
-    files = [""]
-    for file in FALLBACK_FONTS:
+    files = ("", *_installed(FALLBACK_FONTS))
+    return min(files, key=lambda file: _num_missing(text, _font(file, _TRIAL_SIZE)))
+
+
+@lru_cache(maxsize=1)
+def _installed(files: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the installed ones of font files. For each other one, Pillow searches all folders."""
+    found: list[str] = []
+    for file in files:
         with suppress(OSError):  # not installed
             _font(file, _TRIAL_SIZE)
-            files.append(file)
-    return min(files, key=lambda file: _num_missing(text, _font(file, _TRIAL_SIZE)))
+            found.append(file)
+    return tuple(found)
 
 
 @lru_cache(maxsize=64)

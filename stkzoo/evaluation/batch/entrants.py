@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
+from stkzoo._os import read_blocks
 from stkzoo._schema import Within, plain_text
 from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
@@ -26,7 +27,6 @@ NAME_MARK = "@:"
 _MOST_FILES = 1000
 _MOST_CHARACTERS = 40
 _DIGEST_SIZE = 8
-_BLOCK = 1 << 20
 #: Folders and file name suffixes that a running agent may write beside its code.
 _IGNORED_FOLDERS, _IGNORED_ENDINGS = ("__pycache__",), (".pyc", ".log")
 
@@ -261,10 +261,9 @@ def _digest(file: Path, most: int) -> tuple[str, int]:
     """Returns the digest of the beginning of a file and its size, which is at most ``most``."""
     digest, size = hashlib.blake2b(digest_size=_DIGEST_SIZE), 0
     try:
-        with file.open("rb") as stream:
-            while block := stream.read(min(_BLOCK, most - size)):
-                digest.update(block)
-                size += len(block)
+        for block in read_blocks(file, most):
+            digest.update(block)
+            size += len(block)
     except OSError:
         return "unreadable", size
     return digest.hexdigest(), size

@@ -32,6 +32,8 @@ _LEGEND = {
     "powerup_type": PowerupType,
 }
 _COLUMN = {name: number for number, name in enumerate(CONTROLS)}
+#: The controls that are pressed or not.
+_BUTTONS = slice(2, None)
 
 
 def encoded(message: Mapping[str, Any]) -> str:
@@ -69,7 +71,7 @@ def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> 
         "step_size": setup.step_size,
         "seed": seed,
         "karts": karts,
-        "buttons": CONTROLS[2:],
+        "buttons": CONTROLS[_BUTTONS],
         "powerups": {str(kind.value): _word(kind.name) for kind in PowerupType},
         "road": {
             "quads": _rounded(road.quads[road.order].reshape(-1, 8)),
@@ -134,7 +136,7 @@ def moment_message(
     length = scene.track_map.length * laps
     distance = _distances(scene, snapshot)
     finished = karts["has_finished_race"] != 0
-    buttons = controls[:, 2:] > 0
+    buttons = controls[:, _BUTTONS] > 0
     speed, rank, _, reward, steer, throttle = traces
     return {
         "type": "moment",
