@@ -10,6 +10,7 @@ import select
 import socket
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -149,7 +150,7 @@ class ForkServerClient:
             try:
                 kind, frames = wire.receive(ours)
             except EOFError:
-                if _is_closed(source):
+                if _polled(source, 0, 0.0):  # its other end is closed
                     raise
                 raise EngineCrashed(
                     "a new process of the game ended before it could answer; it was killed, or "
@@ -173,13 +174,21 @@ class ForkServerClient:
         with contextlib.suppress(EOFError, OSError), self._lock:
             asked = str(pid).encode()
             wire.send(self._control, wire.END, asked)
-            if _is_stopped(self._process.pid):
-                return None  # it ends the child when it continues
             replied = b""
             while replied != asked:  # a reply to an interrupted request may come first
+                if not self._wait_for_reply():
+                    return None  # the fork server ends the child when it continues
                 _, (replied, status) = wire.receive(self._control)
             return int(status) if status else None
         return None
+
+    def _wait_for_reply(self) -> bool:
+        """Returns whether the fork server replies; a stopped one (SIGSTOP) does not."""
+        end = time.monotonic() + START_TIMEOUT
+        while not _polled(self._control, select.POLLIN, 0.05):
+            if _is_stopped(self._process.pid) or time.monotonic() > end:
+                return False
+        return True
 
     def close(self) -> None:
         """Ends the fork server and all its children."""
@@ -206,11 +215,11 @@ def _is_stopped(pid: int) -> bool:
     return status.rpartition(b") ")[2][:1] in (b"T", b"t")
 
 
-def _is_closed(connection: socket.socket) -> bool:
-    """Returns whether the other end is closed, even if it sent data before."""
+def _polled(connection: socket.socket, events: int, timeout: float) -> bool:
+    """Returns whether an event happens, or the other end is closed, within a time limit [s]."""
     poller = select.poll()
-    poller.register(connection, 0)
-    return bool(poller.poll(0))
+    poller.register(connection, events)
+    return bool(poller.poll(timeout * 1000))
 
 
 @dataclass(eq=False)
