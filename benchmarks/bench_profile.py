@@ -81,7 +81,7 @@ def parts(view: str, karts: int, track: str, repeats: int = 400) -> dict[str, fl
             env.step(actions)
         race: Any = env._session._race  # type: ignore[attr-defined]
         episode: Any = env._episode
-        now, agents, chains = episode.snapshot, env.agents, env._chains
+        now, seats, chains = episode.snapshot, episode.seats(env.agents), env._chains
         return {
             "update": _median(race._world.update, repeats),
             "write": _median(race._world.__getstate__, repeats),
@@ -90,9 +90,9 @@ def parts(view: str, karts: int, track: str, repeats: int = 400) -> dict[str, fl
             ),
             "read": _median(lambda: race._stepper.read(True), repeats),
             "controls": _median(lambda: env.decode(actions), repeats),
-            "score": _median(lambda: episode._record.score(now, now, agents, False), repeats),
-            "observe": _median(lambda: chains.observe(agents, episode), repeats),
-            "infos": _median(lambda: episode.infos(agents), repeats),
+            "score": _median(lambda: episode._record.score(now, now, seats, False), repeats),
+            "observe": _median(lambda: chains.observe(seats, episode), repeats),
+            "infos": _median(lambda: episode.infos(seats), repeats),
         }
 
 

@@ -27,6 +27,7 @@ from stkzoo.mdp.observations import ai_actions, observe_karts
 from stkzoo.mdp.rewards import Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
+from stkzoo.views.plan import Seats
 from stkzoo.wrappers.racing import ground_table
 
 FloatArray = npt.NDArray[np.float64]
@@ -98,7 +99,7 @@ class Episode:
         self.snapshot = start.snapshot
         self._kart_of = {f"kart_{number}": kart for number, kart in enumerate(kart_indices)}
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
-        self._places_of: dict[tuple[str, ...], tuple[IntArray, IntArray]] = {}
+        self._latest_seats: tuple[tuple[Sequence[str], Seats], ...] = ()
         self._reports_control = any(kart.reports_control for kart in setup.karts)
         self._past: Any = None  # (earlier history, latest controls), shared by copies
         self._start(options, rewards)
@@ -132,16 +133,17 @@ class Episode:
         """Number of karts for which the engine expects controls."""
         return len(self._players)
 
-    def player_rows(self, agents: Sequence[str]) -> IntArray:
-        """Returns the rows of the agents in the engine's controls.
-
-        Agents that the game's AI drives have no row.
-        """
-        return self._places(agents)[1]
-
-    def karts(self, agents: Sequence[str]) -> IntArray:
-        """Returns the kart indices of the agents, ``(A,)``."""
-        return self._places(agents)[0]
+    def seats(self, agents: Sequence[str]) -> Seats:
+        """Returns where some agents sit: the same object as long as the agents are the same."""
+        for asked, seats in self._latest_seats:
+            if asked == agents:
+                return seats
+        karts = np.array([self._kart_of[agent] for agent in agents], np.intp)
+        rows = np.searchsorted(self._players, karts)
+        seats = Seats(tuple(agents), karts, rows, self.num_players)
+        # Agents and opponents alternate; a list of the caller may change later.
+        self._latest_seats = (agents[:], seats), *self._latest_seats[:1]
+        return seats
 
     def remember(self, controls: npt.NDArray[np.float32]) -> None:
         """Appends the controls of a step, ``(P, 7)`` float32, to the history."""
@@ -156,32 +158,32 @@ class Episode:
         numbers = np.frombuffer(b"".join(reversed(rows)), np.float32)
         return np.array(numbers.reshape(len(rows), self.num_players, len(CONTROLS)))
 
-    def advance(self, snapshot: Snapshot, agents: Sequence[str]) -> Ends:
+    def advance(self, snapshot: Snapshot, seats: Seats) -> Ends:
         """Advances to the moment after a step.
 
         Args:
             snapshot: snapshot after the step.
-            agents: the agents that acted.
+            seats: the agents that acted.
 
         Returns:
             Their rewards, terminations and truncations.
         """
         before, is_over = self._move_to(snapshot)
-        return self._record.score(before, snapshot, agents, is_over)
+        return self._record.score(before, snapshot, seats, is_over)
 
     def advance_into(
-        self, snapshot: Snapshot, agents: Sequence[str], slots: IntArray, ends: EndArrays
+        self, snapshot: Snapshot, seats: Seats, slots: IntArray, ends: EndArrays
     ) -> None:
         """Does the same as :meth:`advance` and writes the results into arrays.
 
         Args:
             snapshot: see :meth:`advance`.
-            agents: see :meth:`advance`.
+            seats: see :meth:`advance`.
             slots: slot of each agent.
             ends: rewards, terminations and truncations of all slots.
         """
         before, is_over = self._move_to(snapshot)
-        self._record.score_into(before, snapshot, agents, is_over, slots, ends)
+        self._record.score_into(before, snapshot, seats, is_over, slots, ends)
 
     def _move_to(self, snapshot: Snapshot) -> tuple[Snapshot, bool]:
         """Returns the snapshot before, and whether the time limit is reached."""
@@ -195,17 +197,17 @@ class Episode:
         """Keys of every info, in order."""
         return self._record.info_keys
 
-    def infos_into(self, agents: Sequence[str], slots: IntArray, table: FloatArray) -> None:
+    def infos_into(self, seats: Seats, slots: IntArray, table: FloatArray) -> None:
         """Writes the infos of some agents into a table; see :meth:`EpisodeRecord.infos_into`."""
-        self._record.infos_into(self.snapshot, agents, self._num_steps, slots, table)
+        self._record.infos_into(self.snapshot, seats, self._num_steps, slots, table)
 
-    def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+    def infos(self, seats: Seats) -> dict[str, dict[str, Any]]:
         """Returns new infos of some agents; see :meth:`EpisodeRecord.infos`."""
-        return self._record.infos(self.snapshot, agents, self._num_steps)
+        return self._record.infos(self.snapshot, seats, self._num_steps)
 
     def observe_batch(self, agents: Sequence[str]) -> dict[str, Any]:
         """Returns the current observations of some agents in the ``full`` view, in batch form."""
-        karts = self.karts(agents)
+        karts = self.seats(agents).karts
         _, num_paths, kart_types = self.course
         batch = observe_karts(self.track_map, kart_types, self.snapshot, karts, num_paths)
         if self._reports_control:
@@ -250,14 +252,6 @@ class Episode:
         num_paths = min(num_nodes, options.max_paths or num_nodes)
         self.course = self.track_map.graph, num_paths, tuple(self.race.kart_types)
 
-    def _places(self, agents: Sequence[str]) -> tuple[IntArray, IntArray]:
-        """Returns the karts of the agents and their rows among the player karts."""
-        key = tuple(agents)
-        if key not in self._places_of:
-            karts = np.array([self._kart_of[agent] for agent in key], np.intp)
-            self._places_of[key] = karts, np.searchsorted(self._players, karts)
-        return self._places_of[key]
-
 
 @dataclass(frozen=True)
 class _RewardGroup:
@@ -297,6 +291,7 @@ class EpisodeRecord:
         self._rows = {agent: row for row, agent in enumerate(rewards)}
         names = sorted({name for reward in rewards.values() for name in reward.terms})
         self._groups = _groups(rewards, self._karts, {name: c for c, name in enumerate(names)})
+        self._custom = [group for group in self._groups if group.reward.kernel_terms is None]
         self._race_length, self._shows_events = race_length, shows_events
         self._events, self._endings = events, endings
         shown = EVENTS if shows_events else ()
@@ -309,34 +304,31 @@ class EpisodeRecord:
             *(f"episode/{column}" for column in columns),
             *("episode/return", "episode/length"),
         )
-        self._scorer: tuple[tuple[str, ...], StepScorer] | None = None
+        self._scorer: tuple[Seats, StepScorer] | None = None
 
-    def score(
-        self, before: Snapshot, after: Snapshot, agents: Sequence[str], is_over: bool
-    ) -> Ends:
+    def score(self, before: Snapshot, after: Snapshot, seats: Seats, is_over: bool) -> Ends:
         """Computes the rewards and ends of one step and adds them to the record.
 
         Args:
             before: snapshot before the step.
             after: snapshot after the step.
-            agents: the agents that were still racing.
+            seats: the agents that were still racing.
             is_over: whether the time limit is reached.
 
         Returns:
             Their rewards, terminations and truncations.
         """
         self._prepare(before, after)
-        ends = self._scorer_of(agents).score(before.data, after.data, is_over)
+        ends = self._scorer_of(seats).score(before.data, after.data, is_over)
         if self._endings is not None and self._events is not None:
-            karts = self._karts[[self._rows[agent] for agent in agents]]
-            self._endings.end(ends, agents, karts, after, self._events.seconds)
+            self._endings.end(ends, seats.agents, seats.karts, after, self._events.seconds)
         return ends
 
     def score_into(
         self,
         before: Snapshot,
         after: Snapshot,
-        agents: Sequence[str],
+        seats: Seats,
         is_over: bool,
         slots: IntArray,
         ends: EndArrays,
@@ -346,24 +338,22 @@ class EpisodeRecord:
         Args:
             before: see :meth:`score`.
             after: see :meth:`score`.
-            agents: see :meth:`score`.
+            seats: see :meth:`score`.
             is_over: see :meth:`score`.
             slots: slot of each agent.
             ends: rewards, terminations and truncations of all slots.
         """
         if self._endings is not None:
-            rewards, terminations, truncations = self.score(before, after, agents, is_over)
+            rewards, terminations, truncations = self.score(before, after, seats, is_over)
             ends[0][slots] = list(rewards.values())
             ends[1][slots] = list(terminations.values())
             ends[2][slots] = list(truncations.values())
             return
         self._prepare(before, after)
-        scorer = self._scorer_of(agents)
+        scorer = self._scorer_of(seats)
         scorer.score_into(before.data, after.data, is_over, slots, *ends)
 
-    def infos(
-        self, snapshot: Snapshot, agents: Sequence[str], length: int
-    ) -> dict[str, dict[str, Any]]:
+    def infos(self, snapshot: Snapshot, seats: Seats, length: int) -> dict[str, dict[str, Any]]:
         """Returns new infos of some agents: plain numbers under the same keys in every step.
 
         ``position`` is the rank, ``distance`` the distance driven [m], ``lap`` the number of
@@ -376,10 +366,10 @@ class EpisodeRecord:
 
         Args:
             snapshot: current snapshot.
-            agents: the agents.
+            seats: the agents.
             length: number of steps so far.
         """
-        infos = self._scorer_of(agents).infos(snapshot.data, length)
+        infos = self._scorer_of(seats).infos(snapshot.data, length)
         for agent, reason in self._endings.reasons.items() if self._endings else ():
             if agent in infos:
                 infos[agent]["ended_by"] = reason
@@ -388,7 +378,7 @@ class EpisodeRecord:
     def infos_into(
         self,
         snapshot: Snapshot,
-        agents: Sequence[str],
+        seats: Seats,
         length: int,
         slots: IntArray,
         table: FloatArray,
@@ -397,13 +387,13 @@ class EpisodeRecord:
 
         Args:
             snapshot: see :meth:`infos`.
-            agents: see :meth:`infos`.
+            seats: see :meth:`infos`.
             length: see :meth:`infos`.
             slots: slot of each agent.
             table: ``(K, S)`` float64 with a row for each of :attr:`info_keys` and a column for each
                 slot; changed in place.
         """
-        self._scorer_of(agents).infos_into(snapshot.data, length, slots, table)
+        self._scorer_of(seats).infos_into(snapshot.data, length, slots, table)
 
     @property
     def _shown_events(self) -> FloatArray | None:
@@ -413,23 +403,21 @@ class EpisodeRecord:
         """Counts events and writes the terms of rewards that the kernel does not implement."""
         if self._events is not None:
             self._events.count(before, after)
-        groups = [group for group in self._groups if group.reward.kernel_terms is None]
-        if not groups:
+        if not self._custom:
             return
         step = Transition(before, after, self._race_length, self._shown_events)
-        for group in groups:
+        for group in self._custom:
             values = group.reward(step).values()
             for column, value in zip(group.columns, values, strict=True):
                 self._last[group.rows, column] = value[group.karts]
 
-    def _scorer_of(self, agents: Sequence[str]) -> StepScorer:
-        key = tuple(agents)
-        if self._scorer is None or self._scorer[0] != key:
-            self._scorer = key, self._new_scorer(key)
+    def _scorer_of(self, seats: Seats) -> StepScorer:
+        if self._scorer is None or self._scorer[0] is not seats:
+            self._scorer = seats, self._new_scorer(seats)
         return self._scorer[1]
 
-    def _new_scorer(self, agents: tuple[str, ...]) -> StepScorer:
-        rows = np.array([self._rows[agent] for agent in agents], np.intp)
+    def _new_scorer(self, seats: Seats) -> StepScorer:
+        rows = np.array([self._rows[agent] for agent in seats.agents], np.intp)
         where = {int(row): number for number, row in enumerate(rows)}
         rewards = []
         for group in self._groups:
@@ -441,8 +429,8 @@ class EpisodeRecord:
         if events is None:
             events = np.zeros((int(self._karts.max()) + 1, 0))
         return StepScorer(
-            agents,
-            self._karts[rows],
+            seats.agents,
+            seats.karts,
             rows,
             self._last,
             self._sums,

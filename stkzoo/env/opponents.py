@@ -162,7 +162,7 @@ class RaceOpponents:
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self._present}
         failed: Failures = {}
         self._observations, _ = self._chains.reset(
-            self._present, episode, infos, seed=seed, failed=failed
+            episode.seats(self._present), episode, infos, seed=seed, failed=failed
         )
         self._drop(failed)
 
@@ -305,31 +305,31 @@ class RaceOpponents:
         """
         while True:
             acting = tuple(agent for agent in self._present if agent in self._opponents)
-            rows = episode.player_rows(acting)
+            seats = episode.seats(acting)
             try:
-                own = self._chains.decode(actions, acting, rows, len(controls), episode)
+                own = self._chains.decode(actions, seats, episode)
                 break
             except (ActionError, AgentError) as error:
                 agent = error.agent if isinstance(error, ActionError) else error.key
                 self.retire(self._opponents[agent], error)
-        controls[rows] = own[rows]
+        controls[seats.rows] = own[seats.rows]
         self._present, self._observations = acting, None
 
     def _look(self, episode: Episode) -> None:
         """Updates the observations of the opponents that are still racing."""
         if self._observations is None:
-            acted = self._present
-            seen = self._chains.observe(acted, episode)
+            acted, seats = self._present, episode.seats(self._present)
+            seen = self._chains.observe(seats, episode)
             infos: dict[str, dict[str, Any]] = {agent: {} for agent in acted}
             no = dict.fromkeys(acted, False)
             parts = seen, dict.fromkeys(acted, 0.0), no, dict(no), infos
             failed: Failures = {}
-            self._chains.finish(acted, parts, failed)
+            self._chains.finish(seats, parts, failed)
             self._observations = seen
             self._drop(failed)
         finished = episode.snapshot.karts["has_finished_race"]
         if finished.any():
-            karts = episode.karts(self._present).tolist()
+            karts = episode.seats(self._present).karts.tolist()
             pairs = zip(self._present, karts, strict=True)
             self._present = tuple(agent for agent, kart in pairs if not finished[kart])
 

@@ -243,10 +243,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
                 agents = list(self.possible_agents)
                 self._episode = self._new_race(options_now, options)
             self.agents, self._stepping = [], None  # in case a wrapper fails
+        seats = self._episode.seats(agents)
         result = self._chains.reset(
-            agents,
+            seats,
             self._episode,
-            self._episode.infos(agents),
+            self._episode.infos(seats),
             seed=seed,
             options=dict(options),
         )
@@ -304,7 +305,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
 
     def _request_step(self, actions: Mapping[str, Any]) -> None:
         controls = self.decode(actions)
-        drive_opponents([self], [controls])
+        if self._opponents is not None:
+            drive_opponents([self], [controls])
         self.send(controls)
 
     def decode(self, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
@@ -322,8 +324,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``, or while a step is running.
         """
         episode = self._idle_episode()
-        rows = episode.player_rows(self.agents)
-        return self._chains.decode(actions, self.agents, rows, episode.num_players, episode)
+        return self._chains.decode(actions, episode.seats(self.agents), episode)
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
         """Second half of :meth:`step_async`: starts the step in the game.
@@ -331,10 +332,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         Args:
             controls: controls from :meth:`decode`, ``(P, 7)`` float32.
         """
+        episode = self._running("step")
         if self.agents:
             self._session.step_async(controls)
-            self._running("step").remember(controls)
-        self._stepping = self._running("step")
+            episode.remember(controls)
+        self._stepping = episode
 
     def step_wait(self) -> StepParts:
         """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.
@@ -351,14 +353,15 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         try:  # until the episode has advanced, signal handlers cannot save or copy the race
             if not agents:
                 return {}, {}, {}, {}, {}
-            snapshot = self._session.step_wait()
-            rewards, terminations, truncations = episode.advance(snapshot, agents)
+            seats = episode.seats(agents)
+            ends = episode.advance(self._session.step_wait(), seats)
         finally:
             self._stepping = None
-        observations = self._chains.observe(agents, episode)
-        infos = episode.infos(agents)
+        rewards, terminations, truncations = ends
+        observations = self._chains.observe(seats, episode)
+        infos = episode.infos(seats)
         parts = observations, rewards, terminations, truncations, infos
-        self._chains.finish(agents, parts)
+        self._chains.finish(seats, parts)
         if any(terminations.values()) or any(truncations.values()):
             self.agents = [a for a in agents if not (terminations[a] or truncations[a])]
         if self.render_mode is not None:
@@ -469,7 +472,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``.
             ConfigError: ``agents`` is not a list of agents.
         """
-        return self._chains.observe(self._ids_of(agents), self._running("observe"))
+        episode = self._running("observe")
+        return self._chains.observe(episode.seats(self._ids_of(agents)), episode)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Returns the agents' current infos, before their wrappers.
@@ -481,7 +485,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``.
             ConfigError: ``agents`` is not a list of agents.
         """
-        return self._running("infos").infos(self._ids_of(agents))
+        episode = self._running("infos")
+        return episode.infos(episode.seats(self._ids_of(agents)))
 
     # ------------------------------------------------------------------ helpers
 

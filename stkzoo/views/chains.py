@@ -14,7 +14,7 @@ from stkzoo.agent_names import require_actions
 from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController
 from stkzoo.views.agent_chain import WrapperMemory
-from stkzoo.views.plan import ObservationSource, Observer, RowObserver, ViewPlan
+from stkzoo.views.plan import ObservationSource, Observer, RowObserver, Seats, ViewPlan
 from stkzoo.views.walker import ChainWalker, Factories, Failures, StepParts
 
 IntArray = npt.NDArray[np.intp]
@@ -23,28 +23,34 @@ FloatArray = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Agents with equal plans, among the agents of one call.
+    """Agents with equal plans.
 
     Attributes:
         agents: all agents of the group.
-        rows: their positions among the agents of the call.
+        places: their places among the seats.
+        karts: their karts.
+        rows: their rows in the controls.
         observer: makes their observations.
         row_observer: the same, if it writes into rows of a batch.
         reader: converts their actions to controls.
         acting: agents whose actions the reader takes directly.
-        acting_rows: positions of ``acting``.
+        acting_places: their places among the seats.
+        acting_rows: their rows in the controls.
         walking: agents whose actions pass through Python wrappers first.
-        walking_rows: positions of ``walking``.
+        walking_rows: their rows in the controls.
         car: converts actions in physical units to controls, if the plan has such actions.
         numbers: positions of the group's agents among all agents of the race.
     """
 
     agents: tuple[str, ...]
+    places: IntArray
+    karts: IntArray
     rows: IntArray
     observer: Observer
     row_observer: RowObserver | None
     reader: ActionReader
     acting: tuple[str, ...]
+    acting_places: IntArray
     acting_rows: IntArray
     walking: tuple[str, ...]
     walking_rows: IntArray
@@ -54,15 +60,15 @@ class _Group:
 
 @dataclass(frozen=True, slots=True)
 class _Roster:
-    """The agents of one call, grouped by the work to do.
+    """Agents in their seats, grouped by the work to do.
 
     Attributes:
-        agents: all agents of the call.
+        seats: the seats.
         groups: agents with equal plans.
         walked: agents with Python wrappers.
     """
 
-    agents: tuple[str, ...]
+    seats: Seats
     groups: tuple[_Group, ...]
     walked: tuple[str, ...]
 
@@ -73,14 +79,12 @@ class CheckedActions:
 
     Attributes:
         roster: the agents that act.
-        rows: row of each agent in ``controls``.
         controls: base actions of the agents whose wrappers all run in the kernel, but actions in
             physical units as they came.
         walked: actions of the agents with Python wrappers.
     """
 
     roster: _Roster
-    rows: IntArray
     controls: FloatArray
     walked: Mapping[str, Any]
 
@@ -154,65 +158,53 @@ class AgentChains:
     def decode(
         self,
         actions: Mapping[str, Any],
-        agents: Sequence[str],
-        rows: IntArray,
-        num_rows: int,
+        seats: Seats,
         source: ObservationSource,
     ) -> FloatArray:
         """Converts the agents' actions to base actions: :meth:`check`, then :meth:`convert`.
 
-        Actions of agents not in ``agents`` are ignored.
+        Actions of agents without a seat are ignored.
 
         Args:
             actions: actions by agent, in each agent's ``action_spaces``.
-            agents: the agents that act.
-            rows: row of each agent's base action in the result. Base actions of ignored agents are
-                dropped.
-            num_rows: number of rows. Rows without an agent are zeros.
+            seats: the agents that act. Base actions of ignored agents are dropped.
             source: the race at this moment.
 
         Returns:
-            ``(num_rows, n)`` float32, with the constructor's ``columns``.
+            ``(seats.num_rows, n)`` float32, with the constructor's ``columns``. Rows without an
+                agent are zeros.
 
         Raises:
             ActionError: an action is missing or not in its space.
             AgentException: a wrapper failed.
         """
-        return self.convert(self.check(actions, agents, rows, num_rows), source)
+        return self.convert(self.check(actions, seats), source)
 
-    def check(
-        self, actions: Mapping[str, Any], agents: Sequence[str], rows: IntArray, num_rows: int
-    ) -> CheckedActions:
+    def check(self, actions: Mapping[str, Any], seats: Seats) -> CheckedActions:
         """First half of :meth:`decode`, with its arguments: checks the actions, changes nothing.
 
         Raises:
             ActionError: an action is missing or not in its space.
         """
-        roster = self._roster(agents)
-        controls = np.zeros((num_rows, len(self._columns)), np.float32)
+        roster = self._roster(seats)
+        controls = np.zeros((seats.num_rows, len(self._columns)), np.float32)
         walked: Mapping[str, Any] = {}
         unread = [
             group
             for group in roster.groups
-            if not group.reader.read(actions, group.acting, rows[group.acting_rows], controls)
+            if not group.reader.read(actions, group.acting, group.acting_rows, controls)
         ]
         if unread or roster.walked:
-            require_actions(actions, agents, self._ignored)
+            require_actions(actions, seats.agents, self._ignored)
             for group in unread:
                 usual = {a: self._chains[a].read_action(actions[a]) for a in group.acting}
-                group.reader.read(usual, group.acting, rows[group.acting_rows], controls)
+                group.reader.read(usual, group.acting, group.acting_rows, controls)
             asked = [agent for agent in roster.walked if agent not in self._ignored]
             walked = self._walker.read_actions(actions, asked)
-        return CheckedActions(roster, rows, controls, walked)
+        return CheckedActions(roster, controls, walked)
 
     def check_batch(
-        self,
-        batch: Any,
-        slots: IntArray,
-        num_slots: int,
-        agents: Sequence[str],
-        rows: IntArray,
-        num_rows: int,
+        self, batch: Any, slots: IntArray, num_slots: int, seats: Seats
     ) -> CheckedActions | None:
         """Does the same as :meth:`check` for a batch of actions, if no wrapper runs in Python.
 
@@ -220,23 +212,21 @@ class AgentChains:
             batch: an array with one row per slot, or a dict of such arrays.
             slots: slot of each agent.
             num_slots: number of slots in the batch.
-            agents: see :meth:`decode`.
-            rows: see :meth:`decode`.
-            num_rows: see :meth:`decode`.
+            seats: see :meth:`decode`.
 
         Returns:
             The actions. ``None`` if an action is invalid or in an unusual form, which
                 :meth:`check` converts or rejects.
         """
-        roster = self._roster(agents)
+        roster = self._roster(seats)
         if roster.walked:
             return None
-        controls = np.zeros((num_rows, len(self._columns)), np.float32)
+        controls = np.zeros((seats.num_rows, len(self._columns)), np.float32)
         for group in roster.groups:
-            acting = group.acting_rows
-            if not group.reader.read_batch(batch, num_slots, slots[acting], rows[acting], controls):
+            own = slots[group.acting_places]
+            if not group.reader.read_batch(batch, num_slots, own, group.acting_rows, controls):
                 return None
-        return CheckedActions(roster, rows, controls, {})
+        return CheckedActions(roster, controls, {})
 
     def convert(self, checked: CheckedActions, source: ObservationSource) -> FloatArray:
         """Second half of :meth:`decode`: runs the wrappers of the agents that act.
@@ -252,64 +242,51 @@ class AgentChains:
             ActionError: a wrapper returned an action outside its agent's base space.
             AgentException: a wrapper failed.
         """
-        roster, rows, controls = checked.roster, checked.rows, checked.controls
+        roster, controls = checked.roster, checked.controls
         if roster.walked:
             base = self._walker.begin_step(checked.walked, roster.walked)
             for group in roster.groups:
-                group.reader.read(base, group.walking, rows[group.walking_rows], controls)
-        self._drive_cars(roster, rows, controls, source)
+                group.reader.read(base, group.walking, group.walking_rows, controls)
+        for group in roster.groups:
+            if group.car is not None:  # the controls are in physical units
+                data, numbers = source.snapshot.data, group.numbers
+                group.car.drive(controls, group.rows, data, group.karts, self._cars, numbers)
         return controls
 
-    def _drive_cars(
-        self,
-        roster: _Roster,
-        rows: IntArray,
-        controls: FloatArray,
-        source: ObservationSource,
-    ) -> None:
-        """Converts actions in physical units, which are in ``controls``, to controls."""
-        for group in roster.groups:
-            if group.car is not None:
-                karts = source.karts(roster.agents)[group.rows]
-                data = source.snapshot.data
-                group.car.drive(controls, rows[group.rows], data, karts, self._cars, group.numbers)
-
-    def observe(self, agents: Sequence[str], source: ObservationSource) -> dict[str, Any]:
+    def observe(self, seats: Seats, source: ObservationSource) -> dict[str, Any]:
         """Returns the agents' observations before the Python wrappers.
 
         Args:
-            agents: the agents.
+            seats: the agents.
             source: the race at this moment.
         """
-        roster, karts = self._roster(agents), source.karts(agents)
-        if len(roster.groups) == 1:
-            (group,) = roster.groups
-            return dict(zip(group.agents, group.observer.observe(source, karts), strict=True))
-        observations: dict[str, Any] = dict.fromkeys(agents)
-        for group in roster.groups:
-            seen = group.observer.observe(source, karts[group.rows])
+        groups = self._roster(seats).groups
+        # With one group, the agents are in order already.
+        observations = dict.fromkeys(seats.agents) if len(groups) > 1 else {}
+        for group in groups:
+            seen = group.observer.observe(source, group.karts)
             observations.update(zip(group.agents, seen, strict=True))
         return observations
 
     def observe_into(
-        self, agents: Sequence[str], source: ObservationSource, rows: IntArray, batch: Any
+        self, seats: Seats, source: ObservationSource, slots: IntArray, batch: Any
     ) -> None:
         """Writes the agents' observations into rows of a batch; see :attr:`has_rows`.
 
         Args:
-            agents: the agents.
+            seats: the agents.
             source: the race at this moment.
-            rows: row of each agent.
+            slots: slot of each agent.
             batch: an array with one row per slot, or a dict of arrays and lists by entry.
         """
-        roster, karts = self._roster(agents), source.karts(agents)
-        for group in roster.groups:
+        for group in self._roster(seats).groups:
             if group.row_observer is not None:
-                group.row_observer.observe_into(source, karts[group.rows], rows[group.rows], batch)
+                own = slots[group.places]
+                group.row_observer.observe_into(source, group.karts, own, batch)
 
     def reset(
         self,
-        agents: Sequence[str],
+        seats: Seats,
         source: ObservationSource,
         infos: Mapping[str, dict[str, Any]],
         *,
@@ -320,7 +297,7 @@ class AgentChains:
         """Resets all wrappers with the race's first observations.
 
         Args:
-            agents: the agents.
+            seats: the agents.
             source: the race at its first moment.
             infos: infos by agent.
             seed: seed of the wrappers' ``np_random``: agent ``n`` gets ``seed + n``.
@@ -336,20 +313,18 @@ class AgentChains:
         """
         self._walker.abandon()
         self._reset_cars(source.step_size)
-        observations = self.observe(agents, source)
-        new_infos = {agent: dict(infos[agent]) for agent in agents}
-        walked = self._roster(agents).walked
+        observations = self.observe(seats, source)
+        new_infos = {agent: dict(infos[agent]) for agent in seats.agents}
+        walked = self._roster(seats).walked
         options = {**(options or {}), "step_size": source.step_size}
         self._walker.reset(walked, observations, new_infos, seed, options, failed)
         return observations, new_infos
 
-    def finish(
-        self, agents: Sequence[str], parts: StepParts, failed: Failures | None = None
-    ) -> None:
+    def finish(self, seats: Seats, parts: StepParts, failed: Failures | None = None) -> None:
         """Runs the second half of the wrappers' steps; call it once after each :meth:`decode`.
 
         Args:
-            agents: the agents that acted.
+            seats: the agents that acted.
             parts: result of the step, with observations from :meth:`observe`; the wrapped results
                 replace it in place.
             failed: see :meth:`reset`.
@@ -357,7 +332,7 @@ class AgentChains:
         Raises:
             AgentException: a wrapper failed.
         """
-        walked = self._roster(agents).walked
+        walked = self._roster(seats).walked
         if walked:
             self._walker.finish_step(walked, parts, failed)
 
@@ -410,41 +385,45 @@ class AgentChains:
             if plan.car is not None:
                 self._cars[number, 2] = step_size
 
-    def _roster(self, agents: Sequence[str]) -> _Roster:
-        key = tuple(agents)
-        if self._latest_roster is None or key != self._latest_roster.agents:
-            self._latest_roster = self._new_roster(key)
-        return self._latest_roster
+    def _roster(self, seats: Seats) -> _Roster:
+        roster = self._latest_roster
+        if roster is None or roster.seats is not seats:
+            roster = self._latest_roster = self._new_roster(seats)
+        return roster
 
-    def _new_roster(self, agents: tuple[str, ...]) -> _Roster:
+    def _new_roster(self, seats: Seats) -> _Roster:
         members: dict[Hashable, list[int]] = {}
-        for row, agent in enumerate(agents):
-            members.setdefault(self._identities[agent], []).append(row)
-        groups = tuple(self._group(agents, rows) for rows in members.values())
-        walked = tuple(agent for agent in agents if not self._chains[agent].is_empty)
-        return _Roster(agents, groups, walked)
+        for place, agent in enumerate(seats.agents):
+            members.setdefault(self._identities[agent], []).append(place)
+        groups = tuple(self._group(seats, places) for places in members.values())
+        walked = tuple(agent for agent in seats.agents if not self._chains[agent].is_empty)
+        return _Roster(seats, groups, walked)
 
-    def _group(self, agents: tuple[str, ...], rows: list[int]) -> _Group:
-        own = tuple(agents[row] for row in rows)
+    def _group(self, seats: Seats, places: list[int]) -> _Group:
+        agents = seats.agents
+        own = tuple(agents[place] for place in places)
         identity, plan = self._identities[own[0]], self._plans[own[0]]
         if identity not in self._kernels:
             observer = plan.observer or _observer_of(plan)
             objects = observer, plan.new_reader(), plan.new_controller()
             self._kernels[identity] = objects
         observer, reader, car = self._kernels[identity]
-        players = [row for row in rows if agents[row] not in self._ignored]
-        acting = [row for row in players if self._chains[agents[row]].is_empty]
-        walking = [row for row in players if row not in acting]
+        players = [place for place in places if agents[place] not in self._ignored]
+        acting = [place for place in players if self._chains[agents[place]].is_empty]
+        walking = [place for place in players if place not in acting]
         return _Group(
             agents=own,
-            rows=np.array(rows, np.intp),
+            places=np.array(places, np.intp),
+            karts=seats.karts[places],
+            rows=seats.rows[places],
             observer=observer,
             row_observer=observer if isinstance(observer, RowObserver) else None,
             reader=reader,
-            acting=tuple(agents[row] for row in acting),
-            acting_rows=np.array(acting, np.intp),
-            walking=tuple(agents[row] for row in walking),
-            walking_rows=np.array(walking, np.intp),
+            acting=tuple(agents[place] for place in acting),
+            acting_places=np.array(acting, np.intp),
+            acting_rows=seats.rows[acting],
+            walking=tuple(agents[place] for place in walking),
+            walking_rows=seats.rows[walking],
             car=car,
             numbers=np.array([self._numbers[agent] for agent in own], np.intp),
         )

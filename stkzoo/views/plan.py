@@ -8,6 +8,7 @@ observations directly from the game's records, and controls directly from their 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -27,6 +28,24 @@ IntArray = npt.NDArray[np.intp]
 Entry = tuple[float, float, bool, int, Any]
 #: All numbers of an action under one key.
 Leaf = tuple[Entry, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seats:
+    """Where some agents of a race sit. One step passes the same seats to all of its phases.
+
+    Attributes:
+        agents: ids of the agents.
+        karts: ``(A,)`` kart of each agent.
+        rows: ``(A,)`` row of each agent in the controls, meaningless for agents that the game's AI
+            drives.
+        num_rows: number of rows of the controls.
+    """
+
+    agents: tuple[str, ...]
+    karts: IntArray
+    rows: IntArray
+    num_rows: int
 
 
 class ObservationSource(Protocol):
@@ -50,9 +69,6 @@ class ObservationSource(Protocol):
 
     def ground_ahead(self, karts: IntArray) -> Mapping[str, npt.NDArray[Any]]:
         """Returns the observation entries of the ground ahead of some karts."""
-
-    def karts(self, agents: Sequence[str]) -> IntArray:
-        """Returns the kart indices of the agents, ``(A,)``."""
 
 
 class Observer(Protocol):

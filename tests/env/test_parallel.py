@@ -52,7 +52,7 @@ def actions_of(env):
 
 @pytest.mark.parametrize("view", ["full", "masked_discrete", "flattened_control"])
 def test_a_step_runs_its_phases_one_after_another(phases, view):
-    with race_v0.parallel_env(num_kart=2, track="lighthouse", view=view) as env:
+    with race_v0.parallel_env(num_kart=3, track="lighthouse", view=view, opponents=["ai"]) as env:
         env.reset(seed=1)
         actions = actions_of(env)
         phases.clear()

@@ -50,6 +50,7 @@ from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
 from stkzoo.views import VIEWS as ALL_VIEWS
 from stkzoo.views import AgentChain, base_space, find_view, full_with
+from stkzoo.views.plan import Seats
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
@@ -512,7 +513,8 @@ def test_actions_are_read_as_by_the_wrappers(view):
     plan = chains._plans["kart_0"]
     names = () if set(plan.leaves) == {""} else tuple(plan.leaves)
     twin = action_reader.ActionReader(names, tuple(plan.leaves.values()), 7)
-    (group,) = chains._roster(["kart_0"]).groups
+    place = np.zeros(1, np.intp)
+    (group,) = chains._roster(Seats(("kart_0",), place, place, 1)).groups
     num_taken = 0
     for _ in range(1000):
         actions = {"kart_0": fuzzed(random, space.sample())}

@@ -16,6 +16,7 @@ from stkzoo.kernel import KartObserver
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
 from stkzoo.views.actions import read_action
+from stkzoo.views.plan import Seats
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,
@@ -192,13 +193,14 @@ class RandomMoment:
         kart_types = tuple(rng.choice(["tux", "gnu", "sara_the_racer"], num_kart).tolist())
         self.course = self.track_map.graph, num_nodes, kart_types
 
-    def karts(self, agents):
-        return np.arange(len(agents))
+    def seats(self, agents):
+        places = np.arange(len(agents))
+        return Seats(tuple(agents), karts=places, rows=places, num_rows=len(agents))
 
     def full(self, agents, use_ai=False):
         """Returns the agents' observations in the ``full`` view."""
         observer = KartObserver(tuple(kart_observation_space(use_ai)))
-        return observer.observe(*self.course, self.snapshot.data, self.karts(agents))
+        return observer.observe(*self.course, self.snapshot.data, self.seats(agents).karts)
 
 
 def assert_same(left, right):

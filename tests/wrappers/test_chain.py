@@ -59,7 +59,7 @@ class TenTimes(gym.RewardWrapper):
 def decode(chains, actions, agents):
     """Returns the base actions of the agents, one row each."""
     moment = RandomMoment(np.random.default_rng(0))
-    return chains.decode(actions, agents, np.arange(len(agents)), len(agents), moment)
+    return chains.decode(actions, moment.seats(agents), moment)
 
 
 def decoded(chains, actions, agents):
@@ -80,20 +80,22 @@ class Race:
     def reset(self, seed=None, options=None):
         infos = {agent: {"position": 1} for agent in self.agents}
         self.moment = RandomMoment(self.random)
-        return self.chains.reset(self.agents, self.moment, infos, seed=seed, options=options)
+        seats = self.moment.seats(self.agents)
+        return self.chains.reset(seats, self.moment, infos, seed=seed, options=options)
 
     def step(self, actions, agents=None, terminated=False):
         agents = self.agents if agents is None else agents
         self.controls = decoded(self.chains, actions, agents)
         self.moment = RandomMoment(self.random)
+        seats = self.moment.seats(agents)
         parts = (
-            self.chains.observe(agents, self.moment),
+            self.chains.observe(seats, self.moment),
             {agent: float(self.agents.index(agent) + 1) for agent in agents},
             dict.fromkeys(agents, terminated),
             dict.fromkeys(agents, False),
             {agent: {"position": 1} for agent in agents},
         )
-        self.chains.finish(agents, parts)
+        self.chains.finish(seats, parts)
         return parts
 
     def sample(self):
@@ -181,7 +183,8 @@ def test_agents_that_are_left_out_of_a_step_are_left_out_of_the_results():
 
 def test_equal_views_are_grouped():
     chains = make_chains(view("simple"), view("full"), view("simple"), Counter, view("full"))
-    groups = chains._roster(list(chains.action_spaces)).groups
+    moment = RandomMoment(np.random.default_rng(0))
+    groups = chains._roster(moment.seats(list(chains.action_spaces))).groups
     assert [group.agents for group in groups] == [
         ("kart_0", "kart_2"),
         ("kart_1", "kart_3", "kart_4"),
@@ -252,7 +255,7 @@ def test_results_share_no_memory_with_later_results(name):
         elif isinstance(value, np.ndarray):
             value[...] = 0
 
-    wipe(race.chains.observe(race.agents, race.moment))
+    wipe(race.chains.observe(race.moment.seats(race.agents), race.moment))
     race.step(race.sample())
     assert_same(earlier, kept)
 
@@ -543,7 +546,8 @@ def test_the_given_infos_are_not_changed():
     decoded(chains, race.sample(), ["kart_0"])
     info = {"position": 1}
     parts = [{"kart_0": value} for value in (None, 1.0, True, False, info)]
-    chains.finish(["kart_0"], (chains.observe(["kart_0"], race.moment), *parts[1:]))
+    seats = race.moment.seats(["kart_0"])
+    chains.finish(seats, (chains.observe(seats, race.moment), *parts[1:]))
     assert info == {"position": 1}
     assert len(parts[-1]["kart_0"]) > 1
 

@@ -42,9 +42,7 @@ class BatchRace(AheadRace):
             ActionError: an action is missing or invalid.
             ApiOrderError: called before the first ``reset``, or while a step is running.
         """
-        episode, agents = self._idle_episode(), self.agents
-        rows = episode.player_rows(agents)
-        return self._chains.check(actions, agents, rows, episode.num_players)
+        return self._chains.check(actions, self._idle_episode().seats(self.agents))
 
     def check_batch(self, actions: Any, slots: IntArray, num_slots: int) -> CheckedActions | None:
         """Does the same as :meth:`check_actions` for a batch of actions; see :attr:`has_rows`.
@@ -60,10 +58,8 @@ class BatchRace(AheadRace):
         Raises:
             ApiOrderError: called before the first ``reset``, or while a step is running.
         """
-        episode, agents = self._idle_episode(), self.agents
-        rows = episode.player_rows(agents)
-        size = episode.num_players
-        return self._chains.check_batch(actions, slots, num_slots, agents, rows, size)
+        seats = self._idle_episode().seats(self.agents)
+        return self._chains.check_batch(actions, slots, num_slots, seats)
 
     def convert(self, actions: CheckedActions) -> npt.NDArray[np.float32]:
         """Second half of :meth:`decode`: converts checked actions to controls.
@@ -92,7 +88,8 @@ class BatchRace(AheadRace):
             episode, agents = self._awaited_episode(), self.agents
             ends = steps.rewards, steps.terminations, steps.truncations
             try:
-                episode.advance_into(self._session.step_wait(), agents, slots, ends)
+                snapshot = self._session.step_wait()
+                episode.advance_into(snapshot, episode.seats(agents), slots, ends)
             finally:
                 self._stepping = None
             has_ended = steps.terminations[slots] | steps.truncations[slots]
@@ -110,9 +107,10 @@ class BatchRace(AheadRace):
             steps: steps of all slots, with infos in tables.
             slots: slot of each racing agent.
         """
-        episode, agents = self._running("observe"), self.agents
-        self._chains.observe_into(agents, episode, slots, steps.observations)
+        episode = self._running("observe")
+        seats = episode.seats(self.agents)
+        self._chains.observe_into(seats, episode, slots, steps.observations)
         if isinstance(steps.infos, InfoTables):
             table = steps.infos.of(episode.info_keys)
-            episode.infos_into(agents, slots, table.values)
+            episode.infos_into(seats, slots, table.values)
             table.has[slots] = True
