@@ -7,6 +7,7 @@ see docs/how-to/cluster.md.
 
 import importlib.util
 from contextlib import closing
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,8 +16,10 @@ import pytest
 from benchmarks.rllib_cluster import Trial
 from stkzoo._installation import install_command
 from stkzoo.agents.pretrained.mlp import MlpDriver
+from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.common.arguments import ScriptOptions
 from stkzoo.agents.training.common.command import command_parser, run_command
+from stkzoo.agents.training.rllib import selfplay
 from stkzoo.agents.training.rllib.races import (
     MAIN,
     RLlibArguments,
@@ -275,6 +278,68 @@ def test_the_command_line_is_parsed():
     assert arguments.learners == 2
 
 
+class FakeAlgorithm:
+    """An algorithm whose checkpoint and policy are its number of iterations."""
+
+    def __init__(self, iteration=0):
+        self.iteration = iteration
+        self.learner_group, self.env_runner_group = self, self
+
+    def foreach_learner(self, _):
+        return [SimpleNamespace(get=lambda: {"pi.net.mlp.0.bias": np.float32([self.iteration])})]
+
+    def save_to_path(self, path):
+        Path(path).mkdir()
+        Path(path, "iteration").write_text(str(self.iteration))
+
+    def restore_from_path(self, path):
+        self.iteration = int(Path(path, "iteration").read_text())
+
+    def sync_weights(self, **_):
+        pass
+
+
+def restored(folder, monkeypatch):
+    """Returns the iteration from which a run continues."""
+    config = SimpleNamespace(build_algo=FakeAlgorithm)
+    monkeypatch.setattr(selfplay, "build_config", lambda _: config)
+    return selfplay._algorithm(RLlibArguments(), folder).iteration
+
+
+@pytest.mark.parametrize("renames", [0, 1])
+def test_a_run_that_is_killed_while_it_replaces_its_checkpoint_continues(
+    renames, tmp_path, monkeypatch
+):
+    selfplay._save(FakeAlgorithm(5), tmp_path)
+    rename, left = Path.rename, iter(range(renames))
+
+    def killed(path, target):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", killed)
+        with pytest.raises(KeyboardInterrupt):
+            selfplay._save(FakeAlgorithm(10), tmp_path)
+    iteration = restored(tmp_path, monkeypatch)
+    assert iteration == (10 if renames else 5)
+    selfplay._save(FakeAlgorithm(iteration + 5), tmp_path)
+    assert restored(tmp_path, monkeypatch) == iteration + 5
+
+
+def test_the_policy_is_never_older_than_the_checkpoint(tmp_path, monkeypatch):
+    selfplay._save(FakeAlgorithm(5), tmp_path)
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "rename", killed)
+    with pytest.raises(KeyboardInterrupt):
+        selfplay._save(FakeAlgorithm(10), tmp_path)
+    assert load_weights(tmp_path / "policy.safetensors")["action_net.bias"] == [10]
+
+
 def test_the_cluster_benchmark_uses_existing_options(tmp_path):
     words = Trial(tmp_path, 10, 1.0, "some.tar.xz").words("auto")
     kinds = ScriptOptions, RLlibArguments
@@ -287,6 +352,7 @@ def test_the_cluster_benchmark_uses_existing_options(tmp_path):
         (["--iterations", "0"], "iterations is 0"),
         (["--learners", "0"], "learners is 0"),
         (["--slots", "0"], "slots is 0"),
+        (["--difficulty", "4"], "difficulty is 4, expected a whole number from 0 to 3"),
         (["--bots", "18"], "more than 20 karts"),
         (["--promote-at", "1.5"], "promote_at is 1.5"),
     ],

@@ -43,6 +43,8 @@ from .races import ARGUMENTS, MAIN, PackSender, RLlibArguments, ensure_assets
 from .sampler import sb3_names
 
 _CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
+#: The next checkpoint and the one before, while one replaces the other.
+_NEXT, _BEFORE = "checkpoint.new", "checkpoint.old"
 #: Arguments that may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
 
@@ -152,6 +154,7 @@ def _ray() -> Any:
 def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
     algorithm = build_config(arguments).build_algo()
     checkpoint = folder / _CHECKPOINT
+    _end_replacement(folder)
     if checkpoint.exists():
         algorithm.restore_from_path(str(checkpoint.resolve()))
         algorithm.env_runner_group.sync_weights(
@@ -215,20 +218,30 @@ def _in_words(line: Mapping[str, Any], iterations: int) -> str:
 
 
 def _save(algorithm: Any, folder: Path) -> None:
-    """Replaces the checkpoint so that a complete one exists at any moment."""
-    new, old = folder / "checkpoint.new", folder / "checkpoint.old"
-    for left in (new, old):
-        shutil.rmtree(left, ignore_errors=True)
-    algorithm.save_to_path(str(new.resolve()))
-    target = folder / _CHECKPOINT
-    if target.exists():
-        target.rename(old)
-    new.rename(target)
-    shutil.rmtree(old, ignore_errors=True)
+    """Writes the policy and replaces the checkpoint.
+
+    The policy is first: a run that is killed between the two repeats the last iterations, and
+    writes both again. A complete checkpoint exists at any moment, see :func:`_end_replacement`.
+    """
     state = algorithm.learner_group.foreach_learner(
         lambda learner: {k: v.cpu().numpy() for k, v in learner.module[MAIN].state_dict().items()}
     )
     save_weights(folder / _POLICY, sb3_names(next(r.get() for r in state)))
+    new, old, target = folder / _NEXT, folder / _BEFORE, folder / _CHECKPOINT
+    for left in (new, old):
+        shutil.rmtree(left, ignore_errors=True)
+    algorithm.save_to_path(str(new.resolve()))
+    if target.exists():
+        target.rename(old)
+    new.rename(target)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _end_replacement(folder: Path) -> None:
+    """Ends the replacement of a checkpoint by a program that was killed between the two renames."""
+    new, old, target = folder / _NEXT, folder / _BEFORE, folder / _CHECKPOINT
+    if old.exists() and not target.exists():  # the new one was complete before
+        (new if new.exists() else old).rename(target)
 
 
 def main(words: list[str] | None = None) -> int:
