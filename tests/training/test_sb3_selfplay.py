@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from stkzoo.agents.training.common.matches import rate_orders
 from stkzoo.agents.training.common.network_policy import initial_weights, save_driver
 from stkzoo.agents.training.common.opponents import RivalPool, bot_name
 from stkzoo.agents.training.common.starts import Lineup, parse_races
+from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.rate import evaluate_policy, read_evaluations
@@ -525,6 +527,16 @@ def test_a_run_starts_from_given_weights(tmp_path):
     started.close()
     ours, theirs = last_policy(tmp_path / "two"), load_weights(file)
     assert all((ours[name] == theirs[name]).all() for name in theirs)
+
+
+def test_the_newest_policy_of_a_run_is_the_one_with_which_it_ended(tmp_path):
+    with closing(SB3Run(tmp_path, SB3Arguments(**SMALL))) as run:
+        run.kart_steps = 7
+        run.save_agent()
+    file = tmp_path / "policy-000000007.safetensors"
+    assert newest_policy(str(tmp_path)) == str(file)
+    newest, last = load_weights(file), load_weights(tmp_path / "policy.safetensors")
+    assert all((newest[name] == last[name]).all() for name in last)
 
 
 @pytest.mark.slow

@@ -265,7 +265,8 @@ class SB3Run:
         save_checkpoint(self.folder, facts, state)
 
     def save_agent(self) -> Path:
-        """Writes the policy as an agent; returns its folder."""
+        """Saves the policy, also as an agent; returns the agent's folder."""
+        self._keep()  # other scripts take the newest of the saved policies
         file = self.folder / "policy.safetensors"
         save_driver(file, self._model.policy, self._held)
         return export_policy(file, f"selfplay_{self.kart_steps}", self.folder / "agent")
