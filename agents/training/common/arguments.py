@@ -44,6 +44,8 @@ class RunArguments:
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
     #: Lowest values of integers that must be above 1.
     least: ClassVar[Mapping[str, int]] = {}
+    #: Highest values of integers.
+    most: ClassVar[Mapping[str, int]] = {"difficulty": 3}
     #: Numbers from 0 to 1, and other numbers that may be 0; all others must be above 0.
     fractions: ClassVar[tuple[str, ...]] = ()
     coefficients: ClassVar[tuple[str, ...]] = ()
@@ -60,7 +62,8 @@ class RunArguments:
                 object.__setattr__(self, entry.name, track_names(getattr(self, entry.name)))
             if type(entry.default) is int:
                 least = self.least.get(entry.name, int(entry.name not in self.may_be_zero))
-                check_whole(entry.name, getattr(self, entry.name), least)
+                most = self.most.get(entry.name)
+                check_whole(entry.name, getattr(self, entry.name), least, most)
             elif type(entry.default) is float:
                 self._check_float(entry.name, getattr(self, entry.name))
             elif entry.name == "hidden":
