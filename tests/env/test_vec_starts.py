@@ -1,6 +1,8 @@
 """Races that repeat a few starts."""
 
+import copy
 import os
+import pickle
 import signal
 
 import numpy as np
@@ -61,6 +63,23 @@ def test_a_copied_start_gives_the_same_race_as_a_new_one():
     finally:
         copied.close()
         started.close()
+
+
+@pytest.mark.parametrize("moment", ["before", "amid"])
+@pytest.mark.parametrize("library", [copy.deepcopy, lambda envs: pickle.loads(pickle.dumps(envs))])
+def test_a_copied_environment_repeats_the_same_starts(moment, library):
+    envs = make()
+    if moment == "amid":
+        drive(envs, 3)
+    again = library(envs)
+    try:
+        for ours, theirs in zip(drive(again, 3), drive(envs, 3), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        assert len(waiting(again)) == 2
+        assert not set(waiting(again)) & set(waiting(envs))
+    finally:
+        envs.close()
+        again.close()
 
 
 def test_the_seed_determines_the_starts():

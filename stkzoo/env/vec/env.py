@@ -372,6 +372,11 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             if starts := getattr(self, "_starts", None):
                 starts.close()
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        for race in self.races:  # they are made again from their options
+            race.starts = self._starts
+
     def _name_the_race(self, actions: Sequence[Any]) -> None:
         """Raises the error of an invalid action again, with the agent's race in its message."""
         for slot in np.flatnonzero(self.racing & self._is_player).tolist():

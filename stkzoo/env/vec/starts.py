@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -107,6 +108,10 @@ class RepeatedStarts:
         """Ends the processes of all starts."""
         while self._kept:
             self._forget(next(iter(self._kept)))
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy of the environment starts its own races.
+        return {**vars(self), "_kept": OrderedDict()}
 
     def _forget(self, setup: RaceSetup) -> None:
         self._kept.pop(setup)[0].close()
