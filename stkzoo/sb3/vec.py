@@ -127,8 +127,13 @@ class RaceVecEnv(VecEnv):
             ConfigError: an option is invalid, or slots of one race have different options.
         """
         seeds, self._race_seeds = self._race_seeds, [None] * self.races.num_races
-        given, count = [dict(own) for own in self._options], self.races.num_agents
+        given, count = [dict(own or {}) for own in self._options], self.races.num_agents
         self._reset_options()
+        if len(given) != self.num_envs:
+            raise ConfigError(
+                f"there are options for {len(given)} slots, expected a dict or a list of "
+                f"{self.num_envs}, one per slot"
+            )
         options = given[::count]
         for slot, own in enumerate(given):
             if own != options[slot // count]:
@@ -281,6 +286,8 @@ def _flat_parts(space: spaces.Space[Any], batch: Any, count: int) -> list[npt.ND
     if isinstance(space, spaces.Dict):
         parts: Mapping[str, spaces.Space[Any]] = space.spaces
         return [flat for key in parts for flat in _flat_parts(parts[key], batch[key], count)]
+    if isinstance(space, spaces.Text):
+        return [np.stack([np.asarray(spaces.flatten(space, text)) for text in batch])]
     if isinstance(space, spaces.Discrete):
         return [np.eye(int(space.n))[batch - space.start]]
     if isinstance(space, spaces.MultiDiscrete):

@@ -207,6 +207,28 @@ def test_flat_observations_are_those_of_gymnasium(view):
     plain.close()
 
 
+class NamedKart(gym.Wrapper):
+    """Observes a text; the action is a number."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.action_space = gym.spaces.Discrete(2)
+        text, number = gym.spaces.Text(6, charset="abc"), gym.spaces.Box(-1, 1, (2,))
+        self.observation_space = gym.spaces.Dict({"number": number, "text": text})
+
+    def reset(self, **arguments):
+        _, info = self.env.reset(**arguments)
+        return {"number": np.ones(2, np.float32), "text": "cab"}, info
+
+
+def test_texts_are_flattened_as_gymnasium_does():
+    envs = make(view=NamedKart, flat_observations=True)
+    space = envs.races.single_observation_space
+    seen = {"number": np.ones(2, np.float32), "text": "cab"}
+    assert np.array_equal(envs.reset(), [gym.spaces.flatten(space, seen)] * 4)
+    envs.close()
+
+
 def test_the_same_seed_gives_the_same_races():
     envs = make()
     traces = []
@@ -277,6 +299,17 @@ def test_different_options_in_one_race_are_refused():
     envs.reset()
     tracks = [race.track for race in envs.get_attr("race")]
     assert tracks == ["zengarden"] * 2 + ["olivermath"] * 2
+    envs.close()
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_options_for_another_number_of_slots_are_refused(count):
+    envs = make()
+    envs.set_options([{}] * count)
+    with pytest.raises(ConfigError, match=rf"options for {count} slots, expected .* a list of 4"):
+        envs.reset()
+    envs.set_options([None] * 4)
+    envs.reset()
     envs.close()
 
 
