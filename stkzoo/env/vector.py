@@ -46,7 +46,10 @@ def single_kart_races(
     """
     view, race = split_keywords(view, options, ("agent", "prefetch"))
     race["reward"] = RewardOver("reference", race.get("reward"))
-    limits = [limit for limit in (max_episode_steps, max_cycles) if limit not in (None, -1)]
+    given = {"max_episode_steps": max_episode_steps, "max_cycles": max_cycles}
+    limits = [
+        check_whole(name, limit, 1) for name, limit in given.items() if limit not in (None, -1)
+    ]
     return RaceVectorEnv(
         num_envs,
         view=view,

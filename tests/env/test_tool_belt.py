@@ -359,6 +359,12 @@ def test_make_vec_with_lists_of_varying_length_suggests_another_id():
         make_vec("flattened", agent=3)
 
 
+@pytest.mark.parametrize("name", ["max_cycles", "max_episode_steps"])
+def test_make_vec_refuses_limits_that_are_no_numbers(name):
+    with pytest.raises(ConfigError, match=f"{name} is '30', expected a whole number"):
+        make_vec("flattened", **{name: "30"})
+
+
 def test_the_multi_agent_id_has_no_vector_entry_point():
     with pytest.raises(gym.error.Error):
         gym.make_vec(
