@@ -1,5 +1,6 @@
 """Demonstrations: recorded observations and actions."""
 
+import builtins
 import json
 import os
 import signal
@@ -109,6 +110,32 @@ def test_controls_one_step_late_do_not_reproduce_the_race(driven):
     found = check_demonstrations(replace(demos, columns=late))
     assert not found.is_exact
     assert found.first_difference > 0
+
+
+@pytest.mark.slow
+def test_a_kart_that_no_longer_finishes_differs_from_the_recording(tmp_path):
+    how = {"tracks": "olivermath", "karts": 1, "jobs": 1}
+    demos = record_demonstrations("heuristic", output=tmp_path / "d.npz", **how)
+    assert demos[0].is_finished
+    demos.columns["controls"][50:70] = 0.0
+    found = check_demonstrations(demos)
+    assert found.first_difference is not None
+    assert 50 < found.first_difference <= 52
+
+
+@pytest.mark.slow
+def test_a_check_runs_the_code_of_rivals_outside_this_program(tmp_path):
+    rival = tmp_path / "rival.py"
+    rival.write_text(
+        'import builtins\n\nenv_name = "supertuxkart/full-v0"\nplayer_name = "rival"\n'
+        "builtins.rival_was_here = True\n"
+        "def get_actor(_, __, action_space):\n"
+        "    return lambda *_: action_space.sample()\n"
+    )
+    how = {**SHORT, "karts": 1, "max_steps": 10, "rivals": [str(rival)]}
+    demos = record_demonstrations("pursuit", output=tmp_path / "d.npz", **how)
+    assert check_demonstrations(demos).steps == 10
+    assert not hasattr(builtins, "rival_was_here")
 
 
 def test_recorded_actions_are_the_nearest_to_the_controls(driven):
@@ -256,9 +283,10 @@ def _wait_for(happened, seconds=120.0):
 
 
 @pytest.mark.slow
-def test_the_command_records_and_checks(tmp_path, capsys):
+@pytest.mark.parametrize("more", [[], ["--sandbox", "on"]], ids=" ".join)
+def test_the_command_records_and_checks(more, tmp_path, capsys):
     file = tmp_path / "d.npz"
-    assert main(["demos", *COMMAND, "--output", str(file), "--check"]) == 0
+    assert main(["demos", *COMMAND, *more, "--output", str(file), "--check"]) == 0
     out = capsys.readouterr().out
     assert "1 drives (0 finished), 40 steps, view racing" in out
     assert "is identical: 40 steps" in out

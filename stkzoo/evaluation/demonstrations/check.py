@@ -10,7 +10,7 @@ from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import Columns, Demonstrations, is_by_step
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
-from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
+from stkzoo.evaluation.demonstrations.recorder import Controls, DemoRecorder, DemoView
 from stkzoo.race.replay import recorded_driver
 from stkzoo.race.runner import run_race
 
@@ -59,8 +59,11 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
         )
     view = DemoView(plan.view)
     recorder = DemoRecorder(plan.karts, view, race=race)
-    drivers = [recorded_driver("recorded", demos[number].controls) for number in numbers]
-    settings = replace(orders[0].settings, inline=True)
+    longest = int(max(demos.lengths[numbers]))
+    drivers = [
+        recorded_driver("recorded", _padded(demos[number].controls, longest)) for number in numbers
+    ]
+    settings = replace(orders[0].settings, max_steps=longest)  # the controls last no longer
     run_race(
         [*drivers, *plan.rivals],
         listeners=[recorder],
@@ -77,6 +80,14 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     found = [first for first in firsts if first is not None]
     steps = sum(int(demos.lengths[number]) for number in numbers)
     return DemoCheck(race, steps, min(found) if found else None)
+
+
+def _padded(controls: Controls, steps: int) -> Controls:
+    """Returns controls ``(T, 7)`` with zeros up to a number of steps.
+
+    A kart that differs from the recording may need controls after its recorded finish.
+    """
+    return np.pad(controls, ((0, steps - len(controls)), (0, 0)))
 
 
 def _first_difference(mine: Columns, theirs: Columns) -> int | None:
