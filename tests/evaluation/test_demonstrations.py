@@ -3,6 +3,7 @@
 import builtins
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -245,6 +246,15 @@ def test_other_demonstrations_are_not_overwritten(driven):
     file, _ = driven
     with pytest.raises(ConfigError, match=r"other demonstrations.*seeds is"):
         record_demonstrations("pursuit", output=file, seeds=5, rivals=["ai"], **SHORT)
+
+
+def test_unfinished_demonstrations_of_another_plan_name_the_folder_to_delete(tmp_path):
+    parts = tmp_path / "d.npz.parts"
+    parts.mkdir()
+    (parts / "plan.json").write_text(plan_demonstrations("pursuit", seeds=2).to_json())
+    remedy = re.escape(f"repeat the first command, or delete {parts} to start again")
+    with pytest.raises(ConfigError, match=f"another data set: .*seeds is.*{remedy}$"):
+        record_demonstrations("pursuit", output=tmp_path / "d.npz", seeds=3)
 
 
 COMMAND = ["pursuit", "--track", "lighthouse", "--karts", "1", "--max-steps", "40", "--jobs", "1"]

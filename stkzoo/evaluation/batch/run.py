@@ -205,7 +205,7 @@ def _keep_plan(plan: Plan, folder: Path) -> Plan:
     kept = started.moved(folder).continued(plan).shown_like(plan) if started else plan
     if differences := kept.differences(plan):
         raise ConfigError(
-            f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another folder, "
+            f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another output, "
             f"or undo the change and resume: {plan.resume_command.format(folder=folder)}"
         )
     if kept != started:

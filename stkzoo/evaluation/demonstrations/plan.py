@@ -109,7 +109,8 @@ class DemoPlan(BatchPlan[Demonstrations]):
 
     kind: ClassVar[str] = "demonstrations-plan"
     noun: ClassVar[str] = "data set"
-    resume_command: ClassVar[str] = "stkzoo demos AGENT --output {folder}"
+    #: The folder is beside the command's --output.
+    resume_command: ClassVar[str] = "repeat the first command, or delete {folder} to start again"
     decided: ClassVar[tuple[str, ...]] = (
         *("track", "reverse", "seed"),
         *("error_handling", "max_restarts", "show_output"),
