@@ -42,6 +42,10 @@ def as_driver(opponent: object) -> Driver:
     )
 
 
+#: Opponents in errors, by whether they are the game's AI.
+_KINDS = {None: "", True: " of the game's AI", False: " besides the game's AI"}
+
+
 @check_arguments
 class OpponentPool:
     """A pool of weighted opponents. A race draws one for each kart that the pool drives.
@@ -125,13 +129,19 @@ class OpponentPool:
     def __len__(self) -> int:
         return len(self._drivers)
 
-    def draw(self, random: np.random.Generator, difficulty: int | None = None) -> Driver:
+    def draw(
+        self,
+        random: np.random.Generator,
+        difficulty: int | None = None,
+        is_game_ai: bool | None = None,
+    ) -> Driver:
         """Draws an opponent by weight.
 
         Args:
             random: random generator.
             difficulty: difficulty of the race, which excludes opponents that require another one;
                 ``None`` if it is not decided.
+            is_game_ai: whether the opponent is the game's AI; ``None`` for both kinds.
 
         Raises:
             ConfigError: a weight is invalid, missing or of no opponent, or no opponent has a
@@ -146,10 +156,12 @@ class OpponentPool:
         weights = {
             name: check_number(f"weight of opponent {name!r}", self.weights[name], 0, 1e12)
             for name, driver in self._drivers.items()
-            if difficulty is None or driver.difficulty in (None, difficulty)
+            if (difficulty is None or driver.difficulty in (None, difficulty))
+            and is_game_ai in (None, driver.is_game_ai)
         }
         if not sum(weights.values()):
             which = "" if difficulty is None else f" at difficulty {difficulty}"
-            raise ConfigError(f"the pool has no opponents{which}; add() one before the race")
+            kind = _KINDS[is_game_ai]
+            raise ConfigError(f"the pool has no opponents{which}{kind}; add() one before the race")
         shares = np.array(list(weights.values())) / sum(weights.values())
         return self._drivers[list(weights)[int(random.choice(len(shares), p=shares))]]

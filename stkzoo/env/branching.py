@@ -280,7 +280,9 @@ class BranchingRace(ClonableEnv):
         scenario = self._checked_scenario(scenario, options)
         drivers = self._drivers_in(scenario)
         self._end_race()  # in case the start fails
-        setup, begun = scenario.setup, scenario.reach(self._session)
+        begun = scenario.reach(self._session)
+        specs = [] if self._opponents is None else self._opponents.specs(drivers)
+        setup = scenario.setup_with([spec.name for spec in specs])
         kart_indices = (*scenario.kart_indices, *scenario.opponents)
         root = self._assets.root
         episode = Episode(options_now, setup, kart_indices, begun, self._rewards, root)
@@ -328,8 +330,8 @@ class BranchingRace(ClonableEnv):
         """Returns the drivers of a scenario's opponents, which start at its moment."""
         if self._opponents is None:
             return ()
-        drivers, _ = self._opponents.draw(self.np_random, scenario.setup.difficulty)
         bots = [scenario.setup.karts[kart].is_bot for kart in scenario.opponents]
+        drivers, _ = self._opponents.draw(self.np_random, scenario.setup.difficulty, bots)
         if bots != [driver.is_game_ai for driver in drivers]:
             raise ConfigError(
                 f"the scenario has {len(bots)} opponents, {sum(bots)} of them driven by the game; "

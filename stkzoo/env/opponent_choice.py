@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -87,13 +88,21 @@ class OpponentChoice:
             )
         return count
 
-    def draw(self, count: int, random: np.random.Generator, difficulty: int | None) -> Lineup:
+    def draw(
+        self,
+        count: int,
+        random: np.random.Generator,
+        difficulty: int | None,
+        are_game_ai: Sequence[bool] = (),
+    ) -> Lineup:
         """Draws the opponents of a race.
 
         Args:
             count: number of opponents.
             random: random generator.
             difficulty: difficulty requested in ``reset``, if any.
+            are_game_ai: for each opponent, whether a pool draws the game's AI for it; for opponents
+                beyond this list, both kinds are drawn.
 
         Raises:
             ConfigError: the opponents require another difficulty.
@@ -101,9 +110,10 @@ class OpponentChoice:
         members = self._members if self._pool is None else [self._pool] * count
         level = self.level(difficulty)
         drawn: list[Driver] = []
-        for member in members:
-            drawn.append(member if isinstance(member, Driver) else member.draw(random, level))
-            level = level if drawn[-1].difficulty is None else drawn[-1].difficulty
+        for member, is_game_ai in zip(members, chain(are_game_ai, repeat(None)), strict=False):
+            own = member if isinstance(member, Driver) else member.draw(random, level, is_game_ai)
+            drawn.append(own)
+            level = level if own.difficulty is None else own.difficulty
         return tuple(drawn), level
 
     def level(self, difficulty: int | None = None) -> int | None:

@@ -124,9 +124,14 @@ class RaceOpponents:
         """Checks a difficulty requested in ``reset``; see :meth:`OpponentChoice.level`."""
         self._choice.level(difficulty)
 
-    def draw(self, random: np.random.Generator, difficulty: int | None) -> Lineup:
+    def draw(
+        self,
+        random: np.random.Generator,
+        difficulty: int | None,
+        are_game_ai: Sequence[bool] = (),
+    ) -> Lineup:
         """Draws the drivers of the next race; see :meth:`OpponentChoice.draw`."""
-        return self._choice.draw(len(self._ids), random, difficulty)
+        return self._choice.draw(len(self._ids), random, difficulty, are_game_ai)
 
     def specs(self, drivers: Sequence[Driver]) -> list[AgentSpec]:
         """Returns the agent specs of the drivers' karts."""

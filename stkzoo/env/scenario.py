@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from typing import Annotated
@@ -113,6 +114,17 @@ class Scenario:
                 "data, or save the scenario again"
             )
         return replace(begun, snapshot=snapshot)
+
+    def setup_with(self, opponents: Sequence[str]) -> RaceSetup:
+        """Returns the setup with other names of the opponents.
+
+        Args:
+            opponents: names of the drivers that drive their karts from now on.
+        """
+        names = dict(zip(self.opponents, opponents, strict=True))
+        karts = enumerate(self.setup.karts)
+        renamed = [replace(kart, name=names.get(number, kart.name)) for number, kart in karts]
+        return replace(self.setup, karts=tuple(renamed))
 
     @property
     def roster(self) -> RaceRoster:

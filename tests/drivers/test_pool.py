@@ -55,6 +55,15 @@ def test_a_pool_draws_added_opponents():
     assert len(pool) == 2
 
 
+def test_a_pool_draws_only_the_wanted_kind():
+    pool = OpponentPool(["heuristic", "ai:3"])
+    assert {*draws(pool, 50, is_game_ai=True)} == {"ai:3"}
+    assert {*draws(pool, 50, is_game_ai=False)} == {"heuristic"}
+    pool.weights["heuristic"] = 0
+    with pytest.raises(ConfigError, match="no opponents at difficulty 3 besides the game's AI"):
+        draws(pool, difficulty=3, is_game_ai=False)
+
+
 def test_duplicate_names_are_numbered():
     pool = OpponentPool([straight, straight, "random"])
     pool.add(straight, name="random")

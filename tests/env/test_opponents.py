@@ -284,6 +284,30 @@ def test_a_scenario_starts_opponents_at_its_step(tmp_path):
         env.reset(options={"scenario": tmp_path / "here.zip"})
 
 
+def test_a_scenario_draws_opponents_of_the_same_kinds_from_a_pool():
+    pool = OpponentPool(["pursuit", "ai"])
+    with against([pool, "ai"]) as env:
+        env.reset(seed=1)  # the same draws in every run
+        kinds = {}
+        while len(kinds) < 2:
+            env.reset()
+            kinds[env.race.opponents[0]] = env.scenario()
+        assert kinds.keys() == {"pursuit", "ai"}
+        for seed in range(4):
+            for first, scenario in kinds.items():
+                env.reset(seed=seed, options={"scenario": scenario})
+                assert env.race.opponents == (first, "ai")
+
+
+def test_the_race_of_a_scenario_names_the_opponents_that_drive_now():
+    with against(["pursuit"]) as env:
+        env.reset(seed=1)
+        scenario = env.scenario()
+    with against([forward]) as env:
+        env.reset(options={"scenario": scenario})
+        assert env.race.opponents == ("forward",)
+
+
 def keeps(_, __, ___):
     seen = []
     return lambda observation: seen.append(observation) or {}
