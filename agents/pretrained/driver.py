@@ -107,7 +107,7 @@ def read_card(folder: str | Path) -> AgentCard:
     Raises:
         ConfigError: the card is missing or damaged.
     """
-    with _reading_card(folder):
+    with reading_card(folder):
         values = load_json(Path(folder) / CARD)
         card = typed(AgentCard, values)
         if "trust" in values and "ensemble_weight" not in values:
@@ -115,7 +115,8 @@ def read_card(folder: str | Path) -> AgentCard:
         return card
 
 
-def _reading_card(folder: str | Path) -> AbstractContextManager[None]:
+def reading_card(folder: str | Path) -> AbstractContextManager[None]:
+    """Explains the errors of a block that reads the card of an agent's folder."""
     file = str(Path(folder) / CARD)
     return reading(f"{file!r} is no card of a learned agent", "a card of this version of stkzoo")
 

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option, positional
-from stkzoo.errors import check_whole
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names
@@ -114,7 +114,7 @@ class EvaluationOptions:
         tracks: names of tracks or of splits, such as validation.
 
     Raises:
-        ConfigError: numbers is below 1.
+        ConfigError: numbers is below 1, or the form is invalid.
     """
 
     policies: tuple[str, ...] = positional()
@@ -124,6 +124,8 @@ class EvaluationOptions:
 
     def __post_init__(self) -> None:
         check_whole("numbers", self.numbers, 1)
+        if BenchmarkForm.of(self.form).has_population:
+            raise ConfigError(f"form is {self.form!r}, expected P and A only, such as PAAAA")
 
 
 def main(words: list[str] | None = None) -> int:

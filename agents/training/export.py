@@ -33,7 +33,7 @@ from stkzoo._os import PART_FILES, make_folder, write_text
 from stkzoo._reading import load_json, reading
 from stkzoo._schema import Count, typed
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_card, read_numbers
+from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_card, read_numbers, reading_card
 from stkzoo.agents.pretrained.ensemble import (
     check_ensemble_weight,
     join_members,
@@ -235,7 +235,10 @@ def _network(arrays: Arrays, source: Path) -> Arrays:
 def _runs_of(source: Path) -> list[dict[str, Any]]:
     """Returns the training runs of a file of weights, or of an agent by its card."""
     if source.is_dir():
-        runs: list[dict[str, Any]] = load_json(source / CARD).get("runs", [])
+        with reading_card(source):
+            card = load_json(source / CARD)
+            typed(_Runs, card)
+            runs: list[dict[str, Any]] = card.get("runs", [])
         return runs
     if (league := source.parent.parent / LEAGUE).exists():
         return [_run_of_member(league, source.stem)]
@@ -282,6 +285,21 @@ class _Learned:
     """A part of a run's history."""
 
     arguments: _LearnedArguments
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One of the training runs on a card."""
+
+    kart_steps: Count | None
+    history: tuple[_Learned, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Runs:
+    """The training runs on a card."""
+
+    runs: tuple[_Run, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

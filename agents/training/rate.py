@@ -227,7 +227,7 @@ def _rate_runs(
     kept = sorted((_millions(name), name) for name in ratings if " " in name)
     curves = {
         run.name: start
-        + [(at, intervals[name]) for at, name in kept if name.startswith(f"{run.name} ")]
+        + [(at, intervals[name]) for at, name in kept if name.rpartition(" ")[0] == run.name]
         for run in runs
     }
     levels = {"the AI": ratings[AI].value} if AI in ratings else {}

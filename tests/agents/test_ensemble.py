@@ -266,6 +266,23 @@ def test_the_folder_of_an_ensemble_adds_its_members(files, plan_file, tmp_path):
     assert one["runs"] == other["runs"]
 
 
+@pytest.mark.parametrize(
+    ("runs", "place"),
+    [
+        (5, "runs is 5"),
+        ([5], r"runs\[0\] is 5"),
+        ([{"kart_steps": "many", "history": []}], r"runs\[0\].kart_steps is 'many'"),
+    ],
+)
+def test_a_card_with_damaged_runs_is_refused(runs, place, files, tmp_path):
+    folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
+    card = json.loads((folder / "card.json").read_text())
+    (folder / "card.json").write_text(json.dumps({**card, "runs": runs}))
+    with pytest.raises(ConfigError, match=f"card.json' is no card of a learned agent .{place}"):
+        export_policy([folder], "again", tmp_path / "again", ensemble_weight=1.0)
+    assert not (tmp_path / "again" / "card.json").exists()
+
+
 def test_only_an_ensemble_without_policies_can_use_other_plans(files, plan_file, tmp_path):
     plans = tmp_path / "best.json"
     plans.write_text(json.dumps({"learned_motion": True, "margin": 0.5}))

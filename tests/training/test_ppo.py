@@ -307,7 +307,11 @@ def test_an_invalid_policy_is_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("words", "text"),
-    [("--numbers=0", "numbers is 0"), ("--track=lighthous", "Did you mean 'lighthouse'")],
+    [
+        ("--numbers=0", "numbers is 0"),
+        ("--track=lighthous", "Did you mean 'lighthouse'"),
+        ("--form=PBB", "form is 'PBB', expected P and A only"),
+    ],
 )
 def test_invalid_arguments_of_a_comparison_are_reported(words, text, capsys):
     assert evaluate_main(["prior", words]) == 1

@@ -1,6 +1,7 @@
 """Ratings of saved policies of runs against one another."""
 
 import json
+import shutil
 from collections import Counter
 
 import numpy as np
@@ -86,6 +87,22 @@ def test_all_policies_race_on_the_given_tracks(run, tmp_path, monkeypatch, capsy
     assert {json.loads(line)["track"] for line in lines} == {"mines", "hacienda"}
     assert main([*words, "--matches=9", "--track", "abyss"]) == 1
     assert "expected 'abyss'; give the same --track, or another" in capsys.readouterr().err
+
+
+def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, monkeypatch):
+    longer = run.with_name("first b")
+    shutil.copytree(run, longer)
+    drawn = {}
+
+    def without_driving(matches, _):
+        return [MatchRecord(0, each.track, each.reverse, [*each.drivers]) for each in matches]
+
+    monkeypatch.setattr(rate, "play_records", without_driving)
+    monkeypatch.setattr(rate, "rating_figure", lambda curves, *_: drawn.update(curves))
+    monkeypatch.setattr(rate, "save_figure", lambda *_: None)
+    assert main([str(run), str(longer), "--every=0", f"--output={tmp_path / 'out'}"]) == 0
+    steps = {name: [at for at, _ in points] for name, points in drawn.items()}
+    assert steps == {"first": [0.0, 0.0, 1.0, 2.0], "first b": [0.0, 0.0, 1.0, 2.0]}
 
 
 @pytest.mark.slow
