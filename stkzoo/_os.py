@@ -53,6 +53,7 @@ __all__ = [
     "write_text",
     "write_whole",
     "write_zip",
+    "writing",
 ]
 
 #: Glob pattern of the temporary files of :func:`atomic_write`.
@@ -231,7 +232,16 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 def write_whole(
     path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
 ) -> Iterator[Path]:
-    """Calls :func:`atomic_write` and converts its OSError to an error for users.
+    """Calls :func:`atomic_write` and converts its OSError; see :func:`writing`."""
+    with writing(path, noun, error_type), atomic_write(path) as part:
+        yield part
+
+
+@contextlib.contextmanager
+def writing(
+    path: str | os.PathLike[str], noun: str = "", error_type: type[StkzooError] = ConfigError
+) -> Iterator[None]:
+    """Converts each OSError of a block that writes a file to an error for users.
 
     Args:
         path: the file.
@@ -242,8 +252,7 @@ def write_whole(
         StkzooError: the file cannot be written; the error is an ``error_type``.
     """
     try:
-        with atomic_write(path) as part:
-            yield part
+        yield
     except OSError as error:
         why = str(error) if error.filename else reason(error)
         raise error_type(f"{noun} {path} cannot be written: {why}".lstrip()) from error

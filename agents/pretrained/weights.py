@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 import safetensors.numpy
 
-from stkzoo._os import atomic_write
+from stkzoo._os import write_whole
 from stkzoo._reading import read_file, reading
 from stkzoo.agents.planning.arrays import FloatArray
 from stkzoo.errors import ConfigError
@@ -24,8 +24,12 @@ def packed_weights(weights: Mapping[str, FloatArray]) -> bytes:
 
 
 def save_weights(path: str | os.PathLike[str], weights: Mapping[str, FloatArray]) -> None:
-    """Writes float32 arrays to a file atomically."""
-    with atomic_write(path) as part:
+    """Writes float32 arrays to a file atomically.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
+    with write_whole(path, "the weights") as part:
         part.write_bytes(packed_weights(weights))
 
 

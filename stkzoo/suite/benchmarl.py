@@ -241,7 +241,10 @@ def save_agent(
             "parameters can be written; write a pystk_actor.py by hand"
         )
     if experiment.task.task.words:
-        raise ConfigError("drivers in races cannot send words, which this task needs")
+        raise ConfigError(
+            f"save_agent writes agents that say no words, and {experiment.task.task.name} has "
+            "words; write a pystk_actor.py by hand"
+        )
     parts = network.mlp.params
     layers = [parts[key] for key in sorted(parts.keys(), key=int)]
     arrays = [(own["weight"].detach().cpu(), own["bias"].detach().cpu()) for own in layers]

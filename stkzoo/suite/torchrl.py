@@ -24,7 +24,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.env.vec.starts import seeds_of_races
-from stkzoo.errors import import_extra, unknown_name
+from stkzoo.errors import check_whole, import_extra, unknown_name
 from stkzoo.suite.flat import ACTION_FORMS, CONTINUOUS, FlatTask
 from stkzoo.suite.tasks import Task
 
@@ -161,6 +161,7 @@ class SuiteRaces(EnvBase):
         seed: int | None = None,
         device: Any = "cpu",
     ) -> None:
+        check_whole("num_races", num_races, 1)
         options = options or TaskOptions()
         super().__init__(device=device, batch_size=[num_races])
         form = CONTINUOUS if is_continuous else options.actions

@@ -19,7 +19,7 @@ from stkzoo.errors import StkzooError, shortened
 from stkzoo.evaluation.batch.entrants import NAME_MARK
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
 from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.batch.run import BatchProgress
+from stkzoo.evaluation.batch.run import BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -320,8 +320,9 @@ def verify_entry(
 
     Raises:
         EntryRefused: the entry is incomplete, or a race or a number differs.
-        ConfigError: there is no entry, or its file is damaged.
+        ConfigError: there is no entry, its file is damaged, or an option is invalid.
     """
+    RunOptions(jobs, race_timeout)  # checks the values
     place = Path(folder)
     text = _read(place / ENTRY_FILE)
     entry = Entry.from_json(text, str(place / ENTRY_FILE))

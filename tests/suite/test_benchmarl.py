@@ -164,7 +164,7 @@ def test_a_written_agent_races(tmp_path):
 @needs_library
 @pytest.mark.parametrize(
     ("task", "algorithm", "text"),
-    [("SOLO_1", "iddpg", "only policies with discrete"), ("TALK_2V2", "ippo", "cannot send words")],
+    [("SOLO_1", "iddpg", "only policies with discrete"), ("TALK_2V2", "ippo", "say no words")],
 )
 def test_unsupported_policies_are_not_written(task, algorithm, text, tmp_path):
     from stkzoo.suite.benchmarl import save_agent

@@ -1,6 +1,7 @@
 """Contacts are those of the environment, and the kart that causes them is at fault."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,9 +175,21 @@ def test_a_folder_is_read_as_its_replays(alone, tmp_path):
     assert (mean.driver, mean.races, mean.contacts) == ("heuristic", 3, 0.0)
 
 
+def test_a_replay_that_is_named_in_two_ways_counts_once(alone, tmp_path, monkeypatch):
+    monkeypatch.chdir(alone.parent)
+    (tmp_path / "link.stkz").symlink_to(alone)
+    places = [alone.name, alone, tmp_path / "link.stkz", Path("..", alone.parent.name, alone.name)]
+    assert find_replays(places) == [Path(alone.name)]
+
+
 def test_a_folder_without_replays_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"has no replays \(\*\.stkz\); give a file"):
         find_replays([tmp_path])
+
+
+def test_an_invalid_number_of_jobs_is_refused(alone):
+    with pytest.raises(ConfigError, match="jobs is 0, expected a whole number of 1 or more"):
+        measure_conduct([alone], jobs=0)
 
 
 def test_damaged_and_missing_replays_are_refused_before_any_race(alone, tmp_path, capsys):

@@ -123,6 +123,21 @@ def test_a_report_has_all_its_files_and_is_reproducible(two_runs, tmp_path, caps
     assert "| versus | ippo | beaten | 2 |" in (one / "report.md").read_text()
 
 
+def test_a_folder_of_results_cannot_be_the_folder_of_the_report(two_runs, tmp_path, capsys):
+    (tmp_path / "link").symlink_to(tmp_path)
+    assert main(["suite", "report", str(tmp_path), "--output", str(tmp_path / "link")]) == 2
+    assert "link has the results, and the next report would" in capsys.readouterr().err
+    assert {*tmp_path.glob("*.json")} == {*two_runs}
+
+
+def test_a_figure_of_an_earlier_report_is_removed(two_runs, tmp_path):
+    folder = tmp_path / "report"
+    folder.mkdir()
+    (folder / "improvement.svg").touch()
+    write_suite_report(two_runs, folder)  # a single algorithm has no comparison
+    assert not (folder / "improvement.svg").exists()
+
+
 @pytest.mark.slow
 def test_two_algorithms_are_compared(tmp_path):
     for name in ("ippo", "mappo"):
@@ -222,6 +237,13 @@ def test_a_share_above_one_is_refused(two_runs):
     with_races(two_runs[0], lambda test: test["races"][0].update(value=1.5))
     with pytest.raises(ConfigError, match=r"test has a race with beaten 1\.5"):
         load_runs(two_runs)
+
+
+def test_a_time_ratio_above_the_time_limit_is_refused(tmp_path):
+    file = write_run(tmp_path, suite_run("solo-1", "ippo", 0))
+    with_races(file, lambda test: test["races"][0].update(value=3.5))
+    with pytest.raises(ConfigError, match=r"test has a race with time_ratio 3\.5, expected <= 3"):
+        load_runs([file])
 
 
 def test_a_curve_with_lists_of_different_lengths_is_refused(two_runs):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from stkzoo.errors import ConfigError
 from stkzoo.suite import FlatTask, find_task
 from stkzoo.wrappers.racing import CHOICES
 
@@ -41,6 +42,11 @@ def drive(env, actions, steps=1):
         data = env.step(data)["next"]
         found.append(data.clone())
     return found
+
+
+def test_a_batch_without_races_is_refused(races):
+    with pytest.raises(ConfigError, match="num_races is 0, expected a whole number of 1 or more"):
+        races("solo-1", 0)
 
 
 @pytest.mark.parametrize("is_continuous", [False, True])

@@ -186,6 +186,11 @@ def test_an_unknown_task_and_a_missing_entry_are_errors(entry, tmp_path):
         verify_entry(tmp_path / "nothing")
 
 
+def test_an_invalid_number_of_jobs_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="jobs is -1, expected a whole number of 1 or more"):
+        verify_entry(tmp_path, jobs=-1)
+
+
 @pytest.mark.slow
 def test_controls_that_a_rival_did_not_choose_are_refused(entry):
     """Such controls would not change the race, because the verification runs the rival again."""

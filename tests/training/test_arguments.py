@@ -51,6 +51,7 @@ def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
         (SelfPlayArguments, {"gamma": 7.0}, "gamma is 7.0, .* from 0 to 1"),
         (SelfPlayArguments, {"kl_coef": -0.1}, "kl_coef is -0.1, .* of 0 or more"),
         (DistillationArguments, {"difficulty": 4}, "difficulty is 4, .* from 0 to 3"),
+        (SelfPlayArguments, {"seed": 2**32}, "seed is 4294967296, .* from 0 to 4294967295"),
         (SelfPlayArguments, {"batch_size": 1}, "batch_size is 1, .* of 2 or more"),
         (SelfPlayArguments, {"hidden": (0, 8)}, "hidden is 0, .* of 1 or more"),
         (SelfPlayArguments, {"hidden": (8, 8, 8)}, r"hidden is \(8, 8, 8\), expected 2 layers"),

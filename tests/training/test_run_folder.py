@@ -4,17 +4,21 @@ import importlib
 import json
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
 from stkzoo._locks import locked_folder
+from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.arguments import RunArguments
 from stkzoo.agents.training.common.run_folder import (
+    CHECKPOINT,
     LOG,
     TrainingLog,
     continue_json_lines,
     keep_arguments,
     read_log,
+    save_checkpoint,
 )
 from stkzoo.agents.training.sb3 import selfplay as sb3
 from stkzoo.agents.training.suite import ippo
@@ -39,6 +43,24 @@ def test_a_run_continues_after_an_incomplete_line_of_its_log(tmp_path):
         assert log.last["iteration"] == 2
         log.write({"iteration": 3, "kart_steps": 30})
     assert [line["iteration"] for line in read_log(tmp_path)] == [1, 2, 3]
+
+
+def test_a_checkpoint_and_weights_that_cannot_be_written_are_errors(tmp_path):
+    for file in (CHECKPOINT, "weights"):
+        (tmp_path / file).mkdir()
+    with pytest.raises(ConfigError, match=r"the checkpoint .* cannot be written: .* not a regular"):
+        save_checkpoint(tmp_path, {}, {})
+    with pytest.raises(ConfigError, match=r"the weights .* cannot be written: .* not a regular"):
+        save_weights(tmp_path / "weights", {})
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_log_on_a_full_disk_is_an_error(tmp_path):
+    with TrainingLog(tmp_path, 0) as log:
+        (tmp_path / LOG).unlink()
+        (tmp_path / LOG).symlink_to("/dev/full")
+        with pytest.raises(ConfigError, match=r"the log .* cannot be written: No space left"):
+            log.write({"iteration": 1, "kart_steps": 10})
 
 
 def test_a_damaged_line_within_a_log_is_reported(tmp_path):

@@ -308,6 +308,20 @@ def test_an_unknown_algorithm_is_refused(capsys):
 
 
 @pytest.mark.parametrize("words", [("train", "solo-1", "ippo"), ("exploit", "heuristic")])
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--kart-steps", "0", "kart_steps is 0, expected a whole number of 1 or more"),
+        ("--seed", "1" * 22, f"seed is {'1' * 22}, expected a whole number from 0 to"),
+    ],
+)
+def test_numbers_out_of_bounds_are_refused(tmp_path, capsys, words, option, value, message):
+    assert main(["suite", *words, option, value, "--output", str(tmp_path / "run")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("words", [("train", "solo-1", "ippo"), ("exploit", "heuristic")])
 def test_a_file_as_output_is_an_error_with_a_remedy(tmp_path, capsys, words):
     file = tmp_path / "file"
     file.touch()

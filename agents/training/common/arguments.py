@@ -12,6 +12,8 @@ from stkzoo._arguments import option
 from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
+#: Highest seed that all libraries accept.
+_MAX_SEED = 2**32 - 1
 #: Title of a group of options.
 _LEARNING = "learning"
 #: The training tracks except one on which a race takes three times as long.
@@ -62,7 +64,7 @@ class RunArguments:
                 object.__setattr__(self, entry.name, track_names(getattr(self, entry.name)))
             if type(entry.default) is int:
                 least = self.least.get(entry.name, int(entry.name not in self.may_be_zero))
-                most = self.most.get(entry.name)
+                most = _MAX_SEED if entry.name == "seed" else self.most.get(entry.name)
                 check_whole(entry.name, getattr(self, entry.name), least, most)
             elif type(entry.default) is float:
                 self._check_float(entry.name, getattr(self, entry.name))

@@ -7,6 +7,7 @@ contains facts as JSON, and tensors in a file that is read without unpickling.
 from __future__ import annotations
 
 import importlib
+import io
 import json
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from stkzoo._locks import LOCK
-from stkzoo._os import atomic_write, make_folder, write_text
+from stkzoo._os import make_folder, write_text, write_whole, writing
 from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
 from stkzoo._schema import Count, Within, typed
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -202,9 +203,14 @@ def save_checkpoint(folder: Path, facts: Mapping[str, Any], state: Mapping[str, 
         folder: folder of the run.
         facts: JSON values.
         state: tensors and plain values by name, and dicts and lists of these.
+
+    Raises:
+        ConfigError: the file cannot be written.
     """
-    with atomic_write(folder / CHECKPOINT) as part:
-        training_library("torch").save({"facts": json.dumps(facts), **state}, part)
+    content = io.BytesIO()  # PyTorch's errors about files do not say what is wrong
+    training_library("torch").save({"facts": json.dumps(facts), **state}, content)
+    with write_whole(folder / CHECKPOINT, "the checkpoint") as part:
+        part.write_bytes(content.getbuffer())
 
 
 def load_checkpoint(folder: Path, kind: type[T]) -> tuple[T, dict[str, Any]] | None:
@@ -354,8 +360,11 @@ class TrainingLog:
         """Adds an entry for an iteration, which must include ``iteration`` and ``kart_steps``.
 
         TensorBoard gets all figures except those that are ``None``.
+
+        Raises:
+            ConfigError: the log cannot be written.
         """
-        with self._file.open("a") as log:
+        with writing(self._file, "the log"), self._file.open("a") as log:
             log.write(_json_line(line))
         for name, value in line.items():
             if value is not None:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import cpu_count
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, check_whole
 from stkzoo.suite import Task, find_task
 
 from ..common.actors import ActorPool, SharedArray
@@ -171,6 +171,7 @@ def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, 
     Raises:
         ConfigError: an argument is invalid, or the folder contains another run.
     """
+    check_whole("kart_steps", kart_steps, 1)
     learner = kind(folder, kind.arguments_of(task, kart_steps, seed))
     return finish_run(learner, kart_steps, f"{kind.__name__}_{task}_{seed}")
 

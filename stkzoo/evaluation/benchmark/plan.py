@@ -50,7 +50,7 @@ from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
 
 #: Time limit of a race, as a multiple of the AI's median time.
-_LIMIT = 3.0
+LIMIT = 3.0
 _MAX_SEEDS = 10_000
 
 
@@ -83,7 +83,7 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     forms: Annotated[tuple[str, ...], Within(1, 400)]
     seeds: int
     ai_times: Mapping[str, Mapping[str, Annotated[float, Within(0, 1e5, is_above=True)]]]
-    limit: Annotated[float, Within(0, 1000, is_above=True)] = _LIMIT
+    limit: Annotated[float, Within(0, 1000, is_above=True)] = LIMIT
     ai_races: Mapping[str, Mapping[str, RaceTimes]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

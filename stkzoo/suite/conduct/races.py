@@ -19,7 +19,7 @@ from stkzoo._schema import Count, Seconds, Within
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
 from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.batch.run import BatchProgress
+from stkzoo.evaluation.batch.run import BatchProgress, RunOptions
 from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.replay import Replay, ReplayError, load_replay, play_replay
@@ -215,7 +215,7 @@ class ConductOrder(RaceOrder):
 
 
 def find_replays(places: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Returns the replays of entries and other folders, and single replays.
+    """Returns the replays of entries and other folders, and single replays, each once.
 
     Args:
         places: replays, folders with replays, or folders of batches, such as entries.
@@ -223,7 +223,7 @@ def find_replays(places: Iterable[str | os.PathLike[str]]) -> list[Path]:
     Raises:
         ConfigError: a place does not exist, or a folder has no replays.
     """
-    files: list[Path] = []
+    files: dict[Path, Path] = {}
     for place in map(Path, places):
         folder = place / REPLAYS if (place / REPLAYS).is_dir() else place
         found = sorted(folder.glob(f"*{_ENDING}")) if folder.is_dir() else [place]
@@ -232,10 +232,10 @@ def find_replays(places: Iterable[str | os.PathLike[str]]) -> list[Path]:
                 f"{place} has no replays (*{_ENDING}); give a file from `stkzoo race --replay` or "
                 "the folder of an entry from `stkzoo suite evaluate`"
             )
-        files += [file for file in found if file not in files]
-    for file in files:
-        load_replay(file)
-    return files
+        for file in found:
+            load_replay(file)
+            files.setdefault(file.resolve(), file)
+    return [*files.values()]
 
 
 def measure_conduct(
@@ -257,9 +257,10 @@ def measure_conduct(
         The conduct in each race, in the order of the replays.
 
     Raises:
-        ConfigError: there are no replays.
+        ConfigError: there are no replays, or an option is invalid.
         ReplayError: a replay is damaged, or a race could not be judged.
     """
+    RunOptions(jobs, race_timeout)  # checks the values
     files = find_replays(places)
     orders = [
         ConductOrder(number, (), RaceSettings(), replay=str(file.absolute()))

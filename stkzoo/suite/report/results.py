@@ -16,6 +16,7 @@ import numpy as np
 
 from stkzoo._schema import Count, Matching, Seconds, Share, Whole, Within
 from stkzoo.errors import ConfigError, shortened
+from stkzoo.evaluation.benchmark.plan import LIMIT
 from stkzoo.evaluation.benchmark.races import BenchmarkForm, direction_name, make_races
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.document import Document
@@ -228,8 +229,11 @@ def _check_scores(task: Task, split: str, scores: SplitScores) -> None:
             f"{split} has {found[wrong[0]]} races of {name}, expected {expected[wrong[0]]}"
         )
     values = [race.value for race in scores.races]
-    if task.metric != TIME_RATIO and max(values) > 1:
-        raise ConfigError(f"{split} has a race with {task.metric} {max(values):g}, expected <= 1")
+    most = LIMIT if task.metric == TIME_RATIO else 1.0
+    if max(values) > most:
+        raise ConfigError(
+            f"{split} has a race with {task.metric} {max(values):g}, expected <= {most:g}"
+        )
     mean = math.fsum(values) / len(values)
     if not math.isclose(mean, scores.score.value, abs_tol=_TOLERANCE):
         raise ConfigError(f"{split} has the score {scores.score.value:g}; its races give {mean:g}")

@@ -12,6 +12,7 @@ from statistics import fmean
 import numpy as np
 
 from stkzoo._os import make_folder, write_text
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
 from stkzoo.suite.report.document import (
     NORMALIZED,
@@ -226,11 +227,17 @@ def write_suite_report(
         The report.
 
     Raises:
-        ConfigError: a result is invalid, a library is missing, or a file cannot be written.
+        ConfigError: a result is invalid, a library is missing, a file cannot be written, or
+            ``output`` is one of the folders of results.
     """
-    runs = load_runs(paths)
+    places, folder = tuple(map(Path, paths)), Path(output)
+    if folder.resolve() in [place.resolve() for place in places]:
+        raise ConfigError(
+            f"{folder} has the results, and the next report would read this one as a result; "
+            "choose another --output, such as a folder in it"
+        )
+    runs = load_runs(places)
     report = make_report(runs)
-    folder = Path(output)
     make_folder(folder, "report")
     figures = draw_figures(report, folder)
     write_text(folder / "report.json", report.to_json() + "\n")
