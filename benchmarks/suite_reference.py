@@ -17,7 +17,7 @@ import importlib.metadata
 import itertools
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -41,6 +41,7 @@ from stkzoo.suite import (
     LearningCurve,
     SplitScores,
     SuiteRun,
+    can_learn,
     evaluate,
     find_task,
 )
@@ -82,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     words = CommandParser(prog="python -m benchmarks.suite_reference", description=__doc__)
     known = [name for name, task in TASKS.items() if not task.words]
     words.add_argument("--tasks", nargs="+", choices=known, default=REFERENCE_TASKS)
-    words.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=ALGORITHMS)
+    words.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=[*ALGORITHMS])
     words.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     words.add_argument("--kart-steps", type=int, help="instead of the task's budget")
     words.add_argument("--runs", type=Path, default=Path("runs/suite"), help="folder of the runs")
@@ -115,7 +116,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def reference_keys(
     tasks: Sequence[str] = REFERENCE_TASKS,
-    algorithms: Sequence[str] = ALGORITHMS,
+    algorithms: Iterable[str] = ALGORITHMS,
     seeds: Sequence[int] = SEEDS,
 ) -> Iterator[RunKey]:
     """Yields task, algorithm and seed of all runs, in the order in which they are trained.
@@ -123,16 +124,8 @@ def reference_keys(
     Tasks that an algorithm cannot learn are skipped.
     """
     for seed, algorithm, task in itertools.product(seeds, algorithms, tasks):
-        if _can_learn(algorithm, task):
+        if can_learn(algorithm, find_task(task)):
             yield task, algorithm, seed
-
-
-def _can_learn(algorithm: str, task: str) -> bool:
-    try:
-        getattr(_module(algorithm), algorithm.upper()).check_task(find_task(task))
-    except ConfigError:
-        return False
-    return True
 
 
 def _module(algorithm: str) -> ModuleType:

@@ -9,6 +9,7 @@
 Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")``.
 """
 
+from stkzoo.suite.algorithms import ALGORITHMS, can_learn
 from stkzoo.suite.conduct import (
     JudgedContact,
     KartConduct,
@@ -36,9 +37,6 @@ from stkzoo.suite.scores import Baselines, load_baselines, normalized
 from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
-#: Reference algorithms: modules of ``stkzoo.agents.training.suite``.
-ALGORITHMS = ("ippo", "mappo", "fsp", "pfsp", "impala")
-
 register_tasks()
 
 __all__ = [
@@ -64,6 +62,7 @@ __all__ = [
     "SuiteRun",
     "Task",
     "behavior",
+    "can_learn",
     "evaluate",
     "find_task",
     "id_of",

@@ -98,6 +98,11 @@ def test_the_mean_over_tasks_needs_runs_of_all_algorithms():
     assert make_report(fewer).missing == (("versus", "mappo", 0), ("versus", "mappo", 1))
 
 
+def test_tasks_that_an_algorithm_cannot_learn_are_not_missing():
+    runs = [suite_run("selfplay-5", "fsp", 0), suite_run("versus", "ippo", 0)]
+    assert make_report(runs).missing == (("selfplay-5", "ippo", 0),)
+
+
 def test_missing_runs_are_listed():
     report = make_report(
         [suite_run("versus", "ippo", 0)], [("versus", "ippo", seed) for seed in (0, 1, 2)]

@@ -18,7 +18,7 @@ from stkzoo.agents.planning.arrays import FloatArray, IntArray
 from stkzoo.agents.pretrained.mlp import MlpDriver, sample_choices
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.suite import Task
+from stkzoo.suite import Task, can_learn
 
 from ..common.actors import ActorPool
 from ..common.learner import RolloutResult, Weights
@@ -153,7 +153,7 @@ class PastSelfPlay(TaskLearner):
     def check_task(cls, task: Task) -> None:
         """See :meth:`.learner.TaskLearner.check_task`."""
         super().check_task(task)
-        if task.learners < 2:
+        if not can_learn(cls.__name__.lower(), task):
             raise ConfigError(
                 f"{task.name} has one learner, and {cls.__name__.lower()} is self-play; use ippo, "
                 "which is the same for one learner"

@@ -14,6 +14,7 @@ import numpy as np
 from stkzoo._os import make_folder, write_text
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
+from stkzoo.suite.algorithms import can_learn
 from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
@@ -107,14 +108,15 @@ def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = No
     Args:
         runs: the runs, as :func:`~stkzoo.suite.report.results.load_runs` returns them.
         expected: task, algorithm and seed of the runs that should be there; by default, each
-            combination of those that occur.
+            combination of those that occur, except tasks that an algorithm cannot learn.
 
     Raises:
         ConfigError: SciPy is not installed.
     """
     keys = {(run.task, run.algorithm, run.seed) for run in runs}
     if expected is None:
-        expected = itertools.product(*(sorted(set(values)) for values in zip(*keys, strict=True)))
+        every = itertools.product(*(sorted(set(values)) for values in zip(*keys, strict=True)))
+        expected = [key for key in every if can_learn(key[1], find_task(key[0]))]
     groups: dict[str, dict[str, _RunGroup]] = {}
     for task in TASKS:
         for run in (run for run in runs if run.task == task):

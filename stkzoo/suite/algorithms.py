@@ -1,0 +1,21 @@
+"""The reference algorithms, and the tasks that they can learn."""
+
+from __future__ import annotations
+
+from stkzoo.suite.tasks import Task
+
+#: Reference algorithms (modules of ``stkzoo.agents.training.suite``), and the least number of
+#: learners of their tasks: self-play needs two.
+ALGORITHMS = {"ippo": 1, "mappo": 1, "fsp": 2, "pfsp": 2, "impala": 1}
+
+
+def can_learn(algorithm: str, task: Task) -> bool:
+    """Returns whether an algorithm can learn a task. Algorithms of others can learn every task.
+
+    Args:
+        algorithm: name of the algorithm.
+        task: the task.
+    """
+    if algorithm not in ALGORITHMS:
+        return True
+    return not task.words and task.learners >= ALGORITHMS[algorithm]
