@@ -200,6 +200,6 @@ def only_agent(env: RaceParallelEnv) -> str:
     if len(agents) != 1:
         raise ConfigError(
             f"the planner plans for {len(agents)} agents, expected one agent and, if any, the "
-            "game's AI: agents=1, or in stkzoo demos --karts 1"
+            "game's AI: agents=1, stkzoo demos --karts 1, or stkzoo benchmark --forms P PAAAA"
         )
     return agents[0]

@@ -6,7 +6,7 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -16,9 +16,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 
 from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED
 from stkzoo.cli._console import make_bars, say
+from stkzoo.cli._race_report import show_errors
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.batch import run as batch
-from stkzoo.evaluation.batch.order import RACES
+from stkzoo.evaluation.batch.order import RACES, RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan
 
 #: Leading dots, and characters that separate folders or are invalid in names on some systems.
@@ -106,6 +107,7 @@ def run_plan(
     plan: BatchPlan[batch.AnyDocument],
     folder: Path,
     show: Callable[[batch.AnyDocument], object],
+    agent: str = "",
 ) -> int:
     """Runs a planned batch and shows its result.
 
@@ -114,6 +116,7 @@ def run_plan(
         plan: plan of the batch.
         folder: folder of the batch.
         show: function that prints the result.
+        agent: name of the agent whose first failure is shown; empty for none.
 
     Returns:
         The exit code.
@@ -125,7 +128,19 @@ def run_plan(
         print(result.to_json())
     else:
         show(result)
+        if agent:
+            _show_first_failure(plan.orders(), folder, agent)
         names = (plan.result_file, f"{plan.noun}.png", "report.html", RACES)
         kept = ", ".join(name for name in names if (folder / name).exists())
         say(f"More in {folder}{os.sep}: {kept}")
     return code or (AGENT_FAILED if getattr(result, "errors", 0) else 0)
+
+
+def _show_first_failure(orders: Iterable[RaceOrder], folder: Path, agent: str) -> None:
+    """Prints why an agent failed in the first race in which it did."""
+    for order in orders:
+        result = order.load(folder)
+        for row in result.agents if result else ():
+            if row.driver == agent and row.errors:
+                show_errors(row, f" in race {order.number} on {order.settings.track}")
+                return

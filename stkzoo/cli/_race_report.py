@@ -115,7 +115,7 @@ def show_race(result: RaceResult) -> None:
         f"{f' ({reason})' if reason else ''}; it took {result.wall_time:.1f} s."
     )
     for row in result.agents:
-        _show_errors(row)
+        show_errors(row)
         if row.num_clipped:
             say(
                 f"\n{row.driver} ({row.agent}): {row.num_clipped} actions were clipped to its space"
@@ -141,7 +141,7 @@ def show_series(results: Sequence[RaceResult]) -> None:
     show_table((*_TEXT_COLUMNS, *numbers), map(_series_cells, in_order), left=_TEXT_COLUMNS)
     for result in results:
         for row in result.agents:
-            _show_errors(row, f" in the race with seed {result.seed}")
+            show_errors(row, f" in the race with seed {result.seed}")
 
 
 def _series_cells(rows: Sequence[AgentResult]) -> Sequence[str]:
@@ -170,8 +170,13 @@ def _style_of(row: AgentResult) -> str | None:
     return "bold green" if row.rank == 1 else None
 
 
-def _show_errors(row: AgentResult, where: str = "") -> None:
-    """Prints an agent's first failure and its number of failures."""
+def show_errors(row: AgentResult, where: str = "") -> None:
+    """Prints an agent's first failure and its number of failures.
+
+    Args:
+        row: result of the agent.
+        where: name of the race, if there are several.
+    """
     if not row.errors:
         return
     first = row.errors[0]

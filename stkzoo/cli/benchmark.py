@@ -152,7 +152,8 @@ def _benchmark(arguments: argparse.Namespace) -> int:
 
     plan = _plan(arguments)
     folder = Path(arguments.output or Path("benchmark", file_name(plan.agent.label)))
-    return run_plan(arguments, plan, folder, lambda result: show_results([result]))
+    label = plan.agent.label
+    return run_plan(arguments, plan, folder, lambda result: show_results([result]), label)
 
 
 def _time_trial(arguments: argparse.Namespace) -> int:
@@ -161,7 +162,7 @@ def _time_trial(arguments: argparse.Namespace) -> int:
     plan = _time_trial_plan(arguments)
     name = f"{file_name(plan.agent.label)}-time-trial"
     folder = Path(arguments.output or Path("benchmark", name))
-    return run_plan(arguments, plan, folder, _show_time_trial)
+    return run_plan(arguments, plan, folder, _show_time_trial, plan.agent.label)
 
 
 def _time_trial_plan(arguments: argparse.Namespace) -> TimeTrialPlan:

@@ -283,7 +283,8 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     name = f"{plan.task}-{file_name(plan.agent.label)}"
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
-    return run_plan(arguments, plan, folder, lambda entry: show_entry(cast("Entry", entry)))
+    label = plan.agent.label
+    return run_plan(arguments, plan, folder, lambda entry: show_entry(cast("Entry", entry)), label)
 
 
 @usage_errors

@@ -262,6 +262,10 @@ def test_the_command_exits_with_3_when_the_agent_failed(tmp_path, capsys):
     assert main(["benchmark", agent, *words, *output]) == 3
     form = json.loads(capsys.readouterr().out)
     assert form["groups"][0]["figures"]["unfinished"]["value"] == 1.0
+    output.remove("--json")  # the races are stored
+    assert main(["benchmark", agent, *words, *output]) == 3
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "failed before the start in race 0 on lighthouse: RuntimeError: not today" in shown
 
 
 @pytest.mark.parametrize(
