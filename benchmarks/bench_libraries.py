@@ -22,25 +22,44 @@ def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
     """Measures the algorithm of rllib.selfplay, with one env runner per core and no past selves."""
     import ray
 
+    runners = min(cpu_count(), setting.races)
+    ray.init(address="local", num_cpus=runners, include_dashboard=False, log_to_driver=False)
+    try:
+        rate = rllib_rate(
+            runners, setting.races // runners, setting.karts, options.track, options.iterations
+        )
+    finally:
+        ray.shutdown()
+    return {"rate": rate / cpu_count()}
+
+
+def rllib_rate(runners: int, races: int, karts: int, track: str, iterations: int) -> float:
+    """Returns the kart-steps per second of rllib.selfplay, learning included, without past selves.
+
+    Args:
+        runners: number of env runners in the running Ray cluster.
+        races: number of races of each env runner.
+        karts: number of karts of a race.
+        track: name of the track.
+        iterations: number of updates to measure.
+    """
     from stkzoo.agents.training.rllib.races import MAIN, RLlibArguments
     from stkzoo.agents.training.rllib.selfplay import build_config
 
-    runners = min(cpu_count(), setting.races)
-    steps = _STEPS * setting.karts * setting.races
+    steps = _STEPS * karts * races * runners
     arguments = RLlibArguments(
-        tracks=(options.track,),
-        learners=setting.karts,
+        tracks=(track,),
+        learners=karts,
         frozen=0,
         bots=0,
         env_runners=runners,
-        envs_per_runner=setting.races // runners,
+        envs_per_runner=races,
         max_cycles=_MAX_CYCLES,
         hidden=(128, 128),
         train_batch_size=steps,
         batch_size=min(512, steps),
         n_epochs=4,
     )
-    ray.init(address="local", num_cpus=runners, include_dashboard=False, log_to_driver=False)
     algorithm = build_config(arguments).build_algo()
 
     def kart_steps(iterations: int) -> float:
@@ -50,12 +69,10 @@ def rllib(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
 
     try:
         before, begin = kart_steps(WARM_UP), time.perf_counter()
-        made = kart_steps(options.iterations) - before
-        wall = time.perf_counter() - begin
+        made = kart_steps(iterations) - before
+        return made / (time.perf_counter() - begin)
     finally:
         algorithm.stop()
-        ray.shutdown()
-    return {"rate": made / wall / cpu_count()}
 
 
 def torchrl(setting: Setting, options: argparse.Namespace) -> dict[str, float]:
