@@ -20,6 +20,7 @@ from stkzoo.errors import ActionError
 from stkzoo.mdp.observations import observe_karts
 from stkzoo.mdp.rewards import as_reward
 from stkzoo.mdp.spaces import kart_observation_space
+from stkzoo.views.plan import Seats
 from stkzoo.wrappers import ConstantSizedObservations, Discretizer, PolarObservations
 from tests.support.paths import ROOT
 
@@ -258,12 +259,13 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
     reward = as_reward("placement")
     record = EpisodeRecord(dict.fromkeys(agents, reward), range(len(agents)), lap_length)
     before, *moments = snapshots_of(distances, finish_steps, lap_length)
-    racing = agents
+    karts = np.arange(len(agents))
     earned = dict.fromkeys(agents, 0.0)
     for after in moments:
-        for agent, amount in record.score(before, after, racing, False)[0].items():
+        seats = Seats(tuple(agents[kart] for kart in karts), karts, karts, len(agents))
+        for agent, amount in record.score(before, after, seats, False)[0].items():
             earned[agent] += amount
-        racing = [a for k, a in enumerate(agents) if not after.karts["has_finished_race"][k]]
+        karts = np.flatnonzero(after.karts["has_finished_race"] == 0)
         before = after
     by_rank = [earned[agents[kart]] for kart in np.argsort(after.karts["position"])]
     assert all(better >= worse - 1e-9 for better, worse in pairwise(by_rank))
