@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.bench_common import Table, parser, print_tables, save
-from benchmarks.ecosystem import ROOT, SETS, environment
+from benchmarks.ecosystem import ROOT, run_in_environment
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -32,9 +31,8 @@ def main(arguments: list[str] | None = None) -> int:
     )
     options = words.parse_args(arguments)
     if importlib.util.find_spec("ray") is None:
-        python = environment(options.folder / "rllib", SETS["rllib"])
         own = sys.argv[1:] if arguments is None else arguments
-        return subprocess.run([python, "-m", "benchmarks.bench_nodes", *own]).returncode
+        return run_in_environment("rllib", options.folder, "benchmarks.bench_nodes", own)
     results = [
         {
             "nodes": nodes,

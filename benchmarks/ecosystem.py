@@ -16,6 +16,7 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -198,6 +199,19 @@ def environment(folder: Path, packages: tuple[str, ...]) -> Path:
         stamp.write_text("\n".join(packages))
     _install(python, str(ROOT))
     return python
+
+
+def run_in_environment(name: str, folder: Path, module: str, arguments: Sequence[str]) -> int:
+    """Runs a module in an environment with other libraries; returns its exit code.
+
+    Args:
+        name: key of the environment in :data:`SETS`.
+        folder: folder of all environments.
+        module: name of the module.
+        arguments: its arguments.
+    """
+    python = environment(folder / name, SETS[name])
+    return subprocess.run([python, "-m", module, *arguments], check=False).returncode
 
 
 def _install(python: Path, package: str) -> None:

@@ -25,6 +25,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from benchmarks.ecosystem import run_in_environment
 from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 
@@ -49,20 +50,12 @@ def main() -> int:
     if args.iterations < 5 * PAUSE:
         parser.error(f"--iterations is {args.iterations}, expected {5 * PAUSE} or more")
     if importlib.util.find_spec("ray") is None:
-        return _with_ray(args.folder)
+        return run_in_environment("rllib", args.folder, "benchmarks.rllib_cluster", sys.argv[1:])
     with tempfile.TemporaryDirectory(prefix="stkzoo-rllib-") as folder:
         result = Trial(Path(folder), args.iterations, args.timeout, args.pack).run()
     write_text(RESULTS, json.dumps(result, indent=1) + "\n")
     print(json.dumps({k: v for k, v in result.items() if k != "log"}, indent=1))
     return 0 if result["passed"] else 1
-
-
-def _with_ray(folder: Path) -> int:
-    """Runs this program again in the environment with Ray."""
-    from benchmarks.ecosystem import SETS, environment
-
-    python = environment(folder / "rllib", SETS["rllib"])
-    return subprocess.run([python, "-m", "benchmarks.rllib_cluster", *sys.argv[1:]]).returncode
 
 
 class Trial:

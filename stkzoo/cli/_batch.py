@@ -124,16 +124,17 @@ def run_plan(
     result, code = run_batch(arguments, partial(batch.run_batch, plan, folder))
     if result is None:
         return code
+    has_failed = bool(getattr(result, "errors", 0))
     if arguments.json:
         print(result.to_json())
     else:
         show(result)
-        if agent:
+        if agent and has_failed:
             _show_first_failure(plan.orders(), folder, agent)
         names = (plan.result_file, f"{plan.noun}.png", "report.html", RACES)
         kept = ", ".join(name for name in names if (folder / name).exists())
         say(f"More in {folder}{os.sep}: {kept}")
-    return code or (AGENT_FAILED if getattr(result, "errors", 0) else 0)
+    return code or (AGENT_FAILED if has_failed else 0)
 
 
 def _show_first_failure(orders: Iterable[RaceOrder], folder: Path, agent: str) -> None:

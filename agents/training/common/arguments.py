@@ -12,8 +12,6 @@ from stkzoo._arguments import option
 from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
-#: Highest seed that all libraries accept.
-_MAX_SEED = 2**32 - 1
 #: Title of a group of options.
 _LEARNING = "learning"
 #: The training tracks except one on which a race takes three times as long.
@@ -46,8 +44,8 @@ class RunArguments:
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
     #: Lowest values of integers that must be above 1.
     least: ClassVar[Mapping[str, int]] = {}
-    #: Highest values of integers.
-    most: ClassVar[Mapping[str, int]] = {"difficulty": 3}
+    #: Highest values of integers; of seeds, the highest that all libraries accept.
+    most: ClassVar[Mapping[str, int]] = {"difficulty": 3, "seed": 2**32 - 1}
     #: Numbers from 0 to 1, and other numbers that may be 0; all others must be above 0.
     fractions: ClassVar[tuple[str, ...]] = ()
     coefficients: ClassVar[tuple[str, ...]] = ()
@@ -64,7 +62,7 @@ class RunArguments:
                 object.__setattr__(self, entry.name, track_names(getattr(self, entry.name)))
             if type(entry.default) is int:
                 least = self.least.get(entry.name, int(entry.name not in self.may_be_zero))
-                most = _MAX_SEED if entry.name == "seed" else self.most.get(entry.name)
+                most = self.most.get(entry.name)
                 check_whole(entry.name, getattr(self, entry.name), least, most)
             elif type(entry.default) is float:
                 self._check_float(entry.name, getattr(self, entry.name))
