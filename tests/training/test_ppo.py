@@ -23,7 +23,7 @@ from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.plot import main as plot_main
-from stkzoo.agents.training.ppo.network import ActorCritic
+from stkzoo.agents.training.ppo.network import ActorCritic, initial_weights
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
@@ -93,6 +93,15 @@ def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_run_continues_without_the_weights_that_it_started_from(tmp_path):
+    learn(tmp_path / "first", 1)
+    (file,) = (tmp_path / "first").glob("policy-*.safetensors")
+    learn(tmp_path / "run", 1, init=str(file))
+    file.unlink()
+    assert learn(tmp_path / "run", 100, init=str(file)) == 0
+    assert len(log_of(tmp_path / "run")) > 1
+
+
 def test_other_arguments_are_refused_unless_they_may_change(tmp_path, capsys):
     assert learn(tmp_path, 40) == 0
     assert learn(tmp_path, 80, learning_rate=0.001) != 0
@@ -165,7 +174,9 @@ def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_
     shapes = network_shapes((16, 16), holds=False).items()
     older = {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes}
     save_weights(file, older)
-    policy, _ = ActorCritic((16, 16), 0, ("begin",), str(file)).weights()
+    network = ActorCritic((16, 16), 0, ("begin",))
+    network.start_from(initial_weights(str(file), (16, 16)))
+    policy, _ = network.weights()
     inputs = random.normal(size=(3, INPUT_SIZE)).astype(np.float32)
     view = PolicyInput(inputs, np.zeros((3, sum(CHOICES)), np.float32))
     ours, theirs = (RacingPolicy(own).learned_logits(view) for own in (policy, older))

@@ -142,11 +142,12 @@ class OverlappedLearner(ABC):
         self.folder, self.arguments = Path(folder), arguments
         with ExitStack() as resources:
             resources.enter_context(locked_folder(self.folder, "run"))
-            self._network = self._new_network()
+            checkpoint = load_checkpoint(self.folder, facts)
+            self._network = self._new_network() if checkpoint else self._first_network()
             self.kart_steps = self.iteration = 0
             self._recent: deque[Any] = deque(maxlen=_RECENT)
             self._history: list[dict[str, Any]] = [self._chapter()]
-            if checkpoint := load_checkpoint(self.folder, facts):
+            if checkpoint:
                 self._restore(*checkpoint, may_change)
             write_json(self.folder / ARGUMENTS, self._history)
             self._actors, self._rollouts = self._start_actors()
@@ -157,6 +158,10 @@ class OverlappedLearner(ABC):
     @abstractmethod
     def _new_network(self) -> LearningNetwork:
         """Returns new networks."""
+
+    def _first_network(self) -> LearningNetwork:
+        """Returns the networks of a new run, with its initial weights if these come from a file."""
+        return self._new_network()
 
     @abstractmethod
     def _start_actors(self) -> tuple[ActorPool, list[npt.NDArray[np.void]]]:

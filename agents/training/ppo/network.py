@@ -29,14 +29,13 @@ class ActorCritic(PPONetwork):
         hidden: units of the hidden layers.
         seed: seed of the initial weights.
         learns: names of the choices to train.
-        init: file with initial weights; empty for new weights.
         penalty_coef: coefficient of the KL penalty toward the plans' prior.
 
     Attributes:
         columns: columns of the trained choices.
 
     Raises:
-        ConfigError: a name or the file is invalid, or PyTorch is not installed.
+        ConfigError: a name is invalid, or PyTorch is not installed.
     """
 
     def __init__(
@@ -44,20 +43,19 @@ class ActorCritic(PPONetwork):
         hidden: Sequence[int],
         seed: int,
         learns: Sequence[str],
-        init: str,
         penalty_coef: float = 0.0,
     ) -> None:
         self.columns = choice_columns(learns)
         sizes = INPUT_SIZE, *hidden
         super().__init__(seed, (*sizes, NUM_LOGITS), (*sizes, 1), "ReLU")
-        self.penalty_coef, self._is_given = penalty_coef, bool(init)
+        self.penalty_coef, self._is_given = penalty_coef, False
         with self.torch.no_grad():
             for column in set(range(len(HEADS))) - set(self.columns):
                 self.policy[-1].weight[HEADS[column]] = 0.0
-        if init:
-            self._start_from(initial_weights(init, hidden))
 
-    def _start_from(self, weights: dict[str, FloatArray]) -> None:
+    def start_from(self, weights: dict[str, FloatArray]) -> None:
+        """Copies the policy and its normalization from :func:`initial_weights`."""
+        self._is_given = True
         self.mean, self.scale = weights["mean"], weights["scale"]
         with self.torch.no_grad():
             for number, layer in enumerate(self.policy[::2]):

@@ -43,7 +43,7 @@ from ..common.learner import RunFacts, train
 from ..common.ppo import OverlappedPPO
 from ..common.run_folder import plan_parameters
 from ..common.starts import Lineup, parse_races
-from .network import ActorCritic
+from .network import ActorCritic, initial_weights
 from .rollouts import ROLLOUT, ActorArguments, RaceActor
 
 # ---------------------------------------------------------------------- arguments
@@ -119,7 +119,13 @@ class PPOLearner(OverlappedPPO):
 
     def _new_network(self) -> ActorCritic:
         given = self.arguments
-        return ActorCritic(given.hidden, given.seed, given.learns, given.init, given.kl_coef)
+        return ActorCritic(given.hidden, given.seed, given.learns, given.kl_coef)
+
+    def _first_network(self) -> ActorCritic:
+        network, init = self._new_network(), self.arguments.init
+        if init:
+            network.start_from(initial_weights(init, self.arguments.hidden))
+        return network
 
     def _start_actors(self) -> tuple[ActorPool, list[npt.NDArray[np.void]]]:
         arguments, lineups = self.arguments, self._lineups
