@@ -231,7 +231,7 @@ def _rate_runs(
         for run in runs
     }
     levels = {"the AI": ratings[AI].value} if AI in ratings else {}
-    title = f"Kept policies in {len(records)} races against one another"
+    title = f"Saved policies in {len(records)} races against each other"
     save_figure(rating_figure(curves, levels, title), folder / _PLOT)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
