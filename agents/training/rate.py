@@ -379,7 +379,7 @@ class RatingOptions:
         if bool(self.policy) == bool(self.output):
             raise ConfigError("expected either --output FOLDER or --policy NAME")
         if self.policy and len(self.runs) > 1:
-            raise ConfigError(f"--policy is of one run, and there are {len(self.runs)} runs")
+            raise ConfigError(f"--policy rates one run, but there are {len(self.runs)}; name one")
         check_whole("every", self.every, 0)
         if self.matches is not None:
             check_whole("matches", self.matches, 1)

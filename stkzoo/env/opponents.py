@@ -173,7 +173,7 @@ class RaceOpponents:
 
     @property
     def is_driving(self) -> bool:
-        """Whether any opponent needs actions from here."""
+        """Whether any opponent needs actions from this environment."""
         return bool(self._present)
 
     def moment(self, episode: Episode) -> OpponentsMoment:

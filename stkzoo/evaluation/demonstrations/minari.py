@@ -74,8 +74,8 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
         "author_email": "nobody@example.org",
         "code_permalink": _HOME,
         "description": (
-            f"What {agent} saw and did in SuperTuxKart, in stkzoo's view {demos.view}, on "
-            f"{', '.join(demos.plan['tracks'])}."
+            f"Observations and actions of {agent} in SuperTuxKart, in stkzoo's view {demos.view}, "
+            f"on {', '.join(demos.plan['tracks'])}."
         ),
     }
     spaces = {"observation_space": view.observation_space, "action_space": view.action_space}

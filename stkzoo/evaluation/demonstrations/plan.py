@@ -282,9 +282,7 @@ def record_plan(
     """
     target = Path(output)
     if target.suffix != _ENDING:
-        raise ConfigError(
-            f"the dataset is {str(output)!r}, expected a path that ends in {_ENDING}"
-        )
+        raise ConfigError(f"the dataset is {str(output)!r}, expected a path that ends in {_ENDING}")
     if target.exists():
         demos = load_demonstrations(target)
         if differences := DemoPlan.from_dict(demos.plan).differences(plan):
