@@ -182,7 +182,7 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
             )
         )
     unstable = sum(len(result["unstable"]) for result in results)
-    note = f"The {unstable} others have several outcomes, which the packs share."
+    note = f"The {unstable} other races have several outcomes, and the packs share some."
     title = "The engine's own step (µs) and race start (ms), with whole and with thinned scenes"
     return [Table(title, columns, rows, note if unstable else "")]
 

@@ -360,8 +360,8 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
         )
     columns = ("", "karts", "races", "cores", "kart-steps/s/core", "to engine", "core minutes")
     note = (
-        "to engine: the rate over the engine's in the same round; core minutes: for a million "
-        "kart-steps; then shares of the time of all cores"
+        "to engine: the rate relative to the engine's in the same round; core minutes: per million "
+        "kart-steps; other columns: shares of the time of all cores"
     )
     return [Table("learners: median (10..90%)", (*columns, *SHARES), rows, note)]
 

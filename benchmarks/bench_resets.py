@@ -130,8 +130,8 @@ def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
                 )
                 for name, found in result["contenders"].items()
             ],
-            "the last columns: a later reset over the engine's own, again in one process and "
-            "as the first race of a forked one",
+            "to engine, to forked: later resets relative to the engine's own, in one process and "
+            "as the first race of a forked process",
         )
         for result in results
     ]

@@ -144,7 +144,7 @@ def _base_of(spec: Mapping[str, Any]) -> str:
 
 def tables(results: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Returns one table per group."""
-    notes = {"slots": "gain: over one race", "single": "gain: over the reference"}
+    notes = {"slots": "gain: relative to one race", "single": "gain: relative to the reference"}
     return [
         Table(
             f"{group}: agent-steps a second, median (10..90%)",

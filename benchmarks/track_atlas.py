@@ -46,10 +46,10 @@ The game has 21 race tracks. Each can also be driven in reverse (`reverse=True`)
 | `train` | 15 | train and tune drivers |
 | `validation` | 4 of these 15 | choose between drivers; compare them as often as you like |
 | `train_only` | the other 11 | train drivers that you compare on the validation tracks |
-| `test` | 6 | report the result for a finished driver, once |
+| `test` | 6 | report the result of a finished driver, once |
 
 **The validation tracks are training tracks too:** `train` contains them, because published results
-and stkzoo's own drivers use all 15. To leave them out of training, pass `--track train_only`. The
+and stkzoo's own drivers use them. To leave them out of training, pass `--track train_only`. The
 four differ from each other: *minigolf* is the narrowest track with the most bends, *snowtuxpeak* is
 hilly without forks, *ravenbridge_mansion* is long and hilly with two forks, and
 *gran_paradiso_island* is wide with three forks. Together, they are about as hard as the test
@@ -57,7 +57,7 @@ tracks: on the validation tracks, the plans without learning take 0.87 of the AI
 0.94 against four AI karts; on the test tracks, the *heuristic* takes 0.88 and 0.95.
 
 Do not train or tune on the six test tracks, in either direction. Like the training tracks, they
-include short and long tracks, with and without forks, with few and many items, easy and hard for
+are mixed: short and long, with and without forks, with few and many items, easy and hard for
 drivers that follow the line. A [log](../explanation/research-log.md#visits-to-the-test-tracks)
 lists every benchmark on them. *black_forest*, the longest track, is a training track; a lap there
 takes as long as two laps on most others.

@@ -44,7 +44,7 @@ class OnlyContinuousActionsWrapper(ActionFormWrapper, CompiledWrapper):
         if not self._boxes:
             raise ConfigError(
                 f"OnlyContinuousActionsWrapper found only discrete actions ({', '.join(parts)}); "
-                "it does not go together with DiscreteActionsWrapper."
+                "leave out DiscreteActionsWrapper."
             )
         rest = {key: part for key, part in parts.items() if key not in self._boxes}
         for key, part in rest.items():
@@ -103,7 +103,7 @@ class Discretizer:
 
     def __init__(self, space: spaces.Space[Any], values: int) -> None:
         if not isinstance(space, spaces.Box) or space.shape != (1,) or not space.is_bounded():
-            raise ConfigError(f"steps need a bounded Box of (1,), found {space!r:.200}")
+            raise ConfigError(f"steps need a bounded Box of shape (1,), found {space!r:.200}")
         self.values = check_whole("number of steps", values, 2)
         self.min_value = float(space.low[0])
         self.max_value = float(space.high[0])

@@ -130,8 +130,8 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper)
         camera: Camera | None = getattr(self.unwrapped, "camera", None)
         if camera is None:
             raise ConfigError(
-                f"{type(self.unwrapped).__name__} has no camera; CameraObservations wraps a "
-                "supertuxkart id of one kart, or into a view of stkzoo.race_v0"
+                f"{type(self.unwrapped).__name__} has no camera; use CameraObservations around a "
+                "supertuxkart id with one agent, or in a view of stkzoo.race_v0"
             )
         return camera
 
@@ -173,7 +173,7 @@ def _space(inner: spaces.Space[Any], kind: CameraKind) -> spaces.Dict:
     taken = {"image", "depth"} & set(parts)
     if taken:
         raise ConfigError(
-            f"observations have {' and '.join(sorted(taken))} already; use one CameraObservations"
+            f"observations already have {' and '.join(sorted(taken))}; use CameraObservations once"
         )
     width, height = kind.size
     parts["image"] = spaces.Box(0, 255, (height, width, 3), np.uint8)

@@ -316,7 +316,7 @@ def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
     save_weights(options.output / WEIGHTS.name, dict(zip(LAYERS, layers, strict=True)))
     tests = list(drive(SPLITS["validation"], 4, rules, arguments.seed + 1))
     pairs = [misses(log, layers) for log in tests]
-    print("misses of forecasts of one second, aside and ahead [m]:")
+    print("errors of one-second forecasts, lateral and forward [m]:")
     for name, column in zip(("network", "arcs"), zip(*pairs, strict=True), strict=True):
         missed = np.concatenate(column)
         middle, mean = np.median(np.abs(missed), axis=0), np.sqrt((missed**2).mean(axis=0))

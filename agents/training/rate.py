@@ -231,7 +231,7 @@ def _rate_runs(
         for run in runs
     }
     levels = {"the AI": ratings[AI].value} if AI in ratings else {}
-    title = f"Kept policies in {len(records)} races against one another"
+    title = f"Saved policies in {len(records)} races against each other"
     save_figure(rating_figure(curves, levels, title), folder / _PLOT)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
@@ -379,7 +379,7 @@ class RatingOptions:
         if bool(self.policy) == bool(self.output):
             raise ConfigError("expected either --output FOLDER or --policy NAME")
         if self.policy and len(self.runs) > 1:
-            raise ConfigError(f"--policy is of one run, and there are {len(self.runs)} runs")
+            raise ConfigError(f"--policy rates one run, but there are {len(self.runs)}; name one")
         check_whole("every", self.every, 0)
         if self.matches is not None:
             check_whole("matches", self.matches, 1)

@@ -206,7 +206,7 @@ def _search(folder: Path, arguments: TuningArguments, cma: Any) -> None:
         _write_best(folder, strategy, read)
         print(
             f"generation {generation}: time ratio {math.exp(np.mean(told)):.4f} on average, "
-            f"{math.exp(min(told)):.4f} at best, {math.exp(default):.4f} with the present "
+            f"{math.exp(min(told)):.4f} at best, {math.exp(default):.4f} with the current "
             f"parameters; {time.perf_counter() - begin:.0f} s",
             flush=True,
         )

@@ -155,7 +155,7 @@ def _joined(flat: SpaceFlattener) -> Rows:
     for key, part in flat.parts["discrete"].items():
         counts = part.nvec.ravel() if isinstance(part, spaces.MultiDiscrete) else np.array([part.n])  # type: ignore[attr-defined]
         each = f"{len(counts)} x {counts[0]}" if len(counts) > 1 else str(counts[0])
-        meaning = f"{_OBSERVED[key][1]}; {each} places, 1 at the value that holds"
+        meaning = f"{_OBSERVED[key][1]}; {each} places, 1 at the current value"
         yield _span(start, int(counts.sum())), f"`{key}`", "0, 1", "", meaning
         start += int(counts.sum())
 

@@ -143,7 +143,7 @@ def run(arguments: argparse.Namespace) -> int:
         return _benchmark(arguments)
     if arguments.agent:
         option = "--compare" if arguments.compare else "--baseline"
-        raise ConfigError(f"{option} knows its agents; leave the agent out")
+        raise ConfigError(f"{option} takes no agent; leave out {arguments.agent}")
     return _compare(arguments) if arguments.compare else _baseline(arguments)
 
 

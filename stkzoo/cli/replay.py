@@ -122,8 +122,8 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
     where = f"after step {step}" if step else "on the grid already"
     print(
         f"stkzoo: the race differs: {where} a kart is not where it was (the recorded race "
-        f"has {replay.steps} steps). The game's data or the machine may be another; versions "
-        f"then: {_versions(replay)}",
+        f"has {replay.steps} steps). The game's data or the machine may differ; recorded with "
+        f"{_versions(replay)}",
         file=sys.stderr,
     )
 

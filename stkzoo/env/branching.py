@@ -299,7 +299,8 @@ class BranchingRace(ClonableEnv):
         _check_beside("state", options)
         if not kept.moment.agents:
             raise ApiOrderError(
-                "the state was saved after all agents had left, so no agent can act"
+                "the state was saved after all agents had left, so no agent can act; use an "
+                "earlier state"
             )
         self._check_opponents(kept.moment.opponents is not None)
         return kept
@@ -316,7 +317,8 @@ class BranchingRace(ClonableEnv):
         self._check_roster("scenario", scenario.roster)
         if not scenario.agents:
             raise ApiOrderError(
-                "the scenario was saved after all agents had left, so no agent can act"
+                "the scenario was saved after all agents had left, so no agent can act; use an "
+                "earlier scenario"
             )
         self._check_opponents(bool(scenario.opponents))
         if scenario.setup.track not in self._assets.tracks:
@@ -354,7 +356,7 @@ class BranchingRace(ClonableEnv):
         if roster != self._roster():
             raise ConfigError(
                 f"the {what} has {roster}, but this environment has {self._roster()}; use an "
-                "environment with the same"
+                "environment with the same karts and agents"
             )
 
     def _moment(self) -> Moment:
@@ -383,7 +385,7 @@ class BranchingRace(ClonableEnv):
 
 def _checked_state(state: object) -> RaceState:
     if not isinstance(state, RaceState):
-        raise ConfigError(f"state is {state!r}, expected what save_state() returned")
+        raise ConfigError(f"state is {state!r}, expected a RaceState from save_state()")
     return state
 
 

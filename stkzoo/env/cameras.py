@@ -100,7 +100,7 @@ class _Drawing:
             self._shown = None
         if len(self.agents) > MAX_CAMERAS:
             raise ConfigError(
-                f"{len(self.agents)} agents want a camera, but the game draws at most "
+                f"{len(self.agents)} agents have views with a camera, but the game draws at most "
                 f"{MAX_CAMERAS}; give the other agents another view"
             )
 

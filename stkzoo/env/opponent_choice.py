@@ -75,8 +75,8 @@ class OpponentChoice:
             count = len(self._members)
         elif num_agents is None:
             raise ConfigError(
-                "a pool drives all karts that are not agents; say how many agents there are, such "
-                "as agents=1, or give a list such as opponents=[pool]"
+                "a pool drives all karts that are not agents; set the number of agents, such as "
+                "agents=1, or pass a list, such as opponents=[pool]"
             )
         else:
             count = num_kart - num_agents
@@ -133,7 +133,7 @@ class OpponentChoice:
         levels = {level for level in asked if level is not None}
         if len(levels) > 1:
             raise ConfigError(
-                f"opponents and options ask for the difficulties {sorted(levels)}, but the game's "
+                f"opponents and options require the difficulties {sorted(levels)}, but the game's "
                 "AI has one level per race; choose one"
             )
         return levels.pop() if levels else None

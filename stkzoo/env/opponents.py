@@ -173,7 +173,7 @@ class RaceOpponents:
 
     @property
     def is_driving(self) -> bool:
-        """Whether any opponent needs actions from here."""
+        """Whether any opponent needs actions from this environment."""
         return bool(self._present)
 
     def moment(self, episode: Episode) -> OpponentsMoment:
@@ -244,7 +244,7 @@ class RaceOpponents:
         except (AgentException, ConfigError) as error:
             if opponent.view is self._view:
                 raise ConfigError(
-                    f"the opponent {name_of(opponent.driver)!r} cannot have the agents' view "
+                    f"the opponent {name_of(opponent.driver)!r} cannot use the agents' view "
                     f"({error}); give it another, such as Driver.of_policy(policy, view='racing')"
                 ) from error
             self.retire(opponent, error)
@@ -390,4 +390,5 @@ def _picked(
         return (), error
     if len(actions) == len(seen):
         return actions, None
-    return (), AgentError(f"it gave {len(actions)} actions for {len(seen)} karts")
+    text = f"it returned {len(actions)} actions for {len(seen)} karts, expected one for each"
+    return (), AgentError(text)

@@ -570,8 +570,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         episode = self.options.changed(options)
         if episode.num_kart != self.options.num_kart:
             raise ConfigError(
-                f"options ask for {episode.num_kart} karts in an environment of "
-                f"{self.options.num_kart}; make another environment for that"
+                f"options request {episode.num_kart} karts, but this environment has "
+                f"{self.options.num_kart}; make another environment"
             )
         known = (*RaceOptions.__dataclass_fields__, "state", "scenario")
         for name in options:

@@ -145,7 +145,7 @@ def check_render_mode(mode: str | None, backend: str) -> None:
         raise unknown_name("render_backend", backend, BACKENDS)
     if mode == "human" and backend == "map":
         raise ConfigError(
-            'render_mode="human" opens the game\'s window, but render_backend is "map"; take '
+            'render_mode="human" opens the game\'s window, but render_backend is "map"; use '
             'render_mode="rgb_array" for pictures of the map, or another render_backend'
         )
 

@@ -161,7 +161,7 @@ def _check(scenario: Scenario) -> None:
     """Rejects values that an environment would not send to the engine."""
     setup, controls = scenario.setup, scenario.controls
     if len(controls) > _MAX_STEPS or not np.isfinite(controls).all():
-        raise Unreadable("controls are too many or not finite")
+        raise Unreadable("there are too many controls, or a control is not finite")
     low = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     if (controls < low).any() or (controls > 1.0).any():
         raise Unreadable("controls are out of range")
@@ -171,7 +171,7 @@ def _check(scenario: Scenario) -> None:
     }
     RaceOptions(num_kart=len(setup.karts), **options)
     if len(setup.starts) not in (0, len(setup.karts)):
-        raise Unreadable("karts and starts do not fit")
+        raise Unreadable(f"there are {len(setup.starts)} starts for {len(setup.karts)} karts")
     check_whole("seed", setup.seed, 0, 2**31 - 1)
     indices = (*scenario.kart_indices, *scenario.opponents)
     if len(set(indices)) != len(indices) or not set(indices) <= set(range(len(setup.karts))):

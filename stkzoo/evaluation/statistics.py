@@ -17,7 +17,7 @@ CONFIDENCE = 0.95
 DRAWS = 2000
 #: Number of resampled values that are in memory together.
 _VALUES_AT_ONCE = 1_000_000
-#: Fewer clusters say too little about how much clusters differ.
+#: Minimum number of clusters for an interval; fewer do not show how much clusters differ.
 FEWEST_CLUSTERS = 4
 
 

@@ -25,7 +25,7 @@ class RescueCounter:
 
     The counts are reliable if the time between two updates is at most about 0.25 s. The engine
     runs whole ticks, so unless that time is a multiple of a tick, the number of ticks varies. The
-    race clock tells how many there were.
+    race clock shows how many there were.
 
     Args:
         num_kart: number of karts.

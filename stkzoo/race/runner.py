@@ -131,7 +131,7 @@ def _of_level(settings: RaceSettings, drivers: Sequence[Driver]) -> RaceSettings
     levels = {driver.difficulty for driver in drivers if driver.difficulty is not None}
     if len(levels) > 1:
         raise ConfigError(
-            f"drivers ask for the difficulties {sorted(levels)}, but the game's AI has one level "
+            f"drivers require the difficulties {sorted(levels)}, but the game's AI has one level "
             "per race; choose one"
         )
     return replace(settings, difficulty=levels.pop()) if levels else settings

@@ -10,7 +10,7 @@ ALGORITHMS = {"ippo": 1, "mappo": 1, "fsp": 2, "pfsp": 2, "impala": 1}
 
 
 def can_learn(algorithm: str, task: Task) -> bool:
-    """Returns whether an algorithm can learn a task. Algorithms of others can learn every task.
+    """Returns whether an algorithm can learn a task; true for all other algorithms.
 
     Args:
         algorithm: name of the algorithm.

@@ -42,7 +42,7 @@ _CHOICE_EXPRESSIONS = {
 
 
 class PresentReward(Transform):
-    """Makes a group's common reward the mean over its agents that still race.
+    """Makes a group's common reward the mean over its agents that are still racing.
 
     VDN and QMIX learn from one reward per group, the mean over all agents. An agent that has left
     counts as 0 there, which would halve the reward of a team of two when its first kart finishes.
@@ -120,7 +120,7 @@ class SuiteTaskClass(common.TaskClass):
             ConfigError: the race has no limit, which BenchMARL's evaluation needs.
         """
         if env.max_steps is None:
-            raise ConfigError("BenchMARL needs a limit of steps; max_cycles is None")
+            raise ConfigError("max_cycles is None, expected a number: BenchMARL needs a limit")
         return int(env.max_steps)
 
     def has_render(self, env: Any) -> bool:  # noqa: ARG002 - BenchMARL's interface

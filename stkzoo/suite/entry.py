@@ -58,7 +58,7 @@ class EntryOrder(RaceOrder):
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What an entry says about itself. Nothing of it can be verified.
+    """What an entry says about itself. None of it can be verified.
 
     Attributes:
         authors: names of the authors, at most 2,000 characters.
@@ -114,7 +114,7 @@ class EntryPlan(BenchmarkPlan):
 
     @property
     def is_on_training_tracks(self) -> bool:
-        """Whether this is an evaluation on the training tracks, which is no entry."""
+        """Whether this is an evaluation on the training tracks, which is not an entry."""
         return self.split == TRAIN
 
     def orders(self) -> list[RaceOrder]:
@@ -246,7 +246,7 @@ def plan_entry(
         task: the task, or its name.
         agent: the agent; see :func:`~stkzoo.evaluation.plan_benchmark`.
         split: ``"test"`` for the races of the task. ``"train"`` for the training tracks, with one
-            race for each form, end of the grid, track and direction; the result is no entry.
+            race for each form, end of the grid, track and direction; the result is not an entry.
         about: what the entry says about itself.
         settings: settings of every race, such as time limits of agents. The task sets the fields in
             ``EntryPlan.decided``.
@@ -300,7 +300,7 @@ def _check_level(task: Task, agent: str) -> None:
         return
     own = "one that depends on the race" if task.has_population else f"difficulty {DIFFICULTY}"
     raise ConfigError(
-        f"{driver.source!r} requires difficulty {driver.difficulty}, and {task.name} has {own}; "
+        f"{driver.source!r} requires difficulty {driver.difficulty}, but {task.name} has {own}; "
         "name ai, which has the difficulty of each race"
     )
 

@@ -55,7 +55,7 @@ class Baselines:
         """
         if not self.has(task):
             raise ConfigError(
-                f"{task} has no baselines yet; measure them by python -m benchmarks.suite_baselines"
+                f"{task} has no baselines yet; measure them: python -m benchmarks.suite_baselines"
             )
         values = sorted(score.value for score in self.scores[task].values())
         lowest, highest = values[0], values[-1]

@@ -38,12 +38,12 @@ _TOLERANCE = 1e-9
 
 
 class EntryRefused(StkzooError):
-    """Raised when an entry is not what it says."""
+    """Raised when an entry is incomplete or one of its claims is false."""
 
 
 @dataclass(frozen=True, slots=True)
 class VerifyOrder(RaceOrder):
-    """A recorded race to run again: the agent's karts by their recorded controls, the others live.
+    """A recorded race to run again: the agent's karts repeat their controls, the others drive live.
 
     If the agent is the game's AI, its karts are live too.
 
@@ -305,9 +305,9 @@ def verify_entry(
     AI and the population drive again. All positions, rotations and velocities must be equal to the
     last bit.
 
-    Verified are the races, their results and the names of their drivers. Not verified are who chose
-    the controls, the failures and decision times of the agent, and what the entry says about itself
-    and its software.
+    This verifies the races, their results and the names of their drivers. It does not verify who
+    chose the controls, the failures and decision times of the agent, or what the entry says about
+    itself and its software.
 
     Args:
         folder: folder of the entry, with ``entry.json`` and ``replays``.
@@ -347,7 +347,7 @@ def verify_entry(
 
 
 def _read(file: Path) -> str:
-    with reading(f"{file} is no entry", Entry.origin):
+    with reading(f"{file} is not an entry", Entry.origin):
         return read_text(file, Entry.max_bytes)
 
 

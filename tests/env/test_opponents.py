@@ -207,7 +207,7 @@ def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
 def test_policies_of_opponents_get_no_images():
     with (
         against([forward], view="camera") as env,
-        pytest.raises(ConfigError, match=r"'forward' cannot have the agents' view .*no camera"),
+        pytest.raises(ConfigError, match=r"'forward' cannot use the agents' view .*no camera"),
     ):
         env.reset(seed=1)
     with against([Driver.of_policy(forward, view=RACE["view"])], view="camera") as env:
@@ -417,7 +417,7 @@ def test_without_opponents_no_drivers_are_created():
         ({"opponents": [3]}, "an opponent is 3, expected a driver's name"),
         ({"opponents": ["ai", "ai"]}, "an agent and 2 opponents for 2 karts; raise num_kart"),
         ({"opponents": ["ai"] * 2, "agents": None}, "an agent and 2 opponents for 2 karts"),
-        ({"opponents": OpponentPool(), "agents": None}, "say how many agents there are"),
+        ({"opponents": OpponentPool(), "agents": None}, "set the number of agents"),
         ({"opponents": ["ai:1", "ai:3"], "num_kart": 3}, r"the difficulties \[1, 3\]"),
     ],
 )

@@ -286,7 +286,7 @@ def test_options_of_reset_override_those_of_set_options():
     [
         ({"trakc": "hacienda"}, "unknown option 'trakc'.*Did you mean 'track'"),
         ({"track": "hacienda2"}, "unknown track"),
-        ({"num_kart": 5}, "5 karts in an environment of 3"),
+        ({"num_kart": 5}, "5 karts, but this environment has 3"),
         ([{}], "a list of 2, one per race"),
         ([{}, {"difficulty": 9}], "difficulty is 9"),
         (7, "options is 7"),
@@ -309,7 +309,7 @@ def test_set_options_refuses_moments_of_other_races(two_races, tmp_path):
             for options, message in (
                 ({"state": state}, "the state has 4 karts and 4 agents, but"),
                 ({"scenario": scenario}, "the scenario has 4 karts and 4 agents, but"),
-                ({"state": 3}, "state is 3, expected what save_state"),
+                ({"state": 3}, "state is 3, expected a RaceState from save_state"),
                 ({"scenario": tmp_path / "none"}, "cannot be read"),
             ):
                 with pytest.raises(ConfigError, match=message):
@@ -586,8 +586,8 @@ def test_the_seeds_are_those_of_the_races():
     ("options", "message"),
     [
         ({"view": "full"}, "differ in size"),
-        ({"agents": [AgentSpec(), AgentSpec(use_ai=True)]}, "one view for all agents"),
-        ({"view": {"kart_0": "simple", "kart_1": "flattened"}}, "one view for all agents"),
+        ({"agents": [AgentSpec(), AgentSpec(use_ai=True)]}, "use_ai to all of them"),
+        ({"view": {"kart_0": "simple", "kart_1": "flattened"}}, "the same view"),
         ({"render_mode": "human"}, "render_mode"),
         ({"use_subprocess": False}, "use_subprocess"),
         ({"num_races": 0}, "num_races is 0"),

@@ -111,7 +111,7 @@ def test_invalid_benchmarks_are_refused(options, message):
 
 
 def test_an_agent_that_changes_the_difficulty_of_the_races_is_refused():
-    message = "'ai:1' requires difficulty 1, and the races have difficulty 3; name ai or ai:3"
+    message = "'ai:1' requires difficulty 1, but the races have difficulty 3; name ai or ai:3"
     with pytest.raises(ConfigError, match=message):
         plan_benchmark("ai:1")
     assert plan_benchmark("ai:1", difficulty=1, split="lighthouse").settings.difficulty == 1

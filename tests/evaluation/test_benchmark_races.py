@@ -273,8 +273,8 @@ def test_the_command_exits_with_3_when_the_agent_failed(tmp_path, capsys):
     [
         ([], "no agent; name one"),
         (["nobody"], "unknown driver 'nobody'"),
-        (["ai", "--compare", "x"], "leave the agent out"),
-        (["ai", "--baseline"], "leave the agent out"),
+        (["ai", "--compare", "x"], "--compare takes no agent; leave out ai"),
+        (["ai", "--baseline"], "--baseline takes no agent; leave out ai"),
         (["--compare", "nowhere"], "nowhere has no benchmark"),
         (["ai", "--jobs", "0"], "jobs is 0"),
     ],

@@ -253,7 +253,7 @@ def test_unfinished_demonstrations_of_another_plan_name_the_folder_to_delete(tmp
     parts.mkdir()
     (parts / "plan.json").write_text(plan_demonstrations("pursuit", seeds=2).to_json())
     remedy = re.escape(f"repeat the first command, or delete {parts} to start again")
-    with pytest.raises(ConfigError, match=f"another data set: .*seeds is.*{remedy}$"):
+    with pytest.raises(ConfigError, match=f"another dataset: .*seeds is.*{remedy}$"):
         record_demonstrations("pursuit", output=tmp_path / "d.npz", seeds=3)
 
 
@@ -275,7 +275,7 @@ def test_recording_resumes_after_a_kill(tmp_path):
         begun = sorted(kept)
         touched = races / begun[0]
         assert main(words) == 0
-        assert not touched.exists()  # its episodes are in the data set
+        assert not touched.exists()  # its episodes are in the dataset
     demos = load_demonstrations(file)
     assert [facts.seed for facts in demos.facts] == [0, 1, 2, 3]
     straight = record_demonstrations("pursuit", output=tmp_path / "s.npz", seeds=4, **(SHORT | ONE))
@@ -309,7 +309,7 @@ def test_the_command_records_and_checks(more, tmp_path, capsys):
         (["nobody"], "unknown driver 'nobody'"),
         (["ai", "--view", "full"], "differ in size"),
         (["ai", "--view", "racin"], "Did you mean 'racing'"),
-        (["ai:1"], "'ai:1' requires difficulty 1, and the races have difficulty 2"),
+        (["ai:1"], "'ai:1' requires difficulty 1, but the races have difficulty 2"),
         (["ai", "--rivals", "ai:3"], "'ai:3' requires difficulty 3"),
         (["ai", "--output", "d.csv"], "ends in .npz"),
         (["ai", "--seeds", "0"], "seeds is 0"),

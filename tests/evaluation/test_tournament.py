@@ -592,9 +592,9 @@ def test_a_damaged_race_file_is_an_error(tmp_path):
     [
         ("ai", {}, "expected a list of at least two"),
         (["ai"], {}, "needs at least two agents, such as my_agent and ai; this one has 1"),
-        (["ai", "ai"], {}, "2 agents are called 'ai'; give each a name of its own"),
+        (["ai", "ai"], {}, "two agents are called 'ai'; give each a different name"),
         (["ai", "nobody"], {}, "unknown driver 'nobody'"),
-        (["ai:0", "random"], {}, "'ai:0' requires difficulty 0, and the races have difficulty 2"),
+        (["ai:0", "random"], {}, "'ai:0' requires difficulty 0, but the races have difficulty 2"),
         (THREE, {"tracks": ["lighthous"]}, "Did you mean 'lighthouse'"),
         (THREE, {"tracks": []}, "tracks is empty"),
         (THREE, {"races": 0}, "races is 0, expected a whole number from 1"),

@@ -249,7 +249,7 @@ def test_two_cameras_for_one_agent_are_refused():
 
 
 def test_more_cameras_than_the_game_supports_are_refused():
-    with pytest.raises(stkzoo.errors.StkzooError, match="9 agents want a camera"):
+    with pytest.raises(stkzoo.errors.StkzooError, match="9 agents have views with a camera"):
         race_v0.parallel_env(num_kart=9, view=partial(filmed, **ON_MAP))
 
 

@@ -48,7 +48,7 @@ def test_an_evaluation_on_the_training_tracks_does_not_continue_as_an_entry():
 @pytest.mark.parametrize(
     ("name", "agent", "message"),
     [
-        ("versus", "ai:1", r"'ai:1' requires difficulty 1, and versus has difficulty 3; name ai"),
+        ("versus", "ai:1", r"'ai:1' requires difficulty 1, but versus has difficulty 3; name ai"),
         ("selfplay-5", "ai:3@:Tux", r"'ai:3' requires .* selfplay-5 has one that depends on the"),
     ],
 )

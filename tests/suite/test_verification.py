@@ -182,7 +182,7 @@ def test_an_unknown_task_and_a_missing_entry_are_errors(entry, tmp_path):
     write_entry(entry, card)
     with pytest.raises(ConfigError, match="unknown task 'smal'"):
         verify_entry(entry)
-    with pytest.raises(ConfigError, match="is no entry"):
+    with pytest.raises(ConfigError, match="is not an entry"):
         verify_entry(tmp_path / "nothing")
 
 

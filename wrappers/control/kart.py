@@ -85,7 +85,7 @@ class CarParameters:
         v_max: highest speed of actions [m/s]: 25 is the game's limit at difficulty 3; at 2, 1 and
             0, karts reach 23, 20 and 15.
         a_max: largest acceleration and deceleration of actions [m/s^2], given by the brake. Full
-            throttle accelerates by 14 at rest and by 3 at 20 m/s.
+            throttle accelerates by 14 at rest and by 3.6 at 20 m/s.
         s_max: largest steering angle, at rest [rad].
         sv_max: fastest turn of the wheels [rad/s]; from lock to lock as fast as keyboard steering
             in the game.

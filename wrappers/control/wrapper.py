@@ -215,5 +215,5 @@ def _check_observations(space: spaces.Dict) -> None:
     if missing:
         raise ConfigError(
             f"ControlWrapper needs {' and '.join(missing)} in the observation, but found "
-            f"{', '.join(space.spaces)}. Put it inside the wrappers that leave out or flatten."
+            f"{', '.join(space.spaces)}. Put it inside wrappers that drop or flatten them."
         )

@@ -38,7 +38,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         words: send one of this many words instead: ``Discrete(words)`` as the message, received as
             a one-hot vector of ``size = words``.
         reach: largest distance of a receiver [m]; ``None`` for no limit.
-        within_teams: whether only team-mates receive messages; ``env`` must contain :class:`Teams`.
+        within_teams: whether only teammates receive messages; ``env`` must contain :class:`Teams`.
 
     Raises:
         ConfigError: an argument is invalid.

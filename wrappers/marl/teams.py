@@ -1,4 +1,4 @@
-"""Teams: shared rewards, and observations of team-mates."""
+"""Teams: shared rewards, and observations of teammates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
 from stkzoo.views.walker import StepParts
 
-#: Observed features of a team-mate: position [m] and velocity [m/s] in the observing kart's frame
+#: Observed features of a teammate: position [m] and velocity [m/s] in the observing kart's frame
 #: (x right, y up, z forward), its lead over the observing kart along the race [m], rank, nitro,
 #: number of its powerup type, and whether it is still racing.
 MATE_FEATURES = (

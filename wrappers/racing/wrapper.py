@@ -67,7 +67,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
             not isinstance(space.spaces.get(key), spaces.Sequence) for key in _NEEDED
         ):
             raise ConfigError(
-                "RacingObservations needs the full view. Put it around that, inside all others. "
+                "RacingObservations needs the full view. Put it inside all other wrappers. "
                 f"Found {space!r:.200}"
             )
         refuse_polar(space, "RacingObservations", "not around PolarObservations")
@@ -264,7 +264,7 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
         space = dict_space(env.action_space, "actions", "RacingActions")
         if set(space.spaces) != set(CONTROLS) or not isinstance(space["steer"], spaces.Box):
             raise ConfigError(
-                "RacingActions needs the game's own actions. Put it around the full view's. "
+                "RacingActions needs the game's own actions. Put it around the full view. "
                 f"Found {space!r:.200}"
             )
         self._change_action_space(spaces.MultiDiscrete(np.array(CHOICES)))

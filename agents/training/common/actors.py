@@ -106,7 +106,7 @@ class ActorPool:
         return [self._result(number) for number in range(len(self))]
 
     def forget(self) -> None:
-        """Waits for the results of a :meth:`send`, if there was one, and drops them.
+        """Waits for the results of a :meth:`send`, if there was one, and discards them.
 
         Raises:
             StkzooError: an actor failed.

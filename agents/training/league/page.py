@@ -68,11 +68,11 @@ def page(
 <p>{steps:,} kart-steps, {len(members)} members, {len(matches)} matches of up to four members and
 one of the game's AI at its hardest.</p>
 <h2>Ratings</h2>
-<p>Plackett-Luce, of the orders of all matches; 25 is the mean, the bands are 95% intervals. Each
-point is a past self, where the league was when it was kept.</p>
+<p>Plackett-Luce ratings from the finishing orders of all matches; 25 is the mean, and bands are 95%
+intervals. Each point is a past self, at the kart-steps of the league when it was saved.</p>
 {_chart(members, players, ratings)}
 <h2>Who beats whom</h2>
-<p>In how many of their matches the row was before the column [%].</p>
+<p>How often the member of the row finished ahead of the member of the column [%].</p>
 <div class="wide">{_matrix(shown, matches)}</div>
 <h2>Standings</h2>
 <div class="wide">{_standings(members, ratings)}</div>
@@ -150,7 +150,7 @@ def _cell(one: str, other: str, matches: Sequence[MatchRecord]) -> str:
         return '<td title="they have not met">&middot;</td>'
     color = "good" if share >= 0.5 else "bad"
     depth = 0.12 + 0.9 * abs(share - 0.5)
-    title = html.escape(f"{one} before {other}: {share:.0%} of {count}")
+    title = html.escape(f"{one} ahead of {other}: {share:.0%} of {count}")
     return (
         f'<td title="{title}" style="background:rgba(var(--{color}),{depth:.2f})">'
         f"{100 * share:.0f}</td>"

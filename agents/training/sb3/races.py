@@ -281,7 +281,7 @@ class SelfPlayVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Not supported, because the curriculum sets the options of the races."""
         raise ConfigError(
-            f"{attr_name} of {indices} is set by the curriculum, and not to {value!r}"
+            f"{attr_name} of {indices} cannot be set to {value!r}: the curriculum sets it"
         )
 
     def env_method(

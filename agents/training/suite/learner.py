@@ -1,7 +1,7 @@
 """Shared parts of the reference algorithms: arguments, actors, figures and files of a run.
 
 The folder of a run contains `checkpoint.pt`, `log.jsonl` (one line per iteration), TensorBoard
-files, `arguments.json`, the kept policies, and at the end `agent`, the trained agent.
+files, `arguments.json`, the saved policies, and at the end `agent`, the trained agent.
 """
 
 from __future__ import annotations

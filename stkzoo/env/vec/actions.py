@@ -48,7 +48,7 @@ class ActionBatch:
         if len(singles) != self.num_slots:
             raise ActionError(
                 f"{len(singles)} actions came for {self.num_slots} slots ({self._names[0]} to "
-                f"{self._names[-1]}); send one for each, idle ones too",
+                f"{self._names[-1]}); send one for each slot, including idle ones",
                 self._names[0],
             )
         return singles

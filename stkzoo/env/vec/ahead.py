@@ -38,8 +38,8 @@ class AheadRace(RaceParallelEnv):
         for name, only in (("use_subprocess", True), ("render_mode", None)):
             if options.get(name, only) != only:
                 raise ConfigError(
-                    f"{name} is {options[name]!r}, but races side by side run in processes of "
-                    f"their own without a window: leave {name} at {only}, or use one "
+                    f"{name} is {options[name]!r}, but parallel races run in their own "
+                    f"processes without a window; leave {name} at {only}, or use a single "
                     "race_v0.parallel_env"
                 )
         super().__init__(**options)

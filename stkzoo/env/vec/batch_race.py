@@ -14,11 +14,11 @@ from stkzoo.views.chains import CheckedActions
 
 
 class BatchRace(AheadRace):
-    """A race with a second form of its steps, in which nothing is made for single agents.
+    """A race whose steps can also read and write batches, without objects for single agents.
 
     The agents' actions and results are rows of arrays over the slots of all races. The results are
-    those of :meth:`decode` and :meth:`step_wait`, to the bit. Checking actions is a call of its
-    own, so that those of all races are checked before any wrapper runs.
+    those of :meth:`decode` and :meth:`step_wait`, bit for bit. Actions are checked in a separate
+    call, so that those of all races are checked before any wrapper runs.
 
     Args:
         **options: options of :class:`~stkzoo.env.vec.ahead.AheadRace`.

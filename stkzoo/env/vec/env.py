@@ -196,8 +196,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             )
         if options is not None and "reset_mask" in options:
             raise ConfigError(
-                "options have a reset_mask, but races start again by themselves, all slots of "
-                "a race at once; leave it out"
+                "options have a reset_mask, but races restart by themselves, all slots of a "
+                "race at once; leave it out"
             )
         steps = self.reset_slots(seed, [options] * self.num_races)
         return steps.observations, self._infos(steps)

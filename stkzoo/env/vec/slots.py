@@ -111,7 +111,7 @@ class RaceSlots(ABC):
                 raise self._failure
             self._advance(steps)
         except (EngineCrashed, EngineTimeout) as error:
-            self._report(error, "its slots are cut short and it is replaced")
+            self._report(error, "its slots are truncated, and it is replaced")
             steps.crashed[self.slots] = True
             steps.truncations[self.slots] = self._is_racing
         self._num_steps += 1
@@ -131,7 +131,7 @@ class RaceSlots(ABC):
 
     @abstractmethod
     def _advance(self, steps: SlotSteps) -> None:
-        """Waits for the step and writes what it gives to the agents that acted.
+        """Waits for the step and writes its results for the agents that acted.
 
         Observations and infos are those of the agents that are still racing.
         """
@@ -157,7 +157,7 @@ class RaceSlots(ABC):
         except (EngineCrashed, EngineTimeout) as error:
             if attempts == 1:
                 raise
-            self._report(error, "it is started again")
+            self._report(error, "it restarts")
         return self._start(seed, options, attempts - 1)
 
     def _report(self, error: EngineError, consequence: str) -> None:

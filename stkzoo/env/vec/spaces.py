@@ -23,13 +23,13 @@ def shared_space(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces
     first, *others = by_agent.values()
     if any(space != first for space in others):
         raise ConfigError(
-            f"the agents differ in their {kind} spaces: {dict(by_agent)}; slots of one batch "
-            "need one view for all agents, and none or all of them driven by the game's AI"
+            f"the agents differ in their {kind} spaces: {dict(by_agent)}; give all "
+            "agents the same view, and use_ai to all of them or to none"
         )
     if not is_of_fixed_size(first):
         raise ConfigError(
             f"the {kind} space is a {type(first).__name__} whose values differ in size; choose "
-            'view="simple", one of the flattened views, or a view of yours with Box, Discrete, '
+            'view="simple", one of the flattened views, or your own view with Box, Discrete, '
             "MultiDiscrete, MultiBinary, Text and Dict spaces"
         )
     return first

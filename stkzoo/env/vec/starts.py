@@ -1,4 +1,4 @@
-"""Seeds of races, and a small set of races that return: each is started once, then copied."""
+"""Seeds of races, and a small set of starts to reuse: each race starts once, then is copied."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ class InfoTable:
 
 
 class InfoTables:
-    """Infos of all slots as arrays: one table, or several if races have other keys.
+    """Infos of all slots as arrays: one table, or several if races have different keys.
 
     Args:
         count: number of slots.
@@ -224,7 +224,7 @@ class InfoDicts:
         self._dicts[slot] = info
 
     def columns(self) -> dict[str, Any]:
-        """Returns the infos in Gymnasium's form, by a faster way than ``add`` if they are alike."""
+        """Returns the infos in Gymnasium's form; faster than ``add`` if all have the same keys."""
         slots = [slot for slot, info in enumerate(self._dicts) if info]
         infos = [self._dicts[slot] for slot in slots]
         keys = list(infos[0]) if infos else []

@@ -159,7 +159,7 @@ def check_level(driver: Driver, settings: RaceSettings) -> None:
     """
     if driver.difficulty not in (None, settings.difficulty):
         raise ConfigError(
-            f"{driver.source!r} requires difficulty {driver.difficulty}, and the races have "
+            f"{driver.source!r} requires difficulty {driver.difficulty}, but the races have "
             f"difficulty {settings.difficulty}; name ai or ai:{settings.difficulty}, or change the "
             "difficulty of the races"
         )
@@ -180,7 +180,7 @@ def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: 
     label = name = _plain(name)
     if is_fixed and label in taken:
         raise ConfigError(
-            f"2 agents are called {label!r}; give each a name of its own, such as "
+            f"two agents are called {label!r}; give each a different name, such as "
             f"{text.partition(NAME_MARK)[0]}@:{label}-2"
         )
     for number in itertools.count(2):

@@ -1,3 +1,3 @@
-"""Demonstrations: data sets of recorded observations and actions of drivers."""
+"""Demonstrations: datasets of recorded observations and actions of drivers."""
 
 __all__: list[str] = []

@@ -40,8 +40,8 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     """Replays the recorded controls of one race in the game, and compares the observations.
 
     Args:
-        demos: the data set.
-        race: number of the race in the data set.
+        demos: the dataset.
+        race: number of the race in the dataset.
 
     Raises:
         ConfigError: there is no such race, or the game's AI drove it. The AI decides twelve times
@@ -51,7 +51,7 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
     orders = [order for order in plan.orders() if order.number == race]
     if not numbers or not orders:
-        raise ConfigError(f"the data set has no race {race}; it has {len(plan.orders())} races")
+        raise ConfigError(f"the dataset has no race {race}; it has {len(plan.orders())} races")
     if find_driver(plan.agent.source, inline=plan.settings.inline).is_game_ai:
         raise ConfigError(
             "races of the game's AI cannot be driven again by its actions; check demonstrations of "

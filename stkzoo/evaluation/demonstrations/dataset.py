@@ -1,4 +1,4 @@
-"""Data sets of demonstrations and their files.
+"""Datasets of demonstrations and their files.
 
 The file is an ``.npz`` file without pickles. An episode is the drive of one kart in one race. For
 ``E`` episodes with ``N`` steps in total, the file contains these arrays:
@@ -66,7 +66,7 @@ class EpisodeFacts:
     """The kart, race and outcome of an episode.
 
     Attributes:
-        race: number of the race in the data set.
+        race: number of the race in the dataset.
         agent: id of the agent in the race.
         track: name of the track.
         reverse: whether the race was in reverse.
@@ -119,7 +119,7 @@ class DemoEpisode:
 
 @dataclass(frozen=True, slots=True)
 class Demonstrations:
-    """A data set of recorded episodes.
+    """A dataset of recorded episodes.
 
     Attributes:
         plan: how the episodes were recorded: ``agent``, ``view``, ``tracks``, ``directions``,
@@ -197,7 +197,7 @@ class Demonstrations:
 
 
 def join(parts: Sequence[Demonstrations]) -> Demonstrations:
-    """Returns the concatenation of data sets with the same plan."""
+    """Returns the concatenation of datasets with the same plan."""
     names = list(parts[0].columns)
     return Demonstrations(
         parts[0].plan,
@@ -208,10 +208,10 @@ def join(parts: Sequence[Demonstrations]) -> Demonstrations:
 
 
 def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> None:
-    """Writes a data set to a file, atomically.
+    """Writes a dataset to a file, atomically.
 
     Args:
-        demos: the data set.
+        demos: the dataset.
         path: the ``.npz`` file.
 
     Raises:
@@ -227,7 +227,7 @@ def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> 
 
 
 def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
-    """Loads a data set.
+    """Loads a dataset.
 
     Args:
         path: a file written by ``stkzoo demos`` or :func:`save_demonstrations`.

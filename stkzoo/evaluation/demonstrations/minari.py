@@ -25,7 +25,7 @@ def require_minari() -> Any:
 
 
 def check_dataset_id(dataset_id: str) -> None:
-    """Checks that Minari can create a data set with an id.
+    """Checks that Minari can create a dataset with an id.
 
     Raises:
         ConfigError: Minari is not installed, or the id is malformed or in use.
@@ -43,18 +43,18 @@ def check_dataset_id(dataset_id: str) -> None:
 
 def _rejected(dataset_id: str, why: object) -> ConfigError:
     return ConfigError(
-        f"Minari rejects the data set {dataset_id!r}: {why}; expected a name such as "
+        f"Minari rejects the dataset {dataset_id!r}: {why}; expected a name such as "
         "supertuxkart/heuristic-v0 that is not in use"
     )
 
 
 def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
-    """Adds demonstrations to Minari's local data sets.
+    """Adds demonstrations to Minari's local datasets.
 
     Args:
-        demos: the data set.
-        dataset_id: id of the new data set, such as ``"supertuxkart/heuristic-v0"``. The
-            environment variable ``MINARI_DATASETS_PATH`` sets the folder of Minari's data sets.
+        demos: the dataset.
+        dataset_id: id of the new dataset, such as ``"supertuxkart/heuristic-v0"``. The
+            environment variable ``MINARI_DATASETS_PATH`` sets the folder of Minari's datasets.
 
     Returns:
         The ``minari.MinariDataset``. The metadata of each episode includes its facts, such as
@@ -74,8 +74,8 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
         "author_email": "nobody@example.org",
         "code_permalink": _HOME,
         "description": (
-            f"What {agent} saw and did in SuperTuxKart, in stkzoo's view {demos.view}, on "
-            f"{', '.join(demos.plan['tracks'])}."
+            f"Observations and actions of {agent} in SuperTuxKart, in stkzoo's view {demos.view}, "
+            f"on {', '.join(demos.plan['tracks'])}."
         ),
     }
     spaces = {"observation_space": view.observation_space, "action_space": view.action_space}

@@ -1,7 +1,7 @@
-"""The plan of a data set, which is checked before the first race, and its recording.
+"""The plan of a dataset, which is checked before the first race, and its recording.
 
-During recording, each race is stored in a folder beside the data set. When all races are recorded,
-they are joined into the data set, and the folder is removed.
+During recording, each race is stored in a folder beside the dataset. When all races are recorded,
+they are joined into the dataset, and the folder is removed.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class DemoOrder(RaceOrder):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoPlan(BatchPlan[Demonstrations]):
-    """The plan of a data set. It determines the races to record.
+    """The plan of a dataset. It determines the races to record.
 
     Attributes:
         agent: the driver to record.
@@ -108,7 +108,7 @@ class DemoPlan(BatchPlan[Demonstrations]):
     """
 
     kind: ClassVar[str] = "demonstrations-plan"
-    noun: ClassVar[str] = "data set"
+    noun: ClassVar[str] = "dataset"
     #: The folder is beside the command's --output.
     resume_command: ClassVar[str] = "repeat the first command, or delete {folder} to start again"
     decided: ClassVar[tuple[str, ...]] = (
@@ -126,7 +126,7 @@ class DemoPlan(BatchPlan[Demonstrations]):
     substeps: Annotated[int, OneOf(_SUBSTEPS)]
 
     def __post_init__(self) -> None:
-        check_num_races("data set", len(self.tracks) * len(self.directions) * len(self.seeds))
+        check_num_races("dataset", len(self.tracks) * len(self.directions) * len(self.seeds))
 
     @property
     def agents(self) -> tuple[Entrant, ...]:
@@ -150,7 +150,7 @@ class DemoPlan(BatchPlan[Demonstrations]):
         ]
 
     def summarize(self, results: Mapping[int, RaceResult], folder: Path) -> Demonstrations:  # noqa: ARG002
-        """Joins the episodes of all races, and writes the data set beside the batch's folder.
+        """Joins the episodes of all races, and writes the dataset beside the batch's folder.
 
         Args:
             results: results of all races by number.
@@ -175,7 +175,7 @@ def plan_demonstrations(
     settings: RaceSettings | None = None,
     **changes: Any,
 ) -> DemoPlan:
-    """Plans a data set.
+    """Plans a dataset.
 
     Args:
         agent: the driver to record: ``"ai"`` for the game's AI, the name of a driver, the path of
@@ -250,11 +250,11 @@ def _substeps(substeps: int | None, are_game_ai: Sequence[bool]) -> int:
 def record_demonstrations(
     agent: str = "heuristic", *, output: str | os.PathLike[str], **options: Any
 ) -> Demonstrations:
-    """Records races of a driver as a data set, or resumes an interrupted recording.
+    """Records races of a driver as a dataset, or resumes an interrupted recording.
 
     Args:
         agent: the driver; see :func:`~stkzoo.evaluation.plan_demonstrations`.
-        output: file of the data set, whose name ends in ``.npz``. During recording, races are
+        output: file of the dataset, whose name ends in ``.npz``. During recording, races are
             stored in a folder beside it, whose name has the additional suffix ``.parts``. The
             same call resumes after an interruption.
         options: ``jobs``, ``race_timeout`` and ``on_race``, as in
@@ -273,18 +273,16 @@ def record_demonstrations(
 def record_plan(
     plan: DemoPlan, output: str | os.PathLike[str], options: RunOptions
 ) -> Demonstrations:
-    """Records a planned data set; see :func:`record_demonstrations`.
+    """Records a planned dataset; see :func:`record_demonstrations`.
 
     Args:
         plan: the plan.
-        output: file of the data set.
+        output: file of the dataset.
         options: options of the run.
     """
     target = Path(output)
     if target.suffix != _ENDING:
-        raise ConfigError(
-            f"the data set is {str(output)!r}, expected a path that ends in {_ENDING}"
-        )
+        raise ConfigError(f"the dataset is {str(output)!r}, expected a path that ends in {_ENDING}")
     if target.exists():
         demos = load_demonstrations(target)
         if differences := DemoPlan.from_dict(demos.plan).differences(plan):

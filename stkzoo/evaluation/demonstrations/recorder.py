@@ -59,8 +59,8 @@ class DemoView:
         self._seeing = AgentChain("kart_0", full, kart_action_space(), VIEWS[name])
         if not self._seeing.is_pure or not self._seeing.observation_space.is_np_flattenable:
             raise ConfigError(
-                f"observations in view {name!r} differ in size from step to step, or need their "
-                "past; record in racing, simple, or a flattened view"
+                f"observations in view {name!r} differ in size from step to step, or depend on "
+                "earlier ones; record in racing, simple, or a flattened view"
             )
         self._acting = AgentChain(
             "kart_0", kart_observation_space(use_ai=True), kart_action_space(), VIEWS[name]
@@ -93,7 +93,7 @@ class DemoRecorder(RaceListener):
             mean of its steering and acceleration. It has the buttons fire, nitro and rescue if
             they were pressed in any part, and other buttons if pressed in at least half of the
             parts.
-        race: number of the race in the data set.
+        race: number of the race in the dataset.
     """
 
     def __init__(self, agents: int, view: DemoView, substeps: int = 1, race: int = 0) -> None:

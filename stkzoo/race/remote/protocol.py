@@ -47,7 +47,7 @@ def unpack(body: bytes, *, limits: Limits = LIMITS) -> dict[str, Any]:
     """
     fields = decode(body, limits)
     if type(fields) is not dict:
-        raise ProtocolError(f"a {type(fields).__name__} came, expected a dict")
+        raise ProtocolError(f"got {type(fields).__name__}, expected dict")
     return fields
 
 

@@ -242,7 +242,7 @@ def _observation(entry: Any) -> tuple[int, bytes]:
     match entry:
         case [int(seat), bytes(data)]:
             return seat, data
-    raise ProtocolError(f"{shortened(entry, 100)} came, expected a seat and its observation")
+    raise ProtocolError(f"got {shortened(entry, 100)}, expected a seat and its observation")
 
 
 def _ask(instance: DriverInstance, data: bytes) -> bool:
@@ -272,5 +272,5 @@ def _shorter(own: float | None, requested: object) -> float | None:
     if requested is None:
         return own
     if not isinstance(requested, (int, float)) or not 0 < requested < 1e9:
-        raise ProtocolError(f"a timeout of {shortened(requested, 50)}, expected seconds or nothing")
+        raise ProtocolError(f"a timeout of {shortened(requested, 50)}, expected seconds or null")
     return float(requested) if own is None else min(own, float(requested))

@@ -107,7 +107,10 @@ class ServerKeys:
                 set, or there are allowed clients but no server keys.
         """
         if self.allowed is not None and self.own is None:
-            raise ConfigError("allowed clients have no effect without the server's secret key")
+            raise ConfigError(
+                "allowed clients (--allow) have no effect without the server's secret key; add "
+                "--secret, or leave them out"
+            )
         is_closed = self.own is not None and self.allowed is not None
         if not (is_local(address) or is_closed or insecure):
             raise ConfigError(

@@ -164,7 +164,7 @@ class Viewer:
         if second != self._data_second:
             self._data_second, self._num_before = second, received
         if received - self._num_before > _MOST_BYTES:
-            raise ConnectionAbortedError("too much data came")
+            raise ConnectionAbortedError(f"too much data, expected {_MOST_BYTES} bytes per second")
 
     def _execute(self, message: Any) -> None:
         command = _parsed(message)

@@ -184,11 +184,11 @@ class CounterfactualJudge(RaceListener):
         return round(float(speeds[0]), 3), round(-float(speeds[1]), 3)
 
     def _judge(self, contact: Contact) -> JudgedContact:
-        """Tries whether and how late a reference driver avoids a contact in either kart.
+        """Finds out whether, and how late, a reference driver in either kart avoids a contact.
 
-        The kart that moves toward the other one faster can always brake: it is no excuse for
-        hitting a kart from behind that this kart could have been faster. The other kart brakes only
-        if nothing else avoids the contact. If the game's AI moves faster, nothing is tried.
+        The kart that moves toward the other one faster can always brake: a kart that hits another
+        one from behind is at fault even if that one could have been faster. The other kart brakes
+        only if nothing else avoids the contact. If the game's AI moves faster, nothing is tried.
         """
         closing = self._closing(contact)
         faster = _faster(closing)
@@ -274,5 +274,5 @@ def _braked(action: Mapping[str, Any], observation: Mapping[str, Any]) -> dict[s
 def _loaded(name: str, resources: ExitStack) -> AgentCode:
     """Loads a reference driver."""
     load = find_driver(name).load
-    assert load is not None  # noqa: S101 - it is no agent from files
+    assert load is not None  # noqa: S101 - it is not an agent from files
     return load(resources)

@@ -42,7 +42,8 @@ class KartConduct:
         driver: display name of its driver.
         source: the driver's source.
         contacts: number of contacts with other karts.
-        at_fault: number of contacts at fault; ``None`` for the game's AI, which has no substitute.
+        at_fault: number of contacts in which it was at fault; ``None`` for the game's AI, which has
+            no substitute.
         off_road: time beside the road [s].
         overtakes: number of karts that it overtook.
     """

@@ -30,7 +30,7 @@ _Row = tuple[str, str, Estimate]
 def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
     """Draws the figures of a report as SVG files.
 
-    Figures that this report does not have are removed: they are of an earlier one.
+    Figures that this report does not have are removed: they belong to an earlier one.
 
     Args:
         report: the report.

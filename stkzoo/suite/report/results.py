@@ -28,7 +28,7 @@ from stkzoo.suite.tasks import SUITE, TIME_RATIO, Task, find_task
 _Algorithm = Annotated[str, Matching(r"[\w.+-]{1,40}", "letters, digits and any of _ . + -")]
 _Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
 _TOLERANCE = 1e-9
-#: Maximum number of kart-steps of an iteration. A run ends with the one that spends its budget.
+#: Maximum number of kart-steps of an iteration. A run ends with the one that uses up its budget.
 _MAX_ITERATION = 100_000
 
 
@@ -140,7 +140,7 @@ class SuiteRun(Document):
         curve: the learning curve.
         test: scores on the test tracks.
         train: scores on the training tracks.
-        training_seconds: time of the training [s], without what interruptions lost.
+        training_seconds: time of the training [s], excluding time lost to interruptions.
         evaluation_seconds: time of both evaluations [s]; less if they were interrupted.
         cores: number of cores of the machine.
         versions: versions of the software by name.

@@ -28,7 +28,7 @@ Statistic = Callable[..., FloatArray]
 
 #: Fraction of the scores that an interquartile mean leaves out at each end.
 _QUARTER = 0.25
-#: Fewer runs say nothing about how much runs differ.
+#: Minimum number of runs for an interval; a single run does not show how much runs differ.
 FEWEST_RUNS = 2
 
 

@@ -61,7 +61,7 @@ def test_an_oversized_message_closes_only_its_connection():
     [
         ([b"H"], "received 1 frames"),
         ([b"H", b"a", b"b", b"c"], "received 3 frames"),
-        ([b"H", b"\x01"], "a int came, expected a dict"),
+        ([b"H", b"\x01"], "got int, expected dict"),
         ([b"H", pack(protocol=99)], f"speaks protocol 99, this one {VERSION}"),
         ([b"H", pack(protocol=np.zeros(3))], "protocol is array"),
         ([b"H", pack(protocol=VERSION, more=b"a" * 5000)], "expected at most 4096"),
