@@ -124,9 +124,9 @@ def _recording(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.dataset is None:
         if arguments.view is not None:
             raise ConfigError("--view is the view of a dataset; give --dataset too")
-        return {"rate": arguments.rate or _RATE}
+        return {"rate": _RATE if arguments.rate is None else arguments.rate}
     return {
-        "rate": arguments.rate or _DATASET_RATE,
+        "rate": _DATASET_RATE if arguments.rate is None else arguments.rate,
         "view": arguments.view or _DATASET_VIEW,
         "dataset": arguments.dataset,
     }

@@ -32,7 +32,7 @@ class DatasetWriter(RaceListener):
         view: name of a view with a fixed size that consists of stkzoo's wrappers.
 
     Raises:
-        ConfigError: the path or the view is invalid.
+        ConfigError: the path or the view is invalid, or the file exists.
     """
 
     def __init__(self, path: str, view: str) -> None:
@@ -40,6 +40,8 @@ class DatasetWriter(RaceListener):
         if self._path.suffix != ".npz":
             raise ConfigError(f"the dataset is {path!r}, expected a path that ends in .npz")
         check_writable(path, "the dataset")
+        if self._path.exists():  # a recording cannot be repeated
+            raise ConfigError(f"the dataset {path!r} exists; choose another name, or delete it")
         self._view = view
         seen = base_space(VIEWS[view])
         self._chain = AgentChain(_AGENT, seen, kart_action_space(), VIEWS[view])

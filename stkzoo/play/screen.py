@@ -11,12 +11,15 @@ import numpy.typing as npt
 
 from stkzoo._os import check_display
 from stkzoo.env.keyboard import KEYS
-from stkzoo.errors import import_extra
+from stkzoo.errors import ConfigError, import_extra
 
 _TITLE = "stkzoo play"
 _BAR = 30  # height of the text bar [pixels]
 _BAR_COLOR, _TEXT_COLOR, _FAINT_COLOR = (20, 24, 32), (235, 240, 245), (150, 160, 175)
 _HELP = "P pause   Esc leave"
+_NEED = "the race is shown in a window"
+#: SDL's drivers for windows that nobody sees.
+_INVISIBLE = ("dummy", "offscreen")
 
 
 class PlayScreen:
@@ -31,12 +34,12 @@ class PlayScreen:
         size: width and height of the frame [pixels].
 
     Raises:
-        ConfigError: pygame is not installed, or there is no display.
+        ConfigError: pygame is not installed, or no display can be used.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._pygame = pygame = _load_pygame()
-        pygame.display.init()
+        _open_display(pygame)
         pygame.font.init()
         pygame.display.set_caption(_TITLE)
         self._window = pygame.display.set_mode((size[0], size[1] + _BAR), pygame.RESIZABLE)
@@ -107,13 +110,31 @@ class PlayScreen:
 
 
 def _load_pygame() -> Any:
-    """Returns the module ``pygame``, with its display initialized.
+    """Returns the module ``pygame``.
 
     Raises:
         ConfigError: pygame is not installed, or there is no display.
     """
     os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     pygame = import_extra("pygame", "the window needs", "play")
-    # Without a display, SDL would open an invisible window.
-    check_display("the race is shown in a window")
+    check_display(_NEED)
     return pygame
+
+
+def _open_display(pygame: Any) -> None:
+    """Initializes pygame's display.
+
+    Raises:
+        ConfigError: the display does not answer. SDL would open an invisible window or fail.
+    """
+    try:
+        pygame.display.init()
+        driver = pygame.display.get_driver()
+    except pygame.error as error:
+        problem = str(error)
+    else:
+        if driver not in _INVISIBLE or os.environ.get("SDL_VIDEODRIVER"):
+            return
+        pygame.display.quit()
+        problem = "the display that DISPLAY or WAYLAND_DISPLAY names does not answer"
+    raise ConfigError(f"{_NEED}, but {problem}; start a desktop session, or use `xvfb-run`")

@@ -361,6 +361,23 @@ def test_without_a_display_it_says_what_to_do(monkeypatch):
         play_race([], **WINDOW)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems always have a display")
+def test_a_display_that_does_not_answer_is_refused(monkeypatch):
+    for name in ("SDL_VIDEODRIVER", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", "127.0.0.1:59999")
+    with pytest.raises(ConfigError, match="does not answer; start a desktop session"):
+        play_race([], max_steps=1, **WINDOW)
+
+
+def test_a_recording_is_not_replaced_by_the_next_one(tmp_path):
+    path = tmp_path / "me.npz"
+    path.write_bytes(b"a recording")
+    with pytest.raises(ConfigError, match=r"me\.npz' exists; choose another name, or delete it"):
+        play_race([], dataset=str(path), view="simple", max_steps=1, **WINDOW)
+    assert path.read_bytes() == b"a recording"
+
+
 def test_without_pygame_it_names_the_extra():
     code = (
         "import sys; sys.modules['pygame'] = None\n"
@@ -398,6 +415,7 @@ def test_the_command_plays_and_records(tmp_path, capsys):
     [
         (["--view", "simple"], "give --dataset too"),
         (["--rate", "7"], "rate is 7"),
+        (["--rate", "0", "--max-steps", "1"], "rate is 0"),
         (["nobody"], "nobody"),
         (["--map", "--3d"], "not allowed with"),
     ],
