@@ -26,6 +26,7 @@ from stkzoo._arguments import CommandParser
 from stkzoo._os import loses_exit_codes
 from stkzoo._schema import plain_text
 from stkzoo.cli._arguments import INTERRUPTED, add_command
+from stkzoo.cli._signals import EndSignals
 from stkzoo.cli._streams import discard_stdout, prepare_streams, writing_stdout
 from stkzoo.errors import StkzooError
 
@@ -51,7 +52,7 @@ first steps:
 
 exit codes:
   0 success, 1 failure, 2 invalid command line, 3 an agent failed,
-  130 interrupted
+  130 interrupted (by SIGTERM: 143, by SIGHUP: 129)
 """
 
 
@@ -87,15 +88,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit code: 0 for success; 1 for failure, or if the reader of stdout has ended, as with
-        ``| head``; 2 for an invalid command line; 130 after an interrupt from the keyboard. Some
-        commands return further codes.
+        ``| head``; 2 for an invalid command line; 130 after an interrupt from the keyboard, 143
+        after SIGTERM and 129 after SIGHUP. Some commands return further codes.
     """
     words = sys.argv[1:] if argv is None else list(argv)
     if loses_exit_codes() and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     prepare_streams()
     try:
-        return _run(words)
+        with EndSignals() as signals:
+            return signals.exit_code(_run(words))
     except BrokenPipeError:
         discard_stdout()
         return 1

@@ -146,6 +146,11 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
         results.append(interrupt.result)
         print("stkzoo: interrupted; the last race is incomplete", file=sys.stderr)
         code = INTERRUPTED
+    except KeyboardInterrupt:  # between two races, or before the first step of one
+        if not results:
+            raise
+        print(f"stkzoo: interrupted; complete races: {len(results)}", file=sys.stderr)
+        code = INTERRUPTED
     except StkzooError as error:
         if not results:
             raise

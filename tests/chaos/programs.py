@@ -300,7 +300,8 @@ def _codes(fault: Fault) -> tuple[int, ...]:
         return 0, _AGENT_FAILED, _INTERRUPTED, -signal.SIGINT
     if fault.signal == "PAUSE":
         return 0, _AGENT_FAILED
-    return 0, _AGENT_FAILED, -signal.Signals[fault.signal]
+    number = signal.Signals[fault.signal]
+    return 0, _AGENT_FAILED, -number, 128 + number
 
 
 def _is_interrupt_outside(said: str) -> bool:

@@ -1,8 +1,11 @@
 """Each module of the command line is a command."""
 
 import argparse
+import os
+import signal
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -101,3 +104,81 @@ def test_a_command_sees_exit_codes_although_its_parent_ignored_its_children():
         print(subprocess.run([sys.executable, "-c", "raise SystemExit(3)"]).returncode)
     """
     assert run_program(code).stdout.splitlines()[-1] == "3"
+
+
+ENDED = """
+    import os, signal, sys, time
+    from stkzoo import cli
+
+    def command(words):
+        try:
+            os.kill(os.getpid(), getattr(signal, words[0]))
+            time.sleep(60)
+        finally:
+            print("kept", flush=True)
+            for again in words[1:]:
+                time.sleep(float(again))
+                os.kill(os.getpid(), getattr(signal, words[0]))
+        return 0
+
+    cli._exit_code = command
+    sys.exit(cli.main(sys.argv[1:]))
+"""
+
+
+def ended(*words, **options):
+    program = [sys.executable, "-c", textwrap.dedent(ENDED), *words]
+    return subprocess.run(program, capture_output=True, text=True, timeout=60, **options)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_command_that_is_told_to_end_stops_like_after_ctrl_c(name):
+    done = ended(name)
+    assert (done.returncode, done.stdout) == (128 + getattr(signal, name), "kept\n")
+    assert done.stderr == "stkzoo: interrupted\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_the_second_signal_ends_a_command_at_once_but_not_the_echo_of_the_first():
+    assert ended("SIGTERM", "0").returncode == 128 + signal.SIGTERM
+    assert ended("SIGTERM", "1.2").returncode == -signal.SIGTERM
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_closed_terminal_does_not_disturb_the_end_of_a_command(tmp_path):
+    import fcntl
+    import pty
+    import termios
+
+    file = tmp_path / "kept"
+    program = f"""
+        import sys, time
+        from pathlib import Path
+        from stkzoo import cli
+
+        def command(_):
+            print("ready", flush=True)
+            try:
+                time.sleep(60)
+            finally:
+                print("interrupted", file=sys.stderr, flush=True)
+                Path({str(file)!r}).touch()
+
+        cli._exit_code = command
+        sys.exit(cli.main([]))
+    """
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program)],
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
+    )
+    os.close(theirs)
+    assert os.read(ours, 5) == b"ready"
+    os.close(ours)
+    assert process.wait(30) == 128 + signal.SIGHUP
+    assert file.exists()

@@ -12,6 +12,7 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.race import RaceResult
+from stkzoo.race.runner import _RaceRun
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import wait_until
 
@@ -48,7 +49,8 @@ def test_several_races_are_summarized(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_race_saves_its_result_so_far(tmp_path):
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_an_interrupted_race_saves_its_result_so_far(tmp_path, name, code):
     file, log = tmp_path / "result.json", tmp_path / "log"
     agent = tmp_path / "pystk_actor.py"
     agent.write_text(
@@ -60,16 +62,35 @@ def test_an_interrupted_race_saves_its_result_so_far(tmp_path):
         "    return act\n"
     )
     words = ["race", str(tmp_path), "--max-steps", "1000000", "--output", str(file)]
+    words += ["--video", str(tmp_path / "race.mp4"), "--render-backend", "map"]
     words += ["--sandbox", "off"]  # so that the agent can write into its folder
     with log.open("w") as output:
         program = subprocess.Popen(
             [sys.executable, "-m", "stkzoo", *words], stdout=output, stderr=output
         )
     assert wait_until(lambda: (tmp_path / "driving").exists(), 60)
-    os.kill(program.pid, signal.SIGINT)
-    assert program.wait(30) == 130
+    os.kill(program.pid, getattr(signal, name))
+    assert program.wait(30) == code
     assert "interrupted" in log.read_text()
     assert RaceResult.from_json(file.read_text()).status == "interrupted"
+    assert (tmp_path / "race.mp4").exists()
+    assert not list(tmp_path.glob(".*.part"))
+
+
+def test_an_interrupt_before_a_race_starts_keeps_the_races_before_it(tmp_path, capsys, monkeypatch):
+    file, start, starts = tmp_path / "results.json", _RaceRun._start, []
+
+    def interrupted(race):
+        starts.append(race)
+        if len(starts) == 3:
+            raise KeyboardInterrupt
+        start(race)
+
+    monkeypatch.setattr(_RaceRun, "_start", interrupted)
+    words = ["race", "ai", "--track", "olivermath", "--races", "9", "--seed", "5"]
+    assert main([*words, "--max-steps", "2", "--output", str(file)]) == 130
+    assert [race["seed"] for race in json.loads(file.read_text())["races"]] == [5, 6]
+    assert "interrupted; complete races: 2" in capsys.readouterr().err
 
 
 @pytest.mark.slow
