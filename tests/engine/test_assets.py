@@ -359,6 +359,39 @@ class TestInstalling:
         ):
             pass
 
+    def test_a_full_disk_during_the_installation_names_the_remedy(self, system, monkeypatch):
+        def fill(*_):
+            raise OSError(errno.EDQUOT, "Disk quota exceeded", str(system))
+
+        monkeypatch.setattr("stkzoo.engine.assets.installer.build_headless", fill)
+        for build in (install, pack):
+            with pytest.raises(AssetError, match=r"Disk quota exceeded.*STKZOO_CACHE"):
+                build()
+
+    @pytest.mark.usefixtures("cache")
+    def test_an_unwritable_cache_of_pystk2_names_the_variable_that_moves_it(self, tmp_path):
+        write(tmp_path / "other caches")
+        with pytest.raises(AssetError, match=r"PySuperTuxKart2 cannot be made.*XDG_CACHE_HOME"):
+            install(source="upstream")
+
+    @pytest.mark.usefixtures("headless")
+    def test_complete_data_is_used_and_exported_without_writing_to_the_cache(
+        self, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr("stkzoo.engine.assets.installer.lock", self.refuse)
+        assert install().source == "headless pack"
+        assert pack(output=tmp_path / "pack.tar.xz").is_file()
+
+    def test_data_that_the_environment_names_needs_no_cache(self, headless, tmp_path, monkeypatch):
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(headless))
+        write(tmp_path / "file")
+        monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "file" / "cache"))
+        assert install().root == headless
+
+    @staticmethod
+    def refuse(cache, _):
+        raise AssetError(f"the cache folder {cache} cannot be written")
+
     @pytest.mark.usefixtures("headless")
     def test_cleaning_removes_stkzoos_folders(self, cache):
         clean()

@@ -23,7 +23,7 @@ from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
 from stkzoo.engine.assets.overlay import adapt
 from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
-from stkzoo.errors import AssetError
+from stkzoo.errors import AssetError, reason
 
 _LOOK_EVERY = 0.1  # [s]
 #: Maximum output of a program [bytes]. The file list of the game's data takes 0.5 MB.
@@ -228,10 +228,16 @@ def fetch_upstream(work: Path, progress: Progress) -> Path:
         The root of the downloaded tree.
 
     Raises:
-        AssetError: the download failed, or made no progress for 90 s.
+        AssetError: the download failed, or made no progress for 90 s, or its folder cannot be made.
     """
     cache = pystk2_cache_folder()
-    cache.mkdir(parents=True, exist_ok=True)
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise AssetError(
+            f"pystk2's folder {cache} cannot be made ({reason(error)}). Set XDG_CACHE_HOME to a "
+            "folder of your own."
+        ) from error
     check_space(cache, _NEEDED, "the game's data")
     progress.begin("downloading with pystk2")
     archive = cache / _ARCHIVE

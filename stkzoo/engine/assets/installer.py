@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from stkzoo._reading import is_there
 from stkzoo.engine.assets.fetch import fetch_debian, fetch_upstream
 from stkzoo.engine.assets.find import (
+    CACHE_VARIABLE,
     DATADIR_VARIABLE,
     cache_folder,
     find_assets,
@@ -59,14 +60,16 @@ def install(
     if source not in SOURCES:
         raise unknown_name("source of the game's data", source, SOURCES)
     progress = progress or Progress()
-    with lock(cache_folder(), progress):
-        if archive is not None:
-            if not archive.is_file():
-                raise AssetError(f"there is no file {os.fspath(archive)!r}.")
+    if archive is not None:
+        if not archive.is_file():
+            raise AssetError(f"there is no file {os.fspath(archive)!r}.")
+        with _changing_the_cache(progress):
             _make(own_folder("headless"), lambda tree: read_archive(archive, tree, progress))
-        elif os.environ.get(DATADIR_VARIABLE) and not replace:
-            progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to download")
-        else:
+    elif os.environ.get(DATADIR_VARIABLE) and not replace:
+        progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to download")
+    else:
+        is_complete = not replace and _is_complete()
+        with contextlib.nullcontext() if is_complete else _changing_the_cache(progress):
             full = _full_assets(source, replace, progress)
             _ensure_pack(full, replace, progress)
     return find_assets()
@@ -89,12 +92,13 @@ def pack(
         AssetError: there is no full data, or not enough disk space.
     """
     progress = progress or Progress()
-    with lock(cache_folder(), progress):
+    is_kept = _source_of_pack(None, replace) is None
+    with contextlib.nullcontext() if is_kept else _changing_the_cache(progress):
         _ensure_pack(None, replace, progress)
-        if output is None:
-            return own_folder("headless")
-        write_archive(own_folder("headless"), output, progress)
-        return output
+    if output is None:
+        return own_folder("headless")
+    write_archive(own_folder("headless"), output, progress)
+    return output
 
 
 def clean(*, progress: Progress | None = None) -> list[Path]:
@@ -119,6 +123,31 @@ def clean(*, progress: Progress | None = None) -> list[Path]:
             with fresh_folder(cache, "old") as old:  # a partly removed folder must not be found
                 folder.rename(old / "tree")
     return ours
+
+
+@contextlib.contextmanager
+def _changing_the_cache(progress: Progress) -> Iterator[None]:
+    """Locks stkzoo's cache, and converts each OSError of the block, such as a full disk.
+
+    Raises:
+        AssetError: files cannot be written.
+    """
+    try:
+        with lock(cache_folder(), progress):
+            yield
+    except OSError as error:
+        raise AssetError(
+            f"the game's data cannot be written ({error}). Make room, or set {CACHE_VARIABLE} to a "
+            "folder of your own with enough of it."
+        ) from error
+
+
+def _is_complete() -> bool:
+    """Returns whether the full data and the headless pack are there, so nothing must change."""
+    try:
+        return _source_of_pack(find_assets(graphics=True), replace=False) is None
+    except AssetError:
+        return False
 
 
 def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
@@ -170,24 +199,35 @@ def _make(folder: Path, fill: Callable[[Path], object]) -> None:
 def _ensure_pack(full: Assets | None, replace: bool, progress: Progress) -> None:
     """Builds the headless pack if it is missing, of an older version, or to be replaced.
 
-    A pack whose scenes are of another version works, and stays if there is no full data.
-
     Args:
         full: the full data; by default, :func:`find_assets` finds it.
         replace: build the pack again in any case.
         progress: receives progress reports.
     """
+    root = _source_of_pack(full, replace)
+    if root is None:
+        progress.note(f"the headless pack is there: {own_folder('headless')}")
+    else:
+        _make(own_folder("headless"), lambda tree: build_headless(root, tree, progress))
+
+
+def _source_of_pack(full: Assets | None, replace: bool) -> Path | None:
+    """Returns the root of the data from which to build the headless pack; ``None`` to keep it.
+
+    A pack whose scenes are of another version works, and stays if there is no full data.
+
+    Raises:
+        AssetError: there is neither a pack nor full data.
+    """
     there = None if replace else _pack_there()
-    if there is None or there.scenes != SCENES_VERSION:
-        try:
-            root = (full or find_assets(graphics=True)).root
-        except AssetError:
-            if there is None:
-                raise
-        else:
-            _make(own_folder("headless"), lambda tree: build_headless(root, tree, progress))
-            return
-    progress.note(f"the headless pack is there: {own_folder('headless')}")
+    if there is not None and there.scenes == SCENES_VERSION:
+        return None
+    try:
+        return (full or find_assets(graphics=True)).root
+    except AssetError:
+        if there is None:
+            raise
+        return None
 
 
 def _pack_there() -> Assets | None:

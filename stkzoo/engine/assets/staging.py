@@ -61,7 +61,7 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
     """
     try:
         cache.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(cache / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        descriptor = os.open(cache / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise AssetError(
             f"the cache folder {cache} cannot be written ({error}). Set STKZOO_CACHE to a "
