@@ -18,7 +18,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import metadata
@@ -27,8 +27,10 @@ from pathlib import Path
 
 from stkzoo._installation import extra_requirements, install_command, pip_install
 from stkzoo._python import python_command
+from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
+from stkzoo.engine.process import engine_environment
 from stkzoo.errors import AssetError
 from stkzoo.kernel import IS_COMPILED
 
@@ -173,7 +175,7 @@ def _python() -> str:
 def _engine() -> str:
     if not _has_distribution("PySuperTuxKart2"):
         raise NotFound("PySuperTuxKart2 is not installed")
-    code, text = _probe("import pystk2", {})
+    code, text = _probe("import pystk2", os.environ)
     if code != 0:
         raise NotFound(_last_line(text))
     return f"PySuperTuxKart2 {metadata.version('PySuperTuxKart2')}"
@@ -186,7 +188,8 @@ def _race_data() -> str:
 
 def _start(install: str) -> str:
     assets = find_assets()
-    code, text = _probe(_PROBE, {DATADIR_VARIABLE: str(assets.root)})
+    with LockedTemporaryDirectory("doctor") as home:
+        code, text = _probe(_PROBE, engine_environment(assets.root, str(home.path)))
     lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
     if code != 0 or not lines:
         raise NotFound(f"it ended with {code}: {_last_line(text)}", f"{install} --force")
@@ -196,17 +199,17 @@ def _start(install: str) -> str:
     return f"and sees its {len(assets.tracks)} tracks"
 
 
-def _probe(program: str, variables: dict[str, str]) -> tuple[int, str]:
+def _probe(program: str, variables: Mapping[str, str]) -> tuple[int, str]:
     """Returns exit code and output of a program run in a new process, which the engine may crash.
 
     Args:
         program: Python code.
-        variables: additional environment variables.
+        variables: its environment variables.
     """
     try:
         process = subprocess.run(  # noqa: S603 - our own interpreter
             python_command(program),
-            env={**os.environ, **variables},
+            env=variables,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.engine.assets import find
+from stkzoo.engine.assets import cache_folder, find
 
 
 @pytest.fixture
@@ -25,6 +25,16 @@ def test_succeeds_where_a_race_can_run(capsys):
     code, answer, checks = report(capsys)
     assert (code, answer["ready"]) == (0, True)
     assert checks["engine starts"]["found"] == "and sees its 21 tracks"
+
+
+def test_the_engine_starts_with_a_home_folder_of_its_own_as_in_races(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("STKZOO_CACHE", str(cache_folder()))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    _, _, checks = report(capsys)
+    assert checks["engine starts"]["ok"]
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("no_data")
