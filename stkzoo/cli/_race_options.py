@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
-from stkzoo._arguments import CommandParser, add_options, option
+from stkzoo._arguments import CommandParser, add_options, changed_options, option
 from stkzoo._os import check_display
 from stkzoo.errors import ConfigError
 
@@ -134,6 +134,16 @@ def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
     if arguments.web:
         found.append(_live_page(arguments))
     return found
+
+
+def chosen_viewing_options(arguments: argparse.Namespace) -> list[str]:
+    """Returns the options of :func:`add_viewing_options` that the user chose."""
+    return [
+        *changed_options(arguments, WindowArguments, only=("window",)),
+        *(["--video"] if arguments.video is not None else []),
+        *changed_options(arguments, VideoArguments),
+        *changed_options(arguments, LivePageArguments),
+    ]
 
 
 def _check_unused(arguments: argparse.Namespace, kind: type, needed: str) -> None:

@@ -25,8 +25,12 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
-from stkzoo._arguments import CommandParser, add_options, positional
-from stkzoo.cli._race_options import add_viewing_options, viewing_listeners
+from stkzoo._arguments import CommandParser, add_options, changed_options, positional
+from stkzoo.cli._race_options import (
+    add_viewing_options,
+    chosen_viewing_options,
+    viewing_listeners,
+)
 from stkzoo.cli._race_report import described
 from stkzoo.errors import ConfigError
 
@@ -64,6 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Plays or describes a replay."""
     from stkzoo.race.replay import load_replay
 
+    if arguments.info:
+        _check_info(arguments)
     replay = load_replay(arguments.file)
     if arguments.info:
         _show_info(replay, as_json=arguments.json)
@@ -71,6 +77,15 @@ def run(arguments: argparse.Namespace) -> int:
     playback = _play(replay, arguments)
     _show(replay, playback, as_json=arguments.json)
     return 0 if playback.is_exact else 1
+
+
+def _check_info(arguments: argparse.Namespace) -> None:
+    chosen = [
+        *changed_options(arguments, ReplayArguments, only=("to_the_end", "any_engine")),
+        *chosen_viewing_options(arguments),
+    ]
+    if chosen:
+        arguments.fail(f"--info runs nothing; leave out {', '.join(chosen)}")
 
 
 def _play(replay: Replay, arguments: argparse.Namespace) -> Playback:

@@ -20,9 +20,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from stkzoo._arguments import CommandParser, add_options, option, positional
+from stkzoo._arguments import CommandParser, add_options, changed_options, option, positional
 from stkzoo._os import write_whole
-from stkzoo.cli._arguments import usage_errors
+from stkzoo.cli._arguments import refuse_options, usage_errors
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.tracks import SPLITS, split_of
@@ -87,6 +87,11 @@ class TrackFacts:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Prints a table or JSON, or draws a map."""
+    if arguments.map is not None:
+        refuse_options(
+            "--map only draws a map",
+            *changed_options(arguments, TracksArguments, only=("sort", "difficulty", "json")),
+        )
     names = _chosen(arguments)
     if arguments.map is not None:
         return _draw(names, arguments.map)

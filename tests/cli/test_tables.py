@@ -71,6 +71,10 @@ def test_a_map_is_drawn(tmp_path, capsys):
     [
         (["--map", "map.png"], "draws one track, and 21 are named"),
         (["lighthouse", "--map", "map.gif"], "ending in .png"),
+        (
+            ["lighthouse", "--map", "map.png", "--json", "--sort", "time"],
+            "leave out --sort, --json",
+        ),
         (["lighthouse", "--map", "/nowhere/map.png"], "cannot be written"),
     ],
 )

@@ -496,6 +496,12 @@ def test_race_replay_and_info(tmp_path, capsys):
     assert (form["is_exact"], form["result"]["seed"]) == (True, 1)
 
 
+def test_the_description_of_a_replay_refuses_options_that_need_a_race(small, tmp_path, capsys):
+    video = tmp_path / "race.mp4"
+    assert main(["replay", str(small), "--info", "--video", str(video), "--web", "--window"]) == 2
+    assert "--info runs nothing; leave out --window, --video, --web" in capsys.readouterr().err
+
+
 def test_one_replay_file_for_several_races_is_a_usage_error(tmp_path, capsys):
     words = ["race", "ai", "--races", "2", "--replay", str(tmp_path / "race.stkz")]
     assert main(words) == 2
