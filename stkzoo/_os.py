@@ -138,20 +138,33 @@ def check_writable(path: str | os.PathLike[str], noun: str) -> Path:
         The file.
 
     Raises:
-        ConfigError: ``path`` is a folder, a device or a pipe, or its folder is missing or not
-            writable.
+        ConfigError: ``path`` is a folder, a device or a pipe, its name is too long, or its folder
+            is missing or not writable.
     """
     file = Path(path)
+    try:
+        problem = _problem_of(file)
+    except OSError as error:
+        problem = f"{reason(error)}; choose another name"
+    if problem:
+        raise ConfigError(f"{noun} cannot be written to {str(path)!r}: {problem}")
+    return file
+
+
+def _problem_of(file: Path) -> str:
+    """Returns why a file cannot be written, and the remedy; empty if it can.
+
+    Raises:
+        OSError: the name is invalid, for example too long.
+    """
     folder = _target_of(file).parent
     if file.exists() and not file.is_file():
-        remedy = "it is not a regular file; choose another name"
-    elif not folder.is_dir():
-        remedy = f"there is no folder {str(folder)!r}; make it first"
-    elif not os.access(folder, os.W_OK):
-        remedy = f"the folder {str(folder)!r} is not writable; choose another one"
-    else:
-        return file
-    raise ConfigError(f"{noun} cannot be written to {str(path)!r}: {remedy}")
+        return "it is not a regular file; choose another name"
+    if not folder.is_dir():
+        return f"there is no folder {str(folder)!r}; make it first"
+    if not os.access(folder, os.W_OK):
+        return f"the folder {str(folder)!r} is not writable; choose another one"
+    return ""
 
 
 @contextlib.contextmanager
@@ -207,7 +220,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     if file.exists() and not file.is_file():  # replacing a device would destroy it
         raise FileExistsError(errno.EEXIST, "it exists and is not a regular file", str(file))
     target = _target_of(file)
-    folder, part = target.parent, target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    # The name is cut, because systems limit names to 255 bytes, which can be 63 letters.
+    part = target.with_name(f".{target.name[:50]}.{secrets.token_hex(4)}.part")
     try:
         mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
         given = 0o666 if mode is None else mode & 0o666 | 0o600  # the system applies the umask
@@ -225,7 +239,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
             part.unlink()
         raise
     with contextlib.suppress(OSError):  # some systems cannot flush folders
-        _flush(folder)
+        _flush(target.parent)
 
 
 @contextlib.contextmanager

@@ -66,3 +66,15 @@ def test_a_program_that_ignores_its_children_loses_exit_codes(action, loses):
         assert loses_exit_codes() == loses
     finally:
         signal.signal(signal.SIGCHLD, before)
+
+
+def test_the_longest_names_of_files_can_be_written(tmp_path):
+    for name in ("a" * 255, "é" * 127):
+        check_writable(tmp_path / name, "the result")
+        write_text(tmp_path / name, "text")
+        assert (tmp_path / name).read_text() == "text"
+
+
+def test_a_name_that_is_too_long_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"the result cannot be .*: File name too long; choose"):
+        check_writable(tmp_path / ("a" * 256), "the result")
