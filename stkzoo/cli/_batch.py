@@ -6,16 +6,16 @@ import argparse
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED
-from stkzoo.cli._console import make_bars, say
+from stkzoo.cli._console import QUIET_INTERVAL, make_bars, say
 from stkzoo.cli._race_report import show_errors
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.batch import run as batch
@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 def run_batch(
     arguments: argparse.Namespace, run: Callable[[RunOptions], Result], *, is_saved: bool = True
 ) -> tuple[Result | None, int]:
-    """Runs a batch with a progress bar.
+    """Runs a batch with a progress bar, or lines of progress if there is no terminal.
 
     Args:
         arguments: arguments of the command, with ``jobs`` and ``race_timeout``.
@@ -42,20 +42,24 @@ def run_batch(
         The result and the exit code. The result is ``None`` if there is no result to show.
     """
     done = total = 0
+    spoken = time.monotonic()
     with make_bars(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        TextColumn("{task.fields[last]}"),
+        TextColumn("{task.fields[last]}", markup=False),
     ) as bars:
         task = bars.add_task("races", total=None, last="")
 
         def update(progress: BatchProgress) -> None:
-            nonlocal done, total
+            nonlocal done, total, spoken
             done, total, last = progress.done, progress.total, progress.last
-            text = f"{last.track}: {escape(last.agents[0].driver)}" if last else ""
+            text = f"{last.track}: {last.agents[0].driver}" if last else ""
             bars.update(task, completed=done, total=total, last=text)
+            if bars.disable and time.monotonic() - spoken > QUIET_INTERVAL:
+                spoken = time.monotonic()
+                say(f"{done} of {total} races  {text}".rstrip(), bars.console)
 
         try:
             plots = not getattr(arguments, "no_plot", False)

@@ -137,7 +137,7 @@ def make_bars(*columns: ProgressColumn | str, vanish: bool = True) -> Bars:
 
 
 #: Minimum time between two lines about the same stage without a terminal [s].
-_QUIET_INTERVAL = 10.0
+QUIET_INTERVAL = 10.0
 
 
 class ConsoleProgress(Progress):
@@ -179,7 +179,7 @@ class ConsoleProgress(Progress):
         if stage is None:
             return
         self._bars.update(stage.id, completed=done)
-        if self._bars.disable and time.monotonic() - self._spoken > _QUIET_INTERVAL:
+        if self._bars.disable and time.monotonic() - self._spoken > QUIET_INTERVAL:
             self._spoken = time.monotonic()
             of = f" of {megabytes(stage.total)}" if stage.total else ""
             self.note(f"{stage.description}: {megabytes(done)}{of}")

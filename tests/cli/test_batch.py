@@ -28,6 +28,24 @@ def test_an_interrupted_batch_says_how_many_races_are_saved(capsys):
     assert expected in capsys.readouterr().err
 
 
+def test_without_a_terminal_a_batch_prints_a_line_of_progress_every_ten_seconds(
+    capsys, monkeypatch
+):
+    seconds = iter([0.0, 4.0, 12.0, 12.0, 15.0, 23.0, 23.0])
+    monkeypatch.setattr(_batch, "time", Namespace(monotonic=lambda: next(seconds)))
+    run_batch(ARGUMENTS, lambda options: [options.on_race(BatchProgress(n, 9)) for n in range(4)])
+    assert capsys.readouterr().err == "1 of 9 races\n3 of 9 races\n"
+
+
+def test_the_bar_shows_names_as_they_are(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    row = Namespace(driver="[red]:fire:")
+    last = Namespace(track="lighthouse", agents=[row])
+    run_batch(ARGUMENTS, lambda options: options.on_race(BatchProgress(1, 9, last)))
+    assert "lighthouse: [red]:fire:" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("progress", [(), ((3, 18),)])
 def test_interrupted_replays_say_that_nothing_was_saved(progress, capsys):
     def run(**options):
