@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
@@ -16,7 +17,7 @@ from stkzoo.checks.play import CheckResult, EnvFactory, bind, load_factory, run_
 from stkzoo.errors import ConfigError, StkzooError, unknown_name
 from stkzoo.views import VIEWS
 
-_BAD_USAGE = 2
+_BAD_USAGE, _INTERRUPTED = 2, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,22 +27,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the command line; ``None`` for that of the process.
 
     Returns:
-        The exit code: 0 if no check failed, 1 if one failed, 2 for an invalid command line.
+        The exit code: 0 if no check failed, 1 if one failed, 2 for an invalid command line, 130
+        after Ctrl-C.
     """
     options = _parser().parse_args(arguments)
-    out = Console(soft_wrap=True, highlight=False, markup=False)
+    try:
+        return _check(options)
+    except KeyboardInterrupt:
+        _console(stderr=True).print("interrupted")
+        return _INTERRUPTED
+
+
+def _check(options: Namespace) -> int:
+    out = _console()
     try:
         variants = _variants(options.environment, options.view, options.track)
         names = _check_names(options.check)
         for make_env in variants.values():
             make_env().close()
     except StkzooError as error:
-        Console(stderr=True, soft_wrap=True).print(str(error), markup=False, highlight=False)
+        _console(stderr=True).print(str(error))
         return _BAD_USAGE if isinstance(error, ConfigError) else 1
     outcomes = _run(variants, names, None if options.json else out)
     if options.json:
         out.print(json.dumps(outcomes, indent=2))
     return int(any(outcome["status"] == "failed" for outcome in outcomes))
+
+
+def _console(*, stderr: bool = False) -> Console:
+    """Returns a console that prints texts as they are."""
+    return Console(stderr=stderr, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 @dataclass
@@ -106,7 +121,7 @@ def _run(
     variants: dict[str, EnvFactory], names: Sequence[str], out: Console | None
 ) -> list[dict[str, object]]:
     outcomes: list[dict[str, object]] = []
-    console = out or Console(stderr=True)
+    console = out or _console(stderr=True)
     pairs = [(variant, name) for variant in variants for name in names]
     columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     hidden = not console.is_terminal

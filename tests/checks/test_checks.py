@@ -21,7 +21,8 @@ from pettingzoo import ParallelEnv
 
 from stkzoo import race_v0
 from stkzoo.checks import CHECKS, CheckFailed, load_factory, play, run_check, trace
-from stkzoo.checks.play import fingerprint
+from stkzoo.checks import __main__ as command
+from stkzoo.checks.play import CheckResult, fingerprint
 from stkzoo.checks.values import expect_in
 from stkzoo.errors import ConfigError
 from stkzoo.views import VIEWS
@@ -587,6 +588,25 @@ def test_the_command_fails_on_another_environment_and_says_why():
     )
     assert run.returncode == 1
     assert re.match(r"agents leave when done \(.*\): FAILED: .*possible_agents", run.stdout)
+
+
+def test_the_command_ends_without_a_traceback_after_ctrl_c(monkeypatch, capsys):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "_run", interrupt)
+    environment = "pettingzoo.test.example_envs.generated_agents_parallel_v0:parallel_env"
+    assert command.main([environment]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_the_command_prints_texts_as_they_are(monkeypatch, capsys):
+    outcome = CheckResult("failed", "kart:fire:red [red]", 0.0)
+    monkeypatch.setattr(command, "run_check", lambda *_: outcome)
+    environment = "pettingzoo.test.example_envs.generated_agents_parallel_v0:parallel_env"
+    for words in ([], ["--json"]):
+        assert command.main([environment, *words]) == 1
+        assert "kart:fire:red [red]" in capsys.readouterr().out
 
 
 @pytest.mark.slow
