@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hmac
 import logging
-import mimetypes
 import secrets
 import socket
 import threading
@@ -31,6 +30,13 @@ _requests_logger = logging.getLogger(f"{__name__}.requests")
 _requests_logger.addFilter(RepeatFilter(most=1, period=60.0))
 
 _FILES = Path(__file__).parent / "static"
+#: Content types by suffix. Those of :mod:`mimetypes` depend on the machine.
+_CONTENT_TYPES = {
+    ".css": "text/css",
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+}
 _LONGEST_MESSAGE = 1024
 _HEARTBEAT = 20.0
 #: Maximum line length of a request [bytes], and time limit for reading the rest of a request after
@@ -264,7 +270,7 @@ def _page_of(file: Path) -> tuple[bytes, str]:
 
     Files are read before the race, because no file descriptors may be left during it.
     """
-    return file.read_bytes(), mimetypes.types_map.get(file.suffix, "application/octet-stream")
+    return file.read_bytes(), _CONTENT_TYPES.get(file.suffix, "application/octet-stream")
 
 
 def _listener(host: str, port: int) -> socket.socket:

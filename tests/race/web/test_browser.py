@@ -149,6 +149,21 @@ def test_the_page_reconnects_for_the_next_race(reader):
 
 
 @pytest.mark.slow
+def test_the_chosen_kart_stays_after_a_new_connection(reader):
+    chosen = "return document.getElementById('agent').value"
+    with WatchedRace() as race:
+        open_on_the_grid(reader, race)
+        first = reader.run(chosen)
+        reader.press("n")
+        reader.until(lambda: reader.run(chosen) != first)
+        port = race.page.port
+    reader.until(is_mode(reader, "over"))
+    with WatchedRace(port=port):
+        reader.until(is_mode(reader, "paused"))
+        assert reader.run(chosen) != first
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [360, 768, 1600])
 def test_the_page_fits_the_screen_and_all_elements_have_names(reader, width, is_dark):

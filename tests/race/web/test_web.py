@@ -1,6 +1,7 @@
 """The live page: its files, its messages and its controls (D30)."""
 
 import asyncio
+import mimetypes
 import signal
 import socket
 import subprocess
@@ -51,6 +52,30 @@ def test_the_package_serves_all_files_of_the_page(page):
         assert "http://" not in content
         assert "https://" not in content
     assert 'src="page.js"' in text
+
+
+@pytest.mark.parametrize(
+    ("file", "kind"),
+    [
+        ("", "text/html; charset=utf-8"),
+        ("page.js", "text/javascript; charset=utf-8"),
+        ("page.css", "text/css; charset=utf-8"),
+        ("icon.svg", "image/svg+xml; charset=utf-8"),
+    ],
+)
+def test_the_types_of_files_do_not_depend_on_the_machine(file, kind, monkeypatch):
+    for suffix in (".html", ".js", ".css", ".svg"):
+        monkeypatch.setitem(mimetypes.types_map, suffix, "text/plain")
+    page = LivePage(port=0)
+    headers, _ = fetch(page.url + file)
+    page.closed()
+    assert headers["Content-Type"] == kind
+
+
+def test_the_clock_of_the_page_does_not_interrupt_screen_readers(page):
+    _, text = fetch(page.url)
+    assert 'id="clock" role="timer"' in text
+    assert "<output" not in text  # a live region, which is read at each change
 
 
 @pytest.mark.parametrize("path", ["nothing", "..%2fserver.py", "static/page.js", "__init__.py"])

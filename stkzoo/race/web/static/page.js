@@ -40,8 +40,9 @@ function take(message) {
 }
 
 function takeRace(race) {
+  const isSame = JSON.stringify(race.karts) === JSON.stringify(now.race?.karts); // a new connection
   Object.assign(now, { race, moment: null, outcomes: {}, leader: -1 });
-  now.chosen = Math.max(0, race.karts.findIndex((kart) => kart.agent === "kart_0"));
+  if (!isSame) now.chosen = Math.max(0, race.karts.findIndex((kart) => kart.agent === "kart_0"));
   find("title").textContent = race.title;
   document.title = `${race.title} · stkzoo`;
   const laps = race.laps === 1 ? "1 lap" : `${race.laps} laps`;
