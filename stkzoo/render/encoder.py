@@ -21,7 +21,11 @@ from stkzoo.errors import ConfigError, StkzooError
 
 _H264 = ("-c:v", "libx264", "-preset", "veryfast", "-crf", "21", "-pix_fmt", "yuv420p")
 _VP9 = ("-c:v", "libvpx-vp9", "-deadline", "realtime", "-cpu-used", "6")
-_GIF = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
+# Browsers show frames of less than 20 ms for 100 ms.
+_GIF = (
+    "fps='min(source_fps,50)',split[a][b];[a]palettegen=stats_mode=single[p];"
+    "[b][p]paletteuse=new=1:dither=bayer"
+)
 
 #: Arguments of ffmpeg by file suffix.
 FORMATS: dict[str, tuple[str, ...]] = {

@@ -15,6 +15,7 @@ from pathlib import Path
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceFilm, RaceInterrupted, RaceVideo, run_race
@@ -88,6 +89,17 @@ def test_every_format_keeps_its_frames(tmp_path, ending):
     means = pictures.mean(axis=(1, 2, 3))
     np.testing.assert_allclose(means, np.arange(0, 200, 10), atol=8)
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_gif_of_a_fast_race_has_frames_that_browsers_show_in_time(tmp_path):
+    writer = VideoWriter(tmp_path / "race.gif", 60)
+    for number in range(0, 240, 4):
+        writer.add(color(number))
+    writer.close()
+    with Image.open(tmp_path / "race.gif") as image:
+        seconds = [frame.info["duration"] for frame in ImageSequence.Iterator(image)]
+    assert min(seconds) == 20
+    assert sum(seconds) == pytest.approx(1000, abs=20)
 
 
 def test_no_file_appears_before_the_end_or_after_an_error(tmp_path):
@@ -244,6 +256,8 @@ def test_interpolated_snapshots_end_with_the_step(moments):
     between = snapshots_between(moments[-2], moments[-1], 3)
     assert len(between) == 3
     assert between[-1] is moments[-1]
+    times = [moment.header["time"] for moment in between]
+    assert np.diff([moments[-2].header["time"], *times]) == pytest.approx([0.1 / 3] * 3, abs=0.01)
     assert game_time(moments[-1]) - game_time(moments[-2]) == pytest.approx(0.1, abs=0.01)
 
 
