@@ -161,9 +161,14 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_name(folder: str) -> None:
-    """Refuses a folder that commands would not recognize as an agent."""
+    """Refuses a folder that files cannot name, or that commands would not accept as an agent."""
     from stkzoo.drivers.driver import driver_names
 
+    name = Path(folder).resolve().name
+    try:
+        f"{folder}{name}".encode()
+    except UnicodeEncodeError:
+        raise ConfigError(f"{folder!r} is not text in UTF-8; choose another folder") from None
     if "@:" in folder:
         raise ConfigError(
             f"{folder!r} contains @:, which sets a driver's name; choose another folder"

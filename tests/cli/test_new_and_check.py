@@ -73,6 +73,13 @@ def test_new_refuses_names_that_mean_other_drivers(name, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
 
 
+def test_new_refuses_a_name_that_is_not_text(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", os.fsdecode(b"caf\xe9")]) == 2
+    assert r"'caf\udce9' is not text in UTF-8; choose another folder" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_new_reports_a_folder_without_write_permission(tmp_path, monkeypatch, capsys):
     def refuse(path, *arguments, **options):
         if str(path).startswith(str(tmp_path)):
