@@ -16,12 +16,20 @@ from stkzoo.drivers.replies import checks_while_waiting, pending_replies, run_ch
 from stkzoo.errors import AgentError, ProtocolError, RemoteError, shortened
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.sockets import MAX_UNREAD, UnreadData, client_socket, zmq_module
+from stkzoo.race.remote.sockets import (
+    MAX_UNREAD,
+    QUEUE,
+    UnreadData,
+    client_socket,
+    zmq_module,
+)
 
 #: Time limit for ZeroMQ to send the last message in the background [ms].
 _GOODBYE = 500
 #: Grace period after a deadline for reading messages that arrived in time [s].
 _READING = 1.0
+#: Maximum number of pings after a message to the server: those before and those after it arrives.
+_MAX_PINGS = 2 * QUEUE
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +79,7 @@ class Connection:
         self._poller = self._zmq.Poller()
         self._poller.register(self._socket, self._zmq.POLLIN)
         self._poller.register(self._monitor, self._zmq.POLLIN)
-        self._next_seat = self._step = 0
+        self._next_seat = self._step = self._num_pings = 0
         self._observations: list[list[Any]] = []
         self._starting: set[int] = set()
         self._asked: set[int] = set()
@@ -180,6 +188,7 @@ class Connection:
     def _send(self, kind: bytes, **fields: Any) -> None:
         self._require()
         body = protocol.pack(**fields) if fields else b""
+        self._num_pings = 0
         try:
             self._socket.send_multipart([kind, body], self._zmq.NOBLOCK)
         except self._zmq.ZMQError as error:
@@ -262,7 +271,10 @@ class Connection:
             )
 
     def _receive(self) -> None:
-        frames = self._socket.recv_multipart()
+        """Receives and handles one message; further frames of an invalid one stay unread."""
+        frames = [self._socket.recv()]
+        while self._socket.getsockopt(self._zmq.RCVMORE) and len(frames) < 3:
+            frames.append(self._socket.recv())
         self._unread.count(frames)
         try:
             self._handle(frames)
@@ -294,8 +306,10 @@ class Connection:
             raise ProtocolError(f"received {len(frames)} frames, expected 2")
         kind, body = frames
         if kind == protocol.ALIVE:
+            self._handle_ping(body)
             return
         fields = protocol.unpack(body)
+        protocol.check_fields(kind, fields)
         if kind == protocol.ERROR:
             text = printable(protocol.field(fields, "text", str), 4000)
             self._fail(f"{self.server.address}: {text}")
@@ -303,12 +317,20 @@ class Connection:
             self._handle_welcome(fields)
         elif kind == protocol.OPENED:
             self._handle_opened(fields)
-        elif kind == protocol.ACTED:
-            self._handle_acted(fields)
         else:
-            raise ProtocolError(f"message kind {shortened(kind, 20)} came")
+            self._handle_acted(fields)
+
+    def _handle_ping(self, body: bytes) -> None:
+        self._num_pings += 1
+        if body or self._num_pings > _MAX_PINGS:
+            raise ProtocolError(
+                f"ping {self._num_pings} of {len(body)} bytes since the last message to it, "
+                f"expected at most {_MAX_PINGS} without content"
+            )
 
     def _handle_welcome(self, fields: dict[str, Any]) -> None:
+        if self.welcome:
+            raise ProtocolError("a second welcome, expected one")
         protocol.check_version(fields)
         agents = protocol.field(fields, "agents", list)
         for agent in agents:
@@ -350,6 +372,8 @@ class Connection:
         """
         if protocol.field(fields, "step", int) != self._step:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
+        if not self._asked:
+            raise ProtocolError(f"an answer to step {self._step} that was not requested")
         elapsed = time.monotonic() - self._flushed
         failures = protocol.field(fields, "failures", list)
         for entry in failures:

@@ -66,14 +66,14 @@ def is_local(address: str) -> bool:
 
 
 #: Length of the receive queue of a connection [messages]; the send queue is four times as long.
-_QUEUE = 16
+QUEUE = 16
 #: Options of all sockets; times in ms. A connection without messages and heartbeats for
 #: ``HEARTBEAT_TIMEOUT`` is closed.
 _LIMITS = {
     "LINGER": 0,
     "MAXMSGSIZE": LIMITS.max_bytes,
-    "RCVHWM": _QUEUE,
-    "SNDHWM": _QUEUE * 4,
+    "RCVHWM": QUEUE,
+    "SNDHWM": QUEUE * 4,
     "HEARTBEAT_IVL": 1000,
     "HEARTBEAT_TIMEOUT": 4000,
     "HEARTBEAT_TTL": 4000,

@@ -186,6 +186,8 @@ LIES = {
         lies(decisions=[], failures=[[0, ["error", "y" * 1_000_000, "z" * 1_000_000], False]]),
         "yyyyy",
     ),
+    "unknown fields": (lies(junk=[1] * 8000), "unknown fields ['junk'], expected some of"),
+    "more frames": (lies(b"D", *[b""] * 50_000), "received 3 frames, expected 2"),
     "it sends the game's keys": (lies(b"E", pack(text="\x1b[2J" + "a" * 9000)), ": aaaa"),
 }
 
@@ -205,6 +207,31 @@ def test_a_lying_server_affects_only_its_own_kart(name):
     assert not rows["kart_1"].errors
     assert cost["memory"] < 200 << 20
     assert len(result.to_json()) < 50_000
+
+
+NOTHING = [b"D", pack(step=0, decisions=[], failures=[])]
+FLOODS = {
+    "pings": ([b"L", b""], "ping 33 of 0 bytes since the last message to it, expected at most 32"),
+    "a large ping": ([b"L", bytes(1 << 20)], "ping 1 of 1048576 bytes"),
+    "welcomes": ([b"W", pack(protocol=VERSION, agents=[["liar", "lies", []]])], "a second welcome"),
+    "answers": (NOTHING, "an answer to step 0 that was not requested"),
+}
+
+
+@pytest.mark.parametrize("name", FLOODS)
+def test_a_server_that_sends_more_messages_than_requested_affects_only_its_own_kart(name):
+    """Otherwise the race could read them without end."""
+    message, text = FLOODS[name]
+
+    def flood_race(kind, asked):
+        answer = lies()(kind, asked)
+        return [answer, *[message] * 50] if kind == b"O" else answer
+
+    with LyingServer(flood_race) as liar, RemoteDriverGroup([liar.address]) as group:
+        result = run_race([*group.drivers, "heuristic"], max_steps=8, **TRACK)
+    rows = {row.agent: row for row in result.agents}
+    assert text in rows["kart_0"].errors[0].message
+    assert not rows["kart_1"].errors
 
 
 AGENT = """
