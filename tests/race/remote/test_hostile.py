@@ -330,7 +330,7 @@ def test_a_reply_that_a_server_sends_before_the_observation_is_refused():
     assert "an answer to step 2, expected 1" in row.errors[0].message
 
 
-TOO_LONG = r"sent a message of more than 96 MiB, expected at most 4 MiB"
+TOO_LONG = r"sent a message of more than 16 MiB, expected at most 4 MiB"
 needs_byte_counts = pytest.mark.skipif(
     sys.platform != "linux", reason="only Linux reports how much a connection received"
 )

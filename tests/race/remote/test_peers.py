@@ -9,9 +9,10 @@ import threading
 import time
 
 import pytest
+import zmq
 
 from stkzoo.drivers.driver import find_driver
-from stkzoo.race.remote import peers
+from stkzoo.race.remote import RaceServer, peers
 from stkzoo.race.remote.protocol import HELLO, VERSION, pack
 from tests.fuzz.messages import resident_memory
 from tests.support.floods import (
@@ -81,6 +82,29 @@ def test_an_idle_connection_times_out(monkeypatch):
             kind, body = client.recv_multipart()
             assert (kind, b"had no race for" in body) == (b"E", True)
         assert remote_race(server.address) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how much came")
+def test_an_idle_connection_that_sends_more_than_64_kb_is_cut_off():
+    with server_thread([find_driver("heuristic")]) as server, zmtp_socket(server.address) as one:
+        one.sendall(PING * (1 + (64 << 10) // len(PING)))
+        assert wait_until(lambda: not num_open([one]))
+
+
+def test_a_message_of_many_frames_is_discarded_in_parts_and_its_sender_is_disconnected():
+    """Other clients are served between the parts."""
+    with RaceServer([find_driver("heuristic")], "127.0.0.1:*") as server:
+        with zmtp_socket(server.address) as one:
+            one.sendall(zmtp_frame(b"H", more=True) + zmtp_frame(b"", more=True) * 3000)
+            one.sendall(zmtp_frame(b""))
+            assert server._socket.poll(10_000)
+            server._update_peers()
+            server._receive()
+            assert server._socket.getsockopt(zmq.RCVMORE)
+            assert wait_until(lambda: not num_open([one]))
+            for _ in range(3):
+                server._receive()
+            assert not server._socket.getsockopt(zmq.RCVMORE)
 
 
 def test_a_connection_with_a_race_can_be_silent(monkeypatch):
