@@ -12,7 +12,15 @@ from typing import Any
 from stkzoo.drivers.codec import decode, encode
 from stkzoo.drivers.failures import printable, reported_error
 from stkzoo.drivers.instances import Decision
-from stkzoo.drivers.replies import checks_while_waiting, pending_replies, run_checks
+from stkzoo.drivers.replies import (
+    REPLY_LIMITS,
+    arrival_time,
+    checks_while_waiting,
+    end_wait,
+    pending_replies,
+    receive_pending,
+    run_checks,
+)
 from stkzoo.errors import AgentError, ProtocolError, RemoteError, shortened
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
@@ -76,9 +84,6 @@ class Connection:
         #: Fields of the server's welcome message; empty until it arrives.
         self.welcome: dict[str, Any] = {}
         self._socket, self._monitor = client_socket(context, server.address, keys, server.key)
-        self._poller = self._zmq.Poller()
-        self._poller.register(self._socket, self._zmq.POLLIN)
-        self._poller.register(self._monitor, self._zmq.POLLIN)
         self._next_seat = self._step = self._num_pings = 0
         self._observations: list[list[Any]] = []
         self._starting: set[int] = set()
@@ -155,6 +160,7 @@ class Connection:
             self._send(protocol.ACT, step=self._step, observations=observations)
         except (ProtocolError, RemoteError) as error:
             self._fail(str(error))
+        receive_pending()
 
     def close_seat(self, seat: int) -> None:
         """Closes a driver instance. Closing the last one closes the connection."""
@@ -200,6 +206,8 @@ class Connection:
         A message that arrived in time is accepted even if the program reads it late because it
         waited for another server.
         """
+        if not is_there():
+            receive_pending()
         while not is_there():
             self._require()
             time_left = deadline - time.monotonic()
@@ -222,12 +230,11 @@ class Connection:
         if self._socket.closed:
             return []
         others = {other.fileno(): other for other in self._pending - {self}}
-        if not others:
-            return list(self._poller.poll(milliseconds))
         poller = self._zmq.Poller()
         for source in (self._socket, self._monitor, *others):
             poller.register(source, self._zmq.POLLIN)
         events = list(poller.poll(milliseconds))
+        end_wait()
         for source, _ in events:
             if source in others:
                 others[source].receive_available()
@@ -374,7 +381,7 @@ class Connection:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
         if not self._asked:
             raise ProtocolError(f"an answer to step {self._step} that was not requested")
-        elapsed = time.monotonic() - self._flushed
+        elapsed = max(arrival_time() - self._flushed, 0.0)
         failures = protocol.field(fields, "failures", list)
         for entry in failures:
             match entry:
@@ -416,7 +423,7 @@ def _decision(entry: Any) -> tuple[int, Decision]:
 def _decoded(decision: Decision) -> Decision | Failure:
     """Decodes a decision's action; an agent may send one that is invalid, so only it fails."""
     try:
-        return replace(decision, action=decode(decision.action))
+        return replace(decision, action=decode(decision.action, REPLY_LIMITS))
     except ProtocolError as error:
         return Failure(
             AgentError(f"its action is invalid: {error}", seconds=decision.seconds), True
