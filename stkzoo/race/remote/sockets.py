@@ -6,7 +6,7 @@ import os
 import re
 import socket
 from collections.abc import Collection
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -254,13 +254,18 @@ class UnreadData:
 
     def _look(self) -> tuple[tuple[Any, Any] | None, int]:
         """Returns both addresses of the connection, and how many bytes it has received."""
-        try:
+        with suppress(OSError):  # the connection is closed
             # ZeroMQ can close its descriptor at any time, so this uses a duplicate.
-            with socket.socket(fileno=os.dup(self._descriptor)) as connection:
+            own = os.dup(self._descriptor)
+            try:
+                connection = socket.socket(fileno=own)
+            except OSError:  # the descriptor now belongs to something else
+                os.close(own)
+                raise
+            with connection:
                 ends = connection.getsockname(), connection.getpeername()
                 return ends, bytes_received(connection)
-        except OSError:  # the connection is closed
-            return None, 0
+        return None, 0
 
 
 class ClientAuthenticator:

@@ -171,11 +171,7 @@ LIES = {
         "an empty array of a long shape",
     ),
     "wide texts as action": (
-        lies(
-            decisions=[
-                [0, encode({**ACTION, "steer": ["x" * 30_000, *["x"] * 900]}), 0.1, True]
-            ]
-        ),
+        lies(decisions=[[0, encode({**ACTION, "steer": ["x" * 30_000, *["x"] * 900]}), 0.1, True]]),
         "expected a number",
     ),
     "unknown keys": (
