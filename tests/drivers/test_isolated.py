@@ -409,7 +409,7 @@ def test_a_daemon_of_an_agent_that_kills_its_keeper_outlives_the_race(monkeypatc
     """The page on the threat model says so; a sandbox prevents it."""
     pids = tmp_path / "pids"
     monkeypatch.setenv("STKZOO_TEST_PIDS", str(pids))
-    race("ai", hostile("escapes"), sandbox="off", max_steps=3, start_timeout=2.0)
+    race("ai", hostile("escapes"), sandbox="off", max_steps=3, start_timeout=5.0)
     (daemon,) = map(int, pids.read_text().split())
     assert process_exists(daemon)
     os.kill(daemon, signal.SIGKILL)
