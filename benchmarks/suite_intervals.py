@@ -1,6 +1,6 @@
 """Counts how often intervals over few training runs contain the mean behind them.
 
-    python -m benchmarks.suite_intervals    # three minutes
+    python -m benchmarks.suite_intervals    # two minutes
 
 Draws the scores of runs on six tracks in both directions from normal distributions with known
 means. A score is the sum of a part of the track, a part of the run, and a part of both. The parts
@@ -50,7 +50,7 @@ Ends = tuple[float, float]
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = CommandParser(prog="python -m benchmarks.suite_intervals", description=__doc__)
-    words.add_argument("--trials", type=int, default=1000, help="trials of each case")
+    words.add_argument("--trials", type=int, default=500, help="trials of each case")
     words.add_argument("--output", type=Path, default=OUTPUT, help="JSON file to write")
     options = words.parse_args(arguments)
     rows = [coverage(*case, options.trials) for case in track(CASES, "cases")]
