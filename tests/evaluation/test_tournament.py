@@ -29,10 +29,11 @@ from stkzoo.evaluation import (
 )
 from stkzoo.evaluation.batch import entrants
 from stkzoo.evaluation.batch.entrants import fingerprint
+from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.ratings import rate
 from stkzoo.evaluation.tournament.run import resumed_plan
-from stkzoo.race import RaceResult
+from stkzoo.race import RaceResult, RaceSettings
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import children_of, process_exists, run_program, wait_until
 from tests.support.remote_race import write_agent
@@ -428,6 +429,12 @@ def test_an_agent_cannot_shift_the_blame_to_another(tmp_path):
     )
     assert [race.order for race in result.races] == [("Plain", "framer")]
     assert [row.errors for row in result.standings] == [0, 1]
+
+
+@pytest.mark.parametrize(("mode", "again"), [("on", "on"), ("auto", "auto"), ("off", "auto")])
+def test_a_repeated_race_keeps_a_required_sandbox(mode, again):
+    order = RaceOrder(0, ("random",), RaceSettings(sandbox=mode))
+    assert order.isolated().settings.sandbox == again
 
 
 @pytest.mark.slow

@@ -75,8 +75,12 @@ class RaceOrder:
         )
 
     def isolated(self) -> RaceOrder:
-        """Returns the same race with each agent in its own process, sandboxed if possible."""
-        return replace(self, settings=replace(self.settings, inline=False, sandbox="auto"))
+        """Returns the same race with each agent in its own process, sandboxed if possible.
+
+        If the settings require a sandbox, the race still requires it.
+        """
+        sandbox = "on" if self.settings.sandbox == "on" else "auto"
+        return replace(self, settings=replace(self.settings, inline=False, sandbox=sandbox))
 
     def without_absent(self, drivers: Sequence[str | Driver]) -> list[str | Driver]:
         """Returns the drivers; those that are absent fail when they start.
