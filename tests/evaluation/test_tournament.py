@@ -486,6 +486,7 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
     settings = {**SMALL, "races": 1, "per_race": 2}
     result = run_tournament(["ai", str(agent)], output=folder, **settings)
     (agent / "notes.txt").write_text("new files are nobody's business")
+    (agent / "run.log").write_text("")
     assert resume_tournament(folder, plot=False) == result
     (agent / "helper.py").write_text("chase = None")
     with pytest.raises(
@@ -494,6 +495,23 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
         resume_tournament(folder)
     shutil.rmtree(agent)
     with pytest.raises(ConfigError, match=f"agent 'Plain' is no longer at {agent}"):
+        resume_tournament(folder)
+
+
+@pytest.mark.slow
+def test_an_agent_that_changes_between_two_races_is_reported_only_on_resume(tmp_path):
+    agent, folder = tmp_path / "mine", tmp_path / "cup"
+    shutil.copytree(AGENTS / "plain", agent)
+
+    def change(progress):
+        if progress.done == 1:
+            (agent / "helper.py").write_text("chase = None")
+
+    settings = {**SMALL, "races": 2, "per_race": 2, "jobs": 1, "on_race": change}
+    result = run_tournament(["ai", str(agent)], output=folder, **settings)
+    assert [race.order for race in result.races] == [("ai", "Plain")] * 2
+    assert result.standings[1].errors == 1
+    with pytest.raises(ConfigError, match=r"files of agent 'Plain' have changed"):
         resume_tournament(folder)
 
 
@@ -555,6 +573,24 @@ def test_the_fingerprint_of_an_agent_covers_all_its_files(source):
     names = {file.relative_to(home).as_posix() for file in on_disk if file.is_file()}
     assert set(files) == {name for name in names if "__pycache__" not in name}
     assert fingerprint("heuristic") == {}
+
+
+def test_the_fingerprint_of_an_agent_covers_compiled_and_hidden_files(tmp_path):
+    shutil.copytree(AGENTS / "plain", tmp_path / "mine")
+    for name in ("later.pyc", ".weights", ".data/x", ".git/HEAD", "__pycache__/a.pyc", "a.log"):
+        (tmp_path / "mine" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "mine" / name).write_text("")
+    assert list(fingerprint(str(tmp_path / "mine"))) == [
+        *("mine/helper.py", "mine/later.pyc", "mine/pystk_actor.py"),
+        *("mine/.weights", "mine/.data/x"),
+    ]
+
+
+def test_the_fingerprint_of_an_actor_file_covers_its_folder(tmp_path):
+    """The file's sandbox contains this folder."""
+    shutil.copytree(AGENTS / "plain", tmp_path / "mine")
+    files = fingerprint(str(tmp_path / "mine" / "pystk_actor.py"))
+    assert list(files) == ["helper.py", "pystk_actor.py"]
 
 
 def test_the_fingerprint_of_an_agent_covers_a_bounded_amount_of_data(tmp_path, monkeypatch):
