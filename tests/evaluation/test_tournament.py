@@ -457,6 +457,41 @@ def test_a_race_that_never_ends_is_ended(tmp_path):
         run_tournament(["random", "random@:r"], output=tmp_path / "cup", **settings)
 
 
+SLOW = """
+import time
+
+def get_actor(module_dir, observation_space, action_space):
+    steps = []
+    def actor(state, observation):
+        steps.append(0)
+        if len(steps) % 2 == {turn}:
+            time.sleep(3)
+        return dict.fromkeys(action_space, 0) | {{"acceleration": [0.0], "steer": [0.0]}}
+    return actor
+"""
+
+
+@pytest.mark.slow
+def test_two_slow_agents_void_no_race_and_lose_it(tmp_path):
+    """They take turns, so that the absence of one of them does not let the race finish."""
+    for turn, name in enumerate("ab"):
+        (tmp_path / f"{name}.py").write_text(SLOW.format(turn=turn))
+    settings = {**SMALL, "races": 1, "per_race": 3, "max_steps": 40, "race_timeout": 40.0}
+    agents = ["heuristic", *(str(tmp_path / f"{name}.py") for name in "ab")]
+    result = run_tournament(agents, output=tmp_path / "cup", **settings)
+    assert [race.order[0] for race in result.races] == ["heuristic"]
+    assert [row.reason for row in result.standings if row.label in "ab"] == [
+        "it has used up its time budget of 10 s for decisions"
+    ] * 2
+
+
+@pytest.mark.parametrize(("budget", "expected"), [(None, 10.0), (20.0, 10.0), (5.0, 5.0)])
+def test_a_race_that_was_late_is_repeated_with_a_time_budget(budget, expected):
+    order = RaceOrder(0, ("ai", "random"), RaceSettings(inline=True, time_budget=budget))
+    settings = order.hurried(30.0).settings
+    assert (settings.time_budget, settings.inline) == (expected, False)
+
+
 @pytest.mark.slow
 def test_two_programs_cannot_run_the_same_tournament(tmp_path):
     folder = tmp_path / "cup"
