@@ -335,6 +335,28 @@ def test_landlock_confines_an_agent(bench, monkeypatch):
     sandbox.say_what_is_missing.cache_clear()
 
 
+LISTER = """
+import os
+
+def get_actor(module_dir, observation_space, action_space):
+    raise RuntimeError("|".join(os.listdir({home!r})))
+"""
+
+
+@needs_landlock
+@pytest.mark.parametrize(("file", "can_list"), [("__init__.py", False), ("../spy.py", True)])
+def test_landlock_lets_only_an_agent_that_is_a_single_file_list_its_folder(
+    tmp_path, monkeypatch, file, can_list
+):
+    monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "a test")
+    (tmp_path / "spy").mkdir()
+    path = tmp_path / "spy" / file
+    path.write_text(LISTER.format(home=str(tmp_path)))
+    agent = path.parent if path.name == "__init__.py" else path
+    message = race(f"{agent.resolve()}@:spy").agents[0].errors[0].message
+    assert message.startswith("RuntimeError: spy" if can_list else "PermissionError"), message
+
+
 NESTS = """
 def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):

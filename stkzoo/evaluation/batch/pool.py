@@ -105,11 +105,12 @@ class _Worker:
         """Runs a race. If its process ends, repeats the race to find the agents that ended it.
 
         The first repetition isolates each agent as far as possible. After a timeout, it also has a
-        time budget, and counts if it ends in time. If some agents may have ended the process, the race is then repeated without some
-        of them. Agents whose absence lets the race finish count as failed. Without this rule, an
-        agent could void a race that it is about to lose. If the race finishes with isolated
-        agents, and also in the absence of any one of several agents, an agent may have tried to
-        put the blame on another. In this case, the race with isolated agents counts.
+        time budget, and counts if it ends in time. If some agents may have ended the process, the
+        race is then repeated without some of them. Agents whose absence lets the race finish count
+        as failed. Without this rule, an agent could void a race that it is about to lose. If the
+        race finishes with isolated agents, and also in the absence of any one of several agents, an
+        agent may have tried to put the blame on another. In this case, the race with isolated
+        agents counts.
         """
         outcome, is_over = self._run_once(order)
         if is_over or self._is_closed:  # close() ended the process, not an agent
