@@ -127,7 +127,8 @@ class GymAgentAdapter(
         """Converts the agents' actions, steps the environment and wraps the results.
 
         Raises:
-            ActionError: an action is invalid; neither the environment nor a wrapper has changed.
+            ActionError: an action is missing or invalid; the environment has not changed. Nor have
+                the wrappers if an action is invalid.
         """
         require_actions(actions, self._present, optional=self._present)
         checked = self._walker.read_actions(actions, self._present)

@@ -40,9 +40,19 @@ class ClonableEnv(EzPickle):
     """An environment that can continue from the state of another environment of its class."""
 
     if TYPE_CHECKING:
+        options: RaceOptions
 
         def close(self) -> None:
             """Stops the game process."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns the arguments and the options of the next race."""
+        return {**super().__getstate__(), "options": self.options}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Makes the environment in place, because its cameras refer to it."""
+        self.__init__(*state["_ezpickle_args"], **state["_ezpickle_kwargs"])  # type: ignore[misc]
+        self.options = state["options"]
 
     def follow(self, other: Self) -> None:
         """Continues from the current state of another environment, like a clone of it.
@@ -94,7 +104,6 @@ class BranchingRace(ClonableEnv):
     """
 
     # RaceParallelEnv sets these.
-    options: RaceOptions
     possible_agents: list[str]
     _assets: Assets
     _session: Session
@@ -278,7 +287,7 @@ class BranchingRace(ClonableEnv):
     ) -> tuple[list[str], Episode]:
         """Returns the agents and the episode of a reset from a scenario or its file."""
         scenario = self._checked_scenario(scenario, options)
-        drivers = self._drivers_in(scenario)
+        drivers = self._drivers_in(scenario, self.np_random)
         self._end_race()  # in case the start fails
         begun = scenario.reach(self._session)
         specs = [] if self._opponents is None else self._opponents.specs(drivers)
@@ -328,12 +337,12 @@ class BranchingRace(ClonableEnv):
             )
         return scenario
 
-    def _drivers_in(self, scenario: Scenario) -> tuple[Driver, ...]:
-        """Returns the drivers of a scenario's opponents, which start at its moment."""
+    def _drivers_in(self, scenario: Scenario, random: np.random.Generator) -> tuple[Driver, ...]:
+        """Draws the drivers of a scenario's opponents, which start at its moment."""
         if self._opponents is None:
             return ()
         bots = [scenario.setup.karts[kart].is_bot for kart in scenario.opponents]
-        drivers, _ = self._opponents.draw(self.np_random, scenario.setup.difficulty, bots)
+        drivers, _ = self._opponents.draw(random, scenario.setup.difficulty, bots)
         if bots != [driver.is_game_ai for driver in drivers]:
             raise ConfigError(
                 f"the scenario has {len(bots)} opponents, {sum(bots)} of them driven by the game; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -20,11 +20,12 @@ from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.branching import ClonableEnv
 from stkzoo.env.keyboard import keys_to_action
+from stkzoo.env.options import RaceOptions
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
-from stkzoo.errors import ActionError, ApiOrderError, ConfigError, unknown_name
+from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
@@ -48,10 +49,10 @@ class _RaceOption:
         self._name = name
 
     def __get__(self, instance: Any, owner: type | None = None) -> Any:
-        return self if instance is None else getattr(instance.core.options, self._name)
+        return self if instance is None else getattr(instance.options, self._name)
 
     def __set__(self, instance: Any, value: object) -> None:
-        instance.core.options = replace(instance.core.options, **{self._name: value})
+        instance.options = replace(instance.options, **{self._name: value})
 
 
 class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
@@ -116,9 +117,18 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         return list(assets.tracks)
 
     @property
+    def options(self) -> RaceOptions:
+        """Options of the next race."""
+        return self.core.options
+
+    @options.setter
+    def options(self, value: RaceOptions) -> None:
+        self.core.options = value
+
+    @property
     def num_kart(self) -> int:
         """Number of karts in the race."""
-        return self.core.options.num_kart
+        return self.options.num_kart
 
     @property
     def current_track(self) -> str | None:
@@ -190,11 +200,12 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         return None
 
     def _recall(self, front: Any) -> None:
-        """Restores a state from :meth:`_front`; ``None`` derives it from the core."""
+        """Restores a state from :meth:`_front`; that of another class is derived from the core."""
 
     def _reset_core(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Any, Any]:
         """Resets the core with this environment's random generator, which Gymnasium seeds."""
         with self.core._turn.of("reset"):
+            seed = None if seed is None else check_whole("seed", seed, 0)
             gym.Env.reset(self, seed=seed)
             self.core.np_random = self.np_random
             return self.core._reset(seed, options)
@@ -304,6 +315,15 @@ def split_keywords(
     return (find_view((own, options)) if options else view), rest
 
 
+@dataclass(frozen=True, slots=True)
+class _Front:
+    """State of :class:`STKRaceMultiEnv` beside its core: ends and infos by agent."""
+
+    terminated: Mapping[str, bool]
+    truncated: Mapping[str, bool]
+    infos: Mapping[str, dict[str, Any]]
+
+
 class STKRaceMultiEnv(GymnasiumRaceEnv):
     """A race with several agents, named ``"0"`` to ``"n-1"``, in the ``full`` view.
 
@@ -397,15 +417,16 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         )
 
     def _front(self) -> Any:
-        return dict(self._terminated), dict(self._truncated), dict(self._infos)
+        return _Front(dict(self._terminated), dict(self._truncated), dict(self._infos))
 
     def _recall(self, front: Any) -> None:
         agents = self.core.possible_agents
         self._terminated = {agent: agent not in self.core.agents for agent in agents}
         self._truncated = dict.fromkeys(agents, False)
         self._infos = self.core.infos(agents)
-        if front is not None:
-            self._terminated, self._truncated, self._infos = map(dict, front)
+        if isinstance(front, _Front):
+            self._terminated, self._truncated = dict(front.terminated), dict(front.truncated)
+            self._infos = dict(front.infos)
 
     def _by_key(self, error: ActionError) -> ActionError:
         """Returns the error with the core's agent names replaced by this environment's keys."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -114,7 +115,7 @@ class RaceOpponents:
     ) -> None:
         self._choice, self._view = choice, view
         self._ids = tuple(f"kart_{num_agents + number}" for number in range(count))
-        self._known_chains: dict[tuple[tuple[str, ViewFactory], ...], AgentChains] = {}
+        self._known_chains: deque[tuple[dict[str, ViewFactory], AgentChains]] = deque(maxlen=16)
         self._opponents: dict[str, Opponent] = {}  # without failed ones
         self._present: tuple[str, ...] = ()  # have not finished
         self._observations: dict[str, Any] | None = {}  # None after a step
@@ -251,16 +252,18 @@ class RaceOpponents:
 
     def _chains_of(self, opponents: Iterable[Opponent]) -> AgentChains:
         views = {own.agent: own.view for own in opponents}
-        key = tuple(views.items())
-        if key not in self._known_chains:
-            self._known_chains[key] = AgentChains(
-                {agent: base_space(view) for agent, view in views.items()},
-                {agent: kart_action_space() for agent in views},
-                views,
-                ignored=(),
-                columns=CONTROLS,
-            )
-        return self._known_chains[key]
+        for known, chains in self._known_chains:
+            if known == views:
+                return chains
+        chains = AgentChains(
+            {agent: base_space(view) for agent, view in views.items()},
+            {agent: kart_action_space() for agent in views},
+            views,
+            ignored=(),
+            columns=CONTROLS,
+        )
+        self._known_chains.append((views, chains))
+        return chains
 
     def attempt(self, opponent: Opponent, call: Callable[[], Any]) -> Any:
         """Calls a driver; if the call fails, removes the driver and returns ``None``."""

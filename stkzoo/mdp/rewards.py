@@ -84,8 +84,8 @@ def advance(step: Transition) -> FloatArray:
 def place(step: Transition) -> FloatArray:
     """Returns the change of 20 (K - position)/(K - 1) times the fraction of the race driven.
 
-    The term is potential-based: over an episode it sums to 20 for the winner and 0 for the last
-    kart, wherever the karts started. Early in the race a place counts little, because the driven
+    The term is potential-based: over a whole race it sums to 20 for the winner and 0 for the last
+    kart, from every place on the grid. Early in the race a place counts little, because the driven
     fraction is small.
     """
 
@@ -193,9 +193,9 @@ class Reward:
         return Reward(terms, weights)
 
 
-#: The built-in rewards. ``race`` is the default: driving better earns more. A kart that finishes a
-#: race of L meters in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1) + 10 - 0.02 N; a
-#: kart that stands still earns -0.02 N.
+#: The built-in rewards. ``race`` is the default: driving better earns more. A kart that drives a
+#: whole race of L meters and finishes in place p of K after N steps earns L/10 + 20 (K - p)/(K - 1)
+#: + 10 - 0.02 N; a kart that stands still earns -0.02 N.
 #: ``reference`` is the formula of pystk2-gymnasium, which also rewards a kart that stands still.
 #: ``placement`` has a return in [0, 2], which is higher for a better place.
 REWARDS: Mapping[str, Reward] = {

@@ -159,6 +159,15 @@ def test_a_seed_reaches_the_wrappers_of_a_view():
             assert [env.reset(seed=seed)[0].tolist() for seed in (3, None)] == expected
 
 
+def test_seeds_of_an_id_are_checked_as_those_of_the_race():
+    with STKRaceEnv(**OPTIONS) as env:
+        for seed in (-1, 1.5):
+            with pytest.raises(ConfigError, match=f"seed is {seed}"):
+                env.reset(seed=seed)
+        env.reset(seed=np.int64(3))
+        assert env.np_random_seed == 3
+
+
 def test_the_random_generator_of_an_id_is_the_one_of_its_race():
     with gym.make(SINGLE_IDS[0], **OPTIONS) as env:
         for seed in (3, None):

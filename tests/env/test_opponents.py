@@ -204,6 +204,31 @@ def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
         assert made[-1].count == 7
 
 
+class _NoHash:
+    """A view that cannot be a key of a dict."""
+
+    __hash__ = None
+
+    def __call__(self, env):
+        return VIEWS["racing"](env)
+
+
+def test_a_view_of_an_opponent_needs_no_hash():
+    with against([Driver.of_policy(lambda _: CHOICES, view=_NoHash())]) as env:
+        for _ in range(2):
+            env.reset(seed=1)
+            drive(env, 3)
+            assert len(env._opponents.ask(env._episode)) == 1
+
+
+def test_views_of_few_groups_of_opponents_are_kept():
+    pool = OpponentPool({"pursuit": 1, "ai": 1})
+    with race_v0.parallel_env(**RACE, num_kart=7, opponents=pool) as env:
+        for seed in range(20):
+            env.reset(seed=seed)
+        assert len(env._opponents._known_chains) == 16
+
+
 def test_policies_of_opponents_get_no_images():
     with (
         against([forward], view="camera") as env,
@@ -297,6 +322,15 @@ def test_a_scenario_draws_opponents_of_the_same_kinds_from_a_pool():
             for first, scenario in kinds.items():
                 env.reset(seed=seed, options={"scenario": scenario})
                 assert env.race.opponents == (first, "ai")
+
+
+def test_a_vector_refuses_a_scenario_with_other_opponents_before_its_race():
+    with against(["ai"]) as env:
+        env.reset(seed=1)
+        scenario = env.scenario()
+    envs = RaceVectorEnv(1, **RACE, num_kart=2, opponents=["pursuit"])
+    with closing(envs), pytest.raises(ConfigError, match="different ones"):
+        envs.set_options({"scenario": scenario})
 
 
 def test_the_race_of_a_scenario_names_the_opponents_that_drive_now():

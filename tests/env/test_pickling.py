@@ -14,6 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 import stkzoo
 from stkzoo import race_v0
 from stkzoo.checks.play import fingerprint
+from stkzoo.views import VIEWS
 from stkzoo.wrappers import (
     CameraObservations,
     ConstantSizedObservations,
@@ -26,11 +27,11 @@ from stkzoo.wrappers import (
 )
 
 RACE = {"track": "lighthouse", "num_kart": 2}
-VIEWS = (
+NAMES = (
     *("full", "simple", "flattened", "flattened_continuous_actions"),
     *("flattened_multidiscrete", "flattened_discrete"),
 )
-IDS = [f"supertuxkart/{name}-v0" for name in (*VIEWS, "multi-full")]
+IDS = [f"supertuxkart/{name}-v0" for name in (*NAMES, "multi-full")]
 COPIES = {
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),
     "cloudpickle": lambda env: cloudpickle.loads(cloudpickle.dumps(env)),
@@ -164,6 +165,10 @@ def test_the_multi_agent_adapter_is_copied_with_its_wrappers(library):
         assert race(again) == race(env)
 
 
+def small_camera(view, env):
+    return CameraObservations(view(env), size=(32, 32), backend="map")
+
+
 def parallel_race(env, steps=15):
     observations, infos = env.reset(seed=5)
     prints = [fingerprint([observations, infos])]
@@ -183,6 +188,24 @@ def test_the_parallel_environment_is_copied(library, moment):
         if moment == "amid":
             env.reset(seed=1)
         assert parallel_race(COPIES[library](env)) == parallel_race(env)
+
+
+def test_a_copy_of_the_parallel_environment_has_its_own_cameras():
+    view = functools.partial(small_camera, VIEWS["flattened_discrete"])
+    for copied in (copy.deepcopy, COPIES["cloudpickle"]):
+        with race_v0.parallel_env(**RACE, view=view) as env:
+            again = copied(env)
+        assert parallel_race(again) == parallel_race(env)
+
+
+def test_a_copy_has_the_options_of_the_next_race():
+    env = gym.make(IDS[0], **RACE).unwrapped
+    env.laps, env.default_track = 2, "hacienda"
+    core = race_v0.parallel_env(**RACE)
+    core.max_cycles = 7
+    for copied in COPIES.values():
+        assert (copied(env).laps, copied(env).default_track) == (2, "hacienda")
+        assert copied(core).max_cycles == 7
 
 
 @pytest.mark.parametrize("library", COPIES)
@@ -223,6 +246,4 @@ def test_a_registered_user_view_is_copied_and_rebuilt():
             assert race(pickle.loads(pickle.dumps(env))) == expected
             assert race(gym.make(EnvSpec.from_json(env.spec.to_json()))) == expected
     finally:
-        from stkzoo.views import VIEWS as KNOWN
-
-        del KNOWN["pickled_polar"], gym.registry["supertuxkart/pickled_polar-v0"]
+        del VIEWS["pickled_polar"], gym.registry["supertuxkart/pickled_polar-v0"]

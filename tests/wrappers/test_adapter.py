@@ -557,6 +557,17 @@ def test_a_state_includes_the_memory_of_the_wrappers(two_karts, is_nested):
         assert first[1] == 6
 
 
+def test_a_state_of_the_adapter_is_restored_without_the_wrappers(two_karts):
+    env = MonoAgentWrapperAdapter(two_karts, {})
+    env.reset(seed=1)
+    with STKRaceMultiEnv(num_kart=2) as other, env.save_state() as state:
+        other.restore_state(state)
+        _, _, terminated, truncated, info = other.step(other.action_space.sample())
+        assert not terminated
+        assert not truncated
+        assert info["done"] == {"0": False, "1": False}
+
+
 def test_a_state_of_other_wrappers_is_refused(two_karts):
     env = MonoAgentWrapperAdapter(two_karts, {"kart_0": statistics_of_six})
     env.reset(seed=1)

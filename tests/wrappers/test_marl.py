@@ -1,6 +1,7 @@
 """Teams, masks, messages and partial observations, on real races."""
 
 import math
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -368,7 +369,7 @@ def test_an_invalid_message_is_refused_before_the_race_advances():
         assert inner.snapshot.karts.tobytes() == before
 
 
-@pytest.mark.parametrize("message", ["abc", [1, [2]], {"a": 1}, 1j, None, [0.5]])
+@pytest.mark.parametrize("message", ["abc", [1, [2]], {"a": 1}, 1j, None, [0.5], [10**400, 0]])
 def test_a_message_that_is_no_vector_is_refused(message):
     with race(num_kart=2, view="flattened_discrete") as inner:
         env = MessageChannel(inner, size=2)
@@ -417,6 +418,25 @@ def test_teams_and_messages_work_in_the_aec_api():
             aec.step(None if over else {"action": 484, "message": steps % 3})
             steps += 1
         assert steps == 2 * 21
+
+
+def talking_teams():
+    return MessageChannel(Teams(race(view="flattened_discrete"), teams=TEAMS, share=0.5), size=1)
+
+
+def test_a_clone_has_the_teams_and_messages():
+    env = talking_teams()
+    env.reset(seed=1)
+    actions = {agent: {"action": 484, "message": [0.5]} for agent in env.agents}
+    env.step(actions)
+    with closing(env), env.lookahead() as branch, closing(env.clone()) as follower:
+        ahead = branch.step(actions)
+        follower.follow(branch)
+        (behind, far), near = (each.step(actions) for each in (branch, follower)), env.step(actions)
+        for one, other in ((ahead, near), (behind, far)):
+            for part, same in zip(one, other, strict=True):
+                np.testing.assert_equal(part, same)
+        assert "reward/team" in ahead[-1]["kart_0"]
 
 
 def test_teams_do_not_change_the_race():

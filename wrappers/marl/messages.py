@@ -16,13 +16,14 @@ from pettingzoo.utils import BaseParallelWrapper
 from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
 from stkzoo.views.walker import StepParts
+from stkzoo.wrappers.marl.cloning import ClonableWrapper
 from stkzoo.wrappers.marl.teams import Teams
 
 #: One message, ``(size,)``.
 Message = npt.NDArray[np.float32]
 
 
-class MessageChannel(BaseParallelWrapper[str, Any, Any]):
+class MessageChannel(ClonableWrapper):
     """Lets each agent send one message per step, which others receive one step later.
 
     Actions become dicts of ``action``, the original action, and ``message``. Observations become
@@ -119,7 +120,7 @@ class MessageChannel(BaseParallelWrapper[str, Any, Any]):
         if self.words is None:
             try:
                 message = np.array(message, np.float32)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError, RuntimeError):  # of torch, too
                 is_readable = False
         if not is_readable or not self._message_space.contains(message):
             raise ActionError(

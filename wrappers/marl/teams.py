@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
-from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.errors import ConfigError, check_number
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
 from stkzoo.views.walker import StepParts
+from stkzoo.wrappers.marl.cloning import ClonableWrapper
 
 #: Observed features of a teammate: position [m] and velocity [m/s] in the observing kart's frame
 #: (x right, y up, z forward), its lead over the observing kart along the race [m], rank, nitro,
@@ -33,7 +33,7 @@ MATE_FEATURES = (
 _SIZE = sum(size for _, size in MATE_FEATURES)
 
 
-class Teams(BaseParallelWrapper[str, Any, Any]):
+class Teams(ClonableWrapper):
     """Groups the agents of a race into teams.
 
     An agent's reward becomes ``(1 - share)`` times its own reward plus ``share`` times the mean

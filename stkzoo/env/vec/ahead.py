@@ -55,7 +55,8 @@ class AheadRace(RaceParallelEnv):
         """
         self._options_now(options).tracks(self._assets.tracks)
         if options.get("scenario") is not None:
-            self._checked_scenario(options["scenario"], options)
+            scenario = self._checked_scenario(options["scenario"], options)
+            self._drivers_in(scenario, copy.deepcopy(self.np_random))
         elif options.get("state") is not None:
             self._checked_first_state(options["state"], options)
         elif self._opponents is not None:
