@@ -167,8 +167,8 @@ def _drive(
     finished = sum(finish.ratio is not None for finish in finishes)
     ratios = _ratios(finishes) or (_UNFINISHED,)  # perhaps no race has finished
     by_kart = np.argsort(np.concatenate(slots), kind="stable")  # held-out blocks are of one kart
-    examples = (np.concatenate(rows)[by_kart] for rows in (seen, answers))
-    return Lesson(*examples, ratios, finished)
+    inputs, labels = (np.concatenate(rows)[by_kart] for rows in (seen, answers))
+    return Lesson(inputs, labels, ratios, finished)
 
 
 def _alone(arguments: DistillationArguments, student: MlpDriver) -> dict[str, float]:
