@@ -55,8 +55,8 @@ typedef struct {
     Doubles out_items, out_rivals;
 } Survey;
 
+/* The smaller and the larger of two numbers; y if one of them is NaN. */
 FORCE_INLINE float least_of(float x, float y) { return x < y ? x : y; }
-
 FORCE_INLINE float most_of(float x, float y) { return x > y ? x : y; }
 
 /* Returns the number of marks within a distance, clamped to `least` and `most`. Clamps before the
@@ -523,7 +523,7 @@ static void put_prior(const Presentation *p, npy_intp kart)
     };
     float *out = p->prior.data + (MANEUVERS + OFFSETS + 4) * kart;
     for (int i = 0; i < MANEUVERS; i++) {
-        *out++ = most_of((float)rules[WORTH_SCALE] * (worth[i] - worth[best]), (float)rules[NEVER]);
+        *out++ = most_of((float)rules[NEVER], (float)rules[WORTH_SCALE] * (worth[i] - worth[best]));
     }
     for (int i = 0; i < OFFSETS; i++) *out++ = p->offset_logits.data[i];
     for (int button = 0; button < 2; button++) {
@@ -542,9 +542,9 @@ static void put_inputs(const Presentation *p, npy_intp kart)
     for (int i = 0; i < MANEUVERS; i++) {
         const float behind = worth[i] - most;
         *out++ = behind > hopeless;
-        *out++ = most_of(behind / 10.0f, -2.0f);
+        *out++ = most_of(-2.0f, behind / 10.0f);
         *out++ = worth[all + i];
-        *out++ = least_of(worth[2 * all + i] / 10.0f, 2.0f);
+        *out++ = least_of(2.0f, worth[2 * all + i] / 10.0f);
     }
     *out++ = scene[ANGLE], *out++ = scene[OFFSET] / 10.0f, *out++ = scene[STRAIGHTNESS];
     const double *rival = p->rivals.data + 5 * p->num_rivals * kart;
