@@ -45,6 +45,8 @@ _Reader = Callable[[Any], Any]
 
 #: Limit of whole numbers. Larger ones do not fit into arrays.
 _MAX_WHOLE = 2**63
+#: Letters that :func:`plain_text` replaces.
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 #: Maximum nesting depth of a value without a type.
 _MAX_DEPTH = 16
 
@@ -125,13 +127,12 @@ Share = Annotated[float, Within(0, 1)]
 
 
 def plain_text(text: str) -> str:
-    """Returns a text in which ``?`` replaces control codes, which could affect a terminal.
+    """Returns a text in which ``?`` replaces codes that could affect a terminal.
 
-    Line feeds and tabs are kept.
+    These are control codes except line feeds and tabs, line and paragraph separators, codes that
+    change the direction of text, and bytes that are not UTF-8.
     """
-    if text.isprintable():
-        return text
-    return "".join(letter if letter.isprintable() or letter in "\n\t" else "?" for letter in text)
+    return text if text.isprintable() else _CONTROL.sub("?", text)
 
 
 def typed(hint: type[T], value: Any) -> T:

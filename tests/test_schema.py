@@ -87,7 +87,12 @@ def test_a_missing_field_is_named():
 
 
 def test_control_codes_are_removed_from_text():
-    assert typed(Cart, {"place": 1, "notes": ["a\x1b[2Jb\n"]}).notes == ["a?[2Jb\n"]
+    assert typed(list[str], ["a\x1b[2Jb\n", "\u202ecba\udcff"]) == ["a?[2Jb\n", "?cba?"]
+
+
+def test_joiners_and_special_spaces_in_text_are_kept():
+    text = "\u0639\u0644\u06cc\u200c\u0631\u0636\u0627 \u00a0\u00ad\U0001f469\u200d\U0001f680"
+    assert typed(str, text) == text
 
 
 def test_the_error_of_a_class_names_its_position():

@@ -16,6 +16,7 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePath, PurePosixPath
 
 from stkzoo._reading import Unreadable, is_there, open_zip
+from stkzoo._schema import plain_text
 from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.errors import ConfigError
 
@@ -184,6 +185,11 @@ def find_files(source: str) -> AgentFiles | None:
     path = _path_of(source)
     if is_there(path):
         path = path.resolve()
+        shown = plain_text(str(path))
+        if shown != str(path):
+            raise ConfigError(
+                f"the path {shown!r} of an agent has control codes or is not UTF-8; rename it"
+            )
         if path.is_dir():
             _place_in(path, source)
         elif is_zip(path):

@@ -74,7 +74,7 @@ class InlineInstance:
         agent = self._request.agent
         if not self._is_ready:
             raise AgentError(f"{agent} received an observation before it was ready", agent)
-        receive_pending()  # so that this driver's time does not count for the other drivers
+        receive_pending()  # so that the other drivers pay until now, and not for this driver's time
         begin, clipped = time.perf_counter(), self._chain.num_clipped
         limit = self._request.clock.limit(self._request.limits.action_timeout)
         try:

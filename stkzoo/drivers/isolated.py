@@ -24,7 +24,7 @@ from stkzoo.drivers import keeper
 from stkzoo.drivers.failures import OutputTail, reported_error
 from stkzoo.drivers.files import AgentFiles
 from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
-from stkzoo.drivers.replies import ReplyChannel
+from stkzoo.drivers.replies import MAX_NAME, ReplyChannel
 from stkzoo.drivers.sandbox import Enclosure, enclose
 from stkzoo.engine.process import ONE_THREAD, describe_end
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, shortened
@@ -118,7 +118,7 @@ class IsolatedInstance:
                 "number of track segments that it uses"
             )
         self.paths_used = paths
-        return name[:100]
+        return name[:MAX_NAME]
 
     def ask(self, observation: Any) -> None:
         """Sends the observation."""

@@ -26,6 +26,8 @@ _INTERVAL = 100
 #: Maximum number of processes of one agent.
 _MAX_PROCESSES = 128
 _MAX_CHILDREN_TEXT = 2048
+#: Maximum number of open files of all processes of one agent together; a check of them takes 40 ms.
+_MAX_FILES = 8192
 #: Timeout of one wait for the measurement of shared memory [s], and number of waits.
 _MEASURE_TIMEOUT, _MEASURE_TRIES = 0.05, 10
 _PR_SET_PDEATHSIG, _PR_SET_DUMPABLE, _PR_SET_CHILD_SUBREAPER = 1, 4, 36
@@ -38,7 +40,7 @@ def main(race: int, connection: int, memory: int, cores: list[int], command: lis
         race: process id of the race.
         connection: file descriptor of the agent's socket. The keeper closes its own copy.
         memory: memory limit of all processes of the agent together [bytes]; 0 for no limit.
-        cores: processor cores for the agent; empty for all.
+        cores: processor cores for the agent and its keeper; empty for all.
         command: command that starts the agent.
 
     Returns:
@@ -53,7 +55,9 @@ def main(race: int, connection: int, memory: int, cores: list[int], command: lis
     os.set_blocking(wake, False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
-    agent = _start(command, cores)
+    if cores:  # its checks must not slow down the race or other agents
+        os.sched_setaffinity(0, cores)
+    agent = _start(command)
     os.close(connection)
     poller = select.poll()
     for descriptor in (0, woken):
@@ -76,7 +80,7 @@ def main(race: int, connection: int, memory: int, cores: list[int], command: lis
     return 1 if status is None else status if status >= 0 else 128 - status
 
 
-def _start(command: list[str], cores: list[int]) -> int:
+def _start(command: list[str]) -> int:
     keeper = os.getpid()
     agent = os.fork()
     if agent:
@@ -85,8 +89,6 @@ def _start(command: list[str], cores: list[int]) -> int:
     if os.getppid() != keeper:
         os._exit(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    if cores:
-        os.sched_setaffinity(0, cores)
     os.setsid()  # so that an agent's signal to its own process group does not reach the keeper
     with contextlib.suppress(OSError):
         os.execv(command[0], command)  # noqa: S606 - our own command
@@ -121,7 +123,14 @@ def _excess(memory: int) -> str:
     found = _processes()
     if len(found) > _MAX_PROCESSES:
         return f"started more than {_MAX_PROCESSES} processes"
-    if memory and _resident(found) > memory < _in_time(lambda: _shares(found), memory + 1):
+    if not memory:
+        return ""
+    files = [*itertools.islice(_open_files(found), _MAX_FILES + 1)]
+    if len(files) > _MAX_FILES:
+        return f"opened more than {_MAX_FILES} files with all its processes"
+    in_files = _files_in_memory(files)
+    resident = _resident(found, in_files)
+    if resident > memory < _in_time(lambda: _shares(found, in_files), memory + 1):
         return f"used more than {memory >> 20} MB with all its processes"
     return ""
 
@@ -150,35 +159,45 @@ def _in_time(measure: Callable[[], int], otherwise: int) -> int:
     return measured[0] if measured else otherwise
 
 
-def _resident(processes: Sequence[int]) -> int:
-    """Returns the memory of processes [bytes]; counts shared memory once per process."""
+def _resident(processes: Sequence[int], in_files: int) -> int:
+    """Returns the memory of processes [bytes]; counts shared memory once per process.
+
+    Args:
+        processes: process ids.
+        in_files: memory of open anonymous files [bytes].
+    """
     own = sum(memory_of(process, "status", _OWN) for process in processes)
     shared = sum(memory_of(process, "status", ("RssShmem:",)) for process in processes)
-    return own + max(shared, _files_in_memory(processes))
+    return own + max(shared, in_files)
 
 
-def _shares(processes: Sequence[int]) -> int:
+def _shares(processes: Sequence[int], in_files: int) -> int:
     """Returns the memory of processes [bytes]; counts shared memory once if the system allows."""
     own, shared = (
         sum(memory_of(process, "smaps_rollup", (name,)) for process in processes)
         for name in ("Pss_Anon:", "Pss_Shmem:")
     )
     if not own:
-        return _resident(processes)
+        return _resident(processes, in_files)
     tables = sum(memory_of(process, "status", ("VmPTE:",)) for process in processes)
-    return own + tables + max(shared, _files_in_memory(processes))
+    return own + tables + max(shared, in_files)
 
 
-def _files_in_memory(processes: Sequence[int]) -> int:
+def _open_files(processes: Sequence[int]) -> Iterator[str]:
+    """Yields the path of each file descriptor of processes."""
+    for process in processes:
+        with contextlib.suppress(OSError), os.scandir(f"/proc/{process}/fd") as entries:
+            yield from (entry.path for entry in entries)
+
+
+def _files_in_memory(descriptors: Sequence[str]) -> int:
     """Returns the size of open anonymous files (memfd), which may not be mapped [bytes]."""
     sizes = {}
-    for process in processes:
+    for path in descriptors:
         with contextlib.suppress(OSError):
-            for entry in os.scandir(f"/proc/{process}/fd"):
-                with contextlib.suppress(OSError):
-                    if os.readlink(entry.path).startswith("/memfd:"):
-                        status = os.stat(entry.path)
-                        sizes[status.st_ino] = 512 * status.st_blocks
+            if os.readlink(path).startswith("/memfd:"):
+                status = os.stat(path)
+                sizes[status.st_ino] = 512 * status.st_blocks
     return sum(sizes.values())
 
 

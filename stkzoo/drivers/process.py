@@ -23,7 +23,7 @@ from stkzoo.drivers.failures import error_report
 from stkzoo.drivers.files import AgentPlace
 from stkzoo.drivers.inline import InlineInstance
 from stkzoo.drivers.instances import DriverLimits, DriverRequest
-from stkzoo.drivers.replies import LENGTH, length_in
+from stkzoo.drivers.replies import LENGTH, MAX_NAME, length_in
 from stkzoo.errors import AgentError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.wrappers.marl import WordChannel
@@ -125,7 +125,7 @@ def _start(channel: Channel, order: dict[str, Any]) -> InlineInstance | None:
         channel.send({"error": error_report(error)})
         return None
     _seed_everything(seed)
-    channel.send({"name": name, "paths_used": instance.paths_used})
+    channel.send({"name": name[:MAX_NAME], "paths_used": instance.paths_used})
     return instance
 
 

@@ -1,8 +1,9 @@
 """Receives replies from other processes and machines as they arrive.
 
 The agents of a race decide in parallel, and the race waits for their replies one after another.
-While it waits for one agent, it also receives the replies of the others. The time measured from an
-agent's observation to its reply is therefore independent of the other agents.
+While it waits for one agent, it also receives the replies of the others. A reply that arrives while
+the race is busy counts from the last time at which the race looked for replies. An agent therefore
+never pays for other agents or for the race's own work.
 """
 
 from __future__ import annotations
@@ -22,6 +23,11 @@ from stkzoo.errors import ProtocolError
 
 #: Header of a message: its length [bytes].
 LENGTH = struct.Struct("<I")
+#: Limits of an agent's reply, which contains an action in the game's form or a report of an error.
+#: Decoding it takes about 1 ms at most.
+REPLY_LIMITS = codec.Limits(max_bytes=64 << 10, max_length=1000, max_elements=1000)
+#: Maximum length of an agent's name in a reply [characters].
+MAX_NAME = 100
 _BLOCK = 65536
 #: Interval of the checks during a wait [s].
 _CHECK_INTERVAL = 0.1
@@ -40,11 +46,16 @@ class Receiver(Protocol):
 
 
 class PendingReplies(threading.local):
-    """Receivers of one thread that wait for a reply, and checks to run while it waits."""
+    """Receivers of one thread that wait for a reply, and checks to run while it waits.
+
+    Attributes:
+        looked: when the thread last looked for replies (:func:`time.monotonic`).
+    """
 
     def __init__(self) -> None:
         self.receivers: set[Receiver] = set()
         self.checks: set[Callable[[], None]] = set()
+        self.looked = -math.inf
 
 
 _pending = PendingReplies()
@@ -79,9 +90,24 @@ def run_checks(seconds: float) -> int | None:
 
 
 def receive_pending() -> None:
-    """Receives the data that has arrived for this thread, which records its arrival time."""
+    """Receives the data that has arrived for this thread since it last looked."""
+    now = time.monotonic()
     for receiver in [*_pending.receivers]:
         receiver.receive_available()
+    _pending.looked = now
+
+
+def end_wait() -> None:
+    """Records that this thread has waited until now, so that replies have just arrived."""
+    _pending.looked = time.monotonic()
+
+
+def arrival_time() -> float:
+    """Returns when a reply arrived, at the earliest, if this thread receives it now.
+
+    This is when the thread last looked for replies, in the time of :func:`time.monotonic`.
+    """
+    return _pending.looked
 
 
 class ReplyChannel:
@@ -130,6 +156,7 @@ class ReplyChannel:
             except BlockingIOError:  # noqa: PERF203 - it is rare
                 self._wait(select.POLLOUT)
         self._pending.add(self)
+        receive_pending()
 
     def receive(self) -> Any:
         """Waits for the reply.
@@ -141,14 +168,14 @@ class ReplyChannel:
         """
         if self._missing and self._problem is None:
             self._pending.add(self)
-            self.receive_available()
+            receive_pending()
         while self in self._pending:
             self._wait(select.POLLIN)
         if self._problem is not None:
             raise self._problem
         data = bytes(memoryview(self._buffer)[LENGTH.size :])
         self._buffer, self._missing = bytearray(), LENGTH.size
-        return codec.decode(data)
+        return codec.decode(data, REPLY_LIMITS)
 
     def fileno(self) -> int:
         """Returns the socket's file descriptor."""
@@ -163,7 +190,7 @@ class ReplyChannel:
             return
         except (EOFError, OSError, ProtocolError) as problem:
             self._problem = problem
-        self._arrived = time.monotonic()
+        self._arrived = max(arrival_time(), self._sent)
         self._pending.discard(self)
 
     def _receive_part(self) -> None:
@@ -173,7 +200,7 @@ class ReplyChannel:
         self._buffer += block
         self._missing -= len(block)
         if len(self._buffer) == LENGTH.size:
-            self._missing = length_in(self._buffer)
+            self._missing = length_in(self._buffer, REPLY_LIMITS)
 
     def _check_for_early_reply(self) -> None:
         """Rejects a reply that was sent before its request, since its time cannot be measured."""
@@ -207,20 +234,20 @@ class ReplyChannel:
             poll.register(descriptor, select.POLLIN)
         if event != select.POLLIN:
             poll.register(self._connection, event)
-        for descriptor, _ in poll.poll(milliseconds):
+        ready = poll.poll(milliseconds)
+        end_wait()
+        for descriptor, _ in ready:
             if descriptor in waiting:
                 waiting[descriptor].receive_available()
 
 
-def length_in(header: bytes | bytearray) -> int:
+def length_in(header: bytes | bytearray, limits: codec.Limits = codec.LIMITS) -> int:
     """Returns the length of the message after a header [bytes].
 
     Raises:
         ProtocolError: the message is too long.
     """
     (length,) = LENGTH.unpack(header)
-    if length > codec.LIMITS.max_bytes:
-        raise ProtocolError(
-            f"a message of {length} bytes, expected at most {codec.LIMITS.max_bytes}"
-        )
+    if length > limits.max_bytes:
+        raise ProtocolError(f"a message of {length} bytes, expected at most {limits.max_bytes}")
     return int(length)

@@ -1,6 +1,7 @@
 """Agents from folders, zips, files and modules (D20, D29), and malicious zips."""
 
 import importlib
+import os
 import shutil
 import stat
 import struct
@@ -378,6 +379,14 @@ def test_a_zip_with_a_long_directory_is_refused_with_little_memory(tmp_path):
 def test_an_invalid_path_is_refused(source):
     with pytest.raises(ConfigError):
         find_driver(source)
+
+
+@pytest.mark.parametrize("name", [b"caf\xe9", b"a\x1b[2J"])
+def test_a_path_that_cannot_be_shown_is_refused(name, tmp_path):
+    folder = tmp_path / os.fsdecode(name)
+    shutil.copytree(AGENTS / "plain", folder)
+    with pytest.raises(ConfigError, match=r"\?.* has control codes or is not UTF-8; rename it"):
+        find_driver(str(folder))
 
 
 def test_a_zip_that_lies_about_its_size_is_refused(tmp_path, monkeypatch):

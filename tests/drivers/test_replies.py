@@ -9,7 +9,9 @@ import time
 import jsonschema
 import pytest
 
-from stkzoo.drivers.replies import ReplyChannel
+from stkzoo.drivers.codec import encode
+from stkzoo.drivers.driver import find_driver
+from stkzoo.drivers.replies import LENGTH, ReplyChannel
 from stkzoo.errors import ProtocolError
 from stkzoo.race import run_race
 from tests.support.paths import AGENTS, ROOT
@@ -47,6 +49,13 @@ def test_a_slow_agent_does_not_use_up_another_agents_time():
     assert min(found["slow"].mean, found["trickles"].mean) > 0.25
 
 
+@pytest.mark.slow
+def test_a_slow_inline_driver_does_not_use_up_another_agents_time():
+    """The race computes its action first."""
+    found = times(race(find_driver(hostile("slow"), inline=True), PLAIN))
+    assert found["Plain"].mean < 0.15
+
+
 @pytest.fixture
 def channel():
     """Yields a channel and the other end of its socket."""
@@ -55,6 +64,48 @@ def channel():
         channel = ReplyChannel(ours)
         yield channel, theirs
         channel.close()
+
+
+def send_reply(theirs, reply):
+    data = encode(reply)
+    theirs.sendall(LENGTH.pack(len(data)) + data)
+
+
+def test_an_agent_does_not_pay_for_the_time_in_which_the_race_is_busy(channel):
+    """Such as the time to decode another agent's reply, or to end another agent."""
+    ours, theirs = channel
+    ours.send("now")
+    send_reply(theirs, 7)
+    time.sleep(0.5)
+    assert ours.receive() == 7
+    assert ours.seconds < 0.4
+
+
+def test_an_agent_pays_for_the_time_in_which_the_race_waits_for_it(channel):
+    ours, theirs = channel
+    ours.send("now")
+    replier = threading.Timer(0.2, send_reply, (theirs, 7))
+    replier.start()
+    assert ours.receive() == 7
+    assert ours.seconds > 0.15
+    replier.join()
+
+
+@pytest.mark.parametrize(
+    ("reply", "text"),
+    [
+        ([0] * 1001, "too many elements"),
+        ([[0] * 500] * 2, "too many elements"),
+        (bytes(65536), "bytes, expected at most 65536"),
+    ],
+    ids=["one list", "two lists", "bytes"],
+)
+def test_a_reply_that_is_slow_to_decode_is_refused(channel, reply, text):
+    ours, theirs = channel
+    ours.send("now")
+    send_reply(theirs, reply)
+    with pytest.raises(ProtocolError, match=text):
+        ours.receive()
 
 
 def test_a_reply_sent_before_its_request_is_refused(channel):

@@ -494,9 +494,10 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
 def test_a_tournament_that_was_moved_with_its_agents_resumes(tmp_path):
     course = tmp_path / "course"
     course.mkdir()
-    for name in ("mine", "yours"):
+    names = ("ali\u200creza\u00a0k", "yours")  # with a joiner and a space that are not printable
+    for name in names:
         shutil.copytree(AGENTS / "plain", course / "students" / name)
-    agents = [str(course / "students" / name) for name in ("mine", "yours")]
+    agents = [str(course / "students" / name) for name in names]
     options = {**SMALL, "per_race": 2}
     whole = run_tournament(agents, output=course / "cup", **options)
     (course / "cup" / "races" / "00001.json").unlink()
@@ -504,11 +505,11 @@ def test_a_tournament_that_was_moved_with_its_agents_resumes(tmp_path):
     resumed = resume_tournament(moved / "cup", plot=False)
     assert resumed.races == whole.races
     assert {entry.source for entry in resumed.plan.entrants} == {
-        str(moved / "students" / name) for name in ("mine", "yours")
+        str(moved / "students" / name) for name in names
     }
     changed = moved.rename(tmp_path / "changed")
-    (changed / "students" / "mine" / "helper.py").write_text("")
-    with pytest.raises(ConfigError, match=f"is no longer at {moved}/students/mine"):
+    (changed / "students" / names[1] / "helper.py").write_text("")
+    with pytest.raises(ConfigError, match=f"is no longer at {moved}/students/yours"):
         resume_tournament(changed / "cup")
 
 

@@ -197,6 +197,9 @@ def zmtp_socket(address, identity=b""):
     host, port = address.removeprefix("tcp://").rsplit(":", 1)
     one = socket.create_connection((host, int(port)), timeout=10)
     one.sendall(zmtp_greeting("DEALER", identity))
+    heard = b""
+    while b"READY" not in heard:  # messages before the end of the handshake are refused
+        heard += one.recv(1 << 16) or b"READY"
     return one
 
 

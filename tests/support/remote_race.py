@@ -86,7 +86,7 @@ class LyingServer:
     """A server that accepts all clients and sends false replies.
 
     Args:
-        lie: returns the frames of a reply from a message's kind and fields.
+        lie: returns the frames of a reply, or a list of several, from a message's kind and fields.
     """
 
     def __init__(self, lie):
@@ -121,4 +121,5 @@ class LyingServer:
             else:
                 frames = self._lie(kind, unpack(body[0]))
             if frames:
-                self._socket.send_multipart([identity, *frames])
+                for reply in frames if isinstance(frames[0], list) else [frames]:
+                    self._socket.send_multipart([identity, *reply])

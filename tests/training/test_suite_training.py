@@ -26,6 +26,7 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.suite import find_task
+from stkzoo.wrappers.racing import SIZE
 
 SMALL = {
     "task": "solo-1",
@@ -100,6 +101,18 @@ def test_a_task_with_messages_is_refused_before_anything_starts(tmp_path):
     with pytest.raises(ConfigError, match="talk-2v2 has messages"):
         small_run(tmp_path, task="talk-2v2")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_central_critic_sees_the_time_and_distance_of_a_long_race():
+    size = find_task("team-2v2").state_size
+    network = TaskNetwork((8, 8), 0, size)
+    rows = np.zeros((3, SIZE + size), np.float32)
+    rows[:, SIZE] = 10, 200, 400  # time [s]
+    rows[:, -1] = 100, 2000, 3500  # distance of the last kart [m]
+    seen = network.normalized(rows)
+    for column in (SIZE, -1):
+        assert (np.diff(seen[:, column]) > 1).all()
+    assert not seen[:, :SIZE].any()
 
 
 def test_members_of_a_team_get_the_mean_of_their_rewards():

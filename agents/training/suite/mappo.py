@@ -2,9 +2,9 @@
 
     stkzoo suite train team-2v2 mappo
 
-Like independent PPO (:mod:`.ippo`), but with a centralized critic. Its inputs are a learner's
-observation and the state of the race (`env.state()`), both scaled by the first rollout (Yu et al.,
-2022). The trained agent does not need the critic.
+Like independent PPO (:mod:`.ippo`), but with a centralized critic (Yu et al., 2022). Its inputs are
+a learner's observation and the state of the race (`env.state()`), scaled by fixed typical values.
+The trained agent does not need the critic.
 """
 
 from __future__ import annotations

@@ -9,15 +9,36 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.mlp import SPLITS
+from stkzoo.mdp.state import GLOBAL_FEATURES, KART_FEATURES
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
-from ..common.learner import Weights
+from ..common.learner import FloatArray, Weights
 from ..common.network_policy import FIRST_BIASES
 from ..common.ppo import PPONetwork
 from .actor import critic_inputs
 
-#: Minimum standard deviation of an entry of the state, so that constant ones are not amplified.
-_LEAST_SCALE = np.float32(0.1)
+#: Values that the state's features are divided by: typical ones of a race.
+_GLOBAL_UNITS = {"time": 60.0, "phase": 4.0, "track_length": 500.0, "laps": 1.0}
+_KART_UNITS = {
+    "location": 100.0,
+    "rotation": 1.0,
+    "velocity": 20.0,
+    "angular_velocity": 2.0,
+    "speed": 20.0,
+    "energy": 5.0,
+    "skeed_factor": 1.0,
+    "shield_time": 5.0,
+    "attachment_type": 5.0,
+    "attachment_time_left": 10.0,
+    "powerup_type": 5.0,
+    "powerup_num": 2.0,
+    "node": 100.0,
+    "position": 5.0,
+    "finished_laps": 1.0,
+    "has_finished_race": 1.0,
+    "finish_time": 60.0,
+    "distance": 500.0,
+}
 
 
 class TaskNetwork(PPONetwork):
@@ -41,18 +62,12 @@ class TaskNetwork(PPONetwork):
         with self.torch.no_grad():
             for logit, bias in FIRST_BIASES.items():
                 self.policy[-1].bias[logit] += bias
+        if state_size:
+            self.scale[SIZE:] = 1.0 / _state_units(state_size)
 
-    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
-        """Fits the scale of the state; that of the view is fixed.
-
-        See :class:`..common.learner.LearningNetwork`.
-        """
-        states = seen["state"]
-        if not states.shape[1]:
-            return False
-        self.mean[SIZE:] = states.mean(axis=0)
-        self.scale[SIZE:] = 1.0 / np.maximum(states.std(axis=0), _LEAST_SCALE)
-        return True
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:  # noqa: ARG002 - the scales are fixed
+        """See :class:`..common.learner.LearningNetwork`."""
+        return False
 
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns inputs ``(N, F)``, those of the value network, scaled, and choices ``(N, 5)``."""
@@ -92,3 +107,11 @@ class TaskNetwork(PPONetwork):
             for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
             for part in ("weight", "bias")
         }
+
+
+def _state_units(state_size: int) -> FloatArray:
+    """Returns the values that the entries of a race's state are divided by, ``(state_size,)``."""
+    general = [_GLOBAL_UNITS[name] for name in GLOBAL_FEATURES]
+    kart = [_KART_UNITS[name] for name, size in KART_FEATURES for _ in range(size)]
+    num_kart = (state_size - len(general)) // len(kart)
+    return np.array(general + num_kart * kart, np.float32)

@@ -12,16 +12,32 @@ from typing import Any
 from stkzoo.drivers.codec import decode, encode
 from stkzoo.drivers.failures import printable, reported_error
 from stkzoo.drivers.instances import Decision
-from stkzoo.drivers.replies import checks_while_waiting, pending_replies, run_checks
+from stkzoo.drivers.replies import (
+    REPLY_LIMITS,
+    arrival_time,
+    checks_while_waiting,
+    end_wait,
+    pending_replies,
+    receive_pending,
+    run_checks,
+)
 from stkzoo.errors import AgentError, ProtocolError, RemoteError, shortened
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.sockets import MAX_UNREAD, UnreadData, client_socket, zmq_module
+from stkzoo.race.remote.sockets import (
+    MAX_UNREAD,
+    QUEUE,
+    UnreadData,
+    client_socket,
+    zmq_module,
+)
 
 #: Time limit for ZeroMQ to send the last message in the background [ms].
 _GOODBYE = 500
 #: Grace period after a deadline for reading messages that arrived in time [s].
 _READING = 1.0
+#: Maximum number of pings after a message to the server: those before and those after it arrives.
+_MAX_PINGS = 2 * QUEUE
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +84,7 @@ class Connection:
         #: Fields of the server's welcome message; empty until it arrives.
         self.welcome: dict[str, Any] = {}
         self._socket, self._monitor = client_socket(context, server.address, keys, server.key)
-        self._poller = self._zmq.Poller()
-        self._poller.register(self._socket, self._zmq.POLLIN)
-        self._poller.register(self._monitor, self._zmq.POLLIN)
-        self._next_seat = self._step = 0
+        self._next_seat = self._step = self._num_pings = 0
         self._observations: list[list[Any]] = []
         self._starting: set[int] = set()
         self._asked: set[int] = set()
@@ -147,6 +160,7 @@ class Connection:
             self._send(protocol.ACT, step=self._step, observations=observations)
         except (ProtocolError, RemoteError) as error:
             self._fail(str(error))
+        receive_pending()
 
     def close_seat(self, seat: int) -> None:
         """Closes a driver instance. Closing the last one closes the connection."""
@@ -180,6 +194,7 @@ class Connection:
     def _send(self, kind: bytes, **fields: Any) -> None:
         self._require()
         body = protocol.pack(**fields) if fields else b""
+        self._num_pings = 0
         try:
             self._socket.send_multipart([kind, body], self._zmq.NOBLOCK)
         except self._zmq.ZMQError as error:
@@ -191,6 +206,8 @@ class Connection:
         A message that arrived in time is accepted even if the program reads it late because it
         waited for another server.
         """
+        if not is_there():
+            receive_pending()
         while not is_there():
             self._require()
             time_left = deadline - time.monotonic()
@@ -213,12 +230,11 @@ class Connection:
         if self._socket.closed:
             return []
         others = {other.fileno(): other for other in self._pending - {self}}
-        if not others:
-            return list(self._poller.poll(milliseconds))
         poller = self._zmq.Poller()
         for source in (self._socket, self._monitor, *others):
             poller.register(source, self._zmq.POLLIN)
         events = list(poller.poll(milliseconds))
+        end_wait()
         for source, _ in events:
             if source in others:
                 others[source].receive_available()
@@ -262,7 +278,10 @@ class Connection:
             )
 
     def _receive(self) -> None:
-        frames = self._socket.recv_multipart()
+        """Receives and handles one message; further frames of an invalid one stay unread."""
+        frames = [self._socket.recv()]
+        while self._socket.getsockopt(self._zmq.RCVMORE) and len(frames) < 3:
+            frames.append(self._socket.recv())
         self._unread.count(frames)
         try:
             self._handle(frames)
@@ -294,8 +313,10 @@ class Connection:
             raise ProtocolError(f"received {len(frames)} frames, expected 2")
         kind, body = frames
         if kind == protocol.ALIVE:
+            self._handle_ping(body)
             return
         fields = protocol.unpack(body)
+        protocol.check_fields(kind, fields)
         if kind == protocol.ERROR:
             text = printable(protocol.field(fields, "text", str), 4000)
             self._fail(f"{self.server.address}: {text}")
@@ -303,12 +324,20 @@ class Connection:
             self._handle_welcome(fields)
         elif kind == protocol.OPENED:
             self._handle_opened(fields)
-        elif kind == protocol.ACTED:
-            self._handle_acted(fields)
         else:
-            raise ProtocolError(f"message kind {shortened(kind, 20)} came")
+            self._handle_acted(fields)
+
+    def _handle_ping(self, body: bytes) -> None:
+        self._num_pings += 1
+        if body or self._num_pings > _MAX_PINGS:
+            raise ProtocolError(
+                f"ping {self._num_pings} of {len(body)} bytes since the last message to it, "
+                f"expected at most {_MAX_PINGS} without content"
+            )
 
     def _handle_welcome(self, fields: dict[str, Any]) -> None:
+        if self.welcome:
+            raise ProtocolError("a second welcome, expected one")
         protocol.check_version(fields)
         agents = protocol.field(fields, "agents", list)
         for agent in agents:
@@ -350,7 +379,9 @@ class Connection:
         """
         if protocol.field(fields, "step", int) != self._step:
             raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
-        elapsed = time.monotonic() - self._flushed
+        if not self._asked:
+            raise ProtocolError(f"an answer to step {self._step} that was not requested")
+        elapsed = max(arrival_time() - self._flushed, 0.0)
         failures = protocol.field(fields, "failures", list)
         for entry in failures:
             match entry:
@@ -392,7 +423,7 @@ def _decision(entry: Any) -> tuple[int, Decision]:
 def _decoded(decision: Decision) -> Decision | Failure:
     """Decodes a decision's action; an agent may send one that is invalid, so only it fails."""
     try:
-        return replace(decision, action=decode(decision.action))
+        return replace(decision, action=decode(decision.action, REPLY_LIMITS))
     except ProtocolError as error:
         return Failure(
             AgentError(f"its action is invalid: {error}", seconds=decision.seconds), True

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo._os import bytes_received, max_descriptors, network_of
-from stkzoo.race.remote.sockets import MAX_UNREAD, zmq_module
+from stkzoo.race.remote.sockets import MAX_UNREAD, OVERHEAD, zmq_module
 
 #: Connections use at most 1/4 of the process's file descriptors; agents need the others.
 _SHARE = 4
@@ -22,8 +22,9 @@ _MOST, _LEAST = 1024, 16
 _SPARE = 32
 #: Time after which a connection without a session is closed [s].
 IDLE = 30.0
-#: Maximum total data of a connection without a session [bytes].
-_MAX_UNREAD_IDLE = 16 << 20
+#: Maximum unread data of a connection without a session [bytes]; 32 requests for seats need a
+#: quarter. A frame on the wire may have only 2 bytes, but takes 1 µs to discard.
+_MAX_UNREAD_IDLE = 64 << 10
 #: Time limit for a closing connection to receive its last message [s].
 _FAREWELL = 0.2
 
@@ -42,7 +43,8 @@ class _Peer:
         since: when the connection was accepted, or its last session ended
             (:func:`time.monotonic`).
         identity: ZeroMQ's identity of the client; empty until it has sent a message.
-        num_read: number of bytes that its session has received; ``None`` without a session.
+        has_session: whether it has a session.
+        num_read: number of bytes that the server has read from it.
         leaves_at: when the connection is shut down (:func:`time.monotonic`); ``None`` if it may
             stay.
     """
@@ -51,7 +53,8 @@ class _Peer:
     network: str
     since: float
     identity: bytes = b""
-    num_read: int | None = None
+    has_session: bool = False
+    num_read: int = 0
     leaves_at: float | None = None
 
 
@@ -140,29 +143,35 @@ class PeerTable:
             frame: frame of a message from the client.
             identity: ZeroMQ's identity of the client.
         """
-        try:
-            peer = self._peers.get(int(frame.get("__fd")))
-        except (self._zmq.ZMQError, ValueError):  # a transport without descriptors
-            return
+        _, peer = self._origin(frame)
         if peer is not None:
             peer.identity = identity
             self._by_identity[identity] = peer
 
+    def cut(self, frame: Any) -> None:
+        """Shuts down the connection of a client at once.
+
+        Args:
+            frame: frame of a message from the client.
+        """
+        descriptor, peer = self._origin(frame)
+        if peer is not None:
+            self._shut(descriptor, peer)
+
     def begin_session(self, identity: bytes) -> None:
         """Records that a client has a session."""
         if (peer := self._by_identity.get(identity)) is not None:
-            peer.num_read = 0
+            peer.has_session = True
 
     def count(self, identity: bytes, size: int) -> None:
-        """Records that a client's session has received a message of ``size`` bytes."""
-        peer = self._by_identity.get(identity)
-        if peer is not None and peer.num_read is not None:
-            peer.num_read += size
+        """Records that the server has read a message of ``size`` bytes from a client."""
+        if (peer := self._by_identity.get(identity)) is not None:
+            peer.num_read += size + OVERHEAD
 
     def end_session(self, identity: bytes) -> None:
         """Records that a client's session has ended."""
         if (peer := self._by_identity.get(identity)) is not None:
-            peer.num_read, peer.since = None, time.monotonic()
+            peer.has_session, peer.since = False, time.monotonic()
 
     def check(self) -> None:
         """Closes connections that are idle for too long or have sent too much data."""
@@ -171,10 +180,18 @@ class PeerTable:
             if peer.leaves_at is not None:
                 if now >= peer.leaves_at:
                     self._shut(descriptor, peer)
-            elif peer.num_read is None and now - peer.since > IDLE:
+            elif not peer.has_session and now - peer.since > IDLE:
                 self._end(peer, _IDLE_TOO_LONG)
             elif self._unread(descriptor, peer) > 0:
                 self._shut(descriptor, peer)
+
+    def _origin(self, frame: Any) -> tuple[int, _Peer | None]:
+        """Returns the descriptor and the connection from which a frame came, if it is known."""
+        try:
+            descriptor = int(frame.get("__fd"))
+        except (self._zmq.ZMQError, ValueError):  # a transport without descriptors
+            return -1, None
+        return descriptor, self._peers.get(descriptor)
 
     def _add(self, descriptor: int) -> None:
         try:
@@ -201,7 +218,7 @@ class PeerTable:
         staying = [peer for peer in self._peers.values() if peer.leaves_at is None]
         idle: dict[str, deque[_Peer]] = defaultdict(deque)  # by network, oldest first
         for peer in staying:
-            if peer.num_read is None:
+            if not peer.has_session:
                 idle[peer.network].append(peer)
         num_excess = len(staying) - self._most
         for _ in range(num_excess):
@@ -229,8 +246,9 @@ class PeerTable:
                 received = bytes_received(connection)
         except OSError:  # the connection is closed
             return 0
-        limit = _MAX_UNREAD_IDLE if peer.num_read is None else peer.num_read + MAX_UNREAD
-        return max(0, received - limit)
+        peer.num_read = min(peer.num_read, received)  # the overhead of its messages is an estimate
+        limit = MAX_UNREAD if peer.has_session else _MAX_UNREAD_IDLE
+        return max(0, received - peer.num_read - limit)
 
     def _shut(self, descriptor: int, peer: _Peer) -> None:
         """Shuts a connection down, unless its descriptor now belongs to another one."""

@@ -21,6 +21,14 @@ HELLO, OPEN, ACT, CLOSE, BYE = b"H", b"O", b"A", b"C", b"B"
 # From server to client.
 WELCOME, OPENED, ACTED, ALIVE, ERROR = b"W", b"P", b"D", b"L", b"E"
 
+#: Fields of the server's messages with a body.
+_FIELDS = {
+    WELCOME: {"protocol", "stkzoo", "agents", "action_timeout"},
+    OPENED: {"seat", "name", "paths_used", "error"},
+    ACTED: {"step", "decisions", "failures"},
+    ERROR: {"text"},
+}
+
 #: Limits of a message. Twenty observations of the longest track need half of ``max_bytes``.
 LIMITS = Limits(max_bytes=4 << 20)
 
@@ -61,6 +69,21 @@ def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
     if type(value) is not kind:
         raise ProtocolError(f"{name} is {shortened(value, 100)}, expected {kind.__name__}")
     return value
+
+
+def check_fields(kind: bytes, fields: dict[str, Any]) -> None:
+    """Checks the kind of a server's message, and that it has no unknown fields.
+
+    Raises:
+        ProtocolError: the kind or a field is unknown.
+    """
+    if kind not in _FIELDS:
+        raise ProtocolError(f"message kind {shortened(kind, 20)} came")
+    if unknown := fields.keys() - _FIELDS[kind]:
+        raise ProtocolError(
+            f"unknown fields {shortened(sorted(unknown), 100)}, expected some of "
+            f"{', '.join(sorted(_FIELDS[kind]))}"
+        )
 
 
 def check_extras(extras: list[Any]) -> list[str]:

@@ -42,6 +42,8 @@ _HELLO_LIMITS = Limits(max_bytes=4096, max_depth=2, max_length=16)
 _NUMBERS = itertools.count()
 #: Messages that identify the connection of a client.
 _NAMED = (protocol.HELLO, protocol.OPEN)
+#: Maximum number of frames that the server discards before it serves other clients.
+_MAX_DISCARDED = 1000
 
 
 class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
@@ -149,13 +151,19 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
     # ------------------------------------------------------------------ incoming messages
 
     def _receive(self) -> None:
-        """Handles up to 20 queued messages."""
+        """Handles up to 20 queued messages, or discards a part of a long one."""
         for _ in range(20):  # excess connections are closed before further messages
+            if not self._discard_rest():
+                return
             try:
                 identity = self._socket.recv(self._zmq.NOBLOCK)
             except self._zmq.Again:
                 return
             frames, origin = self._frames()
+            if not self._discard_rest():
+                self._peers.cut(origin)
+                self._dismiss(identity)
+                return
             try:
                 if origin is not None and frames[0] in _NAMED:
                     self._peers.name(origin, identity)
@@ -165,23 +173,27 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
                 self._dismiss(identity)
 
     def _frames(self) -> tuple[list[bytes], Any]:
-        """Receives a message; returns its first three frames, and the first as ZeroMQ's object.
-
-        Further frames are discarded.
-        """
+        """Returns the first three frames of a message, and the first as ZeroMQ's object."""
         frames: list[bytes] = []
         origin: Any = None
-        while self._socket.getsockopt(self._zmq.RCVMORE):
+        while len(frames) < 3 and self._socket.getsockopt(self._zmq.RCVMORE):
             if origin is None:
                 origin = self._socket.recv(copy=False)
                 frames.append(origin.bytes)
-            elif len(frames) < 3:
-                frames.append(self._socket.recv())
             else:
-                self._socket.recv(copy=False)
+                frames.append(self._socket.recv())
         return frames, origin
 
+    def _discard_rest(self) -> bool:
+        """Discards further frames of a message and returns whether none are left."""
+        for _ in range(_MAX_DISCARDED):
+            if not self._socket.getsockopt(self._zmq.RCVMORE):
+                return True
+            self._socket.recv()
+        return False
+
     def _dispatch(self, identity: bytes, frames: list[bytes]) -> None:
+        self._peers.count(identity, sum(map(len, frames)))
         if len(frames) != 2:
             self._refuse(identity, f"received {len(frames)} frames, expected a kind and a body")
             return
@@ -193,7 +205,6 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             self._dismiss(identity)
         elif client is not None:
             client.heard = time.monotonic()
-            self._peers.count(identity, len(body))
             if not client.put(kind, body):
                 self._refuse(identity, "too many messages at once")
         elif kind == protocol.OPEN:

@@ -6,7 +6,7 @@ import os
 import re
 import socket
 from collections.abc import Collection
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -66,14 +66,14 @@ def is_local(address: str) -> bool:
 
 
 #: Length of the receive queue of a connection [messages]; the send queue is four times as long.
-_QUEUE = 16
+QUEUE = 16
 #: Options of all sockets; times in ms. A connection without messages and heartbeats for
 #: ``HEARTBEAT_TIMEOUT`` is closed.
 _LIMITS = {
     "LINGER": 0,
     "MAXMSGSIZE": LIMITS.max_bytes,
-    "RCVHWM": _QUEUE,
-    "SNDHWM": _QUEUE * 4,
+    "RCVHWM": QUEUE,
+    "SNDHWM": QUEUE * 4,
     "HEARTBEAT_IVL": 1000,
     "HEARTBEAT_TIMEOUT": 4000,
     "HEARTBEAT_TTL": 4000,
@@ -83,8 +83,11 @@ _HANDSHAKE = 5000
 _DOMAIN = b"stkzoo"
 #: Number of file descriptors that ZeroMQ may need for a server's or a client's sockets.
 _DESCRIPTORS = 24
-#: Maximum unread data of a connection that carries a race [bytes].
-MAX_UNREAD = 96 << 20
+#: Maximum unread data of a connection that carries a race [bytes]: four messages. As empty frames,
+#: it takes up to 0.5 GB of memory.
+MAX_UNREAD = 4 * LIMITS.max_bytes
+#: Maximum data that a message takes besides its body [bytes]: headers, encryption and heartbeats.
+OVERHEAD = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,22 +244,28 @@ class UnreadData:
 
     def count(self, frames: list[bytes]) -> None:
         """Records that the program has read a message."""
-        self._num_read += sum(map(len, frames))
+        self._num_read += sum(map(len, frames)) + OVERHEAD
 
     def is_too_much(self) -> bool:
         """Returns whether there is more unread data than any server needs to send."""
         ends, received = self._look()
+        self._num_read = min(self._num_read, received)  # the overhead is an estimate
         return ends == self._ends and received > self._num_read + MAX_UNREAD
 
     def _look(self) -> tuple[tuple[Any, Any] | None, int]:
         """Returns both addresses of the connection, and how many bytes it has received."""
-        try:
+        with suppress(OSError):  # the connection is closed
             # ZeroMQ can close its descriptor at any time, so this uses a duplicate.
-            with socket.socket(fileno=os.dup(self._descriptor)) as connection:
+            own = os.dup(self._descriptor)
+            try:
+                connection = socket.socket(fileno=own)
+            except OSError:  # the descriptor now belongs to something else
+                os.close(own)
+                raise
+            with connection:
                 ends = connection.getsockname(), connection.getpeername()
                 return ends, bytes_received(connection)
-        except OSError:  # the connection is closed
-            return None, 0
+        return None, 0
 
 
 class ClientAuthenticator:

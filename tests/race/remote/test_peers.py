@@ -9,10 +9,12 @@ import threading
 import time
 
 import pytest
+import zmq
 
 from stkzoo.drivers.driver import find_driver
-from stkzoo.race.remote import peers
+from stkzoo.race.remote import RaceServer, peers
 from stkzoo.race.remote.protocol import HELLO, VERSION, pack
+from stkzoo.race.remote.sockets import UnreadData
 from tests.fuzz.messages import resident_memory
 from tests.support.floods import (
     HALF_GREETING,
@@ -81,6 +83,31 @@ def test_an_idle_connection_times_out(monkeypatch):
             kind, body = client.recv_multipart()
             assert (kind, b"had no race for" in body) == (b"E", True)
         assert remote_race(server.address) == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how much came")
+def test_an_idle_connection_that_sends_more_than_64_kb_is_cut_off():
+    with server_thread([find_driver("heuristic")]) as server, zmtp_socket(server.address) as one:
+        one.sendall(PING * (1 + (64 << 10) // len(PING)))
+        assert wait_until(lambda: not num_open([one]))
+
+
+def test_a_message_of_many_frames_is_discarded_in_parts_and_its_sender_is_disconnected():
+    """Other clients are served between the parts."""
+    with (
+        RaceServer([find_driver("heuristic")], "127.0.0.1:*") as server,
+        zmtp_socket(server.address) as one,
+    ):
+        one.sendall(zmtp_frame(b"H", more=True) + zmtp_frame(b"", more=True) * 3000)
+        one.sendall(zmtp_frame(b""))
+        assert server._socket.poll(10_000)
+        server._update_peers()
+        server._receive()
+        assert server._socket.getsockopt(zmq.RCVMORE)
+        assert wait_until(lambda: not num_open([one]))
+        for _ in range(3):
+            server._receive()
+        assert not server._socket.getsockopt(zmq.RCVMORE)
 
 
 def test_a_connection_with_a_race_can_be_silent(monkeypatch):
@@ -172,6 +199,15 @@ def test_only_the_intended_connection_is_cut():
     assert left.recv(1) == b"a"
     left.close()
     right.close()
+
+
+def test_a_descriptor_that_now_belongs_to_a_file_is_not_opened_again_at_each_check(tmp_path):
+    unread = UnreadData()
+    with open(tmp_path / "file", "w") as file:
+        before = num_descriptors(os.getpid())
+        unread.connected(file.fileno())
+        assert not unread.is_too_much()
+        assert num_descriptors(os.getpid()) == before
 
 
 def test_incomplete_greetings_do_not_hold_connections(held):

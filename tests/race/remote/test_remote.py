@@ -15,7 +15,7 @@ from stkzoo.race.remote import server as server_module
 from stkzoo.race.remote.protocol import VERSION, pack
 from stkzoo.race.remote.server import _PATIENCE
 from stkzoo.race.remote.session import ClientSession
-from stkzoo.race.remote.sockets import _QUEUE
+from stkzoo.race.remote.sockets import QUEUE
 from tests.support.processes import run_program
 from tests.support.remote_race import raw_client, server_process, server_thread, write_agent
 
@@ -282,7 +282,7 @@ def test_a_paused_client_is_not_flooded_with_pings():
             asked.append(now)
             client.pinged = float(now)
     assert asked[0] <= 3
-    assert 5 < len(asked) < _QUEUE
+    assert 5 < len(asked) < QUEUE
 
 
 @pytest.mark.slow
