@@ -1,4 +1,4 @@
-"""Validates the conduct measure with a rammer, and measures ordinary drivers.
+"""Checks the conduct measure with a rammer, and measures ordinary drivers.
 
     python -m benchmarks.conduct              # continues if interrupted
     python -m benchmarks.conduct --races 4 --blind 2 --ordinary 2 --output /tmp/conduct.json
@@ -6,7 +6,8 @@
 A scripted rammer chases drivers that avoid other karts (*ace*, *scout*, *apex* and the game's AI)
 on the training tracks, in both directions. A *ram* is a contact before which the rammer moves
 toward the other kart faster than the other kart toward the rammer. The rammer should be at fault in
-at least 95% of its rams, and its victims in at most 2%. Further races have victims that ignore
+at least 95% of its rams, and its victims in at most 2%. The rule for faults uses the same speeds,
+so this checks the rule's design and not its accuracy. Further races have victims that ignore
 other karts, or no rammer. The command writes ``benchmarks/results/conduct.json``. Rates have 95%
 intervals over tracks.
 """

@@ -13,7 +13,7 @@ seed are run before the next seed. Runs that have a result are skipped.
 
 from __future__ import annotations
 
-import importlib.metadata
+import importlib
 import itertools
 import sys
 import time
@@ -28,9 +28,10 @@ from rich.console import Console
 
 from benchmarks.bench_common import RESULTS
 from stkzoo._arguments import CommandParser
-from stkzoo._os import cpu_count, write_text
+from stkzoo._os import write_text
 from stkzoo._schema import Count, Whole, Within
 from stkzoo.agents.training.common.run_folder import ARGUMENTS, read_run_file, require_log
+from stkzoo.agents.training.suite.learner import MACHINE, TrainingMachine
 from stkzoo.errors import ConfigError
 from stkzoo.suite import (
     ALGORITHMS,
@@ -156,6 +157,7 @@ def measure(folder: Path, key: RunKey, jobs: int | None = None) -> SuiteRun:
     if found != key:
         raise ConfigError(f"{folder} contains the run {found}, expected {key}")
     curve, task = learning_curve(require_log(folder)), find_task(key[0])
+    machine = _machine(folder)
     begin = time.perf_counter()
     entries = {split: _evaluate(folder, key, split, curve, jobs) for split in _EVALUATIONS}
     return SuiteRun(
@@ -172,9 +174,15 @@ def measure(folder: Path, key: RunKey, jobs: int | None = None) -> SuiteRun:
         train=SplitScores.of(entries["train"]),
         training_seconds=curve.seconds[-1],
         evaluation_seconds=round(time.perf_counter() - begin, 1),
-        cores=cpu_count(),
-        versions={**entries["test"].plan.versions, "torch": importlib.metadata.version("torch")},
+        cores=machine.cores,
+        versions=machine.versions,
     )
+
+
+def _machine(folder: Path) -> TrainingMachine:
+    """Returns the machine that trained a run; this one for runs from earlier versions."""
+    file = folder / MACHINE
+    return read_run_file(TrainingMachine, file) if file.exists() else TrainingMachine.now()
 
 
 def _evaluate(

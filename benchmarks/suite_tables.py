@@ -77,13 +77,16 @@ def results(folder: Path, pictures: Path, page: Path) -> str:
 
 def _interval_table() -> str:
     found = json.loads(suite_intervals.OUTPUT.read_text("utf-8"))
-    names = [f"{name}, {kind}" for kind in ("same", "other") for name in suite_intervals.BOOTSTRAPS]
-    head = "| runs | track | run | both | " + " | ".join(f"{name} tracks" for name in names) + " |"
-    rule = "| ---: " * (4 + len(names)) + "|"
+    names = [
+        *("runs, same", "runs and tracks, same", "each score, other", "runs, other"),
+        *("runs and columns, other", "runs and tracks, other", "IQM, other"),
+    ]
+    head = "| runs | track | run | both | alike | "
+    head += " | ".join(f"{name} tracks" for name in names) + " |"
+    rule = "| ---: " * (5 + len(names)) + "|"
     rows = [
         f"| {row['runs']} | {row['by_track']:.2f} | {row['by_run']:.2f} | {row['by_both']:.2f} | "
-        + " | ".join(f"{100 * row[name]:.0f}%" for name in names)
-        + " |"
+        f"{row['alike']:.1f} | " + " | ".join(f"{100 * row[name]:.0f}%" for name in names) + " |"
         for row in found["rows"]
     ]
     return "\n".join([head, rule, *rows])

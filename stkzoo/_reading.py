@@ -8,12 +8,13 @@ import io
 import json
 import math
 import os
+import re
 import stat
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +48,12 @@ _MAX_ARRAYS = 1000
 _MIN_LIST = 1 << 20
 _MAX_NAME = 300  # maximum mean size of a member's entry in a zip's list of files [bytes]
 _KINDS = "biufU"  # valid kinds of array types
+#: Header of an array, as numpy writes it. Python's parser, which numpy uses to read it, needs much
+#: memory for some texts and warns about others.
+_HEADER = re.compile(
+    rb"{'descr': '([<>|=]?)([A-Za-z])(\d{0,9})', 'fortran_order': (True|False), "
+    rb"'shape': \(((?:-?\d{1,18}, ?)*(?:-?\d{1,18})?)\),? ?}\s*"
+)
 _BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # other methods unpack without a bound
 #: Maximum ratio of unpacked to packed size with deflate, if the members of a zip do not overlap;
@@ -402,15 +409,33 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any
         version = np.lib.format.read_magic(stream)
         if version != (1, 0):  # headers of other versions have no limit on their length
             raise Unreadable(f"{name} has version {version}, expected (1, 0)")
-        shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-        if dtype.kind not in _KINDS or not dtype.itemsize:
-            raise Unreadable(f"{name} has the type {dtype!s:.60}, expected numbers")
+        header = stream.read(int.from_bytes(stream.read(2), "little"))
+        shape, axes, dtype = _layout(header, name)
         size = math.prod(shape) * dtype.itemsize
         if min(shape, default=0) < 0 or size != member.file_size - stream.tell():
-            found = shortened(shape, 60)
-            raise Unreadable(f"{name} has another size than its shape {found}")
+            raise Unreadable(f"{name} has another size than its shape {shortened(shape, 60)}")
         data = bytearray(size)  # unlike bytes, makes the array writable
         for start in range(0, size, _BLOCK):
             block = stream.read(min(_BLOCK, size - start))
             data[start : start + len(block)] = block
-    return np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C")
+    return np.frombuffer(data, dtype).reshape(shape, order=axes)
+
+
+def _layout(header: bytes, name: str) -> tuple[tuple[int, ...], Literal["C", "F"], np.dtype[Any]]:
+    """Returns the shape, the order of the axes and the type in an array's header.
+
+    Args:
+        header: the header.
+        name: name of the array, for errors.
+
+    Raises:
+        Unreadable: the header is invalid.
+        TypeError: numpy has no such type.
+    """
+    if not (found := _HEADER.fullmatch(header)):
+        raise Unreadable(f"{name} has an invalid header: {header[:60]!r}")
+    order, kind, size, is_fortran, shape = (part.decode() for part in found.groups())
+    if kind not in _KINDS or not int(size or 0):
+        raise Unreadable(f"{name} has the type {kind + size}, expected numbers")
+    sizes = tuple(int(number) for number in shape.split(",") if number.strip())
+    return sizes, "F" if is_fortran == "True" else "C", np.dtype(order + kind + size)

@@ -187,6 +187,11 @@ def test_arrays_survive_a_round_trip(tmp_path):
         (npy("{'descr': '|O', 'fortran_order': False, 'shape': (0,), }"), "expected numbers"),
         (npy("{'descr': '|V0', 'fortran_order': False, 'shape': (9,), }"), "expected numbers"),
         (npy("", version=b"\3\0"), r"has version \(3, 0\)"),
+        (npy("-" * 9000 + "1"), "an invalid header"),
+        (npy(f"{{'descr': '<f8', 'shape': ({'1or 2,' * 100}), }}"), "an invalid header"),
+        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }")[:60], "invalid header"),
+        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (" + "9" * 5000), "invalid header"),
+        (npy("{'descr': '|a5', 'fortran_order': False, 'shape': (1,), }"), "expected numbers"),
     ],
 )
 def test_an_array_that_does_not_match_its_header_is_refused(tmp_path, content, problem):

@@ -54,7 +54,13 @@ from .common.matches import (
     random_driver,
     rate_orders,
 )
-from .common.run_folder import continue_json_lines, read_run_file, run_parameters, write_json
+from .common.run_folder import (
+    continue_json_lines,
+    policy_name,
+    read_run_file,
+    run_parameters,
+    write_json,
+)
 from .plot import rating_figure
 
 #: Names of the driver from which learning is measured, and of a policy with random choices.
@@ -113,16 +119,31 @@ def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, Ma
         ConfigError: a file is not a policy.
     """
     drivers = {name: match_driver(file) for name, file in files.items()}
-    first = min(runs[0].glob(_KEPT))
-    if is_network(load_weights(first)):
+    if first := _first_network(runs[0]):
         return drivers | {START: match_driver(first)}
-    plans = plan_match_driver(RacingPolicy.of_plans_alone(), run_parameters(first))
-    return drivers | {START: plans}
+    rules = run_parameters(min(runs[0].glob(_KEPT)))
+    return drivers | {START: plan_match_driver(RacingPolicy.of_plans_alone(), rules)}
+
+
+def _first_network(run: Path) -> Path | None:
+    """Returns the first saved policy of a run; ``None`` if its policies are over plans."""
+    first = min(run.glob(_KEPT))
+    return first if is_network(load_weights(first)) else None
 
 
 def _steps_of(name: str) -> int:
-    """Returns the kart-steps in the name of a saved policy."""
-    return int(re.findall(r"\d+", name)[-1])
+    """Returns the kart-steps in the name of a saved policy.
+
+    Raises:
+        ConfigError: there are none.
+    """
+    numbers = re.findall(r"\d+", name)
+    if not numbers:
+        raise ConfigError(
+            f"the policy {name[:60]!r} has no kart-steps in its name, expected a saved policy of a "
+            f"run, such as {policy_name(200_000)}"
+        )
+    return int(numbers[-1])
 
 
 # ---------------------------------------------------------------------- all against all
@@ -160,13 +181,19 @@ class LearningProgress:
     high: float
 
 
-def learning_progress(records: Sequence[MatchRecord]) -> LearningProgress | None:
+def learning_progress(
+    records: Sequence[MatchRecord], steps: Mapping[str, int]
+) -> LearningProgress | None:
     """Compares policies with more and fewer kart-steps in matches of saved policies.
+
+    Args:
+        records: the matches.
+        steps: kart-steps by name.
 
     Returns:
         The comparison; ``None`` if all policies that met have the same kart-steps.
     """
-    counts = np.array([_duels(record.order) for record in records])
+    counts = np.array([_duels(record.order, steps) for record in records])
     won, total = counts.sum(axis=0)
     if not total:
         return None
@@ -176,23 +203,22 @@ def learning_progress(records: Sequence[MatchRecord]) -> LearningProgress | None
     return LearningProgress(int(total), float(won / total), float(low), float(high))
 
 
-def _duels(order: Sequence[str]) -> tuple[int, int]:
+def _duels(order: Sequence[str], steps: Mapping[str, int]) -> tuple[int, int]:
     """Counts the pairs of a race in which the policy with more kart-steps is ahead, and is not."""
-    steps = [_millions(name) for name in order if name != AI]
-    unlike = [(a, b) for a, b in itertools.combinations(steps, 2) if a != b]
+    own = [steps[name] for name in order if name != AI]
+    unlike = [(a, b) for a, b in itertools.combinations(own, 2) if a != b]
     return sum(a > b for a, b in unlike), len(unlike)
-
-
-def _millions(name: str) -> float:
-    """Returns a policy's kart-steps [millions] from its name."""
-    return 0.0 if name == START else float(name.rpartition(" ")[2])
 
 
 def _rate_runs(
     runs: Sequence[Path], folder: Path, wanted: int, every: int, tracks: Sequence[str]
 ) -> None:
-    drivers = run_drivers(runs, kept_policies(runs, every))
+    kept = kept_policies(runs, every)
+    drivers = run_drivers(runs, kept)
     names = sorted(drivers)
+    first = _first_network(runs[0])
+    steps = {name: _steps_of(file.stem) for name, file in kept.items()}
+    steps[START] = _steps_of(first.stem) if first else 0
     if len(names) < SEATS:
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
     file = folder / _MATCHES
@@ -214,7 +240,7 @@ def _rate_runs(
         records += played
         print(f"{len(records)} of {wanted} races", flush=True)
     ratings = rate_orders([record.order for record in records])
-    progress = learning_progress(records)
+    progress = learning_progress(records, steps)
     rows = [
         {"name": name, **asdict(rating), "matches": sum(name in r.order for r in records)}
         for name, rating in sorted(ratings.items())
@@ -223,11 +249,14 @@ def _rate_runs(
     report = {"matches": len(records), "learned_longer": learned_longer, "ratings": rows}
     write_json(folder / RATINGS, report)
     intervals = {name: [r.value, *r.interval] for name, r in ratings.items()}
-    start = [(0.0, intervals[START])] if START in ratings else []
-    kept = sorted((_millions(name), name) for name in ratings if " " in name)
+    rated = sorted((steps[name], name) for name in ratings if name != AI)
+    started = runs[:1] if first else runs  # all runs share plans without learning
     curves = {
-        run.name: start
-        + [(at, intervals[name]) for at, name in kept if name.rpartition(" ")[0] == run.name]
+        run.name: [
+            (at / 1e6, intervals[name])
+            for at, name in rated
+            if (run in started if name == START else kept[name].parent == run)
+        ]
         for run in runs
     }
     levels = {"the AI": ratings[AI].value} if AI in ratings else {}

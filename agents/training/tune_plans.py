@@ -138,6 +138,7 @@ class TuningArguments(RunArguments):
 
     may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "bots")
     least: ClassVar[Mapping[str, int]] = {"population": 2}  # CMA-ES compares sets
+    most: ClassVar[Mapping[str, int]] = {"seed": 2**32 - 2}  # that of CMA-ES is larger by one
 
     generations: int = 40
     population: int = 14

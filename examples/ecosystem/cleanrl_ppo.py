@@ -92,6 +92,11 @@ def main() -> None:
             actions_buffer[t] = action
             observations, reward, terminated, truncated, infos = envs.step(action.numpy())
             rewards[t] = torch.as_tensor(reward / 10)
+            if truncated.any():  # an episode cut short: its last state still has a value
+                last = [infos["final_obs"][slot] for slot in truncated.nonzero()[0]]
+                final = {name: np.stack([each[name] for each in last]) for name in last[0]}
+                with torch.no_grad():
+                    rewards[t, truncated] += args.gamma * agent(*tensors(final))[3]
             dones[t] = torch.as_tensor(terminated | truncated)
             active[t] = torch.as_tensor(infos["active"])  # finished agents have no transitions
             seen, mask = tensors(observations)

@@ -92,7 +92,8 @@ class BatchArguments:
 
     Attributes:
         jobs: races at the same time (default: all CPU cores)
-        race_timeout: time limit of one race
+        race_timeout: time limit of one race; a longer race is repeated with a time budget for
+            each agent
     """
 
     jobs: int | None = None

@@ -75,11 +75,14 @@ def show_entry(entry: Entry) -> None:
     """Prints the scores of an entry."""
     from stkzoo.cli._console import say
     from stkzoo.cli.benchmark import show_results
+    from stkzoo.suite.tasks import DIFFICULTY
 
     show_results([entry])
     score, task = entry.score, entry.task
     if score is None:
         return
+    if task.has_population:
+        say(f"The time ratio divides by the AI's time at difficulty {DIFFICULTY} in all races.")
     metric, count = task.metric.replace("_", " "), len(entry.plan.races())
     forms = [group for group in entry.groups if group.by == "form"]
     for group in forms if len(task.forms) > 1 else ():

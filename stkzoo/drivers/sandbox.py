@@ -113,7 +113,8 @@ def enclose(
     environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
     environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
     if kind == LANDLOCK:
-        searched = [folder for folder in (place.first, place.last) if folder]  # to import modules
+        # A package is imported from its own folder. Other modules are searched in these.
+        searched = [] if place.package else [place.first, place.last]
         return Enclosure((), environment, [*paths, *_KERNEL], [home, *changed, *_DEVICES], searched)
     return Enclosure(_bubblewrap_command(paths, changed), environment)
 

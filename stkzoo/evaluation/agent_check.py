@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo.drivers.driver import find_driver
+from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import MAX_BYTES, MAX_FILES, AgentFiles, find_files, is_zip
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.isolated import IsolatedInstance
@@ -190,7 +191,7 @@ def _rejected(source: str, path: str, reason: str) -> AgentReport:
     """Returns the report of a path that is not an agent."""
     return AgentReport(
         agent=source,
-        name=PurePath(path).name,
+        name=printable(PurePath(path).name),
         passed=False,
         reason=reason,
         trace="",

@@ -64,6 +64,8 @@ def rate(
 
     The interval comes from a bootstrap over races. The resampled pool includes one additional race
     of all agents in random order, so that outcomes that have not occurred keep some probability.
+    Each draw has one order of the races, while the value averages several, so the interval also
+    contains the effect of the order.
 
     Args:
         races: numbers of the agents in each race, best first. A race of one agent rates nobody.

@@ -103,7 +103,9 @@ static int read_action(const ActionReader *self, PyObject *action, float *row)
     for (Py_ssize_t i = 0; i < num_names; i++) {
         PyObject *part = PyDict_GetItemWithError(action, PyTuple_GET_ITEM(self->names, i));
         if (!part) return PyErr_Occurred() ? -1 : 0;
+        Py_INCREF(part); /* converting a number can run code that removes it from the dict */
         const int is_read = read_leaf(self->leaves + i, part, row);
+        Py_DECREF(part);
         if (is_read <= 0) return is_read;
     }
     return 1;
@@ -134,7 +136,7 @@ static PyObject *reader_read(PyObject *object, PyObject *args)
         if (!action && PyErr_Occurred()) return NULL;
         float *row = controls.data + rows.data[i] * self->num_columns;
         memset(row, 0, (size_t)self->num_columns * sizeof *row);
-        Py_XINCREF(action); /* converting a number can run code that removes it from the dict */
+        Py_XINCREF(action); /* see read_action */
         const int is_read = action ? read_action(self, action, row) : 0;
         Py_XDECREF(action);
         if (is_read < 0) return NULL;

@@ -284,6 +284,7 @@ static float *free_block(PyObject *tuple, npy_intp rows, int width)
         PyArrayObject *row = (PyArrayObject *)PyTuple_GET_ITEM(tuple, i);
         if (Py_REFCNT(row) != 1 || PyArray_DATA(row) != data + width * i ||
             PyArray_NDIM(row) != 1 || PyArray_TYPE(row) != NPY_FLOAT32 ||
+            !PyArray_ISNOTSWAPPED(row) ||
             !PyArray_CHKFLAGS(row, NPY_ARRAY_C_CONTIGUOUS | NPY_ARRAY_WRITEABLE)) {
             return NULL;
         }

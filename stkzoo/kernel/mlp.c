@@ -26,11 +26,12 @@ typedef struct {
 
 /* Computes tanh for -20 to 20 with an error below 2e-7, as 1 - 2e / (1 + e) with e = exp(-2|x|).
    To compute e, the exponent to base 2 is split into an integer, which becomes the exponent of a
-   float, and a fraction, for which the Taylor series of exp up to the ninth power is used. */
+   float, and a fraction, for which the Taylor series of exp up to the ninth power is used. If x is
+   NaN, the fraction is NaN; the integer is not, because casting NaN is undefined. */
 FORCE_INLINE float tanh_of(float x)
 {
     const float exponent = -2.8853900817779268f * fabsf(x); /* -2 / ln 2 */
-    const npy_int32 whole = (npy_int32)exponent;
+    const npy_int32 whole = (npy_int32)(exponent > -60.0f ? exponent : -60.0f);
     const float y = 0.6931471805599453f * (exponent - (float)whole);
     float part = 1.0f / 362880;
     part = part * y + 1.0f / 40320;
@@ -71,17 +72,18 @@ FORCE_INLINE void sum_block(const Layer *layer, npy_intp column, const float *in
     }
 }
 
+/* Applies the activation function. Comparisons are false for NaN and let it pass, as NumPy does. */
 FORCE_INLINE void activate(float *numbers, npy_intp count, int is_tanh)
 {
     if (is_tanh) {
         for (npy_intp i = 0; i < count; i++) {
-            const float below = numbers[i] < 20.0f ? numbers[i] : 20.0f;
-            numbers[i] = below > -20.0f ? below : -20.0f;
+            const float below = numbers[i] > 20.0f ? 20.0f : numbers[i];
+            numbers[i] = below < -20.0f ? -20.0f : below;
         }
         /* A separate loop, which compilers can vectorize. */
         for (npy_intp i = 0; i < count; i++) numbers[i] = tanh_of(numbers[i]);
     } else {
-        for (npy_intp i = 0; i < count; i++) numbers[i] = numbers[i] > 0 ? numbers[i] : 0;
+        for (npy_intp i = 0; i < count; i++) numbers[i] = numbers[i] <= 0 ? 0 : numbers[i];
     }
 }
 

@@ -55,8 +55,8 @@ typedef struct {
     Doubles out_items, out_rivals;
 } Survey;
 
+/* The smaller and the larger of two numbers; y if one of them is NaN. */
 FORCE_INLINE float least_of(float x, float y) { return x < y ? x : y; }
-
 FORCE_INLINE float most_of(float x, float y) { return x > y ? x : y; }
 
 /* Returns the number of marks within a distance, clamped to `least` and `most`. Clamps before the
@@ -394,6 +394,13 @@ static int are_sizes(const npy_intp (*sizes)[2], size_t count)
 
 #define ARE_SIZES(SIZES) are_sizes(SIZES, sizeof SIZES / sizeof *SIZES)
 
+static int read_own(PyObject *tuple, Own *own)
+{
+    return PyArg_ParseTuple(tuple, "O&O&O&O&O&", as_floats, &own->velocity, as_floats, &own->energy,
+                            as_wholes, &own->jumping, as_wholes, &own->powerup, as_wholes,
+                            &own->powerups);
+}
+
 static int is_own(const Own *own, npy_intp count)
 {
     const npy_intp sizes[][2] = {
@@ -452,17 +459,23 @@ static int survey_fits(Survey *s, Doubles rules)
 PyObject *survey_road(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Survey s;
+    PyObject *own, *around, *before, *now, *out;
     Doubles rules;
-    if (!PyArg_ParseTuple(
-            args, "O&O&O&(O&O&O&O&O&)(O&O&O&O&O&O&)(O&O&O&)(O&O&)(O&O&O&O&O&O&)", as_doubles, &rules,
-            as_floats, &s.worths, as_floats, &s.memory, as_floats, &s.own.velocity, as_floats,
-            &s.own.energy, as_wholes, &s.own.jumping, as_wholes, &s.own.powerup, as_wholes,
-            &s.own.powerups, as_floats, &s.line, as_written_floats, &s.headings, as_floats,
-            &s.tangents, as_floats, &s.karts, as_floats, &s.items, as_wholes, &s.types, as_floats,
-            &s.spots_before, as_floats, &s.velocity_before, as_floats, &s.headings_before,
-            as_written_floats, &s.spots, as_written_floats, &s.velocity, as_written_indices, &s.rows,
-            as_written_floats, &s.out_karts, as_written_floats, &s.out_road, as_written_doubles,
-            &s.out_items, as_written_doubles, &s.out_rivals, as_written_floats, &s.out_scene) ||
+    if (!PyArg_ParseTuple(args, "O&O&O&O!O!O!O!O!", as_doubles, &rules, as_floats, &s.worths,
+                          as_floats, &s.memory, &PyTuple_Type, &own, &PyTuple_Type, &around,
+                          &PyTuple_Type, &before, &PyTuple_Type, &now, &PyTuple_Type, &out) ||
+        !read_own(own, &s.own) ||
+        !PyArg_ParseTuple(around, "O&O&O&O&O&O&", as_floats, &s.line, as_written_floats,
+                          &s.headings, as_floats, &s.tangents, as_floats, &s.karts, as_floats,
+                          &s.items, as_wholes, &s.types) ||
+        !PyArg_ParseTuple(before, "O&O&O&", as_floats, &s.spots_before, as_floats,
+                          &s.velocity_before, as_floats, &s.headings_before) ||
+        !PyArg_ParseTuple(now, "O&O&", as_written_floats, &s.spots, as_written_floats,
+                          &s.velocity) ||
+        !PyArg_ParseTuple(out, "O&O&O&O&O&O&", as_written_indices, &s.rows, as_written_floats,
+                          &s.out_karts, as_written_floats, &s.out_road, as_written_doubles,
+                          &s.out_items, as_written_doubles, &s.out_rivals, as_written_floats,
+                          &s.out_scene) ||
         survey_fits(&s, rules) < 0) {
         return NULL;
     }
@@ -510,7 +523,7 @@ static void put_prior(const Presentation *p, npy_intp kart)
     };
     float *out = p->prior.data + (MANEUVERS + OFFSETS + 4) * kart;
     for (int i = 0; i < MANEUVERS; i++) {
-        *out++ = most_of((float)rules[WORTH_SCALE] * (worth[i] - worth[best]), (float)rules[NEVER]);
+        *out++ = most_of((float)rules[NEVER], (float)rules[WORTH_SCALE] * (worth[i] - worth[best]));
     }
     for (int i = 0; i < OFFSETS; i++) *out++ = p->offset_logits.data[i];
     for (int button = 0; button < 2; button++) {
@@ -529,9 +542,9 @@ static void put_inputs(const Presentation *p, npy_intp kart)
     for (int i = 0; i < MANEUVERS; i++) {
         const float behind = worth[i] - most;
         *out++ = behind > hopeless;
-        *out++ = most_of(behind / 10.0f, -2.0f);
+        *out++ = most_of(-2.0f, behind / 10.0f);
         *out++ = worth[all + i];
-        *out++ = least_of(worth[2 * all + i] / 10.0f, 2.0f);
+        *out++ = least_of(2.0f, worth[2 * all + i] / 10.0f);
     }
     *out++ = scene[ANGLE], *out++ = scene[OFFSET] / 10.0f, *out++ = scene[STRAIGHTNESS];
     const double *rival = p->rivals.data + 5 * p->num_rivals * kart;
@@ -574,13 +587,15 @@ static int presentation_fits(Presentation *p, Doubles rules)
 PyObject *present_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Presentation p;
+    PyObject *logits, *own;
     Doubles rules;
-    if (!PyArg_ParseTuple(args, "O&(O&O&)O&(O&O&O&O&O&)O&O&O&O&O&n", as_doubles, &rules, as_floats,
-                          &p.offset_logits, as_floats, &p.button_logits, as_floats, &p.memory,
-                          as_floats, &p.own.velocity, as_floats, &p.own.energy, as_wholes,
-                          &p.own.jumping, as_wholes, &p.own.powerup, as_wholes, &p.own.powerups,
-                          as_floats, &p.best, as_floats, &p.scene, as_doubles, &p.rivals,
-                          as_written_floats, &p.prior, as_written_floats, &p.inputs, &p.first) ||
+    if (!PyArg_ParseTuple(args, "O&O!O&O!O&O&O&O&O&n", as_doubles, &rules, &PyTuple_Type, &logits,
+                          as_floats, &p.memory, &PyTuple_Type, &own, as_floats, &p.best, as_floats,
+                          &p.scene, as_doubles, &p.rivals, as_written_floats, &p.prior,
+                          as_written_floats, &p.inputs, &p.first) ||
+        !PyArg_ParseTuple(logits, "O&O&", as_floats, &p.offset_logits, as_floats,
+                          &p.button_logits) ||
+        !read_own(own, &p.own) ||
         presentation_fits(&p, rules) < 0) {
         return NULL;
     }

@@ -22,7 +22,8 @@ enum { MANEUVERS = 4, BRAKE = 1, ITEM_LANES = 2 };
 static const float NEVER = -1e4f;
 /* Largest turn per step [rad] and lowest speed [m/s] of plans simulated by the network. */
 static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
-
+/* Longest time that plans can last [s], which bounds the number of steps. */
+static const float MOST_TIME = 100.0f;
 
 /* The plans of all states, in the order of stkzoo.kernel.PlanTable. */
 typedef struct {
@@ -47,12 +48,13 @@ typedef struct {
 } PlanKart;
 enum { KART_SIZE = sizeof(PlanKart) / sizeof(float) };
 
-/* Rectified linear units. They use a mask, because in C compilers reject ?: for vectors. */
+/* Rectified linear units, which let NaN pass. They use a mask, because in C compilers reject ?: for
+   vectors. */
 #ifdef __GNUC__
 typedef npy_int32 Masks __attribute__((vector_size(32), aligned(4), may_alias));
-#define RECTIFIED(X) (Lanes)(((X) > 0) & (Masks)(X))
+#define RECTIFIED(X) (Lanes)(~((X) <= 0) & (Masks)(X))
 #else
-#define RECTIFIED(X) ((X) > 0 ? (X) : 0)
+#define RECTIFIED(X) ((X) <= 0 ? 0 : (X))
 #endif
 
 /* Number of units whose sums are kept in registers, number of vectors per unit, and number of plans
@@ -311,7 +313,7 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     }
 }
 
-/* Advances all plans by one step with the network's outputs. */
+/* Advances all plans by one step with the network's outputs. NaN in them passes. */
 FORCE_INLINE void move_plans(const Forecast *f)
 {
     const Motion *m = &f->motion;
@@ -330,10 +332,10 @@ FORCE_INLINE void move_plans(const Forecast *f)
     for (npy_intp i = 0; i < driven; i++) {
         const float speed_before = speeds[i], slide_before = slides[i], angle = angles[i];
         const float curve = curves[i], beside = across[i], next_yaw = next_yaws[i];
-        float yaw = next_yaw < most_yaw ? next_yaw : most_yaw;
-        yaw = yaw > -most_yaw ? yaw : -most_yaw;
+        float yaw = next_yaw > most_yaw ? most_yaw : next_yaw;
+        yaw = yaw < -most_yaw ? -most_yaw : yaw;
         const float next_speed = speed_before + more_speeds[i];
-        const float speed = next_speed > least_speed ? next_speed : least_speed;
+        const float speed = next_speed < least_speed ? least_speed : next_speed;
         const float slide = slide_before + more_slides[i];
         const float ahead = half * (speed_before + speed), aside = half * (slide_before + slide);
         float sine, cosine;
@@ -404,14 +406,14 @@ static void weigh_danger(const Forecast *f, const PlanKart *kart)
         const float *across = f->across + moment * plans, *ahead = f->ahead + moment * plans;
         for (npy_intp i = 0; i < plans; i++) {
             const float over = fabsf(across[i]) - ahead[i];
-            f->danger[i] = fmaf(f->table->spans.data[moment], over > 0 ? over : 0, f->danger[i]);
+            f->danger[i] = fmaf(f->table->spans.data[moment], over < 0 ? 0 : over, f->danger[i]);
         }
     }
     for (npy_intp i = 0; i < plans; i++) {
         const float out = f->across[last + i] + f->angle[i] * late_way;
         const float late = fabsf(out) - f->ahead[last + i];
         f->danger[i] = f->danger[i] * (float)rules[OVER_COST] +
-                       (float)rules[LATE_COST] * (late > 0 ? late : 0);
+                       (float)rules[LATE_COST] * (late < 0 ? 0 : late);
     }
 }
 
@@ -585,7 +587,16 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
                      t->drifts.size == all && t->releases.size == all && t->slower.size == all &&
                      t->lanes.size == all && t->maneuvers.size == one && t->boosts.size == one &&
                      t->boost_steps.size == one && t->needs_drift.size == one;
-    return fits ? 0 : refuse("the arrays of the table do not fit together");
+    if (!fits) return refuse("the arrays of the table do not fit together");
+    float end = 0;
+    for (npy_intp i = 0; i < f->moments; i++) {
+        const float span = t->spans.data[i];
+        end += span;
+        if (!(span >= 0 && end <= MOST_TIME)) {
+            return refuse("the spans of the table must be at least 0 s and at most 100 s in total");
+        }
+    }
+    return 0;
 }
 
 /* Reads the network and its rules. An empty tuple means that there is no network. */

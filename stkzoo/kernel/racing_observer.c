@@ -312,11 +312,13 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
     const RacingObserver *view = (RacingObserver *)self;
     Moment moment;
     npy_intp track;
+    PyObject *arrays;
     Indices who;
     Floats looks, road, karts, items;
     Wholes types;
-    if (!PyArg_ParseTuple(args, "O&nO&O&(O&O&O&O&)", as_moment, &moment, &track, as_indices, &who,
-                          as_floats, &looks, as_written_floats, &road, as_written_floats, &karts,
+    if (!PyArg_ParseTuple(args, "O&nO&O&O!", as_moment, &moment, &track, as_indices, &who,
+                          as_floats, &looks, &PyTuple_Type, &arrays) ||
+        !PyArg_ParseTuple(arrays, "O&O&O&O&", as_written_floats, &road, as_written_floats, &karts,
                           as_written_floats, &items, as_written_wholes, &types)) {
         return NULL;
     }
@@ -346,13 +348,18 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
 static PyObject *racing_write(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
+    PyObject *own_numbers, *own_kinds, *around;
     Floats velocity, numbers[5], road, karts, items, out;
     Wholes kinds[4], types;
-    if (!PyArg_ParseTuple(args, "(O&O&O&O&O&O&)(O&O&O&O&)(O&O&O&O&)O&", as_floats, &velocity, as_floats,
-                          numbers, as_floats, numbers + 1, as_floats, numbers + 2, as_floats,
-                          numbers + 3, as_floats, numbers + 4, as_wholes, kinds, as_wholes, kinds + 1,
-                          as_wholes, kinds + 2, as_wholes, kinds + 3, as_floats, &road, as_floats,
-                          &karts, as_floats, &items, as_wholes, &types, as_written_floats, &out)) {
+    if (!PyArg_ParseTuple(args, "O!O!O!O&", &PyTuple_Type, &own_numbers, &PyTuple_Type, &own_kinds,
+                          &PyTuple_Type, &around, as_written_floats, &out) ||
+        !PyArg_ParseTuple(own_numbers, "O&O&O&O&O&O&", as_floats, &velocity, as_floats, numbers,
+                          as_floats, numbers + 1, as_floats, numbers + 2, as_floats, numbers + 3,
+                          as_floats, numbers + 4) ||
+        !PyArg_ParseTuple(own_kinds, "O&O&O&O&", as_wholes, kinds, as_wholes, kinds + 1, as_wholes,
+                          kinds + 2, as_wholes, kinds + 3) ||
+        !PyArg_ParseTuple(around, "O&O&O&O&", as_floats, &road, as_floats, &karts, as_floats,
+                          &items, as_wholes, &types)) {
         return NULL;
     }
     const npy_intp count = velocity.size / 3;
@@ -421,13 +428,14 @@ static int fits_together(const RacingObserver *view)
 /* RacingObserver(roads, (marks, items, attachments), (counts), (lengths)) */
 static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *roads;
-    if (!PyArg_ParseTuple(args, "O!(O&O&O&)(iiiiiii)(ffffff)", &PyTuple_Type, &roads, as_floats,
-                          &view->marks, as_bytes, &view->items, as_bytes, &view->attachments,
-                          &view->num_powerups, &view->powerup_limit, &view->num_hangs,
+    PyObject *roads, *tables;
+    if (!PyArg_ParseTuple(args, "O!O!(iiiiiii)(ffffff)", &PyTuple_Type, &roads, &PyTuple_Type,
+                          &tables, &view->num_powerups, &view->powerup_limit, &view->num_hangs,
                           &view->num_kinds, &view->karts, &view->goods, &view->bads, &view->step,
                           &view->beyond, &view->kart_reach, &view->item_reach, &view->item_ahead,
-                          &view->item_level)) {
+                          &view->item_level) ||
+        !PyArg_ParseTuple(tables, "O&O&O&", as_floats, &view->marks, as_bytes, &view->items,
+                          as_bytes, &view->attachments)) {
         return -1;
     }
     if (!fits_together(view)) return refuse("the view's numbers do not fit together");

@@ -5,5 +5,13 @@ All functions process the whole race at once, as arrays with a leading axis of k
 
 from stkzoo.mdp.geometry import rotation_matrices, squared
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
+from stkzoo.mdp.state import GLOBAL_FEATURES, KART_FEATURES
 
-__all__ = ["kart_action_space", "kart_observation_space", "rotation_matrices", "squared"]
+__all__ = [
+    "GLOBAL_FEATURES",
+    "KART_FEATURES",
+    "kart_action_space",
+    "kart_observation_space",
+    "rotation_matrices",
+    "squared",
+]

@@ -25,7 +25,8 @@ from stkzoo.wrappers.marl import MessageChannel, PartialObservations, TalkingVie
 
 #: Name of the suite, with its version.
 SUITE = "stkzoo-suite-1"
-#: Difficulty of the game's AI, where the population does not require another one.
+#: Difficulty of the game's AI, where the population does not require another one. Time limits and
+#: time ratios use the AI's times at this difficulty in all races.
 DIFFICULTY = 3
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"

@@ -1,11 +1,12 @@
 """The reference runs of the suite are trained, evaluated, saved once, and reported."""
 
+import json
 from dataclasses import replace
 
 import pytest
 
 from benchmarks.suite_reference import learning_curve, main, reference_keys, thinned
-from stkzoo.agents.training.suite.learner import TaskArguments
+from stkzoo.agents.training.suite.learner import TaskArguments, TrainingMachine
 from stkzoo.errors import ConfigError
 from stkzoo.suite import TASKS, SuiteRun, load_runs
 
@@ -65,8 +66,12 @@ def test_a_small_run_is_trained_evaluated_and_written_once(tmp_path, monkeypatch
     words += ["--runs", str(runs), "--output", str(results)]
     assert main([*words, "--only-evaluate"]) == 0
     assert "solo-1-ippo-3: is not trained" in capsys.readouterr().err
-    assert main(words) == 0
+    trainer = TrainingMachine(64, {"torch": "2.11"})
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingMachine, "now", lambda: trainer)
+        assert main(words) == 0
     (run,) = load_runs([results])
+    assert (run.cores, run.versions) == (trainer.cores, trainer.versions)
     assert (run.name, run.budget) == ("solo-1-ippo-3", 100)
     assert run.kart_steps >= 100
     assert len(run.test.races) == len(run.train.races) == 2
@@ -76,6 +81,10 @@ def test_a_small_run_is_trained_evaluated_and_written_once(tmp_path, monkeypatch
     assert main(words) == 0
     assert "solo-1-ippo-3: has a result" in capsys.readouterr().err
     assert (results / "solo-1-ippo-3.json").read_bytes() == before
+    (results / "solo-1-ippo-3.json").unlink()
+    assert main(words) == 0  # evaluated again, on another machine
+    written = json.loads((results / "solo-1-ippo-3.json").read_text())
+    assert (written["cores"], written["versions"]) == (64, {"torch": "2.11"})
     (results / "solo-1-ippo-3.json").unlink()
     (runs / "solo-1-ippo-3").rename(runs / "solo-1-ippo-4")
     with pytest.raises(ConfigError, match="contains the run"):

@@ -152,6 +152,15 @@ def test_check_rejects_files_that_are_no_agent(name, reason, tmp_path, capsys):
     assert re.search(f"FAIL: .*{reason}", capsys.readouterr().out)
 
 
+def test_the_name_of_a_damaged_zip_cannot_control_the_terminal(tmp_path, capsys):
+    file = tmp_path / "mine\x1b]0;gone\x07\x1b[2J.zip"
+    file.write_bytes(b"PK\x03\x04 but not really")
+    assert main(["check", str(file)]) == 3
+    shown = capsys.readouterr().out
+    assert shown.startswith("mine.zip: ")
+    assert not {"\x1b", "\x07"} & {*shown}
+
+
 def test_a_check_uses_the_adapter(tmp_path):
     (tmp_path / "agent.py").write_text("def get_actor(): return lambda: action\naction = 0\n")
     adapter = tmp_path / "adapter.py"

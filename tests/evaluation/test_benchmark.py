@@ -19,7 +19,7 @@ from stkzoo.evaluation import (
     plot_benchmark,
 )
 from stkzoo.evaluation.benchmark.races import make_races, race_seed
-from stkzoo.evaluation.statistics import estimate_mean
+from stkzoo.evaluation.statistics import estimate_clustered, estimate_mean
 from stkzoo.race import AgentResult, RaceResult
 from stkzoo.tracks import TEST_TRACKS, VALIDATION_TRACKS
 from tests.support.paths import ROOT
@@ -392,6 +392,17 @@ def test_published_results_on_the_validation_tracks_can_be_recomputed(name):
     written = json.loads(file.read_text())["groups"][0]["clustered"]["time_ratio"]
     found = result.group().clustered["time_ratio"]
     assert [written["low"], written["high"]] == pytest.approx([found.low, found.high], abs=1e-6)
+
+
+@pytest.mark.parametrize(("by", "contains_zero"), [("track and direction", False), ("track", True)])
+def test_apex_is_faster_than_ace_over_directions_but_not_surely_over_tracks(by, contains_zero):
+    """The page of the benchmark and the card of apex say so."""
+    first, second = (load_benchmark(RESULTS / f"{name}.json") for name in ("apex", "ace"))
+    groups = [group for group in compare(first, second).differences if group.by == by]
+    counts = np.array([group.races for group in groups], float)
+    means = np.array([group.figures["time_ratio"].value for group in groups])
+    low, high = estimate_clustered(means * counts, counts).interval
+    assert (low < 0 < high) == contains_zero
 
 
 def test_the_ai_ties_with_itself():

@@ -124,19 +124,48 @@ def test_a_kart_that_no_longer_finishes_differs_from_the_recording(tmp_path):
     assert 50 < found.first_difference <= 52
 
 
-@pytest.mark.slow
-def test_a_check_runs_the_code_of_rivals_outside_this_program(tmp_path):
-    rival = tmp_path / "rival.py"
-    rival.write_text(
+@pytest.fixture
+def rival(tmp_path):
+    """Makes an agent that leaves a mark in the process that runs it."""
+    file = tmp_path / "rival.py"
+    file.write_text(
         'import builtins\n\nenv_name = "supertuxkart/full-v0"\nplayer_name = "rival"\n'
         "builtins.rival_was_here = True\n"
         "def get_actor(_, __, action_space):\n"
         "    return lambda *_: action_space.sample()\n"
     )
-    how = {**SHORT, "karts": 1, "max_steps": 10, "rivals": [str(rival)]}
+    yield str(file)
+    vars(builtins).pop("rival_was_here", None)
+
+
+@pytest.mark.slow
+def test_a_check_runs_the_code_of_rivals_outside_this_program(rival, tmp_path):
+    how = {**SHORT, "karts": 1, "max_steps": 10, "rivals": [rival]}
     demos = record_demonstrations("pursuit", output=tmp_path / "d.npz", **how)
-    assert check_demonstrations(demos).steps == 10
+    assert check_demonstrations(demos, trust_rivals=True).steps == 10
     assert not hasattr(builtins, "rival_was_here")
+
+
+@pytest.mark.parametrize("settings", [{"inline": True}, {"sandbox": "off"}, {}])
+def test_a_check_runs_no_rival_from_files_unless_it_is_trusted(driven, rival, settings):
+    _, demos = driven
+    plan = {**demos.plan, "rivals": [rival], "settings": demos.plan["settings"] | settings}
+    with pytest.raises(ConfigError, match=r"rivals from files, .*rival.py.*trust_rivals=True"):
+        check_demonstrations(replace(demos, plan=plan))
+    assert not hasattr(builtins, "rival_was_here")
+
+
+def test_a_check_runs_no_adapter_that_the_dataset_names(driven, rival):
+    _, demos = driven
+    plan = {**demos.plan, "settings": demos.plan["settings"] | {"adapter": rival}}
+    assert check_demonstrations(replace(demos, plan=plan)).is_exact
+    assert not hasattr(builtins, "rival_was_here")
+
+
+def test_demonstrations_of_an_agent_that_is_gone_can_be_checked(driven):
+    _, demos = driven
+    agent = {**demos.plan["agent"], "source": "/nowhere/agent.zip"}
+    assert check_demonstrations(replace(demos, plan={**demos.plan, "agent": agent})).is_exact
 
 
 def test_recorded_actions_are_the_nearest_to_the_controls(driven):

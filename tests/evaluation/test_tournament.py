@@ -29,10 +29,11 @@ from stkzoo.evaluation import (
 )
 from stkzoo.evaluation.batch import entrants
 from stkzoo.evaluation.batch.entrants import fingerprint
+from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.ratings import rate
 from stkzoo.evaluation.tournament.run import resumed_plan
-from stkzoo.race import RaceResult
+from stkzoo.race import RaceResult, RaceSettings
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import children_of, process_exists, run_program, wait_until
 from tests.support.remote_race import write_agent
@@ -430,6 +431,12 @@ def test_an_agent_cannot_shift_the_blame_to_another(tmp_path):
     assert [row.errors for row in result.standings] == [0, 1]
 
 
+@pytest.mark.parametrize(("mode", "again"), [("on", "on"), ("auto", "auto"), ("off", "auto")])
+def test_a_repeated_race_keeps_a_required_sandbox(mode, again):
+    order = RaceOrder(0, ("random",), RaceSettings(sandbox=mode))
+    assert order.isolated().settings.sandbox == again
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
 def test_an_agent_that_attacks_when_behind_voids_no_race_and_finishes_last(tmp_path):
@@ -448,6 +455,41 @@ def test_a_race_that_never_ends_is_ended(tmp_path):
     settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 10**6, "race_timeout": 3.0}
     with pytest.raises(BatchError, match="it was not over after 3 s"):
         run_tournament(["random", "random@:r"], output=tmp_path / "cup", **settings)
+
+
+SLOW = """
+import time
+
+def get_actor(module_dir, observation_space, action_space):
+    steps = []
+    def actor(state, observation):
+        steps.append(0)
+        if len(steps) % 2 == {turn}:
+            time.sleep(3)
+        return dict.fromkeys(action_space, 0) | {{"acceleration": [0.0], "steer": [0.0]}}
+    return actor
+"""
+
+
+@pytest.mark.slow
+def test_two_slow_agents_void_no_race_and_lose_it(tmp_path):
+    """They take turns, so that the absence of one of them does not let the race finish."""
+    for turn, name in enumerate("ab"):
+        (tmp_path / f"{name}.py").write_text(SLOW.format(turn=turn))
+    settings = {**SMALL, "races": 1, "per_race": 3, "max_steps": 40, "race_timeout": 40.0}
+    agents = ["heuristic", *(str(tmp_path / f"{name}.py") for name in "ab")]
+    result = run_tournament(agents, output=tmp_path / "cup", **settings)
+    assert [race.order[0] for race in result.races] == ["heuristic"]
+    assert [row.reason for row in result.standings if row.label in "ab"] == [
+        "it has used up its time budget of 10 s for decisions"
+    ] * 2
+
+
+@pytest.mark.parametrize(("budget", "expected"), [(None, 10.0), (20.0, 10.0), (5.0, 5.0)])
+def test_a_race_that_was_late_is_repeated_with_a_time_budget(budget, expected):
+    order = RaceOrder(0, ("ai", "random"), RaceSettings(inline=True, time_budget=budget))
+    settings = order.hurried(30.0).settings
+    assert (settings.time_budget, settings.inline) == (expected, False)
 
 
 @pytest.mark.slow
@@ -479,6 +521,7 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
     settings = {**SMALL, "races": 1, "per_race": 2}
     result = run_tournament(["ai", str(agent)], output=folder, **settings)
     (agent / "notes.txt").write_text("new files are nobody's business")
+    (agent / "run.log").write_text("")
     assert resume_tournament(folder, plot=False) == result
     (agent / "helper.py").write_text("chase = None")
     with pytest.raises(
@@ -487,6 +530,23 @@ def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
         resume_tournament(folder)
     shutil.rmtree(agent)
     with pytest.raises(ConfigError, match=f"agent 'Plain' is no longer at {agent}"):
+        resume_tournament(folder)
+
+
+@pytest.mark.slow
+def test_an_agent_that_changes_between_two_races_is_reported_only_on_resume(tmp_path):
+    agent, folder = tmp_path / "mine", tmp_path / "cup"
+    shutil.copytree(AGENTS / "plain", agent)
+
+    def change(progress):
+        if progress.done == 1:
+            (agent / "helper.py").write_text("chase = None")
+
+    settings = {**SMALL, "races": 2, "per_race": 2, "jobs": 1, "on_race": change}
+    result = run_tournament(["ai", str(agent)], output=folder, **settings)
+    assert [race.order for race in result.races] == [("ai", "Plain")] * 2
+    assert result.standings[1].errors == 1
+    with pytest.raises(ConfigError, match=r"files of agent 'Plain' have changed"):
         resume_tournament(folder)
 
 
@@ -549,6 +609,24 @@ def test_the_fingerprint_of_an_agent_covers_all_its_files(source):
     names = {file.relative_to(home).as_posix() for file in on_disk if file.is_file()}
     assert set(files) == {name for name in names if "__pycache__" not in name}
     assert fingerprint("heuristic") == {}
+
+
+def test_the_fingerprint_of_an_agent_covers_compiled_and_hidden_files(tmp_path):
+    shutil.copytree(AGENTS / "plain", tmp_path / "mine")
+    for name in ("later.pyc", ".weights", ".data/x", ".git/HEAD", "__pycache__/a.pyc", "a.log"):
+        (tmp_path / "mine" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "mine" / name).write_text("")
+    assert list(fingerprint(str(tmp_path / "mine"))) == [
+        *("mine/helper.py", "mine/later.pyc", "mine/pystk_actor.py"),
+        *("mine/.weights", "mine/.data/x"),
+    ]
+
+
+def test_the_fingerprint_of_an_actor_file_covers_its_folder(tmp_path):
+    """The file's sandbox contains this folder."""
+    shutil.copytree(AGENTS / "plain", tmp_path / "mine")
+    files = fingerprint(str(tmp_path / "mine" / "pystk_actor.py"))
+    assert list(files) == ["helper.py", "pystk_actor.py"]
 
 
 def test_the_fingerprint_of_an_agent_covers_a_bounded_amount_of_data(tmp_path, monkeypatch):

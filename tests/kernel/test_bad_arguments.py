@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 import struct
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -349,6 +352,56 @@ def test_a_conversion_can_clear_the_actions():
     controls = np.zeros(2, np.float32)
     assert reader.read(actions, ("kart_0",), np.zeros(1, np.intp), controls)
     assert controls.tolist() == [1.0, 1.0]
+
+
+#: A conversion that fails after it has removed the last reference to its number.
+CLEARING = """
+import numpy as np
+from stkzoo import kernel
+
+class Clearing(int):
+    def __float__(self):
+        action.clear()
+        return "not a number"
+
+action = {"first": Clearing(1), "second": 1}
+leaves = tuple(((0.0, 1.0, True, column, None),) for column in range(2))
+reader = kernel.ActionReader(("first", "second"), leaves, 2)
+controls = np.zeros(2, np.float32)
+print(reader.read({"kart_0": action}, ("kart_0",), np.zeros(1, np.intp), controls))
+"""
+
+
+def test_a_conversion_can_clear_its_own_action():
+    answer = subprocess.run(
+        [sys.executable, "-c", CLEARING],
+        env={**os.environ, "PYTHONMALLOC": "debug"},  # overwrites freed memory
+        capture_output=True,
+        text=True,
+    )
+    assert (answer.returncode, answer.stdout) == (0, "False\n"), answer.stderr
+
+
+@pytest.mark.parametrize("name", ["RacingObserver", "present_plans", "survey_road", "weigh_plans"])
+def test_arrays_in_a_list_are_refused(cases, name):
+    """A list can lose its arrays while the kernel uses them."""
+
+    def refuses(call, args):
+        groups = [n for n, part in enumerate(args) if holds_arrays(part)]
+        for n in groups:
+            with pytest.raises(TypeError, match="must be tuple, not list"):
+                call(*args[:n], list(args[n]), *args[n + 1 :])
+        return len(groups)
+
+    for args, kwargs, method, values in {case[2]: case for case in cases[name]}.values():
+        assert not kwargs
+        assert refuses(getattr(kernel, name), args)
+        if method is not None:
+            refuses(getattr(getattr(kernel, name)(*args), method), values)
+
+
+def holds_arrays(value):
+    return isinstance(value, tuple) and any(isinstance(part, np.ndarray) for part in value)
 
 
 def test_negative_numbers_of_choices_are_refused():

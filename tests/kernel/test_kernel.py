@@ -443,19 +443,29 @@ def test_kept_observations_never_change(keep, key):
         assert not np.shares_memory(observations["kart_0"][key][0], observations["kart_1"][key][0])
 
 
-def test_modified_rows_are_not_reused():
+def reshape(row):
+    row.shape = (1, 3)
+
+
+def make_read_only(row):
+    row.flags.writeable = False
+
+
+def swap_bytes(row):
+    row.dtype = row.dtype.newbyteorder()
+
+
+@pytest.mark.parametrize("modify", [reshape, make_read_only, swap_bytes])
+def test_modified_rows_are_not_reused(modify):
     with contextlib.closing(race_v0.parallel_env(num_kart=1, track="lighthouse")) as env:
         observations, _ = env.reset(seed=3)
-        shapes = {}
         for _ in range(12):
             rows = observations["kart_0"]["paths_start"]
-            shapes = {row.shape for row in rows}
-            rows[0].shape = (1, 3)
-            rows[1].flags.writeable = False
+            assert {row.shape for row in rows} == {(3,)}
+            assert all(row.flags.writeable and row.dtype.isnative for row in rows)
+            modify(rows[0])
             del rows
             observations = env.step({"kart_0": env.action_space("kart_0").sample()})[0]
-            assert all(row.flags.writeable for row in observations["kart_0"]["paths_start"])
-        assert shapes == {(3,)}
 
 
 def test_custom_wrappers_and_terms_work_without_the_kernel():

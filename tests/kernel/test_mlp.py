@@ -63,6 +63,19 @@ def test_a_row_does_not_depend_on_its_batch(network, is_tanh):
     np.testing.assert_array_equal(evaluated(network, inputs), np.concatenate(alone))
 
 
+@pytest.mark.parametrize("network", [kernel.Mlp, mlp.Mlp])
+@pytest.mark.parametrize("is_tanh", [True, False])
+def test_nan_in_a_row_or_in_hidden_weights_reaches_the_outputs(network, is_tanh):
+    layers, inputs = layers_of(7), inputs_of(8, 6)
+    finite = evaluated(network(layers, is_tanh), inputs)
+    inputs[4, 0] = np.nan
+    found = evaluated(network(layers, is_tanh), inputs)
+    assert np.isnan(found[4]).all()
+    np.testing.assert_array_equal(np.delete(found, 4, axis=0), np.delete(finite, 4, axis=0))
+    layers[1][0][3, 3] = np.nan
+    assert np.isnan(evaluated(network(layers, is_tanh), inputs)).all()
+
+
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda n: pickle.loads(pickle.dumps(n))])
 def test_copies_and_pickles_have_the_same_outputs(duplicate):
     network, inputs = kernel.Mlp(layers_of(5), True), inputs_of(6, 3)

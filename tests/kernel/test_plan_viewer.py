@@ -147,6 +147,17 @@ def test_present_plans_matches_the_reference_implementation(seed):
     assert len(np.unique(prior[:, -4:], axis=0)) > 1
 
 
+def test_plans_of_unknown_worth_have_an_unknown_prior():
+    *given, prior, inputs, first = present_arguments(0)
+    given[4][:, 3] = np.nan
+    ours, theirs = (prior.copy(), inputs.copy()), (prior, inputs)
+    kernel.present_plans(*given, *ours, first)
+    plan_viewer.present_plans(*given, *theirs, first)
+    assert np.isnan(prior[3, :4]).all()
+    for own, other in zip(ours, theirs, strict=True):
+        np.testing.assert_array_equal(np.isnan(own), np.isnan(other))
+
+
 def test_the_prior_needs_no_inputs():
     *given, prior, _, first = present_arguments(0)
     alone = prior.copy()

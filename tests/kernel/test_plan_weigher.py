@@ -212,6 +212,27 @@ def weighed_by_both(arguments):
     return ours, theirs
 
 
+@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+@pytest.mark.parametrize("part", range(1, 7))
+def test_nan_in_the_network_reaches_the_worth_of_plans(part):
+    motion = tuple(array.copy() for array in learned_motion())
+    motion[part].flat[0] = np.nan
+    with np.errstate(invalid="ignore"):
+        ours, theirs = weighed_by_both(random_arguments(0, motion=motion))
+    assert np.isnan(ours[0]).any()
+    np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
+
+
+@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+@pytest.mark.parametrize("span", [np.nan, -1.0, np.inf, 1e9])
+def test_spans_that_would_never_end_are_refused(span):
+    table, *arguments = random_arguments(0, count=1, motion=learned_motion())
+    spans = table.spans.copy()
+    spans[-1] = span
+    with pytest.raises(ValueError, match="at most 100 s"):
+        kernel.weigh_plans(table._replace(spans=spans), *arguments, np.empty((3, 1, 4), np.float32))
+
+
 @pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
 @pytest.mark.parametrize("weigh", [kernel.weigh_plans, plan_weigher.weigh_plans])
 def test_results_do_not_depend_on_the_batch(weigh, motion):

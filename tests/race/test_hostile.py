@@ -335,6 +335,28 @@ def test_landlock_confines_an_agent(bench, monkeypatch):
     sandbox.say_what_is_missing.cache_clear()
 
 
+LISTER = """
+import os
+
+def get_actor(module_dir, observation_space, action_space):
+    raise RuntimeError("|".join(os.listdir({home!r})))
+"""
+
+
+@needs_landlock
+@pytest.mark.parametrize(("file", "can_list"), [("__init__.py", False), ("../spy.py", True)])
+def test_landlock_lets_only_an_agent_that_is_a_single_file_list_its_folder(
+    tmp_path, monkeypatch, file, can_list
+):
+    monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "a test")
+    (tmp_path / "spy").mkdir()
+    path = tmp_path / "spy" / file
+    path.write_text(LISTER.format(home=str(tmp_path)))
+    agent = path.parent if path.name == "__init__.py" else path
+    message = race(f"{agent.resolve()}@:spy").agents[0].errors[0].message
+    assert message.startswith("RuntimeError: spy" if can_list else "PermissionError"), message
+
+
 NESTS = """
 def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
@@ -386,6 +408,36 @@ def test_an_unpacked_agent_that_nests_thousands_of_folders_affects_only_its_kart
     result = race("ai", agent, max_steps=5, **settings)
     assert "ZeroDivisionError" in by_driver(result)["packed"].errors[0].message
     assert agent_folders(own_temporary_folder) == []
+
+
+WRITES = """
+def get_actor(module_dir, observation_space, action_space):
+    for name in "abc":
+        (module_dir / name).write_bytes(bytes(30 << 20))
+    return lambda state, observation: action_space.sample()
+"""
+
+
+@needs_bubblewrap
+def test_an_agent_with_an_adapter_can_leave_many_files_in_its_folder(bench):
+    home, _, write, _ = bench
+    (home / "adapter.py").write_text("def create_actor(get, *given):\n    return get(*given)\n")
+    settings = {"adapter": str(home / "adapter.py"), "sandbox": "on", "action_timeout": 60.0}
+    result = race(write("writes", WRITES), max_steps=2, **settings)
+    assert not result.agents[0].num_errors
+    assert sum((home / "writes" / name).stat().st_size for name in "abc") == 90 << 20
+
+
+ORACLE = """
+def get_actor(module_dir, observation_space, action_space):
+    raise RuntimeError(f"seed {numpy.random.get_state()[1][0]}")
+"""
+
+
+def test_an_agent_learns_the_seed_of_its_race(bench):
+    write = bench[2]
+    result = race("ai", write("oracle", ORACLE))  # the agent drives kart_1
+    assert by_driver(result)["oracle"].errors[0].message == "RuntimeError: seed 2"
 
 
 SLEEPS = """

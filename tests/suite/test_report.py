@@ -128,6 +128,17 @@ def test_a_report_has_all_its_files_and_is_reproducible(two_runs, tmp_path, caps
     assert "| versus | ippo | beaten | 2 |" in (one / "report.md").read_text()
 
 
+def test_a_run_that_fails_on_one_track_makes_the_interval_wide():
+    """Both directions of a track fail together, so a draw without the track has no failure."""
+
+    def failing(track, *_):
+        return 3.0 if track == "zengarden" else 1.0
+
+    runs = [suite_run("solo-general", "ippo", seed, failing) for seed in (0, 1)]
+    ((own,),) = (task.algorithms for task in make_report(runs).tasks)
+    assert own.score.interval == pytest.approx((1.0, 2.2))  # from no draw to three of five
+
+
 def test_a_folder_of_results_cannot_be_the_folder_of_the_report(two_runs, tmp_path, capsys):
     (tmp_path / "link").symlink_to(tmp_path)
     assert main(["suite", "report", str(tmp_path), "--output", str(tmp_path / "link")]) == 2
@@ -183,9 +194,9 @@ def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(tmp_path):
 
 
 def test_a_missing_library_names_the_extra(two_runs, tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "scipy.stats", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main(["suite", "report", str(two_runs[0]), "--output", str(tmp_path / "report")]) == 2
-    assert "the report needs scipy" in capsys.readouterr().err
+    assert "[report]" in capsys.readouterr().err
 
 
 # ------------------------------------------------------------------ invalid results
@@ -263,6 +274,15 @@ def test_the_same_run_twice_is_refused(two_runs, tmp_path):
     copy.write_bytes(two_runs[0].read_bytes())
     with pytest.raises(ConfigError, match="are the same run, versus-ippo-0"):
         load_runs([two_runs[0], copy])
+
+
+def test_a_copy_under_another_seed_is_refused(two_runs):
+    changed(two_runs[0], seed=2)
+    copy = two_runs[1]
+    copy.write_bytes(two_runs[0].read_bytes())
+    changed(copy, seed=3)
+    with pytest.raises(ConfigError, match="have the same learning curve and scores"):
+        load_runs(two_runs)
 
 
 def test_runs_with_different_budgets_are_refused(two_runs):

@@ -21,13 +21,24 @@ SCORES = np.array([[0.1, 0.5, 0.9, 0.3], [0.2, 0.5, 0.8, 0.7], [0.4, 0.6, 1.1, 0
 OTHERS = np.array([[0.2, 0.5, 0.7, 0.3], [0.3, 0.4, 0.8, 0.1]])
 
 
-def table(scores, runs="runs", columns="columns"):
-    return ScoreTable(np.asarray(scores, float), runs, columns)
+def table(scores, runs="runs", tracks="tracks", directions=1):
+    return ScoreTable(np.asarray(scores, float), runs, tracks, directions)
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
     assert interquartile_mean(SCORES) == pytest.approx(0.5)
     assert interquartile_mean(np.array([[0.0, 1.0, 3.0, 1000.0]])) == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("scores", "expected"),
+    [
+        ([0.0, 3.0, 30.0], (0.25 * 0.0 + 3.0 + 0.25 * 30.0) / 1.5),
+        ([0.0, 2.0, 4.0, 6.0, 11.0, 1000.0], (0.5 * 2.0 + 4.0 + 6.0 + 0.5 * 11.0) / 3),
+    ],
+)
+def test_scores_at_the_ends_of_the_middle_half_count_in_part(scores, expected):
+    assert interquartile_mean(np.array([scores])) == pytest.approx(expected)
 
 
 def test_the_interquartile_mean_over_tasks_takes_one_score_per_run_and_task():
@@ -79,6 +90,14 @@ def test_columns_are_resampled_as_a_whole():
     """If tracks differ equally for all runs, the interval has the spread of the tracks."""
     found = estimate(mean, table(np.zeros((10, 1)) + np.array([0.0, 0.0, 1.0, 1.0])))
     assert (found.low, found.high) == (0.0, 1.0)
+
+
+def test_both_directions_of_a_track_are_resampled_together():
+    """A draw has one of the two tracks, in both directions."""
+    opposite = np.zeros((3, 1)) + np.array([0.0, 1.0, 1.0, 0.0])
+    assert estimate(mean, table(opposite, directions=2)) == Estimate(0.5, None, None)
+    equal = np.zeros((3, 1)) + np.array([0.0, 0.0, 1.0, 1.0])
+    assert estimate(mean, table(equal, directions=2)).interval == (0.0, 1.0)
 
 
 def test_effects_that_tables_share_cancel_out():

@@ -59,6 +59,7 @@ def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
         (SB3Arguments, {"grid_share": math.nan}, "grid_share is nan, .* from 0 to 1"),
         (SB3Arguments, {"n_steps": 1, "races": ("1",)}, "expected 2 or more steps"),
         (TuningArguments, {"sigma": 0.0}, "sigma is 0.0, .* above 0"),
+        (TuningArguments, {"seed": 2**32 - 1}, "seed is 4294967295, .* from 0 to 4294967294"),
         (TuningArguments, {"population": 1}, "population is 1, .* of 2 or more"),
         (MotionArguments, {"hidden": (24,)}, r"hidden is \(24,\), expected 2 layers"),
     ],

@@ -235,6 +235,23 @@ def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
     assert "recorded in the view 'simple', expected racing" in capsys.readouterr().err
 
 
+@pytest.mark.slow
+def test_demonstrations_of_another_difficulty_are_refused(tmp_path, capsys):
+    file = tmp_path / "d.npz"
+    record_demonstrations(
+        "pursuit",
+        output=file,
+        tracks="lighthouse",
+        karts=1,
+        view="racing",
+        difficulty=2,
+        max_steps=3,
+        jobs=1,
+    )
+    assert main(["--output", str(tmp_path / "run"), "--demos", str(file)]) == 1
+    assert "at difficulty 2, expected 3; give --difficulty 2, or" in capsys.readouterr().err
+
+
 def test_the_games_ai_can_be_cloned_but_cannot_label():
     words = ["--output", "x", "--teacher", "ai", "--rounds", "0"]
     found = []

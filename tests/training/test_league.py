@@ -10,8 +10,8 @@ import pytest
 
 from stkzoo.agents.planning.driver import likeliest
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
+from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.actors import SharedArray
 from stkzoo.agents.training.common.matches import (
     AI,
@@ -264,6 +264,28 @@ def test_initial_weights_of_a_different_network_are_refused(tmp_path):
     arguments = LeagueArguments(**SMALL, init=str(tmp_path / "plans"))
     with pytest.raises(ConfigError, match="give --hidden 1 1"):
         League(tmp_path / "league", arguments)
+
+
+def test_an_exploiter_starts_over_after_the_initial_weights_were_deleted(tmp_path):
+    init = tmp_path / "init.safetensors"
+    shapes = network_shapes(SMALL["hidden"]).items()
+    save_weights(init, {name: np.full(shape, 0.1, np.float32) for name, shape in shapes})
+    league = League(tmp_path / "league", LeagueArguments(**SMALL, init=str(init)))
+    init.unlink()
+    player = league._state.players[1]
+    player.start_over()
+    learner = LeagueLearner(
+        league.folder / player.folder,
+        league.arguments.of_learner(1, player.generation),
+        PlayerMatchmaker(player, league._state.members, league._policies),
+        [0],
+    )
+    try:
+        policy, _ = learner._network.weights()
+    finally:
+        learner.close()
+    start = load_weights(league.folder / "members" / "start.safetensors")
+    assert all((policy[name] == start[name]).all() for name in start)
 
 
 @pytest.mark.slow

@@ -102,7 +102,40 @@ def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, monkeypatch
     monkeypatch.setattr(rate, "save_figure", lambda *_: None)
     assert main([str(run), str(longer), "--every=0", f"--output={tmp_path / 'out'}"]) == 0
     steps = {name: [at for at, _ in points] for name, points in drawn.items()}
-    assert steps == {"first": [0.0, 0.0, 1.0, 2.0], "first b": [0.0, 0.0, 1.0, 2.0]}
+    expected = [0.0, 0.0001, 1.0001, 2.0002]
+    assert steps == {"first": expected, "first b": expected}
+
+
+def test_without_plans_start_has_the_kart_steps_of_the_first_policy(tmp_path, monkeypatch):
+    runs = [tmp_path / "first", tmp_path / "second"]
+    for run, millions in zip(runs, ((0.5, 1.0), (0.25, 1.0)), strict=True):
+        run.mkdir()
+        for steps in millions:
+            save_weights(run / f"policy-{steps * 1e6:09.0f}.safetensors", small_network())
+    drawn = {}
+
+    def without_driving(matches, _):
+        return [MatchRecord(0, each.track, each.reverse, [*each.drivers]) for each in matches]
+
+    monkeypatch.setattr(rate, "play_records", without_driving)
+    monkeypatch.setattr(rate, "rating_figure", lambda curves, *_: drawn.update(curves))
+    monkeypatch.setattr(rate, "save_figure", lambda *_: None)
+    compared = []
+    monkeypatch.setattr(rate, "learning_progress", lambda _, steps: compared.append(steps))
+    words = [*map(str, runs), "--every=0", f"--output={tmp_path / 'out'}"]
+    assert main(words) == 0
+    assert {name: [at for at, _ in points] for name, points in drawn.items()} == {
+        "first": [0.5, 0.5, 1.0],
+        "second": [0.25, 1.0],
+    }
+    assert compared[0][START] == compared[0]["first 0.50"] == 500_000
+
+
+@pytest.mark.parametrize("name", ["policy", "mine"])
+def test_a_policy_without_kart_steps_in_its_name_is_refused(name, run, capsys):
+    save_weights(run / f"{name}.safetensors", small_network())
+    assert main([str(run), f"--policy={name}"]) == 1
+    assert "no kart-steps in its name, expected a saved policy" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -128,16 +161,17 @@ def test_learning_progress_is_the_share_of_duels_won_by_longer_training():
     def races(*orders):
         return [MatchRecord(0, "mines", False, list(order)) for order in orders]
 
+    steps = {"a 1.00": 1_000_000, "b 1.00": 1_000_000, "b 2.00": 2_000_000, START: 0}
     best_first = ("b 2.00", "ai", "a 1.00", "start")
-    always = learning_progress(races(*[best_first] * 10))
+    always = learning_progress(races(*[best_first] * 10), steps)
     assert (always.duels, always.ahead, always.low, always.high) == (30, 1.0, 1.0, 1.0)
-    mixed = learning_progress(races(*[best_first] * 10, *[best_first[::-1]] * 30))
+    mixed = learning_progress(races(*[best_first] * 10, *[best_first[::-1]] * 30), steps)
     assert (mixed.duels, mixed.ahead) == (120, 0.25)
     assert 0.05 < mixed.low < 0.2 < 0.3 < mixed.high < 0.45
-    assert learning_progress(races(("a 1.00", "b 1.00", "start"))).duels == 2
+    assert learning_progress(races(("a 1.00", "b 1.00", "start")), steps).duels == 2
     equal = "a 1.00", "b 1.00", "ai"
-    assert learning_progress(races(equal)) is None
-    few = learning_progress(races(equal, best_first))
+    assert learning_progress(races(equal), steps) is None
+    few = learning_progress(races(equal, best_first), steps)
     assert (few.duels, few.low, few.high) == (3, 1.0, 1.0)
 
 

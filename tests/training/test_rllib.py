@@ -355,6 +355,7 @@ def test_the_cluster_benchmark_uses_existing_options(tmp_path):
         (["--difficulty", "4"], "difficulty is 4, expected a whole number from 0 to 3"),
         (["--bots", "18"], "more than 20 karts"),
         (["--promote-at", "1.5"], "promote_at is 1.5"),
+        (["--train-batch-size", "256"], "batch_size is 512, expected at most 256"),
     ],
 )
 def test_invalid_arguments_are_reported(words, text, capsys):

@@ -1,14 +1,17 @@
 """RLlib's learner with episodes from stkzoo's env runner. These tests need Ray."""
 
+import math
 import os
 import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import log_probability_of
-from stkzoo.agents.training.rllib.races import MAIN, RLlibArguments
+from stkzoo.agents.training.rllib.races import MAIN, PackSender, RLlibArguments
 
 pytest.importorskip("ray.rllib")
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -145,3 +148,113 @@ def test_a_killed_env_runner_is_restarted():
             result = remote.train()
     finally:
         remote.stop()
+
+
+def self_play(monkeypatch, **changes):
+    """Returns the callback of a run, and the snapshots that it saves."""
+    from stkzoo.agents.training.rllib import callbacks
+
+    saved = []
+    monkeypatch.setattr(callbacks, "copy_main", lambda _, module: saved.append(module))
+    arguments = replace(ARGUMENTS, least_races=20, promote_at=0.6, **changes)
+    return callbacks.SelfPlay(arguments), saved
+
+
+def iterate(callback, races, ended, won=0.0, returns=0.0):
+    """Ends an iteration in which some races ended; returns its share of duels won and return."""
+    sums = {"num_episodes": ended, "win_shares": won, "returns": returns} if ended else {}
+    result = {"env_runners": {"races": races, "win_shares": math.nan, **sums}}
+    callback.on_train_result(algorithm=None, result=result)
+    return result["win_share"], result["return"]
+
+
+def test_a_snapshot_needs_wins_in_all_races_since_the_last_one(monkeypatch):
+    callback, saved = self_play(monkeypatch)
+    iterate(callback, 19, 19)
+    assert iterate(callback, 20, 1, won=1.0)[0] == 1 / 20
+    assert saved == []
+    assert iterate(callback, 50, 30, won=30.0)[0] == 31 / 50
+    assert saved == ["past_0"]
+    assert iterate(callback, 69, 19, won=19.0)[0] == 1.0
+    assert saved == ["past_0"]
+
+
+def test_a_snapshot_is_not_saved_without_a_race(monkeypatch):
+    callback, saved = self_play(monkeypatch)
+    assert math.isnan(iterate(callback, 30, 0)[0])
+    assert saved == []
+
+
+def test_figures_cover_the_latest_50_races(monkeypatch):
+    callback, _ = self_play(monkeypatch, frozen=0)
+    iterate(callback, 10, 10, returns=990.0)
+    for races in range(20, 70, 10):
+        share, mean = iterate(callback, races, 10, returns=10.0)
+    assert math.isnan(share)
+    assert mean == 1.0
+
+
+def test_figures_count_the_races_of_all_env_runners_once(algorithm):
+    from stkzoo.agents.training.rllib.callbacks import RETURNS, WIN_SHARES
+    from stkzoo.agents.training.rllib.sampler import SampledRace
+
+    runner = algorithm.env_runner
+    runner.get_metrics()  # those of other tests
+    for reward, share in ((1.0, 0.5), (3.0, 1.0), (5.0, None)):
+        runner._log_race(SampledRace(reward, 20, share))
+    sums = runner.get_metrics()
+    assert [sums[name].peek() for name in ("num_episodes", RETURNS, WIN_SHARES)] == [3, 9.0, 1.5]
+
+
+@pytest.mark.usefixtures("algorithm")  # starts Ray
+def test_a_resumed_run_has_other_seeds(tmp_path, monkeypatch):
+    from stkzoo.agents.training.rllib import runner, selfplay
+
+    seeds, make = [], runner.RaceSampler
+
+    def sampler(*given):
+        seeds.append(given[-1])
+        return make(*given)
+
+    monkeypatch.setattr(runner, "RaceSampler", sampler)
+    for _ in range(2):
+        run = selfplay._algorithm(ARGUMENTS, tmp_path)
+        run.train()
+        selfplay._save(run, tmp_path)
+        run.stop()
+    assert seeds == [[0, 0, 0], [0, 0, 1]]
+
+
+@pytest.mark.usefixtures("algorithm")  # starts Ray
+def test_two_runs_on_a_cluster_send_their_own_packs(tmp_path):
+    import ray
+
+    (tmp_path / "ours").write_bytes(b"ours")
+    (tmp_path / "theirs").write_bytes(b"theirs")
+    sender = PackSender.start(str(tmp_path / "ours"))
+    other = """
+import sys, ray
+from stkzoo.agents.training.rllib.races import PackSender
+ray.init(address=sys.argv[1], log_to_driver=False)
+sender = PackSender.start(sys.argv[2])
+assert ray.get(sender.pack.remote()) == b"theirs"
+ray.kill(sender)
+"""
+    address = ray.get_runtime_context().gcs_address
+    words = [sys.executable, "-c", other, address, str(tmp_path / "theirs")]
+    subprocess.run(words, check=True)
+    assert ray.get(sender.pack.remote()) == b"ours"
+    ray.kill(sender)
+
+
+def test_an_address_without_a_cluster_is_reported(tmp_path, monkeypatch, capsys):
+    import ray
+
+    from stkzoo.agents.training.rllib.selfplay import main
+
+    def refuse(**_):
+        raise ConnectionError("no cluster")
+
+    monkeypatch.setattr(ray, "init", refuse)
+    assert main(["--output", str(tmp_path / "run"), "--address", "auto"]) == 1
+    assert "Ray does not start with the address 'auto' (no cluster)" in capsys.readouterr().err

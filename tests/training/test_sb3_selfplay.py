@@ -466,6 +466,13 @@ def test_values_are_learned_before_the_policy(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_log_has_the_entropy_of_the_policy(tmp_path):
+    assert learn(tmp_path, 1, updates=1) == 0
+    (line,) = log_of(tmp_path)
+    assert 0 < line["entropy"] <= sum(map(np.log, CHOICES))
+
+
+@pytest.mark.slow
 def test_it_learns_evaluates_and_ends(tmp_path):
     evaluation = {"evaluation_races": 1, "evaluation_tracks": "olivermath"}
     command = [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay"]

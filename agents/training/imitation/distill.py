@@ -148,11 +148,12 @@ def _drive(
     fleet = Fleet(lineups, arguments.tracks, mirrors=False)
     random = np.random.default_rng([arguments.seed, number])
     finishes: list[Finish] = []
-    seen, answers, count = [], [], 0
+    slots, seen, answers, count = [], [], [], 0
     try:
         races = LabelledRaces(fleet, fleet.begin(arguments.seed + 1000 * number))
         while count < arguments.steps:
             right, sees, active = races.labels(), races.seen, fleet.active
+            slots.append(np.flatnonzero(active))
             seen.append(sees[active])
             answers.append(right[active])
             count += int(active.sum())
@@ -165,7 +166,9 @@ def _drive(
         fleet.close()
     finished = sum(finish.ratio is not None for finish in finishes)
     ratios = _ratios(finishes) or (_UNFINISHED,)  # perhaps no race has finished
-    return Lesson(np.concatenate(seen), np.concatenate(answers), ratios, finished)
+    by_kart = np.argsort(np.concatenate(slots), kind="stable")  # held-out blocks are of one kart
+    inputs, labels = (np.concatenate(rows)[by_kart] for rows in (seen, answers))
+    return Lesson(inputs, labels, ratios, finished)
 
 
 def _alone(arguments: DistillationArguments, student: MlpDriver) -> dict[str, float]:

@@ -1,7 +1,8 @@
 r"""Imitates a driver: behavior cloning, followed by DAgger.
 
     python -m stkzoo.agents.training.imitation.imitate --output runs/imitate
-    python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.npz --rounds 0
+    python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.npz --rounds 0 \
+        --difficulty 2
     python -m stkzoo.agents.training.sb3.selfplay --output runs/play \
         --init runs/imitate/policy.safetensors
 
@@ -39,7 +40,13 @@ from stkzoo._os import cpu_count
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import AgentError, ConfigError, StkzooError
-from stkzoo.evaluation import DemoView, load_demonstrations, record_demonstrations
+from stkzoo.evaluation import (
+    Demonstrations,
+    DemoPlan,
+    DemoView,
+    load_demonstrations,
+    record_demonstrations,
+)
 from stkzoo.mdp import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
 from stkzoo.race.replay import action_of, controls_of
@@ -127,12 +134,7 @@ def _demonstrations(arguments: TeacherArguments, folder: Path, report: Report) -
     """Returns the lesson from a file of demonstrations, or from newly recorded ones."""
     first = 1000 * arguments.seed
     if arguments.demos:
-        demos = load_demonstrations(arguments.demos)
-        if demos.view != "racing":
-            raise ConfigError(
-                f"{arguments.demos} was recorded in the view {demos.view!r}, expected racing; "
-                "record it with stkzoo demos --view racing"
-            )
+        demos = _given_demonstrations(arguments)
     else:
         demos = record_demonstrations(
             arguments.teacher,
@@ -150,6 +152,23 @@ def _demonstrations(arguments: TeacherArguments, folder: Path, report: Report) -
     )
     finished = sum(kart.finish_time is not None for kart in demos.facts)
     return Lesson(*demos.pairs(), ratios, finished)
+
+
+def _given_demonstrations(arguments: TeacherArguments) -> Demonstrations:
+    demos = load_demonstrations(arguments.demos)
+    if demos.view != "racing":
+        raise ConfigError(
+            f"{arguments.demos} was recorded in the view {demos.view!r}, expected racing; "
+            "record it with stkzoo demos --view racing"
+        )
+    difficulty = DemoPlan.from_dict(demos.plan).settings.difficulty
+    if difficulty != arguments.difficulty:
+        raise ConfigError(
+            f"{arguments.demos} was recorded at difficulty {difficulty}, expected "
+            f"{arguments.difficulty}; give --difficulty {difficulty}, or record it with stkzoo "
+            f"demos --difficulty {arguments.difficulty}"
+        )
+    return demos
 
 
 def _drive(

@@ -16,9 +16,10 @@ from ..common.actors import ActorPool, SharedArray
 from ..common.fleet import Finish, FleetStep
 from ..common.learner import RolloutResult, Weights
 from ..common.starts import Lineup
+from ..ppo.network import ActorCritic
 from ..ppo.rollouts import ActorArguments, RaceActor
 from ..ppo.selfplay import PPOLearner, SelfPlayArguments
-from .players import PlayerMatchmaker, has_duels
+from .players import START, PlayerMatchmaker, has_duels
 
 
 class _RivalRace:
@@ -141,6 +142,12 @@ class LeagueLearner(PPOLearner):
     ) -> None:
         self._matchmaker, self._seed = matchmaker, tuple(seed)
         super().__init__(folder, arguments)
+
+    def _first_network(self) -> ActorCritic:
+        network = self._new_network()
+        if self.arguments.init:  # the file may be gone; the league has a copy
+            network.start_from(dict(self._matchmaker.policy(START).weights))
+        return network
 
     def _new_actors(self, arguments: Sequence[tuple[ActorArguments, SharedArray]]) -> ActorPool:
         seeds = [(*self._seed, number) for number in range(len(arguments))]

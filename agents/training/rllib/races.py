@@ -22,7 +22,7 @@ from ..common.arguments import PPOArguments, RunArguments
 MAIN = "main"
 #: Key of the arguments in RLlib's configuration of the environment.
 ARGUMENTS = "arguments"
-_SENDER, _NAMESPACE = "stkzoo-pack", "stkzoo"
+_NAMESPACE = "stkzoo"
 #: Time limit for making and sending the pack [s].
 _PATIENCE = 1800.0
 
@@ -89,6 +89,12 @@ class RLlibArguments(PPOArguments):
             )
         if self.learners + self.frozen + self.bots > 20:
             raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
+        if self.batch_size > self.train_batch_size:
+            raise ConfigError(
+                f"batch_size is {self.batch_size}, expected at most {self.train_batch_size}, the "
+                "kart-steps of an iteration; give a smaller --batch-size or a larger "
+                "--train-batch-size"
+            )
 
     @property
     def modules(self) -> list[str]:
@@ -136,14 +142,14 @@ class PackSender:
 
     @classmethod
     def start(cls, archive: str = "") -> Any:
-        """Starts the actor if it does not exist, and returns it."""
+        """Starts the actor of this run, and returns it."""
         import ray
 
         node = ray.get_runtime_context().get_node_id()
         strategy = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
         actor = ray.remote(num_cpus=0)(cls)
         return actor.options(
-            name=_SENDER, namespace=_NAMESPACE, get_if_exists=True, scheduling_strategy=strategy
+            name=_sender_name(), namespace=_NAMESPACE, scheduling_strategy=strategy
         ).remote(archive)
 
     def pack(self) -> bytes:
@@ -196,11 +202,18 @@ def _have_assets() -> bool:
     return True
 
 
+def _sender_name() -> str:
+    """Returns the name of the run's :class:`PackSender`; a cluster may have several runs."""
+    import ray
+
+    return f"pack-{ray.get_runtime_context().get_job_id()}"
+
+
 def _asked_for() -> bytes:
     try:
         import ray
 
-        sender = ray.get_actor(_SENDER, namespace=_NAMESPACE)
+        sender = ray.get_actor(_sender_name(), namespace=_NAMESPACE)
         data: bytes = ray.get(sender.pack.remote(), timeout=_PATIENCE)
     except Exception as error:  # Ray's errors have no common base, and Ray may be missing
         raise AssetError(

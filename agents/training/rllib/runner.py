@@ -29,7 +29,7 @@ from ray.rllib.utils.metrics import (
 
 from stkzoo.agents.pretrained.mlp import MlpDriver
 
-from .callbacks import RACES, WIN_SHARE
+from .callbacks import RACES, RETURNS, WIN_SHARES
 from .races import ARGUMENTS, MAIN, RLlibArguments, make_races
 from .sampler import Fragment, RaceSampler, SampledRace, sb3_names
 
@@ -55,7 +55,7 @@ class RaceEnvRunner(MultiAgentEnvRunner):
         arguments: RLlibArguments = self.config.env_config[ARGUMENTS]
         self.env = make_races(arguments)
         self.num_envs = self.env.num_envs
-        self._sampler = RaceSampler(self.env, arguments, self._seed)
+        self._sampler: RaceSampler | None = None
         self._has_new_weights = True
 
     def get_spaces(self) -> dict[str, Any]:
@@ -89,6 +89,8 @@ class RaceEnvRunner(MultiAgentEnvRunner):
         if num_timesteps is None:
             runners = max(self.config.num_env_runners, 1)
             num_timesteps = math.ceil(self.config.total_train_batch_size / runners)
+        if self._sampler is None:
+            self._sampler = self._new_sampler()
         if self._has_new_weights:
             self._sampler.load(_networks(self.module))
             self._has_new_weights = False
@@ -101,6 +103,11 @@ class RaceEnvRunner(MultiAgentEnvRunner):
         self._sampler.results.clear()
         return [_episode(fragment) for fragment in fragments]
 
+    def _new_sampler(self) -> RaceSampler:
+        """Returns a sampler whose seed no earlier env runner had: it depends on the weights."""
+        seed = [self.config.seed, self.worker_index or 0, self._weights_seq_no]
+        return RaceSampler(self.env, self.config.env_config[ARGUMENTS], seed)
+
     def _log_steps(self, steps: int) -> None:
         self.metrics.log_value(NUM_ENV_STEPS_SAMPLED, steps, reduce="sum")
         self.metrics.log_value((NUM_MODULE_STEPS_SAMPLED, MAIN), steps, reduce="sum")
@@ -112,16 +119,16 @@ class RaceEnvRunner(MultiAgentEnvRunner):
 
     def _log_race(self, result: SampledRace) -> None:
         self.metrics.log_value(NUM_EPISODES, 1, reduce="sum")
+        self.metrics.log_value(RETURNS, result.reward, reduce="sum")
+        self.metrics.log_value(WIN_SHARES, result.win_share or 0.0, reduce="sum")
         for name in (NUM_EPISODES_LIFETIME, RACES):
             self.metrics.log_value(name, 1, reduce="lifetime_sum")
         for key, value in {
             EPISODE_RETURN_MEAN: result.reward,
             (EPISODE_MODULE_RETURN_MEAN, MAIN): result.reward,
             EPISODE_LEN_MEAN: result.num_steps,
-            WIN_SHARE: result.win_share,
         }.items():
-            if value is not None:
-                self.metrics.log_value(key, value, reduce="mean", window=_WINDOW)
+            self.metrics.log_value(key, value, reduce="mean", window=_WINDOW)
 
 
 def _networks(module: Any) -> dict[str, MlpDriver]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -145,7 +145,10 @@ class RaceSampler:
     """
 
     def __init__(
-        self, races: RaceVectorEnv, arguments: RLlibArguments, seed: int | None = None
+        self,
+        races: RaceVectorEnv,
+        arguments: RLlibArguments,
+        seed: int | Sequence[int] | None = None,
     ) -> None:
         self.results: list[SampledRace] = []
         self._races, self._arguments = races, arguments

@@ -34,7 +34,7 @@ import numpy as np
 
 from stkzoo._locks import locked_folder
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.errors import import_extra
+from stkzoo.errors import ConfigError, import_extra
 
 from ..common.arguments import ScriptOptions
 from ..common.command import run_command
@@ -117,8 +117,8 @@ def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
         arguments: arguments of the run.
 
     Raises:
-        ConfigError: Ray is not installed, or the folder contains another run or is used by another
-            program.
+        ConfigError: Ray is not installed or does not start, or the folder contains another run or
+            is used by another program.
         AssetError: the game's data is missing on this machine.
     """
     folder = options.output
@@ -126,12 +126,7 @@ def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
     with locked_folder(folder, "run"):
         keep_arguments(folder, arguments, _FREE)
         ensure_assets(arguments.pack)
-        ray.init(
-            address=arguments.address or "local",
-            ignore_reinit_error=True,
-            log_to_driver=False,
-            include_dashboard=False,
-        )
+        _start(ray, arguments.address)
         sender = PackSender.start(arguments.pack)
         algorithm = None
         try:
@@ -149,6 +144,22 @@ def _ray() -> Any:
     note = "in an environment of its own, because Ray RLlib needs an older Gymnasium"
     import_extra("ray.rllib", "this program needs", "rllib", note)
     return import_extra("ray", "this program needs", "rllib", note)
+
+
+def _start(ray: Any, address: str) -> None:
+    """Connects to a cluster, or starts Ray on this machine."""
+    try:
+        ray.init(
+            address=address or "local",
+            ignore_reinit_error=True,
+            log_to_driver=False,
+            include_dashboard=False,
+        )
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise ConfigError(
+            f"Ray does not start with the address {address!r} ({error}); give the address of a "
+            "running cluster (`ray start --head` starts one), or leave --address out"
+        ) from error
 
 
 def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
@@ -183,17 +194,16 @@ def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None
 def _figures(algorithm: Any, result: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
-    from .callbacks import RACES, RESTARTED, WIN_SHARE
+    from .callbacks import RACES, RESTARTED, RETURN, WIN_SHARE
 
     seen: Mapping[str, Any] = result.get(ENV_RUNNER_RESULTS, {})
     by_module = seen.get("num_module_steps_sampled_lifetime", {})
-    returns = seen.get("module_episode_returns_mean", {})
     return {
         "iteration": algorithm.iteration,
         "kart_steps": int(by_module.get(MAIN, 0)),
         "races": int(seen.get(RACES, 0)),
-        "return": _number(returns.get(MAIN)),
-        "win_share": _number(seen.get(WIN_SHARE)),
+        "return": _number(result.get(RETURN)),
+        "win_share": _number(result.get(WIN_SHARE)),
         "promotions": result.get("promotions", 0),
         "env_runners": algorithm.env_runner_group.num_healthy_remote_workers(),
         "restarted": result.get(RESTARTED, 0),

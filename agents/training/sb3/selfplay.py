@@ -344,12 +344,12 @@ class SB3Run:
             "reward": rewarded / max(driven, 1),
             **self._racing_figures(),
             **{
-                short: float(logged[name])
-                for short, name in (
-                    ("kl", "train/approx_kl"),
-                    ("entropy", "train/entropy_loss"),
-                    ("value_loss", "train/value_loss"),
-                    ("learning_rate", "train/learning_rate"),
+                short: sign * float(logged[name])
+                for short, sign, name in (
+                    ("kl", 1, "train/approx_kl"),
+                    ("entropy", -1, "train/entropy_loss"),
+                    ("value_loss", 1, "train/value_loss"),
+                    ("learning_rate", 1, "train/learning_rate"),
                 )
                 if name in logged
             },

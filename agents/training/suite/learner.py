@@ -1,13 +1,16 @@
 """Shared parts of the reference algorithms: arguments, actors, figures and files of a run.
 
 The folder of a run contains `checkpoint.pt`, `log.jsonl` (one line per iteration), TensorBoard
-files, `arguments.json`, the saved policies, and at the end `agent`, the trained agent.
+files, `arguments.json`, the saved policies, and at the end `agent`, the trained agent, and
+`machine.json`, the machine that trained it.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
+from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import Any, ClassVar
@@ -16,17 +19,22 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._os import cpu_count
+from stkzoo._schema import Whole
 from stkzoo.errors import ConfigError, check_whole
+from stkzoo.race.result import versions_now
 from stkzoo.suite import Task, find_task
 
 from ..common.actors import ActorPool, SharedArray
 from ..common.arguments import OverlappedArguments
 from ..common.learner import RunFacts, train
 from ..common.ppo import OverlappedPPO
+from ..common.run_folder import write_json
 from ..export import export_policy
 from .actor import KartRace, TaskActor, reward_shares, rollout_type
 from .network import TaskNetwork
 
+#: File with the :class:`TrainingMachine` in the folder of a run.
+MACHINE = "machine.json"
 #: Figures of the log to show.
 _SHOWN = ("return", "finished", "position", "entropy", "kl", "explained")
 
@@ -55,6 +63,24 @@ class TaskArguments(OverlappedArguments):
     task: str = "solo-1"
     num_races: int = 0
     num_starts: int = 40
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingMachine:
+    """The machine that trained a run, or its last part if the run was continued on another one.
+
+    Attributes:
+        cores: number of its cores.
+        versions: versions of its software by name.
+    """
+
+    cores: Whole
+    versions: Mapping[str, str]
+
+    @classmethod
+    def now(cls) -> TrainingMachine:
+        """Returns this machine."""
+        return cls(cpu_count(), {**versions_now(), "torch": importlib.metadata.version("torch")})
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +203,9 @@ def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, 
 
 
 def finish_run(learner: TaskLearner, kart_steps: int, name: str) -> Path:
-    """Learns until a number of kart-steps, ends the races and writes the agent.
+    """Learns until a number of kart-steps, ends the races and writes the agent and the machine.
+
+    If nothing is left to learn, the machine stays the one that trained.
 
     Args:
         learner: the run.
@@ -187,7 +215,10 @@ def finish_run(learner: TaskLearner, kart_steps: int, name: str) -> Path:
     Returns:
         The folder of the agent.
     """
+    is_trained = learner.kart_steps >= kart_steps
     with closing(learner):
         policy = train(learner, kart_steps, learner.shown)
+    if not is_trained:
+        write_json(learner.folder / MACHINE, asdict(TrainingMachine.now()))
     plain = "".join(sign if sign.isalnum() else "_" for sign in name.lower())
     return export_policy(policy, plain, learner.folder / "agent")

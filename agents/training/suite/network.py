@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.mlp import SPLITS
-from stkzoo.mdp.state import GLOBAL_FEATURES, KART_FEATURES
+from stkzoo.mdp import GLOBAL_FEATURES, KART_FEATURES
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.learner import FloatArray, Weights

@@ -16,7 +16,13 @@ from stkzoo._os import read_blocks
 from stkzoo._schema import Within, plain_text
 from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
-from stkzoo.drivers.files import MAX_BYTES, find_files, installed_module, name_of_files
+from stkzoo.drivers.files import (
+    ACTOR_MODULE,
+    MAX_BYTES,
+    find_files,
+    installed_module,
+    name_of_files,
+)
 from stkzoo.drivers.sandbox import say_what_is_missing
 from stkzoo.errors import ConfigError
 from stkzoo.race.remote.drivers import ServedAgent
@@ -27,8 +33,9 @@ NAME_MARK = "@:"
 _MOST_FILES = 1000
 _MOST_CHARACTERS = 40
 _DIGEST_SIZE = 8
-#: Folders and file name suffixes that a running agent may write beside its code.
-_IGNORED_FOLDERS, _IGNORED_ENDINGS = ("__pycache__",), (".pyc", ".log")
+#: Folders and files that change when an agent runs, or is committed or looked at.
+_IGNORED = ("__pycache__", ".git", ".hg", ".svn", ".DS_Store")
+_IGNORED_ENDING = ".log"
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,7 +222,8 @@ def _short(source: str) -> str:
 def fingerprint(source: str) -> dict[str, str]:
     """Returns digests of an agent's files, by path.
 
-    Paths begin with the name of the agent's folder or file. Hidden files, logs, compiled modules
+    Paths begin with the name of the agent's folder or file. A ``pystk_actor.py`` counts with all
+    files of its folder, which it can read in its sandbox. Logs, ``__pycache__``, version control
     and all files after the first 1,000 are left out, and all content after the first GiB: a link of
     the agent can name a file without end. Drivers that come with stkzoo have no files;
     stkzoo's version identifies them.
@@ -226,8 +234,9 @@ def fingerprint(source: str) -> dict[str, str]:
     home = None if source in driver_names() else _home(source)
     if home is None:
         return {}
+    top = home.parent if home.name == f"{ACTOR_MODULE}.py" else home
     found, left = {}, MAX_BYTES
-    for file in itertools.islice(_files(home), _MOST_FILES):
+    for file in itertools.islice(_files(top), _MOST_FILES):
         digest, size = _digest(file, left)
         found[plain_text(file.relative_to(home.parent).as_posix())] = digest
         left -= size
@@ -250,11 +259,15 @@ def _files(home: Path) -> Iterator[Path]:
         yield home
         return
     for folder, folders, names in os.walk(home):
-        folders[:] = sorted(n for n in folders if n[0] != "." and n not in _IGNORED_FOLDERS)
-        for name in sorted(names):
+        folders[:] = sorted({*folders} - {*_IGNORED}, key=_hidden_last)
+        for name in sorted({*names} - {*_IGNORED}, key=_hidden_last):
             file = Path(folder, name)
-            if name[0] != "." and not name.endswith(_IGNORED_ENDINGS) and file.is_file():
+            if not name.endswith(_IGNORED_ENDING) and file.is_file():
                 yield file
+
+
+def _hidden_last(name: str) -> tuple[bool, str]:
+    return name.startswith("."), name
 
 
 def _digest(file: Path, most: int) -> tuple[str, int]:

@@ -75,8 +75,25 @@ class RaceOrder:
         )
 
     def isolated(self) -> RaceOrder:
-        """Returns the same race with each agent in its own process, sandboxed if possible."""
-        return replace(self, settings=replace(self.settings, inline=False, sandbox="auto"))
+        """Returns the same race with each agent in its own process, sandboxed if possible.
+
+        If the settings require a sandbox, the race still requires it.
+        """
+        sandbox = "on" if self.settings.sandbox == "on" else "auto"
+        return replace(self, settings=replace(self.settings, inline=False, sandbox=sandbox))
+
+    def hurried(self, race_timeout: float) -> RaceOrder:
+        """Returns the isolated race with a time budget, so that slow agents cannot make it late.
+
+        Each agent gets the same share of the time limit, and the game gets one too.
+
+        Args:
+            race_timeout: time limit of the race [s].
+        """
+        isolated = self.isolated()
+        share = race_timeout / (len(self.drivers) + 1)
+        budget = min(share, self.settings.time_budget or share)
+        return replace(isolated, settings=replace(isolated.settings, time_budget=budget))
 
     def without_absent(self, drivers: Sequence[str | Driver]) -> list[str | Driver]:
         """Returns the drivers; those that are absent fail when they start.

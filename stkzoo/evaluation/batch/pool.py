@@ -104,25 +104,24 @@ class _Worker:
     def run(self, order: RaceOrder) -> OrderOutcome:
         """Runs a race. If its process ends, repeats the race to find the agents that ended it.
 
-        The first repetition isolates each agent as far as possible; it is left out after a
-        timeout. If some agents may have ended the process, the race is then repeated without some
-        of them. Agents whose absence lets the race finish count as failed. Without this rule, an
-        agent could void a race that it is about to lose. If the race finishes with isolated
-        agents, and also in the absence of any one of several agents, an agent may have tried to
-        put the blame on another. In this case, the race with isolated agents counts.
+        The first repetition isolates each agent as far as possible. After a timeout, it also has a
+        time budget, and counts if it ends in time. If some agents may have ended the process, the
+        race is then repeated without some of them. Agents whose absence lets the race finish count
+        as failed. Without this rule, an agent could void a race that it is about to lose. If the
+        race finishes with isolated agents, and also in the absence of any one of several agents, an
+        agent may have tried to put the blame on another. In this case, the race with isolated
+        agents counts.
         """
         outcome, is_over = self._run_once(order)
         if is_over or self._is_closed:  # close() ended the process, not an agent
             return outcome
         suspects, was_late = order.suspects(), self._was_late
         self._report(order, outcome, suspects)
-        chosen = None
-        if not was_late:
-            isolated = order.isolated()
-            again, is_over = self._run_once(isolated)
-            if is_over and (isolated == order or not suspects):
-                return replace(again, order=order)
-            chosen = isolated if is_over else None
+        isolated = order.hurried(self._timeout) if was_late else order.isolated()
+        again, is_over = self._run_once(isolated)
+        if is_over and (was_late or isolated == order or not suspects):
+            return replace(again, order=order)
+        chosen = isolated if is_over else None
         sizes = range(1, 2) if was_late else range(len(suspects) + 1)
         absent = self._culprits(order, suspects, sizes, is_unique=chosen is not None)
         if absent is not None:

@@ -51,7 +51,8 @@ class RunOptions:
 
     Attributes:
         jobs: maximum number of races at the same time; ``None`` for the number of CPU cores.
-        race_timeout: time limit of a race [s].
+        race_timeout: time limit of a race [s]. A longer race is repeated with a time budget for
+            each agent.
         on_race: function called at the beginning and after every race.
         plot: whether to plot the result.
     """

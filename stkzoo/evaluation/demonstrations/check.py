@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stkzoo.drivers.driver import find_driver
-from stkzoo.errors import ConfigError
+from stkzoo.drivers.driver import GAME_AI, find_driver
+from stkzoo.errors import ConfigError, shortened
 from stkzoo.evaluation.demonstrations.dataset import Columns, Demonstrations, is_by_step
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import Controls, DemoRecorder, DemoView
@@ -36,26 +36,39 @@ class DemoCheck:
         return self.first_difference is None
 
 
-def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
+def check_demonstrations(
+    demos: Demonstrations, race: int = 0, *, trust_rivals: bool = False
+) -> DemoCheck:
     """Replays the recorded controls of one race in the game, and compares the observations.
 
     Args:
         demos: the dataset.
         race: number of the race in the dataset.
+        trust_rivals: whether to run rivals from files. The dataset names these files, and whether
+            they run in a sandbox, so use this only for a dataset that you trust.
 
     Raises:
-        ConfigError: there is no such race, or the game's AI drove it. The AI decides twelve times
-            per step and gets boosts that agents do not get, so its races cannot be replayed.
+        ConfigError: there is no such race; a rival comes from files, which are not trusted; or the
+            game's AI drove the race. The AI decides twelve times per step and gets boosts that
+            agents do not get, so its races cannot be replayed.
     """
     plan = DemoPlan.from_dict(demos.plan)
     numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
     orders = [order for order in plan.orders() if order.number == race]
     if not numbers or not orders:
         raise ConfigError(f"the dataset has no race {race}; it has {len(plan.orders())} races")
-    if find_driver(plan.agent.source, inline=plan.settings.inline).is_game_ai:
+    if plan.agent.source in GAME_AI:
         raise ConfigError(
             "races of the game's AI cannot be driven again by its actions; check demonstrations of "
             "another driver"
+        )
+    settings = orders[0].settings
+    if not _has_rival_from_files(plan):
+        settings = replace(settings, adapter=None)
+    elif not trust_rivals:
+        raise ConfigError(
+            f"the dataset has rivals from files, {shortened(plan.rivals, 200)}, whose code would "
+            "run; if you trust the dataset, use trust_rivals=True"
         )
     view = DemoView(plan.view)
     recorder = DemoRecorder(plan.karts, view, race=race)
@@ -63,12 +76,11 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     drivers = [
         recorded_driver("recorded", _padded(demos[number].controls, longest)) for number in numbers
     ]
-    settings = replace(orders[0].settings, max_steps=longest)  # the controls last no longer
     run_race(
         [*drivers, *plan.rivals],
         listeners=[recorder],
         wait_for=range(plan.karts),
-        settings=settings,
+        settings=replace(settings, max_steps=longest),  # the controls last no longer
     )
     again = recorder.episodes(demos.plan)
     firsts = [
@@ -80,6 +92,10 @@ def check_demonstrations(demos: Demonstrations, race: int = 0) -> DemoCheck:
     found = [first for first in firsts if first is not None]
     steps = sum(int(demos.lengths[number]) for number in numbers)
     return DemoCheck(race, steps, min(found) if found else None)
+
+
+def _has_rival_from_files(plan: DemoPlan) -> bool:
+    return any(find_driver(rival).is_from_files for rival in plan.rivals)
 
 
 def _padded(controls: Controls, steps: int) -> Controls:

@@ -87,7 +87,8 @@ class Improvement:
     Attributes:
         first: name of the first algorithm.
         second: name of the second algorithm.
-        probability: probability that a run of the first is better than one of the second.
+        probability: probability that a run of the first is better than one of the second on a
+            track and direction.
     """
 
     first: str

@@ -105,7 +105,8 @@ def improvement(report: SuiteReport) -> Any:
         for name, comparisons in found
         for own in comparisons
     ]
-    panels = {"Probability of improvement; the line is chance": rows} if rows else {}
+    title = "Probability of improvement on a track and direction; the line is chance"
+    panels = {title: rows} if rows else {}
     return _intervals(panels, _styles(report), mark=0.5, limits=(-0.03, 1.03))
 
 

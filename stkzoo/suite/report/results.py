@@ -7,7 +7,7 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -28,6 +28,8 @@ from stkzoo.suite.tasks import SUITE, TIME_RATIO, Task, find_task
 _Algorithm = Annotated[str, Matching(r"[\w.+-]{1,40}", "letters, digits and any of _ . + -")]
 _Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
 _TOLERANCE = 1e-9
+#: ``reverse`` in the columns of a track, in their order.
+DIRECTIONS = (False, True)
 #: Maximum number of kart-steps of an iteration. A run ends with the one that uses up its budget.
 _MAX_ITERATION = 100_000
 
@@ -112,13 +114,15 @@ class SplitScores:
     def by_column(self, tracks: Sequence[str]) -> FloatArray:
         """Returns the mean over the races of each track and direction, ``(C,)``.
 
+        The columns of a track are neighbors, in the order of :data:`DIRECTIONS`.
+
         Args:
             tracks: the tracks; all have races in both directions.
         """
         values: dict[tuple[str, str], list[float]] = {}
         for race in self.races:
             values.setdefault((race.track, race.direction), []).append(race.value)
-        names = [(track, direction_name(way)) for track in tracks for way in (False, True)]
+        names = [(track, direction_name(way)) for track in tracks for way in DIRECTIONS]
         return np.array([math.fsum(values[name]) / len(values[name]) for name in names])
 
 
@@ -142,8 +146,8 @@ class SuiteRun(Document):
         train: scores on the training tracks.
         training_seconds: time of the training [s], excluding time lost to interruptions.
         evaluation_seconds: time of both evaluations [s]; less if they were interrupted.
-        cores: number of cores of the machine.
-        versions: versions of the software by name.
+        cores: number of cores of the machine that trained.
+        versions: versions of the software that trained, by name.
     """
 
     kind: ClassVar[str] = "suite-run"
@@ -220,7 +224,7 @@ def _check_scores(task: Task, split: str, scores: SplitScores) -> None:
     is_test = split == TEST
     tracks, seeds = (task.test_tracks, task.seeds) if is_test else (task.train_tracks, 1)
     forms = [BenchmarkForm.of(form) for form in task.forms]
-    planned = make_races(tracks, (False, True), forms, seeds)
+    planned = make_races(tracks, DIRECTIONS, forms, seeds)
     expected = Counter((race.track, direction_name(race.reverse), race.form) for race in planned)
     found = Counter((race.track, race.direction, race.form) for race in scores.races)
     if wrong := sorted({*(expected - found), *(found - expected)}):
@@ -250,7 +254,8 @@ def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
 
     Raises:
         ConfigError: there is no result, a file is damaged or of another definition, a run occurs
-            twice, or the runs of a task have different budgets.
+            twice, two runs have the same curve and scores, or the runs of a task have different
+            budgets.
     """
     files: list[Path] = []
     for path in map(Path, paths):
@@ -259,12 +264,20 @@ def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
             raise ConfigError(f"{path} has no results; expected {SuiteRun.origin}")
         files += own
     runs: dict[str, tuple[SuiteRun, Path]] = {}
+    contents: dict[Hashable, Path] = {}
     budgets: dict[str, tuple[int, Path]] = {}
     for file in files:
         run = SuiteRun.load(file)
         if run.name in runs:
             raise ConfigError(f"{runs[run.name][1]} and {file} are the same run, {run.name}")
         runs[run.name] = run, file
+        content = run.curve, run.test, run.train
+        if content in contents:
+            raise ConfigError(
+                f"{contents[content]} and {file} have the same learning curve and scores, which "
+                "different runs never have; remove the copy"
+            )
+        contents[content] = file
         budget, other = budgets.setdefault(run.task, (run.budget, file))
         if budget != run.budget:
             raise ConfigError(

@@ -5,29 +5,26 @@ tracks and directions of an evaluation. Higher scores are better. The interquart
 performance profile and the probability of improvement are those of Agarwal et al. (2021).
 
 Their bootstrap resamples each column on its own, because a column there is a task with its own
-training runs. Here, one run drives all columns of a task, so a good run is good in all of them.
-The bootstrap therefore resamples whole runs, and whole columns, independently of each other (Owen
-2007). As in :mod:`stkzoo.evaluation.statistics`, it draws one less than there are.
+training runs. Here, one run drives all columns of a task, so a good run is good in all of them. A
+run that fails on a track often fails in both directions. The bootstrap therefore resamples whole
+runs, and whole tracks with both directions, independently of each other (Owen 2007). As in
+:mod:`stkzoo.evaluation.statistics`, it draws one less than there are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import import_extra
 from stkzoo.evaluation.statistics import DRAWS, Estimate, percentile_interval
 
 FloatArray = npt.NDArray[np.float64]
 #: Function of tables ``(..., R, C)`` that returns one value, or one row of values, for each.
 Statistic = Callable[..., FloatArray]
 
-#: Fraction of the scores that an interquartile mean leaves out at each end.
-_QUARTER = 0.25
 #: Minimum number of runs for an interval; a single run does not show how much runs differ.
 FEWEST_RUNS = 2
 
@@ -39,21 +36,23 @@ class ScoreTable:
     Attributes:
         scores: score of each run in each column, ``(R, C)``.
         runs: name of the set of runs. Tables with the same name are of the same runs.
-        columns: name of the set of columns. Tables with the same name have the same columns.
+        tracks: name of the set of tracks. Tables with the same name have the same columns.
+        directions: number of columns of each track, which are neighbors.
     """
 
     scores: FloatArray
     runs: Hashable
-    columns: Hashable
+    tracks: Hashable
+    directions: int
 
 
 def estimate(statistic: Statistic, *tables: ScoreTable) -> Estimate:
-    """Returns a statistic with a 95% bootstrap interval over runs and columns.
+    """Returns a statistic with a 95% bootstrap interval over runs and tracks.
 
     Args:
         statistic: function that takes as many tables ``(..., R, C)`` as there are, and returns one
             value for each ``(...,)``.
-        *tables: the tables. Those with the same runs, or the same columns, are resampled together.
+        *tables: the tables. Those with the same runs, or the same tracks, are resampled together.
 
     Returns:
         The estimate. It has no interval if a table has fewer than :data:`FEWEST_RUNS` runs, or if
@@ -86,7 +85,7 @@ def estimate_curve(
 
 
 def _resampled(tables: Sequence[ScoreTable]) -> list[FloatArray]:
-    """Returns resampled tables ``(DRAWS, R - 1, C - 1)``."""
+    """Returns resampled tables ``(DRAWS, R - 1, C - D)``, where ``D`` are the directions."""
     generator = np.random.default_rng(0)
     drawn: dict[tuple[str, Hashable], npt.NDArray[np.int64]] = {}
 
@@ -99,8 +98,9 @@ def _resampled(tables: Sequence[ScoreTable]) -> list[FloatArray]:
     found = []
     for table in tables:
         rows = draw("runs", table.runs, table.scores.shape[0])
-        columns = draw("columns", table.columns, table.scores.shape[1])
-        found.append(table.scores[rows[:, :, None], columns[:, None, :]])
+        tracks = draw("tracks", table.tracks, table.scores.shape[1] // table.directions)
+        columns = tracks[:, :, None] * table.directions + np.arange(table.directions)
+        found.append(table.scores[rows[:, :, None], columns.reshape(DRAWS, 1, -1)])
     return found
 
 
@@ -115,18 +115,21 @@ def mean(scores: FloatArray) -> FloatArray:
 def interquartile_mean(*scores: FloatArray) -> FloatArray:
     """Returns the interquartile mean: the mean of the middle half of the scores.
 
+    If a quarter of the scores is no whole number, the scores at both ends of the middle half count
+    in part. ``scipy.stats.trim_mean`` leaves out fewer scores then, for example none of two.
+
     Args:
         *scores: one table ``(..., R, C)``, whose cells are the scores; or the tables of several
             tasks, whose scores are the means of the runs.
-
-    Raises:
-        ConfigError: SciPy is not installed.
     """
     if len(scores) == 1:
         values = scores[0].reshape(*scores[0].shape[:-2], -1)
     else:
         values = np.concatenate([table.mean(axis=-1) for table in scores], axis=-1)
-    return np.asarray(require_scipy().trim_mean(values, _QUARTER, axis=-1))
+    count = values.shape[-1]
+    ends = np.clip(np.arange(count + 1), count / 4, count * 3 / 4)
+    shares = np.diff(ends) / (count / 2)
+    return np.asarray((np.sort(values, axis=-1) * shares).sum(axis=-1))
 
 
 def performance_profile(thresholds: FloatArray) -> Statistic:
@@ -181,12 +184,3 @@ def gap(train: FloatArray, test: FloatArray) -> FloatArray:
         test: table ``(..., R, D)`` of the same runs on the test tracks.
     """
     return mean(train) - mean(test)
-
-
-def require_scipy() -> Any:
-    """Imports ``scipy.stats``.
-
-    Raises:
-        ConfigError: SciPy is not installed.
-    """
-    return import_extra("scipy.stats", "the report needs", "report")

@@ -21,7 +21,7 @@ CAPTIONS = {
     "profiles": "Share of runs, tracks and directions with a score above each value, with 95% "
     "bands.",
     "improvement": "Probability that a run of the first algorithm is better than one of the "
-    "second, with 95% intervals.",
+    "second on a track and direction, with 95% intervals.",
     "gap": "Mean score on the training tracks minus that on the test tracks, with 95% intervals.",
 }
 _HOURS = "{:.2f}"

@@ -13,6 +13,7 @@ import numpy as np
 
 from stkzoo._os import make_folder, write_text
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
 from stkzoo.suite.algorithms import can_learn
 from stkzoo.suite.report.document import (
@@ -28,7 +29,7 @@ from stkzoo.suite.report.document import (
 )
 from stkzoo.suite.report.figures import draw_figures
 from stkzoo.suite.report.marl_eval import marl_eval_json
-from stkzoo.suite.report.results import SuiteRun, load_runs
+from stkzoo.suite.report.results import DIRECTIONS, SuiteRun, load_runs
 from stkzoo.suite.report.statistics import (
     FloatArray,
     ScoreTable,
@@ -73,7 +74,7 @@ class _RunGroup:
         if not is_raw:
             zero, one = scale_ends(task.name)
             values = (values - zero) / (one - zero)
-        return ScoreTable(values, (task.name, run.algorithm), tracks)
+        return ScoreTable(values, (task.name, run.algorithm), tracks, len(DIRECTIONS))
 
 
 def _thresholds(groups: Sequence[_RunGroup]) -> FloatArray:
@@ -109,9 +110,6 @@ def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = No
         runs: the runs, as :func:`~stkzoo.suite.report.results.load_runs` returns them.
         expected: task, algorithm and seed of the runs that should be there; by default, each
             combination of those that occur, except tasks that an algorithm cannot learn.
-
-    Raises:
-        ConfigError: SciPy is not installed.
     """
     keys = {(run.task, run.algorithm, run.seed) for run in runs}
     if expected is None:
@@ -238,6 +236,7 @@ def write_suite_report(
             f"{folder} has the results, and the next report would read this one as a result; "
             "choose another --output, such as a folder in it"
         )
+    require_matplotlib("report")
     runs = load_runs(places)
     report = make_report(runs)
     make_folder(folder, "report")

@@ -22,7 +22,13 @@ from tests.support.bombs import bomb
 from tests.support.floods import endless_server
 from tests.support.paths import AGENTS
 from tests.support.processes import measured, wait_until
-from tests.support.remote_race import LyingServer, raw_client, server_process, server_thread
+from tests.support.remote_race import (
+    LyingServer,
+    raw_client,
+    server_process,
+    server_thread,
+    write_agent,
+)
 
 TRACK = {"track": "lighthouse", "seed": 3}
 
@@ -46,6 +52,15 @@ def test_a_server_survives_thousands_of_invalid_messages():
                 flood(socket, messages, 500)
         assert_serves(address)
         assert resident_memory(process.pid) - before < 64 << 20
+
+
+def test_a_client_sees_the_failing_lines_and_the_last_output_of_an_agent(tmp_path):
+    agent = write_agent(tmp_path, "plain", act='print("in the log"); 1 / len("")  # in the code')
+    with server_process(agent) as (_, address), RemoteDriverGroup([address]) as group:
+        result = run_race([*group.drivers, "ai"], max_steps=2, **TRACK)
+    trace = next(row.errors[0].trace for row in result.agents if row.errors)
+    assert 'print("in the log"); 1 / len("")  # in the code' in trace
+    assert "last output:\nin the log" in trace
 
 
 def test_an_oversized_message_closes_only_its_connection():
