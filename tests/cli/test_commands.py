@@ -110,6 +110,8 @@ ENDED = """
     import os, signal, sys, time
     from stkzoo import cli
 
+    signal.signal(getattr(signal, sys.argv[1]), signal.SIG_DFL)  # the tests may run with nohup
+
     def command(words):
         try:
             os.kill(os.getpid(), getattr(signal, words[0]))
@@ -153,9 +155,11 @@ def test_a_closed_terminal_does_not_disturb_the_end_of_a_command(tmp_path):
 
     file = tmp_path / "kept"
     program = f"""
-        import sys, time
+        import signal, sys, time
         from pathlib import Path
         from stkzoo import cli
+
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run with nohup
 
         def command(_):
             print("ready", flush=True)

@@ -244,7 +244,7 @@ def test_an_environment_without_a_camera_is_refused():
 
 def test_two_cameras_for_one_agent_are_refused():
     env = CameraObservations(gym.make("supertuxkart/flattened-v0", **RACE), **ON_MAP)
-    with pytest.raises(ConfigError, match="have image already"):
+    with pytest.raises(ConfigError, match="already have image"):
         CameraObservations(env, **ON_MAP)
 
 
