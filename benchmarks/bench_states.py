@@ -1,11 +1,11 @@
-"""Measures the cost of saving a race, restoring it, and starting from a saved state.
+"""Measures the cost of saving a race, restoring it, cloning it, and starting from a saved state.
 
     python -m benchmarks.bench_states
     python -m benchmarks.bench_states --steps 100 --karts 3 10
 
-A turn consists of ``save_state``, a few steps, ``restore_state``, the first step after it, a
-``reset`` to a saved start, and an ordinary reset. The first step after a copy is slow because
-processes share memory until they write to it.
+A turn consists of ``save_state``, a few steps, ``restore_state``, the first step after it,
+``clone``, a ``reset`` to a saved start, and an ordinary reset. The first step after a copy is slow
+because processes share memory until they write to it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from benchmarks.bench_common import (
     spread,
 )
 
-_PARTS = ("save", "restore", "first step", "reset to a parked start", "reset")
+_PARTS = ("save", "restore", "first step", "clone", "reset to a parked start", "reset")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -70,6 +70,7 @@ def measure(karts: int, options: argparse.Namespace, advance: Any) -> dict[str, 
             timed("restore", env.restore_state, state)
             timed("first step", env.step, actions)
             state.close()
+            timed("clone", env.clone).close()
             timed("reset to a parked start", env.reset, options={"state": start})
             timed("reset", env.reset, seed=1)
             advance()
