@@ -131,7 +131,8 @@ class ReplyChannel:
         self._missing = LENGTH.size
         self._problem: Exception | None = None
         self._pending = pending_replies()
-        self._sent, self._arrived = time.monotonic(), math.inf
+        self._sent = self._complete = time.monotonic()  # begin and end of sending
+        self._arrived = math.inf
         self.deadline: float | None = None
 
     @property
@@ -155,6 +156,7 @@ class ReplyChannel:
                 rest = rest[self._connection.send(rest) :]
             except BlockingIOError:  # noqa: PERF203 - it is rare
                 self._wait(select.POLLOUT)
+        self._complete = time.monotonic()  # on a shared core, the agent may have thought meanwhile
         self._pending.add(self)
         receive_pending()
 
@@ -190,7 +192,7 @@ class ReplyChannel:
             return
         except (EOFError, OSError, ProtocolError) as problem:
             self._problem = problem
-        self._arrived = max(arrival_time(), self._sent)
+        self._arrived = max(arrival_time(), self._complete)
         self._pending.discard(self)
 
     def _receive_part(self) -> None:

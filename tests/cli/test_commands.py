@@ -162,8 +162,8 @@ def test_a_closed_terminal_does_not_disturb_the_end_of_a_command(tmp_path):
         signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run with nohup
 
         def command(_):
-            print("ready", flush=True)
             try:
+                print("ready", flush=True)
                 time.sleep(60)
             finally:
                 print("interrupted", file=sys.stderr, flush=True)
