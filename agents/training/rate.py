@@ -119,14 +119,14 @@ def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, Ma
         ConfigError: a file is not a policy.
     """
     drivers = {name: match_driver(file) for name, file in files.items()}
-    if first := _first_network(runs[0]):
+    if first := _start_policy(runs[0]):
         return drivers | {START: match_driver(first)}
     rules = run_parameters(min(runs[0].glob(_KEPT)))
     return drivers | {START: plan_match_driver(RacingPolicy.of_plans_alone(), rules)}
 
 
-def _first_network(run: Path) -> Path | None:
-    """Returns the first saved policy of a run; ``None`` if its policies are over plans."""
+def _start_policy(run: Path) -> Path | None:
+    """Returns the policy of :data:`START`, a run's first; ``None`` if policies are over plans."""
     first = min(run.glob(_KEPT))
     return first if is_network(load_weights(first)) else None
 
@@ -216,7 +216,7 @@ def _rate_runs(
     kept = kept_policies(runs, every)
     drivers = run_drivers(runs, kept)
     names = sorted(drivers)
-    first = _first_network(runs[0])
+    first = _start_policy(runs[0])
     steps = {name: _steps_of(file.stem) for name, file in kept.items()}
     steps[START] = _steps_of(first.stem) if first else 0
     if len(names) < SEATS:

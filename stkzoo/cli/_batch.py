@@ -6,7 +6,6 @@ import argparse
 import os
 import re
 import sys
-import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import TypeVar
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
 from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED
-from stkzoo.cli._console import QUIET_INTERVAL, make_bars, say
+from stkzoo.cli._console import QuietLines, make_bars, say
 from stkzoo.cli._race_report import show_errors
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.batch import run as batch
@@ -42,7 +41,6 @@ def run_batch(
         The result and the exit code. The result is ``None`` if there is no result to show.
     """
     done = total = 0
-    spoken = time.monotonic()
     with make_bars(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -50,15 +48,14 @@ def run_batch(
         TimeRemainingColumn(),
         TextColumn("{task.fields[last]}", markup=False),
     ) as bars:
-        task = bars.add_task("races", total=None, last="")
+        task, lines = bars.add_task("races", total=None, last=""), QuietLines(bars)
 
         def update(progress: BatchProgress) -> None:
-            nonlocal done, total, spoken
+            nonlocal done, total
             done, total, last = progress.done, progress.total, progress.last
             text = f"{last.track}: {last.agents[0].driver}" if last else ""
             bars.update(task, completed=done, total=total, last=text)
-            if bars.disable and time.monotonic() - spoken > QUIET_INTERVAL:
-                spoken = time.monotonic()
+            if lines.are_due():
                 say(f"{done} of {total} races  {text}".rstrip(), bars.console)
 
         try:

@@ -137,7 +137,30 @@ def make_bars(*columns: ProgressColumn | str, vanish: bool = True) -> Bars:
 
 
 #: Minimum time between two lines about the same stage without a terminal [s].
-QUIET_INTERVAL = 10.0
+_QUIET_INTERVAL = 10.0
+
+
+class QuietLines:
+    """Decides when to print a line of progress instead of disabled bars: at most every 10 s.
+
+    Args:
+        bars: the bars.
+    """
+
+    def __init__(self, bars: Bars) -> None:
+        self._bars = bars
+        self.restart()
+
+    def restart(self) -> None:
+        """Starts the interval again."""
+        self._spoken = time.monotonic()
+
+    def are_due(self) -> bool:
+        """Returns whether to print a line now, which starts the interval again."""
+        is_due = self._bars.disable and time.monotonic() - self._spoken > _QUIET_INTERVAL
+        if is_due:
+            self.restart()
+        return is_due
 
 
 class ConsoleProgress(Progress):
@@ -153,7 +176,7 @@ class ConsoleProgress(Progress):
             vanish=False,
         )
         self._stage: Task | None = None
-        self._spoken = time.monotonic()
+        self._lines = QuietLines(self._bars)
 
     def __enter__(self) -> Self:
         self._bars.start()
@@ -169,7 +192,7 @@ class ConsoleProgress(Progress):
         self._finish()
         self._bars.add_task(stage, total=total)
         self._stage = self._bars.tasks[-1]
-        self._spoken = time.monotonic()
+        self._lines.restart()
         if self._bars.disable:
             self.note(stage + (f" ({megabytes(total)})" if total else ""))
 
@@ -179,8 +202,7 @@ class ConsoleProgress(Progress):
         if stage is None:
             return
         self._bars.update(stage.id, completed=done)
-        if self._bars.disable and time.monotonic() - self._spoken > QUIET_INTERVAL:
-            self._spoken = time.monotonic()
+        if self._lines.are_due():
             of = f" of {megabytes(stage.total)}" if stage.total else ""
             self.note(f"{stage.description}: {megabytes(done)}{of}")
 

@@ -4,7 +4,7 @@ from argparse import Namespace
 
 import pytest
 
-from stkzoo.cli import _batch, main
+from stkzoo.cli import _batch, _console, main
 from stkzoo.cli._batch import file_name, run_batch, run_replays
 from stkzoo.evaluation import BatchProgress
 
@@ -32,7 +32,7 @@ def test_without_a_terminal_a_batch_prints_a_line_of_progress_every_ten_seconds(
     capsys, monkeypatch
 ):
     seconds = iter([0.0, 4.0, 12.0, 12.0, 15.0, 23.0, 23.0])
-    monkeypatch.setattr(_batch, "time", Namespace(monotonic=lambda: next(seconds)))
+    monkeypatch.setattr(_console, "time", Namespace(monotonic=lambda: next(seconds)))
     run_batch(ARGUMENTS, lambda options: [options.on_race(BatchProgress(n, 9)) for n in range(4)])
     assert capsys.readouterr().err == "1 of 9 races\n3 of 9 races\n"
 

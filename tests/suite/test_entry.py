@@ -113,5 +113,5 @@ def test_time_ratios_against_the_population_name_the_difficulty_of_the_baseline(
         for race in plan.races()
     )
     show_entry(Entry(plan, outcomes, replays=("0" * 64,) * len(outcomes)))
-    told = "time ratio divides by the AI's time at difficulty 3 in all races"
-    assert (told in "".join(capsys.readouterr())) == says_so
+    text = "time ratio divides by the AI's time at difficulty 3 in all races"
+    assert (text in "".join(capsys.readouterr())) == says_so

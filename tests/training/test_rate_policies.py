@@ -89,37 +89,35 @@ def test_all_policies_race_on_the_given_tracks(run, tmp_path, monkeypatch, capsy
     assert "expected 'abyss'; give the same --track, or another" in capsys.readouterr().err
 
 
-def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, monkeypatch):
-    longer = run.with_name("first b")
-    shutil.copytree(run, longer)
-    drawn = {}
+@pytest.fixture
+def drawn(monkeypatch):
+    """The curves that a rating draws; its races are not driven."""
+    curves = {}
 
     def without_driving(matches, _):
         return [MatchRecord(0, each.track, each.reverse, [*each.drivers]) for each in matches]
 
     monkeypatch.setattr(rate, "play_records", without_driving)
-    monkeypatch.setattr(rate, "rating_figure", lambda curves, *_: drawn.update(curves))
+    monkeypatch.setattr(rate, "rating_figure", lambda found, *_: curves.update(found))
     monkeypatch.setattr(rate, "save_figure", lambda *_: None)
+    return curves
+
+
+def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, drawn):
+    longer = run.with_name("first b")
+    shutil.copytree(run, longer)
     assert main([str(run), str(longer), "--every=0", f"--output={tmp_path / 'out'}"]) == 0
     steps = {name: [at for at, _ in points] for name, points in drawn.items()}
     expected = [0.0, 0.0001, 1.0001, 2.0002]
     assert steps == {"first": expected, "first b": expected}
 
 
-def test_without_plans_start_has_the_kart_steps_of_the_first_policy(tmp_path, monkeypatch):
+def test_without_plans_start_has_the_kart_steps_of_the_first_policy(tmp_path, drawn, monkeypatch):
     runs = [tmp_path / "first", tmp_path / "second"]
     for run, millions in zip(runs, ((0.5, 1.0), (0.25, 1.0)), strict=True):
         run.mkdir()
         for steps in millions:
             save_weights(run / f"policy-{steps * 1e6:09.0f}.safetensors", small_network())
-    drawn = {}
-
-    def without_driving(matches, _):
-        return [MatchRecord(0, each.track, each.reverse, [*each.drivers]) for each in matches]
-
-    monkeypatch.setattr(rate, "play_records", without_driving)
-    monkeypatch.setattr(rate, "rating_figure", lambda curves, *_: drawn.update(curves))
-    monkeypatch.setattr(rate, "save_figure", lambda *_: None)
     compared = []
     monkeypatch.setattr(rate, "learning_progress", lambda _, steps: compared.append(steps))
     words = [*map(str, runs), "--every=0", f"--output={tmp_path / 'out'}"]

@@ -90,13 +90,13 @@ class LearningNetwork(ABC):
 
     torch: Any
 
-    @abstractmethod
-    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:  # noqa: ARG002 - for subclasses
         """Adapts the networks to the rows of the first rollout, such as the scale of the inputs.
 
         Returns:
-            Whether the networks changed.
+            Whether the networks changed; by default, they do not.
         """
+        return False
 
     @abstractmethod
     def weights(self) -> tuple[Weights, Weights]:

@@ -65,10 +65,6 @@ class TaskNetwork(PPONetwork):
         if state_size:
             self.scale[SIZE:] = 1.0 / _state_units(state_size)
 
-    def prepare(self, seen: npt.NDArray[np.void]) -> bool:  # noqa: ARG002 - the scales are fixed
-        """See :class:`..common.learner.LearningNetwork`."""
-        return False
-
     def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
         """Returns inputs ``(N, F)``, those of the value network, scaled, and choices ``(N, 5)``."""
         central = self.normalized(critic_inputs(seen))
