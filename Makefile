@@ -19,7 +19,7 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser graphics sandbox help race test test-fast sanitize check bench docs pictures site wheel clean
+.PHONY: browser engine graphics sandbox help race test test-fast sanitize check bench docs pictures site wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -35,16 +35,16 @@ help:
 	@echo "make clean   remove what was built here; the game's data stays"
 	@echo "             (it goes with: stkzoo assets clean)"
 
-race: $(VENV)/.core
+race: $(VENV)/.core engine
 	$(BIN)/stkzoo assets install
 	$(BIN)/stkzoo race --demo
 
-test: $(VENV)/.dev graphics browser sandbox
+test: $(VENV)/.dev engine graphics browser sandbox
 	$(BIN)/stkzoo assets install
 	$(PYTEST) $(ARGS)
 
 # Tests every package with the real engine, in two minutes on two cores.
-test-fast: $(VENV)/.dev
+test-fast: $(VENV)/.dev engine
 	$(BIN)/stkzoo assets install
 	$(PYTEST) -m "not slow" $(ARGS)
 
@@ -109,6 +109,17 @@ site: $(VENV)/.docs
 wheel: $(VENV)/.made
 	$(PIP) install --quiet build
 	$(BIN)/python -m build --outdir dist .
+
+# The engine needs glib 2 (libglib-2.0.so.0), which minimal systems do not have.
+engine: $(VENV)/.core
+	@if $(BIN)/python -c "import pystk2" 2>/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		$(call apt_install,libglib2.0-0); \
+	else \
+		$(BIN)/python -c "import pystk2"; \
+		echo "if this is glib: sudo apt install libglib2.0-0 (Fedora: sudo dnf install glib2)"; \
+		exit 1; \
+	fi
 
 # The game renders off-screen with these libraries, and the tests open its window in Xvfb. If they
 # cannot be installed, stkzoo draws the map instead, and the tests expect that.

@@ -15,9 +15,22 @@ from shutil import which
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
-__all__ = ["extra_requirements", "install_command", "pip_install", "repository_url"]
+__all__ = [
+    "extra_requirements",
+    "install_command",
+    "library_remedy",
+    "pip_install",
+    "repository_url",
+]
 
 _EXTRA = re.compile(r"extra\s*==\s*['\"]([\w-]+)['\"]")
+#: What Python writes if an extension needs a library that the system does not have.
+_NO_LIBRARY = re.compile(r"^ImportError: (\S+\.so\S*): cannot open shared object file", re.M)
+#: Commands that install the libraries that the engine takes from the system.
+_LIBRARY_COMMANDS = {
+    "libglib-2.0.so.0": "Debian, Ubuntu: sudo apt install libglib2.0-0; Fedora: sudo dnf install "
+    "glib2"
+}
 
 
 def repository_url() -> str:
@@ -60,6 +73,21 @@ def pip_install(arguments: str) -> str:
     if pip and Path(pip).parent == here:
         return f"pip install {arguments}"
     return f'"{sys.executable}" -m pip install {arguments}'
+
+
+def library_remedy(output: str) -> str:
+    """Returns how to install the library of the system that a program did not find.
+
+    Args:
+        output: output of the program.
+
+    Returns:
+        The remedy, one line; empty if the program found its libraries.
+    """
+    if not (missing := _NO_LIBRARY.search(output)):
+        return ""
+    command = _LIBRARY_COMMANDS.get(missing[1])
+    return f"install your system's package with {missing[1]}" + (f" ({command})" if command else "")
 
 
 def _installed() -> metadata.Distribution | None:

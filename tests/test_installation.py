@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 
 from stkzoo import ConfigError, _installation
-from stkzoo._installation import extra_requirements, install_command, repository_url
+from stkzoo._installation import (
+    extra_requirements,
+    install_command,
+    library_remedy,
+    repository_url,
+)
 from stkzoo.errors import import_extra
 
 
@@ -98,3 +103,10 @@ def test_a_library_that_does_not_load_is_reported_with_the_cause(install):
     (install(None) / "broken_library.py").write_text("raise ImportError('libGL.so.1 is missing')")
     with pytest.raises(ConfigError, match=r"does not load \(libGL.so.1 is missing\): pip install"):
         import_extra("broken_library", "the window needs", "play")
+
+
+def test_the_remedy_for_glib_is_a_command():
+    problem = "libglib-2.0.so.0: cannot open shared object file: No such file or directory"
+    remedy = library_remedy(f"Traceback (most recent call last):\nImportError: {problem}\n")
+    assert "sudo apt install libglib2.0-0" in remedy
+    assert library_remedy("ImportError: No module named pystk2") == ""

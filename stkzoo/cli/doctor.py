@@ -25,7 +25,12 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-from stkzoo._installation import extra_requirements, install_command, pip_install
+from stkzoo._installation import (
+    extra_requirements,
+    install_command,
+    library_remedy,
+    pip_install,
+)
 from stkzoo._python import python_command
 from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.drivers.sandbox import bubblewrap_problem
@@ -177,7 +182,7 @@ def _engine() -> str:
         raise NotFound("PySuperTuxKart2 is not installed")
     code, text = _probe("import pystk2", os.environ)
     if code != 0:
-        raise NotFound(_last_line(text))
+        raise NotFound(_last_line(text), library_remedy(text))
     return f"PySuperTuxKart2 {metadata.version('PySuperTuxKart2')}"
 
 
@@ -192,7 +197,10 @@ def _start(install: str) -> str:
         code, text = _probe(_PROBE, engine_environment(assets.root, str(home.path)))
     lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
     if code != 0 or not lines:
-        raise NotFound(f"it ended with {code}: {_last_line(text)}", f"{install} --force")
+        raise NotFound(
+            f"it ended with {code}: {_last_line(text)}",
+            library_remedy(text) or f"{install} --force",
+        )
     if tuple(sorted(lines[-1])) != assets.tracks:
         found = f"it sees {len(lines[-1])} tracks where stkzoo sees {len(assets.tracks)}"
         raise NotFound(found, f"{install} --force")
@@ -262,7 +270,7 @@ def _graphics() -> str:
         return "the system's own"
     missing = [f"lib{name}" for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
     if not _graphics_drivers():
-        missing.append("a Mesa driver")
+        missing.append("Mesa driver")
     if missing:
         raise NotFound(f"no {', no '.join(missing)}")
     return "libEGL, libGL and a driver"

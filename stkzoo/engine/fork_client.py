@@ -18,7 +18,6 @@ from stkzoo._temporary import LockedTemporaryDirectory
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     LOST_CONNECTION,
-    REPLACE_DATA,
     START_TIMEOUT,
     RaceProcess,
     SpawnedProcess,
@@ -27,6 +26,7 @@ from stkzoo.engine.process import (
     explain_os_errors,
     open_log,
     spawn_interpreter,
+    start_remedy,
     stop,
     tail,
 )
@@ -110,12 +110,13 @@ class ForkServerClient:
             ) from None
         except (EOFError, ConnectionError):
             log = tail(self._log)
-            what = "is gone" if self._has_forked else "could not start"
-            remedy = "" if self._has_forked else f"; {REPLACE_DATA}"
+            problem = (
+                "is gone; `stkzoo doctor` looks for the cause"
+                if self._has_forked
+                else f"could not start; {start_remedy(log)}"
+            )
             _retire(self)
-            raise EngineCrashed(
-                f"the game's fork server {what}; `stkzoo doctor` looks for the cause{remedy}", log
-            ) from None
+            raise EngineCrashed(f"the game's fork server {problem}", log) from None
         self._has_forked = True
         return process
 

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stkzoo._installation import library_remedy
 from stkzoo._os import OwnDescriptor, loses_exit_codes
 from stkzoo._python import python_command, search_path
 from stkzoo._temporary import LockedTemporaryDirectory
@@ -170,6 +171,15 @@ REPLACE_DATA = (
 )
 
 
+def start_remedy(output: str) -> str:
+    """Returns the remedy for a process that ended before it could run a race.
+
+    Args:
+        output: output of the process.
+    """
+    return library_remedy(output) or f"`stkzoo doctor` looks for the cause; {REPLACE_DATA}"
+
+
 @contextlib.contextmanager
 def explain_os_errors() -> Iterator[None]:
     """Converts an OSError during the start of a process to an EngineError with a remedy."""
@@ -297,8 +307,9 @@ class SpawnedProcess(RaceProcess):
             except TimeoutError:
                 if self._process.poll() is not None:
                     how = describe_end(self._process.returncode)
+                    output = tail(log)
                     raise EngineCrashed(
-                        f"the game's process {how} at its start", tail(log)
+                        f"the game's process {how} at its start; {start_remedy(output)}", output
                     ) from None
                 continue
             connection.settimeout(5.0)

@@ -1,9 +1,14 @@
 import json
+import shutil
+import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
 from stkzoo.cli import main
 from stkzoo.engine.assets import cache_folder, find
+from tests.support.processes import run_program
 
 
 @pytest.fixture
@@ -51,6 +56,37 @@ def test_an_engine_that_cannot_start_is_reported(tmp_path, monkeypatch, capsys):
     assert code == 1
     assert checks["race data"]["ok"]
     assert not checks["engine starts"]["ok"]
+
+
+@pytest.fixture
+def no_library(tmp_path, monkeypatch):
+    """Sets up a machine without a library of the engine: a copy of the engine needs libglib-9."""
+    engine = Path(find_spec("pystk2").origin)
+    shutil.copy(engine, tmp_path)
+    (tmp_path / "pysupertuxkart2.libs").mkdir()
+    for library in (engine.parent / "pysupertuxkart2.libs").iterdir():
+        code = library.read_bytes().replace(b"libglib-2.0.so.0\0", b"libglib-9.0.so.0\0")
+        (tmp_path / "pysupertuxkart2.libs" / library.name).write_bytes(code)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the names of libraries are those of Linux")
+@pytest.mark.usefixtures("no_library")
+def test_a_library_that_the_system_lacks_is_named_with_its_remedy(capsys):
+    code, _, checks = report(capsys)
+    assert code == 1
+    remedy = "install your system's package with libglib-9.0.so.0"
+    assert checks["engine"]["remedy"] == checks["engine starts"]["remedy"] == remedy
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the names of libraries are those of Linux")
+@pytest.mark.usefixtures("no_library")
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_a_race_without_a_library_of_the_system_names_its_remedy(method, monkeypatch):
+    monkeypatch.setenv("STKZOO_START_METHOD", method)
+    program = "from stkzoo.cli import main; main(['race', 'ai', '--track', 'lighthouse'])"
+    (line, *_) = run_program(program).stderr.splitlines()
+    assert line.endswith("; install your system's package with libglib-9.0.so.0")
 
 
 def test_a_missing_optional_part_does_not_fail(monkeypatch, capsys):
