@@ -20,7 +20,7 @@ Examples:
   stkzoo assets install --source upstream    with the download of pystk2
   stkzoo assets install --from pack.tar.xz   from the pack of another machine
   stkzoo assets pack                         build the pack in the cache
-  stkzoo assets pack --output pack.tar.xz    write it to a file of about 40 MB
+  stkzoo assets pack --output pack.tar.xz    write it to a file of about 32 MB
 """
 
 from __future__ import annotations
