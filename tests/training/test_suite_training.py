@@ -88,6 +88,15 @@ def test_a_run_learns_and_resumes_bit_for_bit(tmp_path, kind, task, actors):
     assert any((one[name] != before[name]).any() for name in one)
 
 
+def test_an_interrupted_run_loses_the_policies_after_its_checkpoint(tmp_path):
+    learner = small_run(tmp_path)
+    iterate(learner, 3)
+    learner.close()
+    kept = sorted(tmp_path.glob("policy-*"))
+    small_run(tmp_path).close()
+    assert sorted(tmp_path.glob("policy-*")) == kept[:2] != kept
+
+
 def test_a_run_with_other_arguments_is_refused(tmp_path):
     small_run(tmp_path).close()
     learner = small_run(tmp_path)

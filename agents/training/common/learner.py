@@ -33,6 +33,7 @@ from .run_folder import (
     load_checkpoint,
     policy_name,
     reading_checkpoint,
+    remove_later_policies,
     save_checkpoint,
     write_json,
 )
@@ -298,6 +299,7 @@ class OverlappedLearner(ABC):
         ):
             self._history.append(now)
         self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
+        remove_later_policies(self.folder, self.kart_steps)
         self._recent.extend(facts.recent)
         with reading_checkpoint(self.folder):
             self._network.restore(state["network"])

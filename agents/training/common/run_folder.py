@@ -180,6 +180,20 @@ def kart_steps_of(policy: Path) -> int | None:
     return int(digits) if digits.isdigit() and not is_round else None
 
 
+def remove_later_policies(folder: Path, kart_steps: int) -> None:
+    """Removes the policies that a run saved after its checkpoint, before it was interrupted.
+
+    The run continues from its checkpoint and learns other policies.
+
+    Args:
+        folder: folder of the run.
+        kart_steps: kart-steps of the checkpoint.
+    """
+    for policy in folder.glob("policy-*.safetensors"):
+        if (kart_steps_of(policy) or 0) > kart_steps:
+            policy.unlink()
+
+
 def run_parameters(policy: Path) -> DriverParameters:
     """Returns the plan parameters with which a policy learned; the defaults without a run.
 
