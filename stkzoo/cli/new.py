@@ -21,6 +21,7 @@ from pathlib import Path
 
 from stkzoo._arguments import CommandParser, add_options, option, positional
 from stkzoo._os import write_text
+from stkzoo._schema import plain_text
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import ConfigError
 
@@ -164,11 +165,11 @@ def _check_name(folder: str) -> None:
     """Refuses a folder that files cannot name, or that commands would not accept as an agent."""
     from stkzoo.drivers.driver import driver_names
 
-    name = Path(folder).resolve().name
-    try:
-        f"{folder}{name}".encode()
-    except UnicodeEncodeError:
-        raise ConfigError(f"{folder!r} is not text in UTF-8; choose another folder") from None
+    path = str(Path(folder).resolve())
+    if plain_text(path) != path:
+        raise ConfigError(
+            f"the path {plain_text(path)!r} has control codes or is not UTF-8; choose another folder"
+        )
     if "@:" in folder:
         raise ConfigError(
             f"{folder!r} contains @:, which sets a driver's name; choose another folder"

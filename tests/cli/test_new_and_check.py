@@ -73,10 +73,13 @@ def test_new_refuses_names_that_mean_other_drivers(name, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
 
 
-def test_new_refuses_a_name_that_is_not_text(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("name", [b"caf\xe9", b"a\x1b[31mred", "a\u2028b".encode()])
+def test_new_refuses_a_name_that_is_not_plain_text(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["new", os.fsdecode(b"caf\xe9")]) == 2
-    assert r"'caf\udce9' is not text in UTF-8; choose another folder" in capsys.readouterr().err
+    assert main(["new", os.fsdecode(name)]) == 2
+    error = capsys.readouterr().err
+    assert "has control codes or is not UTF-8; choose another folder" in error
+    assert error.isascii()
     assert not list(tmp_path.iterdir())
 
 
