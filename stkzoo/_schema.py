@@ -158,6 +158,8 @@ def _reader(hint: Any) -> _Reader:
     origin, parts = typing.get_origin(hint), typing.get_args(hint)
     if hint is Any:
         return _read_any
+    if hasattr(origin, "__value__"):  # an alias, such as NDArray since NumPy 2.5
+        return _reader(origin.__value__[parts])
     if origin is Annotated:
         return _bounded(_reader(parts[0]), parts[1:])
     if origin in (types.UnionType, typing.Union):

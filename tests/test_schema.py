@@ -1,5 +1,7 @@
 """JSON values become dataclasses only if all fields have valid types and values."""
 
+import sys
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -109,3 +111,13 @@ def test_a_huge_value_is_not_shown_in_full():
 def test_a_config_error_of_the_class_is_not_lost():
     with pytest.raises(ConfigError):
         Cart(0)
+
+
+@pytest.mark.skipif(sys.version_info < (3, 12), reason="this Python has no aliases with parameters")
+def test_an_alias_is_read_as_its_type():
+    """As NDArray is since NumPy 2.5, which made replays unreadable."""
+    kind = typing.TypeVar("kind")
+    pairs = typing.TypeAliasType("pairs", tuple[kind, kind], type_params=(kind,))
+    assert typed(pairs[int], [1, 2]) == (1, 2)
+    with pytest.raises(Unreadable, match="expected a whole number"):
+        typed(pairs[int], [1, 2.5])

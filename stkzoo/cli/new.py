@@ -166,9 +166,10 @@ def _check_name(folder: str) -> None:
     from stkzoo.drivers.driver import driver_names
 
     path = str(Path(folder).resolve())
-    if plain_text(path) != path:
+    shown = plain_text(path)
+    if shown != path:
         raise ConfigError(
-            f"the path {plain_text(path)!r} has control codes or is not UTF-8; choose another folder"
+            f"the path {shown!r} has control codes or is not UTF-8; choose another folder"
         )
     if "@:" in folder:
         raise ConfigError(

@@ -455,6 +455,7 @@ def swap_bytes(row):
     row.dtype = row.dtype.newbyteorder()
 
 
+@pytest.mark.filterwarnings("ignore:Setting the:DeprecationWarning")  # since NumPy 2.5
 @pytest.mark.parametrize("modify", [reshape, make_read_only, swap_bytes])
 def test_modified_rows_are_not_reused(modify):
     with contextlib.closing(race_v0.parallel_env(num_kart=1, track="lighthouse")) as env:
