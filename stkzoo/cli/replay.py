@@ -133,12 +133,15 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
             file=sys.stderr,
         )
         return
+    from stkzoo.race.replay import other_versions
+
     step = playback.first_difference
     where = f"after step {step}" if step else "on the grid already"
+    others = other_versions(replay)
     print(
         f"stkzoo: the race differs: {where} a kart is not where it was (the recorded race "
         f"has {replay.steps} steps). The game's data or the machine may differ; recorded with "
-        f"{_versions(replay)}",
+        f"{_versions(replay)}" + (f"; here: {others}" if others else ""),
         file=sys.stderr,
     )
 

@@ -123,7 +123,7 @@ class AgentResult:
 
 
 def versions_now() -> dict[str, str]:
-    """Returns the versions of the installed software, by name."""
+    """Returns the versions of the installed software and of the C library, by name."""
     return dict(_versions())
 
 
@@ -131,7 +131,9 @@ def versions_now() -> dict[str, str]:
 def _versions() -> dict[str, str]:
     packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
     found = {name: version(package) for name, package in packages.items()}
-    return {**found, "python": platform.python_version()}
+    # glibc 2.41 rounds some functions of the engine differently, and so some races.
+    libc = " ".join(platform.libc_ver()).strip() or platform.platform(terse=True)
+    return {**found, "python": platform.python_version(), "libc": libc}
 
 
 def shared_protections(

@@ -23,7 +23,7 @@ from stkzoo.evaluation.batch.run import BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay import Replay, load_replay, play_replay
+from stkzoo.race.replay import Replay, load_replay, other_versions, play_replay
 from stkzoo.race.replay.file import controls_of
 from stkzoo.race.result import AgentResult, RaceResult
 from stkzoo.suite.entry import ENTRY_FILE, Entry, EntryPlan, plan_entry, replay_digest
@@ -82,7 +82,11 @@ class VerifyOrder(RaceOrder):
         watch = _RaceWatch(replay, own)
         playback = play_replay(replay, listeners=[watch], live=live)
         if playback.first_difference is not None:
-            raise EntryRefused(f"step {playback.first_difference} differs from the recording")
+            others = other_versions(replay)
+            raise EntryRefused(
+                f"step {playback.first_difference} differs from the recording"
+                + (f"; other versions here: {others}" if others else "")
+            )
         if playback.result_differences:
             raise EntryRefused(f"step {replay.steps}: {'; '.join(playback.result_differences)}")
         if replay_digest(folder, self.number) != self.replay:

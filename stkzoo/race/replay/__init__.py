@@ -21,7 +21,12 @@ from stkzoo.race.replay.file import (
     save_replay,
 )
 from stkzoo.race.replay.ghost import ghost_of
-from stkzoo.race.replay.playback import Playback, play_replay, recorded_driver
+from stkzoo.race.replay.playback import (
+    Playback,
+    other_versions,
+    play_replay,
+    recorded_driver,
+)
 from stkzoo.race.replay.writer import ReplayWriter
 
 __all__ = [
@@ -34,6 +39,7 @@ __all__ = [
     "controls_of",
     "ghost_of",
     "load_replay",
+    "other_versions",
     "play_replay",
     "recorded_driver",
     "save_replay",

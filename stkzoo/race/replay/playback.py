@@ -106,6 +106,15 @@ def play_replay(
     )
 
 
+def other_versions(replay: Replay) -> str:
+    """Returns this machine's versions that differ from those of a recording; empty if none do.
+
+    Another version may be why a race differs, above all another C library (``libc``).
+    """
+    here = versions_now().items()
+    return ", ".join(f"{name} {own}" for name, own in here if replay.versions.get(name) != own)
+
+
 def _check_engine(replay: Replay, any_engine: bool) -> None:
     recorded, here = replay.versions.get("pystk2"), versions_now()["pystk2"]
     if recorded != here and not any_engine:

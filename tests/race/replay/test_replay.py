@@ -19,6 +19,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, RaceSettings, run_race
 from stkzoo.race.replay import ReplayError, ReplayWriter, file, load_replay, play_replay
 from stkzoo.race.replay.file import DIGEST_SIZE
+from stkzoo.race.result import versions_now
 from tests.support.paths import AGENTS
 
 
@@ -268,6 +269,17 @@ def test_a_replay_that_differs_can_be_played_to_its_end(small):
     repacked(small, about={"seed": 3})
     playback = play_replay(load_replay(small), to_the_end=True)
     assert (playback.steps, playback.first_difference) == (30, 0)
+
+
+def test_a_replay_that_differs_names_the_other_versions_of_this_machine(small, capsys):
+    versions = {**versions_now(), "libc": "glibc 2.41"}
+    repacked(small, about={"seed": 3, "versions": versions})
+    assert main(["replay", str(small)]) == 1
+    error = capsys.readouterr().err
+    assert "libc glibc 2.41; here: libc " in error
+    repacked(small, about={"versions": versions_now()})
+    assert main(["replay", str(small)]) == 1
+    assert "here:" not in capsys.readouterr().err
 
 
 def test_another_engine_version_is_an_error(small):
