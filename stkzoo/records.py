@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from stkzoo._schema import Positive, Whole
+
 __all__ = ["HUMAN_RECORDS", "RECORD_DIFFICULTY", "RECORD_KART", "HumanRecord"]
 
 #: Difficulty of all records, and the kart of most of them.
@@ -24,8 +26,8 @@ class HumanRecord:
         laps: number of laps of the race.
     """
 
-    seconds: float
-    laps: int
+    seconds: Positive
+    laps: Whole
 
 
 #: The records by track.
