@@ -33,6 +33,7 @@ from .common.arguments import track_names
 from .common.command import limit_threads, run_command
 from .common.fleet import Finish
 from .common.matches import Match, MatchDriver, match_driver, play_matches
+from .common.run_folder import saved_policies
 
 #: First starting point for evaluation; training numbers its starting points from 0.
 _FIRST_NUMBER = 1000
@@ -79,7 +80,7 @@ def newest_policy(source: str) -> str:
     """Returns the newest policy file of a run's folder; returns other sources unchanged."""
     latest = Path(source) / "policy.safetensors"  # of a run that keeps no others
     default = latest if latest.is_file() else source
-    return str(max(Path(source).glob("policy-*.safetensors"), default=default))
+    return str(max(saved_policies(Path(source)), default=default))
 
 
 def _report(sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]]) -> None:

@@ -59,6 +59,7 @@ from .common.run_folder import (
     policy_name,
     read_run_file,
     run_parameters,
+    saved_policies,
     write_json,
 )
 from .plot import rating_figure
@@ -68,7 +69,6 @@ START, RANDOM = "start", "random"
 #: File of a run's ratings, and folder of the underlying races.
 RATINGS, EVALUATIONS = "ratings.json", "evaluations"
 _MATCHES, _PLOT = "matches.jsonl", "ratings.png"
-_KEPT = "policy-*.safetensors"
 #: Number of races between two writes.
 _AT_ONCE = 16
 #: Number of bootstrap samples of an interval.
@@ -93,9 +93,9 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
         raise ConfigError(f"two runs are called {twice[0]!r}; give the runs other names")
     kept: list[tuple[str, int, Path]] = []
     for run in runs:
-        files = sorted(run.glob(_KEPT))
+        files = saved_policies(run)
         if not files:
-            raise ConfigError(f"{str(run)!r} has no {_KEPT}; is it a run's folder?")
+            raise ConfigError(f"{str(run)!r} has no policy-*.safetensors; is it a run's folder?")
         last = 0
         for file in files:
             steps = _steps_of(file.stem)
@@ -121,13 +121,13 @@ def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, Ma
     drivers = {name: match_driver(file) for name, file in files.items()}
     if first := _start_policy(runs[0]):
         return drivers | {START: match_driver(first)}
-    rules = run_parameters(min(runs[0].glob(_KEPT)))
+    rules = run_parameters(min(saved_policies(runs[0])))
     return drivers | {START: plan_match_driver(RacingPolicy.of_plans_alone(), rules)}
 
 
 def _start_policy(run: Path) -> Path | None:
     """Returns the policy of :data:`START`, a run's first; ``None`` if policies are over plans."""
-    first = min(run.glob(_KEPT))
+    first = min(saved_policies(run))
     return first if is_network(load_weights(first)) else None
 
 
@@ -304,7 +304,7 @@ def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> 
     Raises:
         ConfigError: the policy does not exist.
     """
-    older = sorted(path.stem for path in run.glob(_KEPT) if path.stem < name)
+    older = sorted(path.stem for path in saved_policies(run) if path.stem < name)
     own = name if older else START
     files = {own: name}
     if older:

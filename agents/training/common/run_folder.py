@@ -180,6 +180,11 @@ def kart_steps_of(policy: Path) -> int | None:
     return int(digits) if digits.isdigit() and not is_round else None
 
 
+def saved_policies(folder: Path) -> list[Path]:
+    """Returns the files of the policies in the folder of a run, the first one first."""
+    return sorted(folder.glob("policy-*.safetensors"))
+
+
 def remove_later_policies(folder: Path, kart_steps: int) -> None:
     """Removes the policies that a run saved after its checkpoint, before it was interrupted.
 
@@ -189,7 +194,7 @@ def remove_later_policies(folder: Path, kart_steps: int) -> None:
         folder: folder of the run.
         kart_steps: kart-steps of the checkpoint.
     """
-    for policy in folder.glob("policy-*.safetensors"):
+    for policy in saved_policies(folder):
         if (kart_steps_of(policy) or 0) > kart_steps:
             policy.unlink()
 

@@ -60,6 +60,7 @@ from ..common.run_folder import (
     read_run_file,
     reading_checkpoint,
     save_checkpoint,
+    saved_policies,
 )
 from ..common.starts import parse_races
 from ..export import export_policy
@@ -237,7 +238,7 @@ class SB3Run:
         Args:
             wait: maximum time to wait for the current one [s].
         """
-        kept = sorted(self.folder.glob("policy-*.safetensors"))
+        kept = saved_policies(self.folder)
         steps = [int(path.stem.removeprefix("policy-")) for path in kept]
         pairs = zip(kept, [-1, *steps], steps, strict=False)
         due = [path.stem for path, last, now in pairs if self._is_judged(last, now)]
