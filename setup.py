@@ -1,10 +1,14 @@
-"""Builds the C kernel, which is optional: if it cannot be built, the installation continues."""
+"""Builds the C kernel, and the functions of the C library that races use.
+
+Both are optional: if they cannot be built, the installation continues.
+"""
 
 import sys
 
 import numpy
 from setuptools import Extension, setup
 
+_IS_LINUX = sys.platform == "linux"
 _PARTS = (
     "module",
     "action_reader",
@@ -22,23 +26,35 @@ _PARTS = (
     "rows",
     "step_scorer",
     "track_graph",
+    *(["libm"] if _IS_LINUX else []),
 )
 
-setup(
-    ext_modules=[
-        Extension(
-            "stkzoo.kernel._kernel",
-            sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
-            depends=[
-                f"stkzoo/kernel/{part}.h"
-                for part in ("geometry", "kernel", "plan_memory", "vectors")
-            ],
-            include_dirs=[numpy.get_include()],
-            # Rounding must match numpy; errno and floating-point exceptions are unused.
-            extra_compile_args=[]
-            if sys.platform == "win32"
-            else ["-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"],
-            optional=True,
-        )
-    ]
+if sys.platform == "win32":
+    _FLAGS, _LIBRARIES = [], []
+else:
+    # Rounding must match numpy; errno and floating-point exceptions are unused.
+    _FLAGS = ["-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
+    _LIBRARIES = ["m"]
+
+_KERNEL = Extension(
+    "stkzoo.kernel._kernel",
+    sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
+    depends=[
+        f"stkzoo/kernel/{part}.h" for part in ("geometry", "kernel", "plan_memory", "vectors")
+    ],
+    include_dirs=[numpy.get_include()],
+    # Hidden functions: the kernel then calls its own libm, not that of the system.
+    extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
+    libraries=_LIBRARIES,
+    optional=True,
 )
+# Not a Python module: the dynamic linker loads it into engine processes.
+_LIBM = Extension(
+    "stkzoo.engine._libm",
+    sources=["stkzoo/kernel/libm.c"],
+    extra_compile_args=_FLAGS,
+    libraries=_LIBRARIES,
+    optional=True,
+)
+
+setup(ext_modules=[_KERNEL, _LIBM] if _IS_LINUX else [_KERNEL])

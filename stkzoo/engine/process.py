@@ -21,6 +21,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,10 @@ _NO_FOLDER = (errno.ENOENT, errno.EACCES, errno.EROFS)
 _TOKEN_BYTES = 32
 #: Arguments of ``personality``, from Linux's ``sys/personality.h``.
 _ADDR_NO_RANDOMIZE, _CURRENT_PERSONALITY = 0x0040000, 0xFFFFFFFF
+
+#: Functions of the C library with the same results in all its versions (``stkzoo/kernel/libm.c``).
+#: The file is absent if stkzoo was installed without a compiler.
+LIBM = Path(__file__).with_name("_libm" + EXTENSION_SUFFIXES[0])
 
 #: Environment variables that limit numerical libraries to one thread.
 ONE_THREAD = dict.fromkeys(
@@ -239,10 +244,23 @@ def spawn_interpreter(
             stdin=subprocess.DEVNULL,
             stdout=log.fileno(),
             stderr=log.fileno(),
-            env=environment,
+            env={**environment, **_preloads(environment)},
             start_new_session=True,  # Ctrl-C in the terminal must reach only the program
             **options,
         )
+
+
+def _preloads(environment: Mapping[str, str]) -> dict[str, str]:
+    """Returns the environment variables with which a process loads :data:`LIBM` first."""
+    if not LIBM.exists():
+        return {}
+    # The list of libraries can name files, but has no paths with spaces.
+    libraries = [environment.get("LD_PRELOAD"), LIBM.name]
+    folders = [str(LIBM.parent), environment.get("LD_LIBRARY_PATH")]
+    return {
+        "LD_PRELOAD": " ".join(filter(None, libraries)),
+        "LD_LIBRARY_PATH": ":".join(filter(None, folders)),
+    }
 
 
 @contextlib.contextmanager

@@ -100,6 +100,7 @@ def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
         "tests/data/agents/plain/pystk_actor.py",
         "docs/conf.py",
         "stkzoo/kernel/kernel.h",
+        "stkzoo/kernel/libm.c",
         "stkzoo/py.typed",
         "wrappers/marl/teams.py",
     ):
@@ -114,6 +115,8 @@ def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
         from pathlib import Path
         assert "site-packages" in stkzoo.__file__ and "outside" in stkzoo.__file__, stkzoo.__file__
         assert stkzoo.kernel.IS_COMPILED
+        from stkzoo.engine.process import LIBM
+        assert LIBM.exists()
         from stkzoo import race_v0
         with race_v0.parallel_env(num_kart=2, track="lighthouse", view="masked_discrete") as env:
             env.reset(seed=1)

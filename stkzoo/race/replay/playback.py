@@ -109,7 +109,7 @@ def play_replay(
 def other_versions(replay: Replay) -> str:
     """Returns this machine's versions that differ from those of a recording; empty if none do.
 
-    Another version may be why a race differs, above all another C library (``libc``).
+    Another version may be why a race differs.
     """
     here = versions_now().items()
     return ", ".join(f"{name} {own}" for name, own in here if replay.versions.get(name) != own)

@@ -1,0 +1,94 @@
+"""The functions of the C library that races use give the same results with all its versions."""
+
+import contextlib
+import ctypes
+import hashlib
+import platform
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stkzoo.engine import process
+from stkzoo.engine.assets import find_assets
+from stkzoo.engine.process import LIBM
+from stkzoo.engine.session import WorkerSession
+from stkzoo.engine.setup import KartSetup, RaceSetup
+
+pytestmark = pytest.mark.skipif(not LIBM.exists(), reason="needs a compiler and Linux")
+#: Digests of the results of glibc 2.36 for :func:`inputs`.
+RESULTS = {
+    "acosf": "014ecd37f293d756",
+    "asinf": "0ee947495ed1eaf5",
+    "atanf": "df5e1e690cad14d6",
+    "atan2f": "89c7ffa9d8658630",
+}
+_NAME, _VERSION = platform.libc_ver()
+IS_OLD_GLIBC = _NAME == "glibc" and tuple(map(int, _VERSION.split("."))) < (2, 41)
+
+
+def function(library, name):
+    found = ctypes.CDLL(library)[name]
+    found.argtypes = [ctypes.c_float] * (2 if name == "atan2f" else 1)
+    found.restype = ctypes.c_float
+    return found
+
+
+def inputs(name):
+    """Bits of all kinds, values near one, and special values."""
+    rng = np.random.default_rng(0)
+    bits = rng.integers(0, 2**32, 50_000, np.uint32).view(np.float32)
+    special = np.float32([0, -0.0, 1, -1, np.inf, -np.inf, np.nan, 1e-45, 3e38, 0.5, -0.5])
+    numbers = np.concatenate([bits, rng.uniform(-2, 2, 50_000).astype(np.float32), special])
+    if name != "atan2f":
+        return (numbers,)
+    pairs = np.meshgrid(special, special)
+    return tuple(np.concatenate([rng.permutation(numbers), one.ravel()]) for one in pairs)
+
+
+def results(library, name):
+    call, arrays = function(library, name), (column.tolist() for column in inputs(name))
+    found = np.float32([call(*numbers) for numbers in zip(*arrays, strict=True)])
+    found[np.isnan(found)] = np.nan  # of one kind
+    return found
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_results_do_not_depend_on_the_system(name):
+    found = results(LIBM, name)
+    assert hashlib.sha256(found.tobytes()).hexdigest()[:16] == RESULTS[name]
+
+
+@pytest.mark.skipif(not IS_OLD_GLIBC, reason="needs glibc 2.40 or older")
+@pytest.mark.parametrize("name", RESULTS)
+def test_results_are_those_of_older_libraries(name):
+    np.testing.assert_array_equal(
+        results(LIBM, name).view(np.uint32), results("libm.so.6", name).view(np.uint32)
+    )
+
+
+def libraries_of_a_race():
+    """Returns the memory map of a race that runs in a new interpreter."""
+    with contextlib.closing(WorkerSession(find_assets().root)) as session:
+        session.start(RaceSetup("olivermath", (KartSetup(),), seed=5))
+        return Path(f"/proc/{session.pid}/maps").read_text()
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_the_process_of_a_race_loads_them(monkeypatch, method):
+    monkeypatch.setenv("STKZOO_START_METHOD", method)
+    assert f"{LIBM}\n" in libraries_of_a_race()
+
+
+def test_the_folder_may_have_a_space_and_the_user_may_load_other_libraries(monkeypatch, tmp_path):
+    monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
+    libm, own = tmp_path / "two words" / LIBM.name, tmp_path / "own.so"
+    libm.parent.mkdir()
+    shutil.copy(LIBM, libm)
+    shutil.copy(LIBM, own)
+    monkeypatch.setattr(process, "LIBM", libm)
+    monkeypatch.setenv("LD_PRELOAD", str(own))
+    maps = libraries_of_a_race()
+    assert f"{libm}\n" in maps
+    assert f"{own}\n" in maps
