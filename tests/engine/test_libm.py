@@ -69,7 +69,7 @@ def test_results_are_those_of_older_libraries(name):
 
 
 def libraries_of_a_race():
-    """Returns the memory map of a race that runs in a new interpreter."""
+    """Returns the memory map of the process of a race."""
     with contextlib.closing(WorkerSession(find_assets().root)) as session:
         session.start(RaceSetup("olivermath", (KartSetup(),), seed=5))
         return Path(f"/proc/{session.pid}/maps").read_text()
@@ -88,7 +88,7 @@ def test_the_folder_may_have_a_space_and_the_user_may_load_other_libraries(monke
     shutil.copy(LIBM, libm)
     shutil.copy(LIBM, own)
     monkeypatch.setattr(process, "LIBM", libm)
-    monkeypatch.setenv("LD_PRELOAD", str(own))
+    monkeypatch.setenv("LD_PRELOAD", str(own), prepend=" ")
     maps = libraries_of_a_race()
     assert f"{libm}\n" in maps
     assert f"{own}\n" in maps
