@@ -25,7 +25,7 @@ from .motion import learned_motion
 from .parameters import DriverParameters
 from .plans import LONGEST_DRIFT, MANEUVERS, plan_table
 from .rivals import FASTEST, MOST_TURNED, NOWHERE, REACH, RIVALS, RivalMoment, RivalTracker
-from .road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
+from .road import MARK_COUNT, MARK_SPACING, headings_of, line_of
 
 DoubleArray = npt.NDArray[np.float64]
 
@@ -183,7 +183,7 @@ def weigh(
     count = len(own.velocity)
     # numpy's own tangent and arctangent, which differ from the C library's in the last bit
     tangents = np.tan(np.maximum(max_steer_angle, np.float32(_LEAST_LOCK)))
-    line = np.ascontiguousarray(around.road[:, -len(LINE_MARKS) :])
+    line = line_of(around.road)
     headings = headings_of(line)
     before, now = _NOTHING, _NOTHING
     rivals = np.empty((count, 0 if tracker is None else RIVALS, 5))
@@ -192,7 +192,7 @@ def weigh(
         before, now = tracker.before, RivalMoment(spots, np.empty((count, 2), np.float32), headings)
         tracker.now = now
     rows, karts = np.empty(count, np.intp), np.empty((count, 16), np.float32)
-    road, items = np.empty((count, 3, MARK_COUNT), np.float32), np.empty((count, _ITEMS, 4))
+    road, items = np.empty((count, 4, MARK_COUNT), np.float32), np.empty((count, _ITEMS, 4))
     scene, best = np.empty((count, 5), np.float32), np.empty((3, count, MANEUVERS), np.float32)
     seen = (line, headings, tangents, around.karts, around.items, around.item_types)
     out = (rows, karts, road, items, rivals, scene)

@@ -8,6 +8,10 @@
 #include "vectors.h"
 
 enum { MANEUVERS = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
+/* Columns of the road's line after the point: distances to the left and to the right edge [m]. */
+enum { TO_LEFT = 3, TO_RIGHT, LINE_SIZE };
+/* Number of rows of the road in the arguments of weigh_plans. */
+enum { ROAD_ROWS = 4 };
 static const double PI = 3.14159265358979323846;
 
 /* Indices of `rules`, which apply to all karts. */
@@ -31,7 +35,7 @@ typedef struct {
 /* The road ahead of a kart, at the marks. */
 typedef struct {
     npy_intp marks;
-    const float *line; /* (marks + 1, 4) */
+    const float *line; /* (marks + 1, LINE_SIZE) */
     float *headings, curvature[MOST_MARKS];
     float x[MOST_MARKS], y[MOST_MARKS], z[MOST_MARKS], squares[MOST_MARKS];
     float apart[MOST_MARKS];
@@ -40,7 +44,7 @@ typedef struct {
 
 typedef struct {
     double along;
-    float across, above, half_width, sine, cosine;
+    float across, above, to_left, to_right, sine, cosine;
 } Place;
 
 typedef struct {
@@ -96,7 +100,7 @@ FORCE_INLINE void read_road(Road *road, const double *rules)
     }
     if (jumps) unwrap(headings, marks);
     for (npy_intp i = 0; i < marks; i++) {
-        const float *point = road->line + 4 * i;
+        const float *point = road->line + LINE_SIZE * i;
         const float x = point[0], y = point[1], z = point[2];
         road->x[i] = x, road->y[i] = y, road->z[i] = z;
         road->squares[i] = x * x + y * y + z * z;
@@ -129,8 +133,24 @@ FORCE_INLINE Place place_of(Road *road, const double *rules, const float *spot)
     place.along = (double)nearest * rules[MARK_SPACING] + right * place.sine + ahead * place.cosine;
     place.across = right * place.cosine - ahead * place.sine;
     const npy_intp mark = marks_within(place.along, rules[MARK_SPACING], 0, marks - 1);
-    place.half_width = road->line[4 * mark + 3];
+    const float *point = road->line + LINE_SIZE * mark;
+    place.to_left = point[TO_LEFT], place.to_right = point[TO_RIGHT];
     return place;
+}
+
+/* Returns the distance of the kart beyond the nearer edge of the road [m], NaN if any number is.
+   Subtracts from 0, because a kart in the middle of a road without width is at 0, not at -0. */
+FORCE_INLINE float aside_of(const Road *road)
+{
+    const float right = road->offset - road->line[TO_RIGHT];
+    const float left = 0.0f - road->offset - road->line[TO_LEFT];
+    return right > left || right != right ? right : left;
+}
+
+/* Returns the largest offset of a kart from the middle of the road to one side [m]. */
+FORCE_INLINE float room_of(const double *rules, float to_edge, float widest)
+{
+    return least_of(most_of(to_edge - (float)rules[MARGIN], 0.3f), widest);
 }
 
 /* Returns the largest turn of the road within a distance [rad]. */
@@ -190,7 +210,8 @@ FORCE_INLINE void survey_items(const Survey *s, npy_intp kart, Road *road)
         const Place place = place_of(road, rules, spots + 3 * which);
         const int is_kept = place.along > rules[NEAREST] && place.along < rules[FARTHEST] &&
                             fabsf(place.above) < (float)rules[LEVEL] &&
-                            fabsf(place.across) < place.half_width + (float)rules[BEYOND];
+                            place.across < place.to_right + (float)rules[BEYOND] &&
+                            -place.across < place.to_left + (float)rules[BEYOND];
         out[0] = place.along, out[1] = place.across, out[2] = is_kept ? worth : 0;
         out[3] = (float)rules[worth > 0 ? ITEM_RADIUS : BAD_ITEM_RADIUS];
     }
@@ -326,7 +347,7 @@ FORCE_INLINE void survey_kart(const Survey *s, npy_intp kart)
 {
     const double *rules = s->rules;
     const npy_intp marks = s->marks;
-    Road road = {.marks = marks, .line = s->line.data + 4 * (marks + 1) * kart,
+    Road road = {.marks = marks, .line = s->line.data + LINE_SIZE * (marks + 1) * kart,
                  .headings = s->headings.data + marks * kart};
     read_road(&road, rules);
     const float turned = s->num_rivals ? survey_rivals(s, kart, &road) : 0;
@@ -361,18 +382,21 @@ FORCE_INLINE void survey_kart(const Survey *s, npy_intp kart)
     const float widest = (float)rules[is_cautious ? CAUTION_ROOM : GREATEST_ROOM];
     const npy_intp ahead = marks_within(reach / (float)rules[MARK_SPACING], 1.0, 1, marks - 1);
     const float aside = 0.5f * reach * reach;
-    float *bends = s->out_road.data + 3 * marks * kart, *rooms = bends + marks;
+    float *bends = s->out_road.data + ROAD_ROWS * marks * kart;
+    float *lefts = bends + marks, *rights = lefts + marks;
     for (npy_intp i = 0; i < marks; i++) {
         const npy_intp there = i + ahead;
         const float turn = there < marks ? road.headings[there] - road.headings[i] : 0;
         bends[i] = (float)(turn / ((double)ahead * rules[MARK_SPACING]) * aside);
-        rooms[i] = least_of(most_of(road.line[4 * i + 3] - (float)rules[MARGIN], 0.3f), widest);
+        const float *point = road.line + LINE_SIZE * i;
+        lefts[i] = room_of(rules, point[TO_LEFT], widest);
+        rights[i] = room_of(rules, point[TO_RIGHT], widest);
     }
-    memcpy(rooms + marks, road.curvature, (size_t)marks * sizeof(float));
+    memcpy(rights + marks, road.curvature, (size_t)marks * sizeof(float));
 
     float *scene = s->out_scene.data + SCENE_SIZE * kart;
     scene[ANGLE] = road.angle, scene[OFFSET] = road.offset;
-    scene[ASIDE] = fabsf(road.offset) - road.line[3];
+    scene[ASIDE] = aside_of(&road);
     scene[STRAIGHTNESS] = straightness_of(&road, rules, (float)rules[STRAIGHT_TIME] * speed);
 }
 
@@ -424,14 +448,14 @@ static int survey_fits(Survey *s, Doubles rules)
         {rules.size, NUM_RULES},
         {s->worths.size, 2 * s->num_types},
         {s->memory.size, MEMORY_SIZE * count},
-        {s->line.size, 4 * (marks + 1) * count},
+        {s->line.size, LINE_SIZE * (marks + 1) * count},
         {s->headings.size, marks * count},
         {s->tangents.size, count},
         {s->karts.size, 3 * s->num_karts * count},
         {s->items.size, 3 * s->num_items * count},
         {s->types.size, s->num_items * count},
         {s->out_karts.size, KART_SIZE * count},
-        {s->out_road.size, 3 * marks * count},
+        {s->out_road.size, ROAD_ROWS * marks * count},
         {s->out_items.size, 4 * s->num_kept * count},
         {s->out_rivals.size, 5 * rivals * count},
         {s->out_scene.size, SCENE_SIZE * count},

@@ -18,7 +18,7 @@
 #define NO_OVERLAP
 #endif
 
-enum { MANEUVERS = 4, BRAKE = 1, ITEM_LANES = 2 };
+enum { MANEUVERS = 4, BRAKE = 1, ITEM_LANES = 2, ROAD_ROWS = 4 };
 static const float NEVER = -1e4f;
 /* Largest turn per step [rad] and lowest speed [m/s] of plans simulated by the network. */
 static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
@@ -102,10 +102,12 @@ typedef struct {
     npy_intp states, moments, plans, marks;
     npy_intp row; /* index of the first plan of the kart's state in arrays (S, C) */
     const double *rules;
-    float *along, *across, *ahead;            /* (T, C) */
+    float *along, *across;                    /* (T, C) */
+    float *lefts, *rights;                    /* (T, C) room at the ends of the moments */
     float *angle, *last_turn, *turns, *extra; /* (C,) */
     float *danger, *worth, *gain;             /* (C,) */
-    float *bends, *curves, *rooms_now;        /* (C,) of the road at the plans' marks */
+    float *bends, *curves;                    /* (C,) of the road at the plans' marks */
+    float *lefts_now, *rights_now;            /* (C,) room at these marks */
     npy_int32 *places;                        /* (C,) marks */
     float *ends;                              /* (T,) of the moments [s] */
     const Network *network;
@@ -150,7 +152,8 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
     npy_int32 *places = f->places;
     const float *along_before = f->along + at - (is_first ? 0 : plans);
     const float *across_before = f->across + at - (is_first ? 0 : plans);
-    const float *rooms = is_first ? f->rooms_now : f->ahead + at - plans;
+    const float *lefts = is_first ? f->lefts_now : f->lefts + at - plans;
+    const float *rights = is_first ? f->rights_now : f->rights + at - plans;
     NO_OVERLAP
     for (npy_intp i = 0; i < plans; i++) {
         const float curve = curves[i];
@@ -158,7 +161,8 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
         const float wanted_speed = own_speed + slower[i];
         const float speed = wanted_speed > 4.0f ? wanted_speed : 4.0f;
         float angle = angles[i];
-        float turn = (lanes[i] * rooms[i] + extra[i] - beside + bends[i] - angle * reach) *
+        const float room = lanes[i] > 0 ? rights[i] : lefts[i];
+        float turn = (lanes[i] * room + extra[i] - beside + bends[i] - angle * reach) *
                      (speed * pull);
         turn = turn > least[i] ? turn : least[i];
         turn = turn < most[i] ? turn : most[i];
@@ -188,11 +192,12 @@ FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp
 
 /* Looks up the road at the marks of all plans. This is a separate loop, because compilers do not
    vectorize table lookups. */
-static void look_up(const Forecast *f, const float *road, float *rooms)
+static void look_up(const Forecast *f, const float *road, float *lefts, float *rights)
 {
     for (npy_intp i = 0; i < f->driven; i++) {
         const float *mark = road + f->places[i];
-        f->bends[i] = mark[0], rooms[i] = mark[f->marks], f->curves[i] = mark[2 * f->marks];
+        f->bends[i] = mark[0], f->curves[i] = mark[3 * f->marks];
+        lefts[i] = mark[f->marks], rights[i] = mark[2 * f->marks];
     }
 }
 
@@ -261,7 +266,8 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     const float most_release = (float)rules[RELEASE_LASTS], aged = step ? 1.0f : 0;
     const float braking = (double)step < rules[BRAKE_LASTS] ? 1.0f : 0;
     const float *across = f->across_now, *angles = f->angle, *extra = f->extra;
-    const float *bends = f->bends, *rooms = f->rooms_now, *speeds = m->speed;
+    const float *bends = f->bends, *speeds = m->speed;
+    const float *lefts = f->lefts_now, *rights = f->rights_now;
     float *last_turns = f->last_turn, *sides = m->side, *all_steps = m->steps;
     float *releases = m->release, *boosts = m->boost, *big_boosts = m->big_boost;
     float *turns_before = m->turn, *seen = m->seen, *turns = f->turns;
@@ -269,7 +275,8 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
     const npy_intp driven = f->driven;
     NO_OVERLAP
     for (npy_intp i = 0; i < driven; i++) {
-        float turn = (lanes[i] * rooms[i] + extra[i] - across[i] + bends[i] - angles[i] * reach) *
+        const float room = lanes[i] > 0 ? rights[i] : lefts[i];
+        float turn = (lanes[i] * room + extra[i] - across[i] + bends[i] - angles[i] * reach) *
                      (speeds[i] * pull);
         turn = turn > least[i] ? turn : least[i];
         turn = turn < most[i] ? turn : most[i];
@@ -366,7 +373,7 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
         m->release[i] = kart->release_steps, m->turn[i] = kart->turn;
         m->boost[i] = kart->boost_steps, m->big_boost[i] = kart->big_boost_steps;
     }
-    look_up(f, road, f->rooms_now);
+    look_up(f, road, f->lefts_now, f->rights_now);
     npy_intp step = 0;
     for (npy_intp moment = 0; moment < f->moments; moment++) {
         const float end = f->ends[moment] - (float)(0.5 * f->motion_rules[MOTION_STEP]);
@@ -374,11 +381,12 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
             look_at_step(f, kart, moment, step);
             infer(f);
             move_plans(f);
-            look_up(f, road, f->rooms_now);
+            look_up(f, road, f->lefts_now, f->rights_now);
         }
         memcpy(f->along + moment * f->plans, f->along_now, size);
         memcpy(f->across + moment * f->plans, f->across_now, size);
-        memcpy(f->ahead + moment * f->plans, f->rooms_now, size);
+        memcpy(f->lefts + moment * f->plans, f->lefts_now, size);
+        memcpy(f->rights + moment * f->plans, f->rights_now, size);
     }
 }
 
@@ -386,12 +394,19 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
 FOR_ALL_PROCESSORS
 static void drive_arcs(const Forecast *f, const PlanKart *kart, const float *road)
 {
-    look_up(f, road, f->rooms_now);
+    look_up(f, road, f->lefts_now, f->rights_now);
     for (npy_intp moment = 0; moment < f->moments; moment++) {
         if (moment) drive_moment(f, kart, moment, 0);
         else drive_moment(f, kart, moment, 1);
-        look_up(f, road, f->ahead + moment * f->plans);
+        look_up(f, road, f->lefts + moment * f->plans, f->rights + moment * f->plans);
     }
+}
+
+/* Returns the distance beyond the nearer edge of the road [m], negative on the road. */
+FORCE_INLINE float beyond_edge(float across, float left, float right)
+{
+    const float beyond_left = -across - left, beyond_right = across - right;
+    return beyond_right > beyond_left ? beyond_right : beyond_left;
 }
 
 /* Computes the cost of each plan beyond the edge of the road [m]. */
@@ -403,15 +418,16 @@ static void weigh_danger(const Forecast *f, const PlanKart *kart)
     const float late_way = kart->speed * (float)rules[LATE_TIME];
     for (npy_intp i = 0; i < plans; i++) f->danger[i] = 0;
     for (npy_intp moment = 0; moment < f->moments; moment++) {
-        const float *across = f->across + moment * plans, *ahead = f->ahead + moment * plans;
+        const float *across = f->across + moment * plans;
+        const float *lefts = f->lefts + moment * plans, *rights = f->rights + moment * plans;
         for (npy_intp i = 0; i < plans; i++) {
-            const float over = fabsf(across[i]) - ahead[i];
+            const float over = beyond_edge(across[i], lefts[i], rights[i]);
             f->danger[i] = fmaf(f->table->spans.data[moment], over < 0 ? 0 : over, f->danger[i]);
         }
     }
     for (npy_intp i = 0; i < plans; i++) {
         const float out = f->across[last + i] + f->angle[i] * late_way;
-        const float late = fabsf(out) - f->ahead[last + i];
+        const float late = beyond_edge(out, f->lefts[last + i], f->rights[last + i]);
         f->danger[i] = f->danger[i] * (float)rules[OVER_COST] +
                        (float)rules[LATE_COST] * (late < 0 ? 0 : late);
     }
@@ -636,17 +652,18 @@ static void *make_room(Forecast *f)
     Motion *m = &f->motion;
     float **columns[] = {
         &f->angle,     &f->last_turn,  &f->turns,   &f->extra,   &f->danger,    &f->worth,
-        &f->gain,      &f->bends,      &f->curves,  &f->rooms_now,
+        &f->gain,      &f->bends,      &f->curves,  &f->lefts_now, &f->rights_now,
         &f->along_now, &f->across_now, &m->speed,   &m->slide,   &m->yaw,       &m->side,
         &m->steps,     &m->release,    &m->boost,   &m->big_boost, &m->turn,
     };
     const size_t num_columns = sizeof columns / sizeof *columns;
-    float *block = PyMem_Calloc(3 * all + (num_columns + 1 + num_units) * plans + (size_t)f->moments,
+    float *block = PyMem_Calloc(4 * all + (num_columns + 1 + num_units) * plans + (size_t)f->moments,
                                 sizeof *block);
     if (!block) return PyErr_NoMemory();
     f->stride = (npy_intp)plans;
-    f->along = block, f->across = f->along + all, f->ahead = f->across + all;
-    float *next = f->ahead + all;
+    f->along = block, f->across = f->along + all;
+    f->lefts = f->across + all, f->rights = f->lefts + all;
+    float *next = f->rights + all;
     for (size_t i = 0; i < num_columns; i++, next += plans) *columns[i] = next;
     float **layers[] = {&m->seen, &m->hidden[0], &m->hidden[1], &m->next};
     for (int n = 0; n <= LAYERS; n++) *layers[n] = next, next += (size_t)units[n] * plans;
@@ -679,9 +696,9 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
     if (!count) Py_RETURN_NONE;
     const npy_intp num_items = item_numbers.size / (4 * count);
     const npy_intp num_rivals = rival_numbers.size / (5 * count);
-    forecast.marks = road.size / (3 * count);
+    forecast.marks = road.size / (ROAD_ROWS * count);
     if (rules.size != NUM_RULES || kart_numbers.size != KART_SIZE * count ||
-        road.size != 3 * count * forecast.marks || forecast.marks < 1 ||
+        road.size != ROAD_ROWS * count * forecast.marks || forecast.marks < 1 ||
         item_numbers.size != 4 * count * num_items ||
         rival_numbers.size != 5 * count * num_rivals || out.size != 3 * MANEUVERS * count) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
@@ -698,8 +715,8 @@ PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
     if (!block) return NULL;
     for (npy_intp i = 0; i < count; i++) {
         forecast.row = rows.data[i] * forecast.plans;
-        weigh(&forecast, karts + i, road.data + 3 * forecast.marks * i, items + num_items * i,
-              num_items, rivals + num_rivals * i, num_rivals);
+        weigh(&forecast, karts + i, road.data + ROAD_ROWS * forecast.marks * i,
+              items + num_items * i, num_items, rivals + num_rivals * i, num_rivals);
         find_best(&forecast, karts + i, count, out.data + MANEUVERS * i);
     }
     PyMem_Free(block);

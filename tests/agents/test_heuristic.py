@@ -12,7 +12,7 @@ from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
 from stkzoo.agents.planning.kart import RESCUE_STEPS, STEP
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.road import LINE_MARKS, MARK_SPACING, headings_of
+from stkzoo.agents.planning.road import LINE_MARKS, MARK_SPACING, headings_of, line_of
 from stkzoo.kernel.reference.road_ahead import RoadAhead
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import surroundings_of
@@ -113,9 +113,9 @@ def test_calls_rescue_when_far_from_the_road():
     calls = []
     observation = on_the_grid()
     _, around = surroundings_of(observation, LINE_MARKS)
-    road = RoadAhead.of(around.road, headings_of(around.road), MARK_SPACING)
+    road = RoadAhead.of(line_of(around.road), headings_of(around.road), MARK_SPACING)
     for beyond in np.array([-0.5, 0.5]) + DriverParameters().lost_room:
-        aside = np.array([road.offset[0] + road.half_widths[0, 0] + beyond, 0, 0], np.float32)
+        aside = np.array([road.offset[0] + road.left[0, 0] + beyond, 0, 0], np.float32)
         moved = {
             **observation,
             "phase": 3,

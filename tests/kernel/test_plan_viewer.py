@@ -25,9 +25,9 @@ def winding_road(chance, count):
         MARK_COUNT + 1
     )
     steps = MARK_SPACING * np.stack([np.sin(angles), 0.05 * angles, np.cos(angles)], axis=-1)
-    line = np.empty((count, MARK_COUNT + 1, 4), np.float32)
+    line = np.empty((count, MARK_COUNT + 1, 5), np.float32)
     line[..., :3] = np.cumsum(steps, axis=1) + chance.uniform(-3, 3, (count, 1, 3))
-    line[..., 3] = chance.uniform(2, 9, (count, MARK_COUNT + 1))
+    line[..., 3:] = chance.uniform(0, 9, (count, MARK_COUNT + 1, 2))  # to the left, to the right
     return line
 
 
@@ -69,7 +69,7 @@ def scene_arguments(seed, count=60, num_karts=6, num_items=14, rivals=RIVALS):
     out = (
         np.empty(count, np.intp),
         np.empty((count, 16), np.float32),
-        np.empty((count, 3, MARK_COUNT), np.float32),
+        np.empty((count, 4, MARK_COUNT), np.float32),
         np.empty((count, ITEMS, 4)),
         np.empty((count, rivals, 5)),
         np.empty((count, 5), np.float32),
@@ -102,6 +102,24 @@ def test_survey_road_matches_the_reference_implementation(seed, sizes):
     for name, array in theirs.items():
         np.testing.assert_allclose(ours[name], array, rtol=2e-6, atol=2e-5, err_msg=name)
     assert (np.abs(np.diff(theirs["headings"], axis=1)) < np.pi).all()
+
+
+@pytest.mark.parametrize("survey", [kernel.survey_road, plan_viewer.survey_road])
+def test_each_side_of_the_road_has_its_own_edge(survey):
+    *given, around, before, now, out = scene_arguments(0, count=3, num_items=2)
+    line, headings, _, _, items, types = around
+    line[:], headings[:], types[:] = 0, 0, ItemType.BANANA
+    line[..., 2], line[..., 3:] = MARK_SPACING * np.arange(MARK_COUNT + 1), (2.0, 5.0)
+    line[..., 0] = [[-4.0], [0.0], [3.0]]  # karts to the right of the line, on it, to the left
+    items[:] = line[:, 5:6, :3] + np.array([[-4.0, 0, 0], [4.0, 0, 0]], np.float32)
+    given[2][kernel.PlanMemory._fields.index("caution_steps")] = 0
+    found = surveyed(survey, (*given, around, before, now, out))
+    np.testing.assert_allclose(found["scene"][:, 2], [4.0 - 5.0, -2.0, 3.0 - 2.0], atol=1e-5)
+    margin = RULES.parameters.margin
+    np.testing.assert_allclose(found["road"][:, 1], 2.0 - margin, rtol=1e-6)
+    np.testing.assert_allclose(found["road"][:, 2], 5.0 - margin, rtol=1e-6)
+    is_kept = found["items"][..., 2] != 0
+    np.testing.assert_allclose(found["items"][is_kept, 1], 3 * [4.0], atol=1e-5)
 
 
 def test_rivals_can_be_left_out():

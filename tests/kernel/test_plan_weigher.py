@@ -25,14 +25,14 @@ STATES = np.array(
 )
 
 
-def road_of(x, z, half_width=6.0):
-    line = np.zeros((1, len(LINE_MARKS), 4), np.float32)
-    line[0, :, 0], line[0, :, 2], line[0, :, 3] = x, z, half_width
+def road_of(x, z, left=6.0, right=6.0):
+    line = np.zeros((1, len(LINE_MARKS), 5), np.float32)
+    line[0, :, 0], line[0, :, 2], line[0, :, 3], line[0, :, 4] = x, z, left, right
     return RoadAhead.of(line, headings_of(line), MARK_SPACING)
 
 
-def straight_road(offset=0.0):
-    return road_of(-offset, LINE_MARKS)
+def straight_road(offset=0.0, **edges):
+    return road_of(-offset, LINE_MARKS, **edges)
 
 
 def right_bend():
@@ -66,9 +66,9 @@ class Ways:
         kart = [SPEED, LOCK, REACH, 0, 0, offset, angle, 0, 0, 1, 1, 0, 0, *state]
         columns = np.zeros((1, 2, 4))
         columns[0, :, 1], columns[0, :, 2] = items, 1.0
-        room = road.half_widths - 1.0
-        marks = np.empty((1, 3, MARK_COUNT), np.float32)
-        write_road(road, np.array([REACH], np.float32), room, marks)
+        rooms = road.left - 1.0, road.right - 1.0
+        marks = np.empty((1, 4, MARK_COUNT), np.float32)
+        write_road(road, np.array([REACH], np.float32), rooms, marks)
         karts = np.array([kart], np.float32)
         drive = plan_weigher.drive_by_network if motion else plan_weigher.drive_arcs
         self.along, self.across, _, _, turns = drive(
@@ -98,6 +98,40 @@ def test_a_plan_reaches_its_lane_and_stays_on_the_road():
     ways = Ways(straight_road(offset=-2.0))
     assert ways.across[-1, ways.kept] == pytest.approx(5.0 * ways.lanes[0, ways.kept], abs=0.6)
     assert np.abs(ways.across[:, ways.free]).max() < 5.5
+
+
+@pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_plans_reach_farther_to_the_side_with_more_room(side, motion):
+    left, right = (3.0, 7.0) if side > 0 else (7.0, 3.0)
+    ways = Ways(straight_road(left=left, right=right), motion=motion)
+    lanes, across = ways.lanes[0, ways.kept], ways.across[-1, ways.kept]
+    assert across == pytest.approx(np.where(lanes > 0, right - 1, left - 1) * lanes, abs=0.7)
+    assert across.max() == pytest.approx(right - 1, abs=0.7)
+    assert across.min() == pytest.approx(1 - left, abs=0.7)
+
+
+@pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
+@pytest.mark.parametrize("weigh", [kernel.weigh_plans, plan_weigher.weigh_plans])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_cost_begins_at_the_edge_of_that_side(side, weigh, motion):
+    narrow, wide = 2.0, 6.0
+    table, rules = plan_table(RULES.lane_changes), plan_rules(RULES).costs
+    marks, none = np.zeros((1, 4, MARK_COUNT), np.float32), np.zeros((1, 0, 4))
+    marks[0, 1:3] = [[narrow], [wide]] if side > 0 else [[wide], [narrow]]
+    table = table._replace(lanes=np.zeros_like(table.lanes))  # lets all plans steer to the middle
+
+    def danger(offset):
+        """Returns the cost at an offset toward the wide side."""
+        kart = [SPEED, LOCK, REACH, 0, 0, side * offset, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+        out = np.empty((3, 1, 4), np.float32)
+        karts, rows = np.array([kart], np.float32), np.zeros(1, np.intp)
+        weigh(table, rules, motion, rows, karts, marks, none, np.zeros((1, 0, 5)), out)
+        return out[2, 0, 0]
+
+    assert danger(wide - 0.5) == 0 == danger(0.5 - narrow)
+    assert danger(wide + 3.0) > 0
+    assert danger(-narrow - 3.0) > 0
 
 
 def test_a_plan_can_change_its_lane():
@@ -174,7 +208,7 @@ def random_arguments(seed, count=9, motion=()):
         ],
         axis=1,
     ).astype(np.float32)
-    road = draw(count, 3, 36, low=[[-4], [0.3], [-0.05]], high=[[4], [5], [0.05]])
+    road = draw(count, 4, 36, low=[[-4], [0.3], [0.3], [-0.05]], high=[[4], [5], [5], [0.05]])
     items = draw(count, 8, 4, low=[0, -5, -15, 0.8], high=[60, 5, 20, 1.0])
     items[:, 5:, 2] = 0
     rivals = draw(count, 4, 5, low=[-1, -5, -4, -15, -3], high=[1, 30, 4, 3, 3])
@@ -258,7 +292,8 @@ def test_results_do_not_depend_on_the_batch(weigh, motion):
         (2, (0 * learned_motion()[0], *learned_motion()[1:]), ValueError),
         (3, np.array([10_000]), IndexError),
         (4, np.zeros((1, 3), np.float32), ValueError),
-        (5, np.zeros((1, 3, 36)), TypeError),
+        (5, np.zeros((1, 4, 36)), TypeError),
+        (5, np.zeros((1, 3, 35), np.float32), ValueError),
         (6, np.zeros(7), ValueError),
         (8, np.zeros((3, 1, 4)), TypeError),
     ],

@@ -11,9 +11,9 @@ from stkzoo.kernel.reference.road_ahead import RoadAhead
 RADIUS = 60.0
 
 
-def road_of(x, z, half_width=6.0):
-    line = np.zeros((1, len(LINE_MARKS), 4), np.float32)
-    line[0, :, 0], line[0, :, 2], line[0, :, 3] = x, z, half_width
+def road_of(x, z, left=6.0, right=6.0):
+    line = np.zeros((1, len(LINE_MARKS), 5), np.float32)
+    line[0, :, 0], line[0, :, 2], line[0, :, 3], line[0, :, 4] = x, z, left, right
     return RoadAhead.of(line, headings_of(line), MARK_SPACING)
 
 
@@ -33,6 +33,13 @@ def test_places_are_converted_to_road_coordinates():
     assert places.along[0, 0] == pytest.approx(turn * RADIUS, abs=0.5)
     assert places.across[0, 0] == pytest.approx(3.0, abs=0.1)  # on the inner side
     assert places.above[0, 0] == pytest.approx(1.0)
+
+
+def test_a_place_has_the_distances_to_the_edges_there():
+    road = road_of(0.0, LINE_MARKS, left=LINE_MARKS / 10, right=LINE_MARKS / 20)
+    places = road.place(np.array([[[2.0, 0.0, 31.0]]], np.float32))
+    assert places.left[0, 0] == pytest.approx(3.0)
+    assert places.right[0, 0] == pytest.approx(1.5)
 
 
 def test_the_offset_is_the_karts_place_across_the_road():

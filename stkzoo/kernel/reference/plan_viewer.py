@@ -95,7 +95,8 @@ def survey_road(
             ``(A, 3)`` and ``energy`` float32, the others ``(A,)`` int64.
         around: a tuple of six arrays:
 
-            - the road at 12 or more marks, with half widths, ``(A, M + 1, 4)`` [m];
+            - the road at 12 or more marks, with distances to its left and to its right edge,
+              ``(A, M + 1, 5)`` [m];
             - directions of the road, ``(A, M)`` [rad], which are unwrapped in place;
             - tangents of the karts' largest steering angles, ``(A, 1)``;
             - positions of other karts in the kart's frame, ``(A, K, 3)`` [m], not finite if
@@ -110,8 +111,8 @@ def survey_road(
         out: arrays to write. The first five are the arguments ``rows``, ``karts``, ``road``,
             ``items`` ``(A, I, 4)`` and ``rivals`` ``(A, R, 5)`` of ``weigh_plans``; with ``R = 0``,
             other karts are ignored. The last one, ``(A, 5)``, is where the karts are: angle to the
-            road [rad], offset from its middle [m], distance beyond its edge [m], the largest turn
-            of the road in the near future [rad], and whether firing is useful.
+            road [rad], offset from its middle [m], distance beyond the nearer edge [m], the largest
+            turn of the road in the near future [rad], and whether firing is useful.
     """
     known, remembered, state = _ViewRules(*rules.tolist()), PlanMemory(*memory), _Own(*own)
     line, headings, tangents, karts, items, types = around
@@ -154,10 +155,13 @@ def survey_road(
     )
     is_cautious = remembered.caution_steps > 0
     widest = np.where(is_cautious, known.caution_room, known.greatest_room)[:, None]
-    room = np.minimum(np.maximum(road.half_widths - known.margin, 0.3), widest)
-    write_road(road, reach, room.astype(np.float32), road_columns)
+    left, right = (
+        np.minimum(np.maximum(edge - known.margin, 0.3), widest).astype(np.float32)
+        for edge in (road.left, road.right)
+    )
+    write_road(road, reach, (left, right), road_columns)
     scene[:, 0], scene[:, 1] = road.angle, road.offset
-    scene[:, 2] = np.abs(road.offset) - road.half_widths[:, 0]
+    scene[:, 2] = np.maximum(road.offset - road.right[:, 0], -road.offset - road.left[:, 0])
     scene[:, 3] = road.straightness(known.straight_time * speed)
     scene[:, 4] = _is_useful(items, types, state, known)
 
@@ -183,17 +187,20 @@ def table_rows(
     return np.asarray(rows, np.intp)
 
 
-def write_road(road: RoadAhead, reach: FloatArray, room: FloatArray, out: FloatArray) -> None:
-    """Writes the argument ``road`` of ``weigh_plans``, ``(A, 3, M)``.
+def write_road(
+    road: RoadAhead, reach: FloatArray, rooms: tuple[FloatArray, FloatArray], out: FloatArray
+) -> None:
+    """Writes the argument ``road`` of ``weigh_plans``, ``(A, 4, M)``.
 
     Args:
         road: the road.
         reach: ``(A,)`` distance at which karts aim [m].
-        room: ``(A, M)`` largest offset from the middle [m].
+        rooms: ``(A, M)`` largest offsets from the middle to the left and to the right [m].
         out: array to write.
     """
     out[:, 0] = road.bends(reach) * (0.5 * reach * reach)[:, None]
-    out[:, 1], out[:, 2] = room, road.curvature
+    out[:, 1], out[:, 2] = rooms
+    out[:, 3] = road.curvature
 
 
 def _items(
@@ -219,7 +226,8 @@ def _items(
     at = road.place(items[rows, order])
     is_kept = (at.along > rules.nearest) & (at.along < rules.farthest)
     is_kept &= np.abs(at.above) < rules.level
-    is_kept &= np.abs(at.across) < at.half_widths + rules.beyond
+    is_kept &= at.across < at.right + rules.beyond
+    is_kept &= -at.across < at.left + rules.beyond
     radii = np.array([rules.bad_item_radius, rules.item_radius], np.float32)
     radius = radii[(worth > 0).astype(np.intp)]
     columns = np.zeros((len(items), most, 4))

@@ -59,7 +59,8 @@ def weigh_plans(
 ) -> None:
     """Finds the best plan of each maneuver for ``A`` karts.
 
-    A kart steers toward a point of its lane ahead, within the turning limits of its plan.
+    A kart steers toward a point of its lane ahead, within the turning limits of its plan. The lanes
+    from -1 to 0 share the room to the left, those from 0 to 1 the room to the right.
 
     Args:
         table: the plans of all states, in the order of :class:`~stkzoo.kernel.PlanTable`.
@@ -82,9 +83,9 @@ def weigh_plans(
             - speed to the right [m/s] and turn in the last step [rad];
             - side of a drift and its duration [steps];
             - remaining time of the turn after a drift [steps].
-        road: ``(A, 3, M)`` at the marks: lateral displacement by the road's bend within the
-            distance at which the kart aims [m], largest offset of karts from the middle [m], and
-            curvature [1/m].
+        road: ``(A, 4, M)`` at the marks: lateral displacement by the road's bend within the
+            distance at which the kart aims [m], largest offsets of karts from the middle to the
+            left and to the right [m], and curvature [1/m].
         items: ``(A, I, 4)``, nearest first: distance along the road, offset from its middle, worth
             and radius [m].
         rivals: ``(A, R, 5)``: whether there is another kart, its distance along the road and its
@@ -95,9 +96,9 @@ def weigh_plans(
             road [m].
     """
     drive = drive_by_network if motion else drive_arcs
-    along, across, ahead, angles, turns = drive(table, rules, motion, rows, karts, road, items)
+    along, across, rooms, angles, turns = drive(table, rules, motion, rows, karts, road, items)
     plans, costs, speed = PlanTable(*table), _Rules(*rules.tolist()), karts[:, 0]
-    danger = _danger(plans.spans, across, ahead, angles, speed, costs)
+    danger = _danger(plans.spans, across, rooms, angles, speed, costs)
     worth = along[-1] - danger - np.float32(costs.angle_cost) * angles * angles
     worth += _boosts(plans, rows, karts, costs)
     worth += _item_gain(items, along, across, costs)
@@ -129,7 +130,7 @@ class _Course:
 
     Attributes:
         bend: ``(A, C)`` lateral displacement by the road's bend ahead of each plan [m].
-        width: ``(A, C)`` largest offset from the middle of the road [m].
+        rooms: ``(2, A, C)`` largest offsets from the middle to the left and to the right [m].
         curvature: ``(A, C)`` curvature of the road [1/m].
     """
 
@@ -151,7 +152,7 @@ class _Course:
         own = np.take_along_axis(lanes, np.maximum(which, 0), axis=1)
         self._extra = np.where(which < 0, 0, own)
         self._last_mark = road.shape[2] - 1
-        self._at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(3, -1)
+        self._at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(4, -1)
         self._first = road.shape[2] * np.arange(len(karts))[:, None]
         self._per_mark = np.float32(1.0 / mark_spacing)
         self.reach_to(np.zeros(which.shape, np.float32))
@@ -159,13 +160,15 @@ class _Course:
     def reach_to(self, along: FloatArray) -> None:
         """Looks up the road at the distances of the plans ``(A, C)`` [m]."""
         marks = np.clip((along * self._per_mark).astype(np.intp), 0, self._last_mark)
-        self.bend, self.width, self.curvature = self._at_marks.take(self._first + marks, axis=1)
+        self.bend, *rooms, self.curvature = self._at_marks.take(self._first + marks, axis=1)
+        self.rooms = np.stack(rooms)
 
     def turn(
         self, moment: int, beside: FloatArray, angle: FloatArray, speed: FloatArray
     ) -> FloatArray:
         """Returns the turns of the plans [fraction of full lock]."""
-        aside = self._lanes[:, moment] * self.width + self._extra - beside
+        lanes, (left, right) = self._lanes[:, moment], self.rooms
+        aside = lanes * np.where(lanes > 0, right, left) + self._extra - beside
         turn = (aside + self.bend - angle * self._reach) * (speed * self._pull)
         limited: FloatArray = np.maximum(turn, self._least[:, moment])
         return np.minimum(limited, self._most[:, moment])
@@ -191,9 +194,9 @@ def drive_arcs(
     See :func:`weigh_plans` for the arguments.
 
     Returns:
-        Distances along the road, offsets from its middle and largest offsets, ``(T, A, C)`` each
-        [m]; final angles to the road [rad] and current turns [fraction of full lock], ``(A, C)``
-        each.
+        Distances along the road and offsets from its middle, ``(T, A, C)`` each [m]; largest
+        offsets to the left and to the right, ``(2, T, A, C)`` [m]; final angles to the road [rad]
+        and current turns [fraction of full lock], ``(A, C)`` each.
     """
     del motion
     known, physics = PlanTable(*table), _Rules(*rules.tolist())
@@ -201,7 +204,7 @@ def drive_arcs(
     drifts, releases, slower = known.drifts[rows] > 0, known.releases[rows], known.slower[rows]
     course = _Course(known, rows, karts, road, items, physics.mark_spacing)
     plans = known.items.shape[1]
-    along, across, ahead = _room_for(known, len(rows))
+    along, across, rooms = _room_for(known, len(rows))
     at = np.zeros((len(rows), plans), np.float32)
     beside, angle, last_turn = (
         np.repeat(x, plans, axis=1) for x in (offset, own_angle, drift_turn)
@@ -224,8 +227,8 @@ def drive_arcs(
         beside = beside + step * np.sin(angle)
         angle = angle + turn
         course.reach_to(at)
-        along[moment], across[moment], ahead[moment] = at, beside, course.width
-    return along, across, ahead, angle, turns
+        along[moment], across[moment], rooms[:, moment] = at, beside, course.rooms
+    return along, across, rooms, angle, turns
 
 
 def drive_by_network(
@@ -244,7 +247,7 @@ def drive_by_network(
     boost, big_boost = karts[:, 7:9, None].swapaxes(0, 1)
     slide, yaw, drift_side, drift_steps, release = karts[:, 11:, None].swapaxes(0, 1)
     course = _Course(known, rows, karts, road, items, physics.mark_spacing)
-    along, across, ahead = _room_for(known, len(rows))
+    along, across, rooms = _room_for(known, len(rows))
     zeros = np.zeros((len(rows), known.items.shape[1]), np.float32)
     at, beside, angle, turns = zeros, zeros + offset, zeros + own_angle, zeros
     of_karts = (drift_side, drift_steps, release, drift_turn, boost, big_boost, 0)
@@ -273,14 +276,18 @@ def drive_by_network(
             own = own._replace(speed=speed, slide=slide, yaw=yaw)
             course.reach_to(at)
             step += 1
-        along[moment], across[moment], ahead[moment] = at, beside, course.width
-    return along, across, ahead, angle, turns
+        along[moment], across[moment], rooms[:, moment] = at, beside, course.rooms
+    return along, across, rooms, angle, turns
 
 
 def _room_for(known: PlanTable, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Returns three empty arrays for the moments of all plans of karts, ``(T, A, C)``."""
-    along, across, ahead = np.empty((3, len(known.spans), count, known.items.shape[1]), np.float32)
-    return along, across, ahead
+    """Returns empty arrays for the moments of all plans of karts.
+
+    Returns:
+        Two arrays ``(T, A, C)`` and one ``(2, T, A, C)``.
+    """
+    arrays = np.empty((4, len(known.spans), count, known.items.shape[1]), np.float32)
+    return arrays[0], arrays[1], arrays[2:]
 
 
 def _act(
@@ -335,15 +342,16 @@ def _item_lanes(items: DoubleArray, count: int) -> FloatArray:
 def _danger(
     spans: FloatArray,
     across: FloatArray,
-    ahead: FloatArray,
+    rooms: FloatArray,
     angles: FloatArray,
     speed: FloatArray,
     rules: _Rules,
 ) -> FloatArray:
     """Returns the cost of leaving the road, ``(A, C)`` [m]."""
-    over = np.maximum(np.abs(across) - ahead, 0)
+    left, right = rooms
+    over = np.maximum(np.maximum(across - right, -across - left), 0)
     out = across[-1] + angles * (speed * np.float32(rules.late_time))[:, None]
-    late = np.maximum(np.abs(out) - ahead[-1], 0)
+    late = np.maximum(np.maximum(out - right[-1], -out - left[-1]), 0)
     cost: FloatArray = np.tensordot(spans, over, axes=1) * np.float32(rules.over_cost)
     cost += np.float32(rules.late_cost) * late
     return cost

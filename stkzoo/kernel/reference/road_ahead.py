@@ -23,7 +23,8 @@ class RoadPlaces:
         along: distance ahead along the road [m].
         across: offset from its middle, positive to the right [m].
         above: height above it [m].
-        half_widths: half of the road's width at that point [m].
+        left: distance from the middle to the left edge at that point [m].
+        right: distance from the middle to the right edge at that point [m].
         headings: direction of the road at that point, relative to the kart's, positive to the right
             [rad].
     """
@@ -31,7 +32,8 @@ class RoadPlaces:
     along: npt.NDArray[np.float64]
     across: FloatArray
     above: FloatArray
-    half_widths: FloatArray
+    left: FloatArray
+    right: FloatArray
     headings: FloatArray
 
 
@@ -43,7 +45,8 @@ class RoadAhead:
         points: ``(A, M, 3)`` marks in the kart's frame [m].
         headings: ``(A, M)`` direction of the road after each mark, relative to the kart's [rad].
         curvature: ``(A, M)`` [1/m].
-        half_widths: ``(A, M)`` [m].
+        left: ``(A, M)`` distance from the middle to the left edge [m].
+        right: ``(A, M)`` distance from the middle to the right edge [m].
         offset: ``(A,)`` offset of the kart from the middle, positive to the right [m].
         angle: ``(A,)`` direction of the kart relative to the road's [rad].
         spacing: distance between two marks [m].
@@ -52,7 +55,8 @@ class RoadAhead:
     points: FloatArray
     headings: FloatArray
     curvature: FloatArray
-    half_widths: FloatArray
+    left: FloatArray
+    right: FloatArray
     offset: FloatArray
     angle: FloatArray
     spacing: float
@@ -62,7 +66,7 @@ class RoadAhead:
         """Returns the road of a line.
 
         Args:
-            line: ``(A, M + 1, 4)`` marks and half widths [m].
+            line: ``(A, M + 1, 5)`` marks, and distances to the left and to the right edge [m].
             headings: ``(A, M)`` direction of the road after each mark, from -pi to pi [rad].
             spacing: distance between two marks [m].
         """
@@ -79,7 +83,8 @@ class RoadAhead:
         own = headings[:, 0]
         x, z = points[:, 0, 0], points[:, 0, 2]
         offset = z * np.sin(own) - x * np.cos(own)
-        return cls(points, headings, curvature, line[:, :-1, 3], offset, -own, spacing)
+        left, right = line[:, :-1, 3], line[:, :-1, 4]
+        return cls(points, headings, curvature, left, right, offset, -own, spacing)
 
     def bends(self, lengths: FloatArray) -> npt.NDArray[np.float64]:
         """Returns mean curvatures ``(A, M)`` [1/m] over lengths ``(A,)`` [m] after each mark."""
@@ -132,4 +137,5 @@ class RoadAhead:
         along = nearest * np.float64(self.spacing) + x * sines + z * cosines
         marks = (along / self.spacing).astype(np.intp)
         marks = np.minimum(np.maximum(marks, 0), self.headings.shape[1] - 1)
-        return RoadPlaces(along, x * cosines - z * sines, y, self.half_widths[rows, marks], heading)
+        left, right = self.left[rows, marks], self.right[rows, marks]
+        return RoadPlaces(along, x * cosines - z * sines, y, left, right, heading)

@@ -8,6 +8,7 @@ from stkzoo.agents.planning.memory import DriverMemory
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, FREE
 from stkzoo.agents.planning.rivals import RivalTracker
+from stkzoo.agents.planning.road import LINE_MARKS, line_of
 from stkzoo.agents.planning.worth import NEVER, plan_rules, weigh
 from stkzoo.kernel import PlanMemory
 from tests.agents.planning.test_rivals import STRAIGHT, around_of, karts, own_of
@@ -50,6 +51,14 @@ def test_plans_ignore_karts_that_are_not_in_the_way(rival):
     seen, alone = weighed(**rival), weighed()
     assert seen.turn[0, FREE] == alone.turn[0, FREE]
     assert seen.worth[0, FREE] == alone.worth[0, FREE]
+
+
+def test_the_half_width_is_the_distance_to_both_edges():
+    road = np.random.default_rng(0).normal(size=(2, len(LINE_MARKS) + 3, 4)).astype(np.float32)
+    line = line_of(road)
+    assert (line[..., :4] == road[:, 3:]).all()
+    assert (line[..., 4] == road[:, 3:, 3]).all()
+    assert line.flags.c_contiguous
 
 
 def test_plans_do_not_brake_below_the_minimum_speed():
