@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from stkzoo import race_v0
 from stkzoo._arguments import CommandParser
@@ -23,6 +23,7 @@ from stkzoo.evaluation import AiTimes, BatchProgress, load_ai_times, measure_ai_
 from stkzoo.names import GroundKind
 from stkzoo.records import HUMAN_RECORDS, RECORD_DIFFICULTY, RECORD_KART
 from stkzoo.tracks import SPLITS, split_of
+from stkzoo.wrappers.racing import racing_line
 
 ROOT = Path(__file__).parent.parent
 PAGE, PICTURES = ROOT / "docs" / "reference" / "tracks.md", ROOT / "docs" / "images" / "tracks"
@@ -99,7 +100,8 @@ _GROUND = """\
 ## Ground
 
 `env.ground` gives the kind of ground at any place of the track, read from the game's meshes. The
-driving line (between the black lines) only approximates it. Moving objects are not included.
+driving line (between the black lines) only approximates it. Moving objects are not included. The
+white line is the [racing line](environment.md#the-racing-line) of the view `ground`.
 
 | color | ground |
 | --- | --- |
@@ -129,7 +131,7 @@ _PAINT = {
     GroundKind.ZIPPER: (0, 160, 60),
     GroundKind.WALL: (200, 30, 30),
 }
-_EDGE, _PAPER = (0, 0, 0), (255, 255, 255)
+_EDGE, _LINE, _PAPER = (0, 0, 0), (255, 255, 255), (255, 255, 255)
 #: Lateral extent of the ground on the map, and spacing of its samples [m].
 _BESIDE, _SPACING = 12.0, 0.3
 
@@ -174,7 +176,7 @@ def _save(picture: Image.Image, name: str) -> None:
 
 
 def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
-    """Draws the ground along the driving line from above, with the z axis up."""
+    """Draws the ground and the racing line from above, with the z axis up."""
     starts, ends = road.path_nodes[:, 0], road.path_nodes[:, 1]
     low = road.path_nodes[..., [0, 2]].min((0, 1)) - _BESIDE
     high = road.path_nodes[..., [0, 2]].max((0, 1)) + _BESIDE
@@ -192,7 +194,12 @@ def ground_picture(road: TrackMap, ground: Ground) -> Image.Image:
         colors[:, np.abs(np.abs(aside) - width / 2) < _SPACING] = _EDGE
         x, z = np.moveaxis((spots[..., [0, 2]] - low) * scale, -1, 0).astype(int)
         picture[np.clip(_SIZE[1] - 1 - z, 0, None), np.clip(x, 0, _SIZE[0] - 1)] = colors
-    return Image.fromarray(picture)
+    image = Image.fromarray(picture)
+    draw = ImageDraw.Draw(image)
+    for nodes in racing_line(road, ground).nodes[..., [0, 2]]:
+        x, z = ((nodes - low) * scale).T
+        draw.line([*zip(x.tolist(), (_SIZE[1] - 1 - z).tolist(), strict=True)], fill=_LINE)
+    return image
 
 
 def page(facts: dict[str, Facts], times: AiTimes) -> str:

@@ -68,6 +68,8 @@ class DriverParameters:
         turn_hold: number of steps for which a steering offset from the plan holds.
         learned_motion: whether plans are simulated with the network of :mod:`.motion`; otherwise,
             karts drive arcs at constant speed.
+        racing_line: whether plans follow the racing line, which agents see in the view ``ground``;
+            otherwise, they follow the driving line.
     """
 
     wheel_base: float = 0.89
@@ -119,6 +121,7 @@ class DriverParameters:
     bump_width: float = 1.5
     turn_hold: Whole = 1
     learned_motion: bool = False
+    racing_line: bool = False
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> DriverParameters:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo import ItemType, PowerupType
+from stkzoo.errors import ConfigError
 from stkzoo.kernel import survey_road, weigh_plans
 from stkzoo.wrappers.racing import Surroundings
 
@@ -177,13 +178,17 @@ def weigh(
         memory: ``(22, A)``, see :class:`stkzoo.kernel.PlanMemory`.
         own: own state of the karts.
         max_steer_angle: ``(A, 1)`` [rad].
-        around: their surroundings; the road at :data:`.road.LINE_MARKS` comes last.
+        around: their surroundings; the road at :data:`.road.LINE_MARKS` comes last. Plans on the
+            racing line need ``line``.
         tracker: observations of nearby karts, which are updated; ``None`` to ignore them.
+
+    Raises:
+        ConfigError: the plans follow the racing line, and it is not observed.
     """
     count = len(own.velocity)
     # numpy's own tangent and arctangent, which differ from the C library's in the last bit
     tangents = np.tan(np.maximum(max_steer_angle, np.float32(_LEAST_LOCK)))
-    line = line_of(around.road)
+    line = _line_of(rules.parameters, around)
     headings = headings_of(line)
     before, now = _NOTHING, _NOTHING
     rivals = np.empty((count, 0 if tracker is None else RIVALS, 5))
@@ -199,6 +204,18 @@ def weigh(
     survey_road(rules.view, rules.worths, memory, own, seen, before, now[:2], out)
     weigh_plans(rules.table, rules.costs, rules.motion, rows, karts, road, items, rivals, best)
     return PlanOptions(best, scene, rivals)
+
+
+def _line_of(rules: DriverParameters, around: Surroundings) -> FloatArray:
+    """Returns the line that plans follow, ``(A, M + 1, 5)``."""
+    if not rules.racing_line:
+        return line_of(around.road)
+    if around.line is None:
+        raise ConfigError(
+            "these plans follow the racing line, and the observations have no ground_line; give "
+            "the agent the view 'ground'"
+        )
+    return around.line
 
 
 _NOTHING = RivalMoment.unknown(0)

@@ -174,7 +174,8 @@ def _agent_of(
     if ensemble_weight is not None:
         check_ensemble_weight(ensemble_weight)
         joined, rules = _ensemble_of(sources, plans)
-        return joined, "full", {"ensemble_weight": ensemble_weight, "rules": asdict(rules)}
+        facts = {"ensemble_weight": ensemble_weight, "rules": asdict(rules)}
+        return joined, _view_of(rules), facts
     if plans:
         raise ConfigError(
             "only ensembles of networks take other plans; add --ensemble-weight 1, or leave out "
@@ -189,7 +190,13 @@ def _agent_of(
     if is_network(arrays):
         return _network(arrays, sources[0]), "racing", {}
     check_shapes(arrays, str(sources[0]))
-    return arrays, "full", {"rules": asdict(run_parameters(sources[0]))}
+    rules = run_parameters(sources[0])
+    return arrays, _view_of(rules), {"rules": asdict(rules)}
+
+
+def _view_of(rules: DriverParameters) -> str:
+    """Returns the view that agents with these plans need."""
+    return "ground" if rules.racing_line else "full"
 
 
 def _ensemble_of(sources: Sequence[Path], plans: str | Path) -> tuple[Arrays, DriverParameters]:

@@ -28,7 +28,7 @@ from stkzoo.mdp.rewards import Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
 from stkzoo.views.plan import Seats
-from stkzoo.wrappers.racing import ground_table
+from stkzoo.wrappers.racing import ground_table, racing_lines_of
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -222,11 +222,15 @@ class Episode:
 
     def ground_ahead(self, karts: IntArray) -> dict[str, npt.NDArray[Any]]:
         """Returns the observation entries of the ground ahead of some karts."""
-        records = self.snapshot.karts[karts]
-        ahead = ground_table(self.track_map, self.ground).ahead(
-            records["node"], records["location"]
-        )
-        return {"ground_kind": ahead.kind, "ground_speed": ahead.speed}
+        records, track, ground = self.snapshot.karts[karts], self.track_map, self.ground
+        ahead = ground_table(track, ground).ahead(records["node"], records["location"])
+        line = racing_lines_of(track, ground).ahead([self.snapshot], [0], [karts])
+        return {
+            "ground_kind": ahead.kind,
+            "ground_speed": ahead.speed,
+            "ground_line": line[..., :3],
+            "ground_room": line[..., 3:],
+        }
 
     def state(self) -> npt.NDArray[np.float32]:
         """Returns the state of the whole race as one vector (:mod:`stkzoo.mdp.state`)."""

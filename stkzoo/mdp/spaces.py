@@ -21,6 +21,8 @@ GROUND_MARKS = np.arange(0.0, 108.0, 3.0, dtype=np.float32)
 #: Lateral positions at which the ground is observed, relative to the driving line [m]; positive
 #: is to the right.
 GROUND_LANES = np.arange(-9.0, 9.1, 0.75, dtype=np.float32)
+#: Distances along the racing line at which it is observed, starting beside the kart [m].
+GROUND_LINE_MARKS = np.arange(0.0, 109.0, 3.0, dtype=np.float32)
 
 _KART_NAME_CHARACTERS = string.ascii_letters + string.digits + "_-"
 
@@ -52,7 +54,8 @@ def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -
         use_ai: whether to add ``action``, the choice of the game's AI, in the space of
             :func:`kart_action_space`.
         extras: names from :data:`EXTRAS`. ``"ground"`` adds ``ground_kind`` and ``ground_speed``,
-            the ground ahead at :data:`GROUND_MARKS` and :data:`GROUND_LANES`; ``"motion"`` adds
+            the ground ahead at :data:`GROUND_MARKS` and :data:`GROUND_LANES`, and ``ground_line``
+            and ``ground_room``, the racing line at :data:`GROUND_LINE_MARKS`; ``"motion"`` adds
             ``karts_velocity`` and ``karts_heading``, the motion of the other karts.
     """
     inf = float("inf")
@@ -92,6 +95,9 @@ def kart_observation_space(use_ai: bool = False, extras: Collection[str] = ()) -
         cells = len(GROUND_MARKS), len(GROUND_LANES)
         space["ground_kind"] = spaces.Box(0, max(GroundKind), cells, np.uint8)
         space["ground_speed"] = spaces.Box(0.0, 1.0, cells, np.float32)
+        marks = len(GROUND_LINE_MARKS)
+        space["ground_line"] = spaces.Box(-inf, inf, (marks, 3), np.float32)
+        space["ground_room"] = spaces.Box(0.0, inf, (marks, 2), np.float32)
     if "motion" in extras:
         space["karts_velocity"] = spaces.Sequence(box(3))
         heading = spaces.Box(-np.pi, np.pi, shape=(1,), dtype=np.float32)

@@ -31,7 +31,7 @@ SHIPPED = (
     View("full", "Everything a kart sees, in lists of varying length; the game's own actions."),
     View(
         "ground",
-        "``full``, and the ground beside the road ahead: walls, drops, slow ground, zippers.",
+        "``full``, a racing line, and the ground beside the road: walls, drops, zippers.",
         needs=frozenset({"ground"}),
     ),
     View(

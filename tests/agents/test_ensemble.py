@@ -167,6 +167,16 @@ def test_networks_become_an_agent(files, tmp_path, capsys):
     assert (mine.driver, mine.errors) == ("wise", ())
 
 
+def test_an_agent_with_plans_on_the_racing_line_sees_the_ground(files, tmp_path):
+    plans = tmp_path / "plans.json"
+    plans.write_text(json.dumps({"racing_line": True}))
+    folder = export_policy(files[:1], "liner", tmp_path / "liner", 1.0, plans)
+    assert 'env_name = "supertuxkart/ground-v0"' in (folder / "pystk_actor.py").read_text()
+    result = run_race([str(folder), "ai"], track="olivermath", seed=1, max_steps=60)
+    mine = next(row for row in result.agents if row.agent == "kart_0")
+    assert (mine.driver, mine.errors) == ("liner", ())
+
+
 @pytest.mark.slow
 def test_agents_are_compared_with_policies(files, tmp_path):
     one = export_policy(files[:1], "one", tmp_path / "one", ensemble_weight=0.0)

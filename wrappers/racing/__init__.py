@@ -2,6 +2,13 @@
 
 from stkzoo.wrappers.racing.features import MEANINGS, MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
+from stkzoo.wrappers.racing.racing_line import (
+    BatchedRacingLines,
+    LineTables,
+    line_tables,
+    racing_line,
+    racing_lines_of,
+)
 from stkzoo.wrappers.racing.road import LOOKS, RoadTable, road_line
 from stkzoo.wrappers.racing.surroundings import ABSENT, Surroundings, surroundings_of
 from stkzoo.wrappers.racing.wrapper import (
@@ -33,9 +40,11 @@ __all__ = [
     "RESCUE",
     "SIZE",
     "STEERS",
+    "BatchedRacingLines",
     "BatchedRacingView",
     "GroundAhead",
     "GroundTable",
+    "LineTables",
     "RacingActions",
     "RacingObservations",
     "RoadTable",
@@ -43,7 +52,10 @@ __all__ = [
     "choices_of_action",
     "controls_of_choices",
     "ground_table",
+    "line_tables",
     "racing_features",
+    "racing_line",
+    "racing_lines_of",
     "road_line",
     "surroundings_of",
 ]

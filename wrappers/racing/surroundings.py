@@ -30,12 +30,15 @@ class Surroundings:
         karts: ``(A, K, 3)`` positions of the other karts; not finite if missing.
         items: ``(A, M, 3)`` positions of the items.
         item_types: ``(A, M)`` numbers of :class:`~stkzoo.names.ItemType`, or :data:`ABSENT`.
+        line: ``(A, L, 5)`` points of the racing line at ``GROUND_LINE_MARKS``, and the room to its
+            left and right; ``None`` if it is not observed.
     """
 
     road: FloatArray
     karts: FloatArray
     items: FloatArray
     item_types: IntArray
+    line: FloatArray | None = None
 
 
 #: Own state of karts (entries of the ``full`` view in batch form), and their surroundings.
@@ -56,7 +59,8 @@ def surroundings_of(
         is_batch = np.ndim(observation["velocity"]) > 1
         batch = observation if is_batch else {key: [value] for key, value in observation.items()}
     else:
-        batch = {key: [one[key] for one in observation] for key in _KEYS}
+        keys = (*_KEYS, *(key for key in _LINE if key in observation[0]))
+        batch = {key: [one[key] for one in observation] for key in keys}
     lines, first = traced(*(tuple(batch[key]) for key in _PATHS))
     road = np.empty((len(lines), len(looks), 4), np.float32)
     look_along(lines, STEP, first, np.ascontiguousarray(looks, np.float32), road)
@@ -65,12 +69,14 @@ def surroundings_of(
         karts=_stacked(batch["karts_position"], np.inf),
         items=_stacked(batch["items_position"], 0.0),
         item_types=_stacked_types(batch["items_type"]),
+        line=_line_of(batch),
     )
     own = {key: np.asarray(batch[key]) for key in OWN_KEYS}
     return own, around
 
 
 _PATHS = ("paths_start", "paths_end", "paths_width")
+_LINE = ("ground_line", "ground_room")
 _KEYS = (*OWN_KEYS, *_PATHS, "karts_position", "items_position", "items_type")
 
 
@@ -79,6 +85,13 @@ def _stacked(rows: Sequence[Any], blank: float) -> FloatArray:
     stacked = np.empty((len(rows), max(map(len, rows)), 3), np.float32)
     stack_vectors(tuple(rows), blank, stacked)
     return stacked
+
+
+def _line_of(batch: Mapping[str, Any]) -> FloatArray | None:
+    """Returns the racing lines ahead of the karts, if they are observed."""
+    if _LINE[0] not in batch:
+        return None
+    return np.concatenate([np.asarray(batch[key], np.float32) for key in _LINE], axis=-1)
 
 
 def _stacked_types(rows: Sequence[Any]) -> IntArray:

@@ -175,6 +175,7 @@ class RaceFleet:
         lineups: lineup of each race.
         starts: starting points to share with another fleet.
         place_reward: reward per place; the reward per meter is 0.05.
+        sees_line: whether the surroundings include the racing line.
 
     Attributes:
         races: the race of each lineup.
@@ -186,8 +187,10 @@ class RaceFleet:
         lineups: Sequence[Lineup],
         starts: RaceStarts | None = None,
         place_reward: float = 0.0,
+        *,
+        sees_line: bool = False,
     ) -> None:
-        self.starts = starts or RaceStarts()
+        self.starts, self._sees_line = starts or RaceStarts(), sees_line
         self.num_slots = sum(lineup.learners for lineup in lineups)
         ends = np.cumsum([lineup.learners for lineup in lineups])
         self.races = [
@@ -220,12 +223,15 @@ class RaceFleet:
 
     def surroundings(self) -> tuple[dict[str, Any], Surroundings]:
         """Returns own state and surroundings of the learners' karts."""
-        return self.starts.view.surroundings(
+        races = (
             [race.snapshot for race in self.races],
             [race.road for race in self.races],
             [race.karts for race in self.races],
-            ALL_LOOKS,
         )
+        own, around = self.starts.view.surroundings(*races, ALL_LOOKS)
+        if self._sees_line:
+            around = replace(around, line=self.starts.racing_lines().ahead(*races))
+        return own, around
 
     def close(self, *, with_starts: bool = True) -> None:
         """Closes all races, by default including the waiting ones."""
@@ -258,10 +264,11 @@ class Fleet(RaceFleet):
         *,
         mirrors: bool = True,
     ) -> None:
-        super().__init__(lineups, place_reward=place_reward)
+        parameters = rules or DriverParameters()
+        super().__init__(lineups, place_reward=place_reward, sees_line=parameters.racing_line)
         self._tracks, self._mirrors = tuple(tracks), mirrors
         self._random = np.random.default_rng()
-        self.drivers = PlanDriver(self.num_slots, rules)
+        self.drivers = PlanDriver(self.num_slots, parameters)
         self._is_mirrored = np.zeros(self.num_slots, bool)
 
     def begin(self, seed: int | Sequence[int]) -> PolicyInput:

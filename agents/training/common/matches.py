@@ -48,8 +48,19 @@ _LANES = 2
 #: Drives some karts through one match: returns controls ``(karts, 7)`` for their own state and
 #: their surroundings.
 KartController = Callable[[Mapping[str, Any], Surroundings], FloatArray]
-#: Returns a controller for a number of karts in the GO phase.
-MatchDriver = Callable[[int], KartController]
+
+
+@dataclass(frozen=True, slots=True)
+class MatchDriver:
+    """Drives karts through matches.
+
+    Attributes:
+        take_karts: returns a controller for a number of karts in the GO phase.
+        sees_line: whether the controller needs the racing line in the surroundings.
+    """
+
+    take_karts: Callable[[int], KartController]
+    sees_line: bool = False
 
 
 # ---------------------------------------------------------------------- drivers
@@ -64,9 +75,10 @@ def plan_match_driver(
         policy: chooses among the plans.
         parameters: parameters of the plans.
     """
+    rules = parameters or DriverParameters()
 
     def take_karts(count: int) -> KartController:
-        karts = PlanDriver(count, parameters)
+        karts = PlanDriver(count, rules)
         look = karts.view  # at GO, before the first step
 
         def control(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
@@ -76,7 +88,7 @@ def plan_match_driver(
 
         return control
 
-    return take_karts
+    return MatchDriver(take_karts, rules.racing_line)
 
 
 def network_driver(choose: Callable[[FloatArray], npt.NDArray[Any]], hold: int = 0) -> MatchDriver:
@@ -99,7 +111,7 @@ def network_driver(choose: Callable[[FloatArray], npt.NDArray[Any]], hold: int =
 
         return control
 
-    return take_karts
+    return MatchDriver(take_karts)
 
 
 def random_driver(seed: int) -> MatchDriver:
@@ -193,10 +205,11 @@ def _drive(
     matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: RaceStarts
 ) -> Generator[list[list[Finish]] | None]:
     """Drives matches in parallel; yields ``None`` after each step, and finally all finishes."""
-    fleet = RaceFleet([match.start.lineup for match in matches], starts)
+    sees_line = any(driver.sees_line for driver in drivers.values())
+    fleet = RaceFleet([match.start.lineup for match in matches], starts, sees_line=sees_line)
     names = np.array([name for match in matches for name in match.drivers])
     groups = [(name, np.flatnonzero(names == name)) for name in dict.fromkeys(names.tolist())]
-    controllers = [(rows, drivers[name](len(rows))) for name, rows in groups]
+    controllers = [(rows, drivers[name].take_karts(len(rows))) for name, rows in groups]
     finishes: dict[int, Finish] = {}
     try:
         fleet.start_at([(match.track, match.reverse, match.number) for match in matches])
@@ -219,8 +232,9 @@ def _rows_of(
     own: Mapping[str, Any], around: Surroundings, rows: npt.NDArray[np.intp]
 ) -> tuple[dict[str, Any], Surroundings]:
     """Returns own state and surroundings of some of the karts."""
-    parts = [getattr(around, part.name)[rows] for part in fields(around)]
-    return {name: array[rows] for name, array in own.items()}, Surroundings(*parts)
+    seen = {part.name: getattr(around, part.name) for part in fields(around)}
+    parts = {name: array[rows] for name, array in seen.items() if array is not None}
+    return {name: array[rows] for name, array in own.items()}, Surroundings(**parts)
 
 
 def play_matches(

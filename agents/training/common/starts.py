@@ -14,9 +14,16 @@ import numpy as np
 
 from stkzoo.engine import KartSetup, RaceSetup, Snapshot, TrackMap, WorkerSession, decode_track
 from stkzoo.engine.assets import find_assets
+from stkzoo.engine.ground import ground_of
 from stkzoo.errors import ConfigError
 from stkzoo.names import Phase
-from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
+from stkzoo.wrappers.racing import (
+    BatchedRacingLines,
+    BatchedRacingView,
+    LineTables,
+    RoadTable,
+    line_tables,
+)
 
 #: Number of learners, of karts of the game's AI, and of races; see :func:`parse_races`.
 _RACES = re.compile(r"([1-9]\d*)(?:\+(\d+))?(?:x([1-9]\d*))?")
@@ -97,6 +104,9 @@ class RaceStarts:
         self.root = find_assets().root
         self._sessions: dict[StartingPoint, tuple[WorkerSession, Snapshot]] = {}
         self._roads: dict[tuple[str, bool], int] = {}
+        self._tracks: list[TrackMap] = []
+        self._lines: list[LineTables] = []
+        self._racing_lines = BatchedRacingLines([])
         self.tables: list[RoadTable] = []
         self.view = BatchedRacingView([])
 
@@ -123,12 +133,23 @@ class RaceStarts:
         key = point.track, point.reverse
         if key not in self._roads:
             self._roads[key] = len(self.tables)
+            self._tracks.append(track)
             self.tables.append(RoadTable(track))
             self.view = BatchedRacingView(self.tables)
 
     def road(self, point: StartingPoint) -> int:
         """Returns the number of a race's track in ``view``; the race must have started before."""
         return self._roads[point.track, point.reverse]
+
+    def racing_lines(self) -> BatchedRacingLines:
+        """Returns the racing lines of all tracks; takes some seconds for each new one."""
+        if len(self._lines) < len(self._roads):
+            for (track, reverse), number in list(self._roads.items())[len(self._lines) :]:
+                course = self._tracks[number]
+                ground = ground_of(course, track, self.root, reverse=reverse)
+                self._lines.append(line_tables(course, ground))
+            self._racing_lines = BatchedRacingLines(self._lines)
+        return self._racing_lines
 
     def close(self, keep: Collection[StartingPoint] = ()) -> None:
         """Closes the waiting races, except those at some starting points."""

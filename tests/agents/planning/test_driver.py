@@ -25,7 +25,14 @@ from stkzoo.agents.planning.plans import (
     DRIFT_RIGHT,
 )
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
-from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings, surroundings_of
+from stkzoo.errors import ConfigError
+from stkzoo.wrappers.racing import (
+    BatchedRacingView,
+    RoadTable,
+    Surroundings,
+    racing_lines_of,
+    surroundings_of,
+)
 
 STRAIGHT = CHOICES[1] // 2
 SIDE = np.array([-1, 1, 1], np.float32)
@@ -65,7 +72,8 @@ def driven_race(steps, karts=3, track="lighthouse", rules=None, choose=best):
 
 
 def rows_of(own, around, rows):
-    parts = {f.name: getattr(around, f.name)[rows] for f in dataclasses.fields(around)}
+    seen = {field.name: getattr(around, field.name) for field in dataclasses.fields(around)}
+    parts = {name: array[rows] for name, array in seen.items() if array is not None}
     return {key: value[rows] for key, value in own.items()}, Surroundings(**parts)
 
 
@@ -133,6 +141,35 @@ def test_batched_views_match_the_full_view():
         here, there = PlanDriver(3).view(own, around), PlanDriver(3).view(own_too, around_too)
         np.testing.assert_allclose(here.inputs, there.inputs, atol=1e-3)
         np.testing.assert_allclose(here.prior, there.prior, atol=1e-2)
+
+
+def test_plans_on_the_racing_line_follow_it():
+    on_line = DriverParameters(racing_line=True)
+    with race_v0.parallel_env(num_kart=2, track="hacienda", view="ground") as env:
+        observations, _ = env.reset(seed=3)
+        drivers = {agent: PlanDriver(1, on_line) for agent in env.agents}
+        lines = racing_lines_of(env.track_map, env.ground)
+        misses = []
+        for _ in range(120):
+            seen = [observations[agent] for agent in env.agents]
+            _, around = surroundings_of(seen)
+            karts = np.array(env.race.kart_indices)
+            ahead = lines.ahead([env.snapshot], [0], [karts])
+            np.testing.assert_array_equal(around.line, ahead)
+            actions = {agent: drivers[agent].drive(observations[agent]) for agent in env.agents}
+            misses.append([abs(float(one["ground_line"][0, 0])) for one in seen])
+            observations, *_ = env.step(actions)
+    assert np.median(misses[60:]) < 3  # plans stay near the line, in lanes beside it
+
+
+def test_plans_on_the_racing_line_refuse_observations_without_it():
+    with race_v0.parallel_env(num_kart=1, track="hacienda") as env:
+        observations, _ = env.reset(seed=3)
+        driver = PlanDriver(1, DriverParameters(racing_line=True))
+        while observations["kart_0"]["phase"] < 2:
+            observations, *_ = env.step({"kart_0": driver.drive(observations["kart_0"])})
+        with pytest.raises(ConfigError, match="no ground_line; give the agent the view 'ground'"):
+            driver.drive(observations["kart_0"])
 
 
 def mirrored_race(own, around):
