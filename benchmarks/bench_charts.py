@@ -25,7 +25,7 @@ from stkzoo.evaluation.plotting import (
 
 PICTURES = Path(__file__).parents[1] / "docs" / "images" / "benchmarks"
 WIDTH = 8.0  # [in]
-_DRIVERS = ("random", "ai", "scout", "heuristic", "ace", "apex")
+_DRIVERS = ("random", "ai", "scout", "heuristic", "ace", "apex", "zenith")
 _FORMS = {"P": "alone", "PAAAA": "one against four", "PPAAA": "two against three"}
 
 

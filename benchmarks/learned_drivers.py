@@ -17,7 +17,7 @@ import json
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,12 @@ from stkzoo._arguments import CommandParser
 from stkzoo.agents.planning.driver import ALL_LOOKS, PlanDriver
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.tracks import SPLITS
-from stkzoo.wrappers.racing import BatchedRacingView, RoadTable
+from stkzoo.wrappers.racing import (
+    BatchedRacingLines,
+    BatchedRacingView,
+    RoadTable,
+    racing_lines_of,
+)
 
 RESULTS = Path(__file__).parent / "results" / "learned_drivers.json"
 #: Maximum number of karts in a race.
@@ -38,7 +43,7 @@ TOGETHER = 8
 TURNS = 5
 PARTS = ("see", "plan", "choose", "act")
 #: Learned drivers with plans.
-NAMES = ["pretrained:ace", "pretrained:apex", "pretrained:scout"]
+NAMES = ["pretrained:ace", "pretrained:apex", "pretrained:scout", "pretrained:zenith"]
 
 
 @dataclass
@@ -49,25 +54,31 @@ class Batch:
         folder: folder of the driver.
         sizes: number of karts of each race.
         batched_view: returns the surroundings of the karts.
+        lines: returns the racing lines ahead of the karts.
         marks: times at which the parts of each decision began and ended [s].
     """
 
     folder: Path
     sizes: Sequence[int]
     batched_view: BatchedRacingView
+    lines: BatchedRacingLines
     marks: list[list[float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._policy = read_policy(self.folder)
-        self._drivers = PlanDriver(sum(self.sizes), read_numbers(self.folder))
+        self._rules = read_numbers(self.folder)
+        self._drivers = PlanDriver(sum(self.sizes), self._rules)
         self._who = [np.arange(size) for size in self.sizes]
 
     def decide(self, snapshots: Sequence[Any]) -> npt.NDArray[np.float32]:
         """Returns the controls of all karts."""
         marks = [time.perf_counter()]
-        seen = self.batched_view.surroundings(snapshots, [0] * len(snapshots), self._who, ALL_LOOKS)
+        karts = snapshots, [0] * len(snapshots), self._who
+        own, around = self.batched_view.surroundings(*karts, ALL_LOOKS)
+        if self._rules.racing_line:
+            around = replace(around, line=self.lines.ahead(*karts))
         marks.append(time.perf_counter())
-        view = self._drivers.look(*seen)
+        view = self._drivers.look(own, around)
         marks.append(time.perf_counter())
         choices = self._policy.best(view)
         marks.append(time.perf_counter())
@@ -94,9 +105,11 @@ def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
         envs = [stack.enter_context(race_v0.parallel_env(num_kart=n, track=track)) for n in sizes]
         for seed, env in enumerate(envs):
             env.reset(seed=seed)
-        assert envs[0].track_map is not None  # noqa: S101 - since reset
-        batched_view = BatchedRacingView([RoadTable(envs[0].track_map)])
-        batch = Batch(folder, sizes, batched_view)
+        course, ground = envs[0].track_map, envs[0].ground
+        assert course is not None  # noqa: S101 - since reset
+        assert ground is not None  # noqa: S101 - since reset
+        views = BatchedRacingView([RoadTable(course)]), racing_lines_of(course, ground)
+        batch = Batch(folder, sizes, *views)
         for _ in range(steps):
             moments.append([env.snapshot for env in envs])
             controls = np.split(batch.decide(moments[-1]), np.cumsum(sizes)[:-1])
@@ -106,7 +119,7 @@ def cost(name: str, karts: int, track: str, steps: int) -> dict[str, float]:
                 env.step_wait()
     turns = []
     for _ in range(TURNS):
-        batch = Batch(folder, sizes, batched_view)
+        batch = Batch(folder, sizes, *views)
         for snapshots in moments:
             batch.decide(snapshots)
         turns.append(np.diff(batch.marks).mean(axis=0) / karts * 1e6)

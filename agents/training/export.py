@@ -7,7 +7,7 @@ The weights come from a run of ``ppo``, ``sb3``, ``rllib``, ``imitation`` or ``l
 ``--ensemble-weight 1``, one or more networks without plans form an ensemble with the plans: the
 agent chooses a plan by its value and, with this weight, by its probability under the networks.
 Policies over plans can be members too; their learned logits are added to those of the plans. The
-folder of an ensemble adds its members. ``--plans FILE`` gives an ensemble of networks other plans.
+folder of an ensemble adds its members. ``--plans FILE`` gives an ensemble other plans.
 
 The folder contains the weights; ``card.json`` with their digest, the training arguments (from
 ``arguments.json`` beside the weights, if it exists) and, for policies over plans, the parameters of
@@ -124,7 +124,8 @@ def export_policy(
         folder: folder of the agent.
         ensemble_weight: weight of the networks relative to the values of plans; ``None`` for no
             ensemble.
-        plans: JSON file of plan parameters for an ensemble of networks; empty for the default ones.
+        plans: JSON file of plan parameters for an ensemble; empty for those with which its policies
+            over plans learned, or the default ones.
 
     Returns:
         The folder.
@@ -178,8 +179,7 @@ def _agent_of(
         return joined, _view_of(rules), facts
     if plans:
         raise ConfigError(
-            "only ensembles of networks take other plans; add --ensemble-weight 1, or leave out "
-            "--plans"
+            "only ensembles take other plans; add --ensemble-weight 1, or leave out --plans"
         )
     if len(sources) > 1:
         raise ConfigError(
@@ -221,16 +221,14 @@ def _ensemble_of(sources: Sequence[Path], plans: str | Path) -> tuple[Arrays, Dr
             check_shapes(arrays, str(source))
             policies.append(arrays)
             rules.append(run_parameters(source))
+    if plans or not rules:
+        return join_members(networks, policies), plan_parameters(plans)
     if any(other != rules[0] for other in rules):
         raise ConfigError(
             "the policies over plans have runs with different plans; use policies of runs with "
-            "the same --plans and --turn-hold"
+            "the same --plans and --turn-hold, or choose the plans with --plans"
         )
-    if plans and rules:
-        raise ConfigError(
-            "policies over plans keep the plans with which they learned; leave out --plans"
-        )
-    return join_members(networks, policies), rules[0] if rules else plan_parameters(plans)
+    return join_members(networks, policies), rules[0]
 
 
 def _network(arrays: Arrays, source: Path) -> Arrays:
@@ -334,8 +332,8 @@ class ExportOptions:
         name: name of the agent.
         output: folder of the agent.
         ensemble_weight: make an ensemble of networks and plans with this weight; 1 is usual.
-        plans: JSON file of plan parameters for an ensemble of networks, such as best.json of
-            tune_plans; empty is the default.
+        plans: JSON file of plan parameters for an ensemble, such as best.json of tune_plans; empty
+            takes those with which its policies over plans learned, or the default.
     """
 
     weights: tuple[Path, ...] = positional()

@@ -2,12 +2,12 @@
 
 Each driver gets a kart:
 
-  ai               the game's AI; ai:3 sets --difficulty to 3
-  heuristic        a rule-based driver that comes with stkzoo
-  pretrained:apex  a learned driver, the best that comes with stkzoo
-  random           random actions
-  FOLDER, ZIP      your agent: a pystk_actor.py with get_actor(...)
-  MODULE           your agent, by the name of a Python module
+  ai                 the game's AI; ai:3 sets --difficulty to 3
+  heuristic          a rule-based driver that comes with stkzoo
+  pretrained:zenith  a learned driver, the best that comes with stkzoo
+  random             random actions
+  FOLDER, ZIP        your agent: a pystk_actor.py with get_actor(...)
+  MODULE             your agent, by the name of a Python module
 
 DRIVER@:Name sets a driver's name. Each agent from files runs in its own process, so a failure
 only affects its own kart. The same seed reproduces the same race, bit for bit.

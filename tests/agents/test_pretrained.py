@@ -256,7 +256,7 @@ def test_a_shipped_driver_is_small_and_has_a_card(name):
     folder = Path(module.__file__).parent
     assert (folder / "weights.safetensors").stat().st_size < 2_000_000
     assert "TO BE WRITTEN" not in (folder / "CARD.md").read_text()
-    kinds = dict.fromkeys(("ace", "apex"), EnsemblePolicy)
+    kinds = dict.fromkeys(("ace", "apex", "zenith"), EnsemblePolicy)
     kinds |= dict.fromkeys(("scout", "hunter", "raider"), RacingPolicy)
     kinds |= dict.fromkeys(("rookie", "regular"), MlpDriver)
     assert isinstance(read_policy(folder), kinds[name.partition(":")[2]])
