@@ -215,9 +215,8 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
 def _unknown(source: str) -> ConfigError:
     if "/" in source or is_zip(PurePath(source)) or source.endswith(".py"):
         return ConfigError(f"there is no agent {source!r}; expected a folder, a .zip or a .py file")
-    first, _, known = str(unknown_name("driver", source, driver_names())).partition(" Known:")
-    known = f" Known:{known}" if known and "Did you" not in first else ""
-    return ConfigError(f"{first}{known} Or give the path of a folder or zip, or a module's name.")
+    error = unknown_name("driver", source, driver_names())
+    return ConfigError(f"{error} Or give the path of a folder or zip, or a module's name.")
 
 
 def _load_shipped(name: str, _: ExitStack) -> AgentCode:

@@ -447,7 +447,7 @@ def test_without_opponents_no_drivers_are_created():
     ("options", "message"),
     [
         ({"opponents": "ai"}, r"opponents is 'ai', expected a list such as"),
-        ({"opponents": ["aj"]}, "unknown driver 'aj'. Known: ai"),
+        ({"opponents": ["aj"]}, r"unknown driver 'aj'\. .*\nKnown: ai, .*\. Or give the path"),
         ({"opponents": [3]}, "an opponent is 3, expected a driver's name"),
         ({"opponents": ["ai", "ai"]}, "an agent and 2 opponents for 2 karts; raise num_kart"),
         ({"opponents": ["ai"] * 2, "agents": None}, "an agent and 2 opponents for 2 karts"),
