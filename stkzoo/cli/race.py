@@ -53,16 +53,16 @@ if TYPE_CHECKING:
 
 _NEXT_STEPS = """\
 Where to go next:
-  another race      stkzoo race pretrained:apex ai:3 ai:3 ai:3 --seed 2
+  another race      stkzoo race pretrained:zenith ai:3 ai:3 ai:3 --seed 2
   your own driver   stkzoo new my_agent
   from Python       from stkzoo import race_v0
                     env = race_v0.parallel_env(num_kart=4)
   more              stkzoo race --help; stkzoo doctor if something fails
 """
 
-_DEMO_DRIVERS = ("pretrained:apex", "ai:3", "ai:3", "ai:3")
+_DEMO_DRIVERS = ("pretrained:zenith", "ai:3", "ai:3", "ai:3")
 _DEMO_TRACK = "lighthouse"
-_DEMO_SEED = 8
+_DEMO_SEED = 17
 _DECIDED = ("seed",)
 
 

@@ -87,6 +87,14 @@ class RacingObserver:
         looks: npt.NDArray[np.float32],
         out: tuple[npt.NDArray[Any], ...],
     ) -> None: ...
+    def trace(
+        self,
+        data: bytes,
+        road: int,
+        who: npt.NDArray[np.intp],
+        looks: npt.NDArray[np.float32],
+        out: npt.NDArray[np.float32],
+    ) -> None: ...
     def write(
         self,
         numbers: tuple[npt.NDArray[Any], ...],

@@ -115,6 +115,12 @@ static void look_at(const RacingObserver *view, const Eye *eye, float distance, 
     point[3] = there[3];
 }
 
+/* Writes the line's points at several distances ahead of the kart. */
+static void see_road(const RacingObserver *view, const Eye *eye, Floats looks, float *out)
+{
+    for (npy_intp i = 0; i < looks.size; i++) look_at(view, eye, looks.data[i], out + LINE * i);
+}
+
 /* Writes the features of the road from its points beside the kart, at the marks and beyond them. */
 static void put_road(Pen *pen, const float *road)
 {
@@ -333,12 +339,34 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
     for (npy_intp i = 0; i < count; i++) {
         Eye eye;
         if (open_eye(view, track, &moment, who.data[i], &eye) < 0) return NULL;
-        for (npy_intp k = 0; k < looks.size; k++) {
-            look_at(view, &eye, looks.data[k], road.data + LINE * (looks.size * i + k));
-        }
+        see_road(view, &eye, looks, road.data + LINE * looks.size * i);
         see_karts(&eye, &moment, num_karts, karts.data + 3 * num_karts * i);
         see_items(&eye, &moment, num_items, items.data + 3 * num_items * i,
                   types.data + num_items * i);
+    }
+    Py_RETURN_NONE;
+}
+
+/* trace(data, road, who, looks, out): writes the road ahead of each kart of `who`. */
+static PyObject *racing_trace(PyObject *self, PyObject *args)
+{
+    const RacingObserver *view = (RacingObserver *)self;
+    Moment moment;
+    npy_intp track;
+    Indices who;
+    Floats looks, out;
+    if (!PyArg_ParseTuple(args, "O&nO&O&O&", as_moment, &moment, &track, as_indices, &who,
+                          as_floats, &looks, as_written_floats, &out)) {
+        return NULL;
+    }
+    if (out.size != LINE * looks.size * who.size) {
+        return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers",
+                            LINE * looks.size * who.size);
+    }
+    for (npy_intp i = 0; i < who.size; i++) {
+        Eye eye;
+        if (open_eye(view, track, &moment, who.data[i], &eye) < 0) return NULL;
+        see_road(view, &eye, looks, out.data + LINE * looks.size * i);
     }
     Py_RETURN_NONE;
 }
@@ -448,4 +476,5 @@ KERNEL_TYPE(RacingObserver, racing, "Makes the view `racing` on a set of tracks.
             {"observe", racing_observe, METH_VARARGS,
              "Writes the views of karts into rows."},
             {"look", racing_look, METH_VARARGS, "Writes the surroundings of karts."},
+            {"trace", racing_trace, METH_VARARGS, "Writes the road ahead of karts."},
             {"write", racing_write, METH_VARARGS, "Writes the views for given surroundings."})

@@ -61,20 +61,22 @@ def test_slow_forms_recover_from_a_fault(inside, form, moment, signal):
 def test_a_game_killed_during_steps_raises_an_error(inside, target):
     """Tests the harness itself: signals reach the process and the form raises an error."""
     answers = []
-    for number in range(2):
+    for number in range(8):  # on a busy machine, a signal may come after the last step
         fault = Fault(
             form="ParallelEnv",
             moment="step",
             target=target,
             signal="SIGKILL",
-            share=0.2 + 0.1 * number,
+            share=0.3 / (1 + number),
             choice=0.0,
         )
         outcome = inside.run(fault)
         assert outcome.survived, outcome.problem
         assert outcome.injected
         answers.append(outcome.answer)
-    assert "EngineCrashed" in answers
+        if outcome.answer == "EngineCrashed":
+            return
+    pytest.fail(f"no crash: {answers}")
 
 
 @pytest.mark.parametrize(

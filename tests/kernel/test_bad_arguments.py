@@ -23,7 +23,7 @@ from stkzoo.agents.planning.motion import learned_motion
 from stkzoo.drivers import codec
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, KART_DTYPE
 from stkzoo.engine.track import decode_track
-from stkzoo.wrappers.racing import racing_features
+from stkzoo.wrappers.racing import LOOKS, racing_features
 from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests.kernel.test_kernel import USERS
 from tests.kernel.test_mlp import inputs_of, layers_of
@@ -120,7 +120,9 @@ def drive_races():
             for _ in range(3):
                 env.step({agent: env.action_space(agent).sample() for agent in env.agents})
             view = racing_view_of(env.track_map)
-            racing_features(*view.surroundings([env.snapshot], [0], [np.arange(3)]))
+            seen = [env.snapshot], [0], [np.arange(3)]
+            racing_features(*view.surroundings(*seen))
+            view.road(*seen, LOOKS)
     for view in VIEWS[1:]:
         options = {"num_kart": 3, "track": "lighthouse", "view": view, "events": True}
         with contextlib.closing(RaceVectorEnv(1, **options, prefetch=False)) as envs:

@@ -341,6 +341,7 @@ def test_the_racing_view_is_the_same_with_and_without_the_kernel(track):
             assert_close(seen, made)
             own, around = view.surroundings([env.snapshot], [0], [who])
             assert_close(around.road, surroundings[0])
+            assert (view.road([env.snapshot], [0], [who], LOOKS) == around.road).all()
             assert_close(racing_features(own, around), made)
     assert seen.any(axis=0).sum() > 80
 
@@ -369,6 +370,7 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
     np.testing.assert_allclose(seen, seen_by_twin(snapshot, table, who)[0], atol=2e-4)
     own, around = view.surroundings([snapshot], [0], [who])
     np.testing.assert_array_equal(racing_features(own, around), seen)
+    np.testing.assert_array_equal(view.road([snapshot], [0], [who], LOOKS), around.road)
 
 
 def seen_by_twin(snapshot, table, who):

@@ -127,11 +127,10 @@ class BatchedRacingLines:
             ``(A, M, 5)`` float32, for the karts of the first race, then those of the second, ...:
                 points at ``GROUND_LINE_MARKS`` and the room to the left and to the right [m].
         """
-        numbers = [2 * road + side for side in range(2) for road in roads]
-        _, seen = self._view.surroundings(
-            [*snapshots, *snapshots], numbers, [*karts, *karts], GROUND_LINE_MARKS
+        left, right = (
+            self._view.road(snapshots, [2 * n + side for n in roads], karts, GROUND_LINE_MARKS)
+            for side in range(2)
         )
-        left, right = np.split(seen.road, 2)
         return np.concatenate([left, right[..., 3:]], axis=-1)
 
 

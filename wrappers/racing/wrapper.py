@@ -212,6 +212,32 @@ class BatchedRacingView:
         state = own_state(np.frombuffer(b"".join(records), KART_DTYPE))
         return state, Surroundings(*arrays)
 
+    def road(
+        self,
+        snapshots: Sequence[Snapshot],
+        roads: Sequence[int],
+        karts: Sequence[IntArray],
+        looks: FloatArray,
+    ) -> FloatArray:
+        """Returns the road ahead of some karts of each race, as :meth:`surroundings` does.
+
+        Args:
+            snapshots: see :meth:`observe`.
+            roads: see :meth:`observe`.
+            karts: see :meth:`observe`.
+            looks: ``(L,)`` distances at which the road is observed [m].
+
+        Returns:
+            ``(A, L, 4)`` float32, see :class:`Surroundings`.
+        """
+        ends = np.cumsum([len(who) for who in karts])
+        out = np.empty((ends[-1], len(looks), 4), np.float32)
+        parts = np.split(out, ends[:-1])
+        for snapshot, road, who, part in zip(snapshots, roads, karts, parts, strict=True):
+            who = np.ascontiguousarray(who, np.intp)
+            self._observer.trace(snapshot.data, int(road), who, looks, part)
+        return out
+
 
 @functools.cache
 def _writer() -> RacingObserver:

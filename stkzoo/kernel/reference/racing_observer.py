@@ -114,23 +114,43 @@ class RacingObserver:
                 karts and items as the race has.
         """
         snapshot = Snapshot(data)
-        lines, starts, along = self._roads[road]
-        records = np.frombuffer(snapshot.karts[who].tobytes(), KART_DTYPE)
-        nodes, locations = records["node"], records["location"]
-        matrices = rotation_matrices(np.ascontiguousarray(records["rotation"]))
-        segments = starts[nodes] - locations, along[nodes]
-        before, share = line_places(*segments, looks, STEP, lines.shape[1])
-        first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
-        points = first + (second - first) * share[..., None]
         line, karts, items, types = out
-        line[..., :3] = to_kart_frame(points[..., :3], locations, matrices)
-        line[..., 3] = points[..., 3]
+        self.trace(data, road, who, looks, line)
+        locations, matrices = _frames(_records(snapshot, who))
         others, things = snapshot.karts["location"][None], snapshot.items["location"][None]
         karts[:], items[:], types[:] = np.inf, 0, -1
         karts[:, : others.shape[1]] = to_kart_frame(others, locations, matrices)
         karts[np.arange(len(who)), who] = np.inf
         items[:, : things.shape[1]] = to_kart_frame(things, locations, matrices)
         types[:, : things.shape[1]] = snapshot.items["type"]
+
+    def trace(
+        self,
+        data: bytes,
+        road: int,
+        who: npt.NDArray[np.intp],
+        looks: FloatArray,
+        out: FloatArray,
+    ) -> None:
+        """Writes the road ahead of each kart of ``who``.
+
+        Args:
+            data: bytes of a snapshot.
+            road: index of its track.
+            who: ``(n,)`` indices of karts.
+            looks: ``(L,)`` distances at which the road is observed [m].
+            out: ``(n, L, 4)``, see :class:`~stkzoo.wrappers.racing.Surroundings`.
+        """
+        lines, starts, along = self._roads[road]
+        records = _records(Snapshot(data), who)
+        locations, matrices = _frames(records)
+        nodes = records["node"]
+        segments = starts[nodes] - locations, along[nodes]
+        before, share = line_places(*segments, looks, STEP, lines.shape[1])
+        first, second = lines[nodes[:, None], before], lines[nodes[:, None], before + 1]
+        points = first + (second - first) * share[..., None]
+        out[..., :3] = to_kart_frame(points[..., :3], locations, matrices)
+        out[..., 3] = points[..., 3]
 
     def write(self, numbers: Arrays, kinds: Arrays, around: Arrays, out: FloatArray) -> None:
         """Writes the view of karts with given surroundings.
@@ -151,6 +171,16 @@ class RacingObserver:
         _write_karts(view, karts)
         _write_items(view, items, types)
         np.clip(view, -5.0, 5.0, out=view)
+
+
+def _records(snapshot: Snapshot, who: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
+    return np.frombuffer(snapshot.karts[who].tobytes(), KART_DTYPE)
+
+
+def _frames(records: npt.NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+    """Returns the karts' locations ``(n, 3)`` and rotation matrices ``(n, 3, 3)``."""
+    rotations = np.ascontiguousarray(records["rotation"])
+    return records["location"], rotation_matrices(rotations)
 
 
 def _write_own(view: FloatArray, own: dict[str, npt.NDArray[Any]]) -> None:
