@@ -63,7 +63,7 @@ def parser(
     steps: int,
     karts: Sequence[int],
     track: str | Sequence[str] = "lighthouse",
-    cores: int | Sequence[int] = 1,
+    cores: int | Sequence[int] | None = None,
 ) -> argparse.ArgumentParser:
     """Returns a parser with the arguments that all commands share.
 
@@ -73,7 +73,8 @@ def parser(
         steps: default of ``--steps``.
         karts: default of ``--karts``.
         track: default of ``--track``; with a sequence, the option accepts several tracks.
-        cores: default of ``--cores``; with a sequence, the option accepts several numbers.
+        cores: default of ``--cores``; with a sequence, the option accepts several numbers. With
+            ``None``, there is no such option and contenders may use all cores.
     """
     made = CommandParser(prog=f"python -m benchmarks.bench_{name}", description=doc)
     made.add_argument(
@@ -102,14 +103,15 @@ def parser(
             metavar="NAME",
             help=f"the tracks (default: {len(track)} tracks)",
         )
-    made.add_argument(
-        "--cores",
-        type=_whole,
-        nargs=None if isinstance(cores, int) else "+",
-        default=cores,
-        metavar="N",
-        help=f"cores for a contender and its processes, 0 for all (default: {cores})",
-    )
+    if cores is not None:
+        made.add_argument(
+            "--cores",
+            type=_whole,
+            nargs=None if isinstance(cores, int) else "+",
+            default=cores,
+            metavar="N",
+            help=f"cores for a contender and its processes, 0 for all (default: {cores})",
+        )
     output = RESULTS / f"{name}.json"
     made.add_argument("--output", type=Path, default=output, help="JSON file to write")
     return made

@@ -35,7 +35,7 @@ _TRACK_STEPS = 10
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = parser(__doc__, "memory", steps=50, karts=(3,), track="olivermath")
+    words = parser(__doc__, "memory", steps=50, karts=(3,), track="olivermath", cores=1)
     words.add_argument("--resets", type=int, default=500, help="resets on --track (default: 500)")
     words.add_argument(
         "--tracks",

@@ -39,7 +39,7 @@ from stkzoo import race_v0
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = parser(__doc__, "profile", steps=300, karts=(3, 10, 20))
+    words = parser(__doc__, "profile", steps=300, karts=(3, 10, 20), cores=1)
     words.add_argument("--view", nargs="+", choices=VIEWS, default=["full", "flattened"])
     words.add_argument("--top", type=int, default=25, help="functions to list (default: 25)")
     options = words.parse_args(arguments)

@@ -35,7 +35,7 @@ ENGINE = "engine"
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = parser(__doc__, "scaling", steps=100, karts=(1, 2, 3, 5, 10, 20, 50, 100))
+    words = parser(__doc__, "scaling", steps=100, karts=(1, 2, 3, 5, 10, 20, 50, 100), cores=1)
     add_driving(words)
     words.add_argument("--view", nargs="+", choices=VIEWS, default=["full", "flattened"])
     words.add_argument(

@@ -32,7 +32,7 @@ _PARTS = ("save", "restore", "first step", "clone", "reset to a parked start", "
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    options = parser(__doc__, "states", steps=60, karts=(3, 10), cores=0).parse_args(arguments)
+    options = parser(__doc__, "states", steps=60, karts=(3, 10)).parse_args(arguments)
     results = []
     with progress_bar(len(options.karts) * options.steps) as (bar, task):
         for karts in options.karts:

@@ -121,7 +121,7 @@ def run(match: Lineup, options: argparse.Namespace, advance: Any) -> dict[str, A
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = parser(__doc__, "steps", steps=300, karts=KARTS)
+    words = parser(__doc__, "steps", steps=300, karts=KARTS, cores=1)
     add_driving(words)
     words.add_argument("--view", nargs="+", choices=VIEWS, default=list(VIEWS))
     words.add_argument("--group", nargs="+", choices=GROUPS, default=list(GROUPS))

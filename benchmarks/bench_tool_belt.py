@@ -41,7 +41,7 @@ _WARM_UP = 5
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = parser(__doc__, "tool_belt", steps=60, karts=(1, 4), cores=0)
+    words = parser(__doc__, "tool_belt", steps=60, karts=(1, 4))
     words.add_argument("--seconds", type=int, default=2, help="per measurement (default: 2)")
     words.add_argument("--rounds", type=int, default=3, help="measurements of each (default: 3)")
     words.add_argument("--contender", help=argparse.SUPPRESS)

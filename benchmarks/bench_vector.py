@@ -42,7 +42,7 @@ _WARM_UP = 40
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = parser(__doc__, "vector", steps=300, karts=(10,), cores=0)
+    words = parser(__doc__, "vector", steps=300, karts=(10,))
     words.add_argument("--races", type=int, nargs="+", default=[1, 2, 4], help="races (1 2 4)")
     words.add_argument("--rounds", type=int, default=3, help="measurements of each (default: 3)")
     words.add_argument("--contender", help=argparse.SUPPRESS)
