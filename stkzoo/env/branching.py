@@ -142,7 +142,7 @@ class BranchingRace(ClonableEnv):
     def ground(self) -> Ground | None:
         """Ground and walls of the current track; ``None`` before the first reset.
 
-        They are read from the track's meshes, which takes 1 to 7 s the first time.
+        They are read from the track's meshes, which takes 0.2 to 2 s the first time.
         """
         return self._episode.ground if self._episode else None
 
