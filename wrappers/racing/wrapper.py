@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -156,12 +156,9 @@ class BatchedRacingView:
         Returns:
             ``(A, SIZE)`` float32, the karts of the first race followed by those of the second, ...
         """
-        ends = np.cumsum([len(who) for who in karts])
-        views = np.empty((ends[-1], SIZE), np.float32)
-        parts = np.split(views, ends[:-1])
-        for snapshot, road, who, part in zip(snapshots, roads, karts, parts, strict=True):
-            who = np.ascontiguousarray(who, np.intp)
-            self._observer.observe(snapshot.data, int(road), who, part)
+        views = np.empty((sum(map(len, karts)), SIZE), np.float32)
+        for snapshot, road, who, rows in _races(snapshots, roads, karts):
+            self._observer.observe(snapshot.data, road, who, views[rows])
         return views
 
     def observe_into(
@@ -193,22 +190,20 @@ class BatchedRacingView:
             karts: see :meth:`observe`.
             looks: ``(L,)`` distances at which the road is observed [m].
         """
-        ends = np.cumsum([len(who) for who in karts])
+        count = sum(map(len, karts))
         most_karts = max(len(snapshot.karts) for snapshot in snapshots)
         most_items = max(len(snapshot.items) for snapshot in snapshots)
         arrays = (
-            np.empty((ends[-1], len(looks), 4), np.float32),
-            np.empty((ends[-1], most_karts, 3), np.float32),
-            np.empty((ends[-1], most_items, 3), np.float32),
-            np.empty((ends[-1], most_items), np.int64),
+            np.empty((count, len(looks), 4), np.float32),
+            np.empty((count, most_karts, 3), np.float32),
+            np.empty((count, most_items, 3), np.float32),
+            np.empty((count, most_items), np.int64),
         )
-        looks, begin, records = np.ascontiguousarray(looks, np.float32), 0, []
-        for snapshot, road, who, end in zip(snapshots, roads, karts, ends.tolist(), strict=True):
-            own, who = slice(begin, end), np.ascontiguousarray(who, np.intp)
-            parts = tuple(array[own] for array in arrays)
-            self._observer.look(snapshot.data, int(road), who, looks, parts)
+        looks, records = np.ascontiguousarray(looks, np.float32), []
+        for snapshot, road, who, rows in _races(snapshots, roads, karts):
+            parts = tuple(array[rows] for array in arrays)
+            self._observer.look(snapshot.data, road, who, looks, parts)
             records.append(snapshot.karts[who].tobytes())
-            begin = end
         state = own_state(np.frombuffer(b"".join(records), KART_DTYPE))
         return state, Surroundings(*arrays)
 
@@ -230,13 +225,21 @@ class BatchedRacingView:
         Returns:
             ``(A, L, 4)`` float32, see :class:`Surroundings`.
         """
-        ends = np.cumsum([len(who) for who in karts])
-        out = np.empty((ends[-1], len(looks), 4), np.float32)
-        parts = np.split(out, ends[:-1])
-        for snapshot, road, who, part in zip(snapshots, roads, karts, parts, strict=True):
-            who = np.ascontiguousarray(who, np.intp)
-            self._observer.trace(snapshot.data, int(road), who, looks, part)
+        out = np.empty((sum(map(len, karts)), len(looks), 4), np.float32)
+        for snapshot, road, who, rows in _races(snapshots, roads, karts):
+            self._observer.trace(snapshot.data, road, who, looks, out[rows])
         return out
+
+
+def _races(
+    snapshots: Sequence[Snapshot], roads: Sequence[int], karts: Sequence[IntArray]
+) -> Iterator[tuple[Snapshot, int, IntArray, slice]]:
+    """Yields each race's snapshot, road, karts, and the rows of these karts among all karts."""
+    begin = 0
+    for snapshot, road, who in zip(snapshots, roads, karts, strict=True):
+        rows = slice(begin, begin + len(who))
+        yield snapshot, int(road), np.ascontiguousarray(who, np.intp), rows
+        begin = rows.stop
 
 
 @functools.cache
