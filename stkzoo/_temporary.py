@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import secrets
 import shutil
@@ -16,14 +17,17 @@ from stkzoo._os import OwnDescriptor
 __all__ = ["LockedTemporaryDirectory", "remove_stale_directories", "remove_tree"]
 
 _PREFIX = "stkzoo-run-"
+#: Directories of this program; not those of a parent process.
+_open: set[LockedTemporaryDirectory] = set()
 
 
 class LockedTemporaryDirectory:
     """A temporary directory that is removed even if its program is killed.
 
     The directory is locked while the program runs, and the system releases the lock of a killed
-    program. Whenever a new directory is created, all unlocked ones are removed. This class is a
-    context manager.
+    program. Whenever a new directory is created, all unlocked ones are removed. At the end of the
+    program, the directories that are still open are removed, such as those whose removal Ctrl-C
+    interrupted. This class is a context manager.
 
     Args:
         kind: purpose of the directory, which is part of its name.
@@ -39,6 +43,7 @@ class LockedTemporaryDirectory:
         while not is_locked:  # another program can remove the directory before it is locked
             self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
             is_locked = sys.platform == "win32" or self._acquire()
+        _open.add(self)
 
     def __enter__(self) -> LockedTemporaryDirectory:
         return self
@@ -53,6 +58,7 @@ class LockedTemporaryDirectory:
 
     def release(self) -> None:
         """Releases the lock but keeps the directory."""
+        _open.discard(self)
         lock, self._lock = self._lock, None
         if lock is not None:
             lock.close()
@@ -64,6 +70,16 @@ class LockedTemporaryDirectory:
                 return True
         self.release()
         return False
+
+
+@atexit.register
+def _close_all() -> None:
+    while _open:
+        _open.pop().close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_open.clear)
 
 
 def remove_stale_directories() -> None:

@@ -150,8 +150,10 @@ class IsolatedInstance:
         """Kills the process and its descendants, and removes the agent's unpacked files."""
         self.is_usable = False
         self._channel.close()
-        self._has_ended(_GRACE)
-        self._resources.close()
+        try:
+            self._has_ended(_GRACE)
+        finally:  # Ctrl-C may interrupt the wait
+            self._resources.close()
 
     # ------------------------------------------------------------------ messages
 

@@ -350,8 +350,10 @@ class SpawnedProcess(RaceProcess):
         self._free()
 
     def _kill(self, patience: float = 0.0) -> None:
-        stop(self._process, patience)
-        self._home.close()
+        try:
+            stop(self._process, patience)
+        finally:
+            self._home.close()
 
 
 def _own(connection: socket.socket) -> wire.EngineConnection:

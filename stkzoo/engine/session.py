@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import ctypes
 import os
@@ -391,7 +390,6 @@ def _init_here(root: Path) -> None:
     if engine_is_initialized():
         return
     home = LockedTemporaryDirectory("home")
-    atexit.register(home.close)
     environment = dict(os.environ)
     os.environ.update(engine_environment(root, str(home.path)))
     try:

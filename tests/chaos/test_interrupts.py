@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import pytest
 import stkzoo
 from stkzoo import race_v0
 from stkzoo.engine import fork_client
-from stkzoo.race import RaceResult
+from stkzoo.race import RaceListener, RaceResult, run_race
 from stkzoo.race.replay import load_replay
 from tests.chaos.family import family
 from tests.chaos.forms import digest
@@ -114,6 +115,46 @@ def test_an_interrupted_command_saves_a_partial_race(tmp_path):
     assert kept.is_partial
     assert reported.steps - kept.steps in (0, 1)  # Ctrl-C may arrive before the last step is saved
     assert "heuristic" in shown
+
+
+SLOW_TO_END = """
+import atexit, time
+env_name = "supertuxkart/flattened_discrete-v0"
+atexit.register(time.sleep, 60)
+
+def get_actor(module_dir, observation_space, action_space):
+    return lambda state, observation: 0
+"""
+
+
+class InterruptedClosing(RaceListener):
+    """Sends Ctrl-C while the runner waits for the end of an agent's process."""
+
+    def ended(self, _):
+        self.timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT))
+        self.timer.start()
+
+    def closed(self):
+        self.timer.join()
+
+
+def test_an_interrupted_closing_ends_the_agents_process_and_removes_its_files(
+    tmp_path, monkeypatch
+):
+    with zipfile.ZipFile(tmp_path / "slow.zip", "w") as archive:
+        archive.writestr("pystk_actor.py", SLOW_TO_END)
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    with pytest.raises(KeyboardInterrupt):
+        run_race(
+            [str(tmp_path / "slow.zip"), "ai"],
+            listeners=[InterruptedClosing()],
+            track="olivermath",
+            max_steps=3,
+        )
+    assert not list(temporary.glob("stkzoo-run-agent-*"))
+    assert wait_until(lambda: "agent" not in kinds(os.getpid()))
 
 
 def kinds(program):

@@ -70,6 +70,47 @@ def test_the_next_program_removes_a_released_folder(tmp_path):
     assert names(tmp_path) == []
 
 
+def run_program(code):
+    head = "import os, sys\nfrom stkzoo._temporary import LockedTemporaryDirectory\n"
+    return subprocess.run([sys.executable, "-c", head + code], check=True)
+
+
+def test_a_program_removes_its_open_folders_at_its_end(tmp_path):
+    run_program("LockedTemporaryDirectory('first'), LockedTemporaryDirectory('second')")
+    assert names(tmp_path) == []
+
+
+def test_an_interrupted_removal_is_completed_at_the_end(tmp_path):
+    code = """
+import stkzoo._temporary
+
+def interrupted(folder):
+    stkzoo._temporary.remove_tree = remove_tree
+    raise KeyboardInterrupt
+
+folder = LockedTemporaryDirectory("test")
+(folder.path / "file").write_text("x")
+remove_tree, stkzoo._temporary.remove_tree = stkzoo._temporary.remove_tree, interrupted
+try:
+    folder.close()
+except KeyboardInterrupt:
+    assert folder.path.is_dir()
+"""
+    run_program(code)
+    assert names(tmp_path) == []
+
+
+def test_a_forked_process_keeps_its_parents_folder():
+    code = """
+folder = LockedTemporaryDirectory("test")
+if not os.fork():
+    sys.exit()
+os.wait()
+assert folder.path.is_dir()
+"""
+    run_program(code)
+
+
 def test_nothing_else_is_removed(tmp_path):
     (tmp_path / "stkzoo-other").mkdir()
     (tmp_path / "stkzoo-run-file").write_text("mine")

@@ -77,6 +77,16 @@ def test_an_interrupted_race_saves_its_result_so_far(tmp_path, name, code):
     assert not list(tmp_path.glob(".*.part"))
 
 
+def test_an_interrupted_exec_does_not_change_the_exit_code(tmp_path):
+    """Otherwise, ``python -m`` would exit by SIGINT. Imports use ``exec`` for dataclasses."""
+    agent = tmp_path / "agent.py"
+    agent.write_text("exec('raise KeyboardInterrupt')\n")
+    words = ["race", str(agent), "--inline", "--track", "olivermath"]
+    command = [sys.executable, "-m", "stkzoo", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "stkzoo: interrupted\n")
+
+
 def test_an_interrupt_before_a_race_starts_keeps_the_races_before_it(tmp_path, capsys, monkeypatch):
     file, start, starts = tmp_path / "results.json", _RaceRun._start, []
 
