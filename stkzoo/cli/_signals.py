@@ -22,8 +22,16 @@ _SIGNALS = [
 _REPEATED = 1.0
 
 
+class Ended(KeyboardInterrupt):
+    """SIGTERM or SIGHUP came.
+
+    If a plain KeyboardInterrupt ends an ``exec``, such as that of a dataclass during an import,
+    ``python -m`` exits by SIGINT instead of with the code of the signal.
+    """
+
+
 class EndSignals:
-    """Context manager in which the first SIGTERM or SIGHUP raises KeyboardInterrupt.
+    """Context manager in which the first SIGTERM or SIGHUP raises :class:`Ended`.
 
     A later one ends the program at once. Signals that the program ignores stay ignored, as with
     ``nohup``. In other threads than the main one, this changes nothing.
@@ -54,7 +62,7 @@ class EndSignals:
         if not self._number:
             self._number, self._since = number, time.monotonic()
             self._leave_closed_terminals()
-            raise KeyboardInterrupt
+            raise Ended
         if time.monotonic() - self._since > _REPEATED:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)

@@ -77,14 +77,14 @@ def test_an_interrupted_race_saves_its_result_so_far(tmp_path, name, code):
     assert not list(tmp_path.glob(".*.part"))
 
 
-def test_an_interrupted_exec_does_not_change_the_exit_code(tmp_path):
-    """Otherwise, ``python -m`` would exit by SIGINT. Imports use ``exec`` for dataclasses."""
+def test_a_signal_in_an_exec_has_the_usual_exit_code(tmp_path):
+    """Imports use ``exec`` for dataclasses. Python reports a plain KeyboardInterrupt as SIGINT."""
     agent = tmp_path / "agent.py"
-    agent.write_text("exec('raise KeyboardInterrupt')\n")
+    agent.write_text("import os, signal\nexec('os.kill(os.getpid(), signal.SIGTERM)')\n")
     words = ["race", str(agent), "--inline", "--track", "olivermath"]
     command = [sys.executable, "-m", "stkzoo", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (130, "stkzoo: interrupted\n")
+    assert (done.returncode, done.stderr) == (143, "stkzoo: interrupted\n")
 
 
 def test_an_interrupt_before_a_race_starts_keeps_the_races_before_it(tmp_path, capsys, monkeypatch):
