@@ -41,9 +41,10 @@ class LockedTemporaryDirectory:
         self._lock: OwnDescriptor | None = None
         is_locked = False
         while not is_locked:  # another program can remove the directory before it is locked
-            self.path = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-"))
+            self.path = Path(tempfile.gettempdir(), f"{_PREFIX}{kind}-{secrets.token_hex(8)}")
+            _open.add(self)  # first, because Ctrl-C may interrupt the next lines
+            self.path.mkdir(mode=0o700)
             is_locked = sys.platform == "win32" or self._acquire()
-        _open.add(self)
 
     def __enter__(self) -> LockedTemporaryDirectory:
         return self
