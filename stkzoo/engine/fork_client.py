@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import itertools
 import json
 import os
 import select
@@ -71,6 +72,7 @@ class ForkServerClient:
         self.root = root
         self._lock = threading.Lock()
         self._has_forked = False
+        self._numbers = itertools.count()
         with contextlib.ExitStack() as on_failure:
             self._log = open_log()
             on_failure.callback(self._log.close)
@@ -94,14 +96,21 @@ class ForkServerClient:
 
         Raises:
             EngineCrashed: the fork server ended or could not start.
-            EngineTimeout: the fork server did not answer in time and was ended.
+            EngineTimeout: the child or the fork server did not answer in time and was ended.
         """
         if self._control.is_lost:
             _retire(self)
             raise EngineCrashed(f"the connection to the game's fork server {LOST_CONNECTION}")
+        name = f"race {next(self._numbers)}"
         try:
-            process = self.fork_from(self._control, START_TIMEOUT)
+            process = self.fork_from(self._control, START_TIMEOUT, name)
         except TimeoutError:
+            if self.end_child(name) is not None:  # other races go on
+                raise EngineTimeout(
+                    f"a new process of the game did not answer within {START_TIMEOUT:.0f} s and "
+                    "was ended",
+                    tail(self._log),
+                ) from None
             _retire(self)
             raise EngineTimeout(
                 f"the game's fork server did not answer within {START_TIMEOUT:.0f} s and was "
@@ -120,7 +129,9 @@ class ForkServerClient:
         self._has_forked = True
         return process
 
-    def fork_from(self, source: wire.EngineConnection, timeout: float | None) -> RaceProcess:
+    def fork_from(
+        self, source: wire.EngineConnection, timeout: float | None, name: str = "clone"
+    ) -> RaceProcess:
         """Returns a fork of the fork server or of one of its children.
 
         If this fails, the new process ends by itself.
@@ -128,6 +139,7 @@ class ForkServerClient:
         Args:
             source: connection to the process to fork.
             timeout: time limit for the fork [s].
+            name: name of the new process in :meth:`end_child`; clones have none.
 
         Raises:
             EngineError: the system cannot start or clone a process now.
@@ -147,7 +159,8 @@ class ForkServerClient:
                 if source is not self._control:
                     # A race's kernel cannot receive files, so they come in a second message.
                     wire.send(source, wire.FORK)
-                wire.send(source, wire.FORK, files=[theirs.fileno(), log.fileno()])
+                files = [theirs.fileno(), log.fileno()]
+                wire.send(source, wire.FORK, name.encode(), files=files)
             try:
                 kind, frames = wire.receive(ours)
             except EOFError:
@@ -164,8 +177,11 @@ class ForkServerClient:
             on_failure.pop_all()
         return _ForkedProcess(ours, int(frames[0]), log, self)
 
-    def end_child(self, pid: int) -> int | None:
+    def end_child(self, child: int | str) -> int | None:
         """Ends a child if it is still running.
+
+        Args:
+            child: its process id, or the name with which it was forked.
 
         Returns:
             The wait status of the child; ``None`` if the fork server could not report it.
@@ -173,7 +189,7 @@ class ForkServerClient:
         if self._control.is_lost:
             return None
         with contextlib.suppress(EOFError, OSError), self._lock:
-            asked = str(pid).encode()
+            asked = str(child).encode()
             wire.send(self._control, wire.END, asked)
             replied = b""
             while replied != asked:  # a reply to an interrupted request may come first

@@ -60,33 +60,44 @@ class _ForkServer:
         self._program = os.getppid()
         self._statuses: dict[int, int] = {}  # of ended children; the program may request them
         self._dropped: set[int] = set()  # killed children whose status is not needed
+        self._names: dict[int, bytes] = {}  # of living children that are no clones
 
     def run(self) -> None:
         """Serves the program's requests until the program ends."""
         poller = select.poll()
         poller.register(self._control, select.POLLIN)
-        with contextlib.suppress(EOFError, ConnectionError):
-            while os.getppid() == self._program:
-                if poller.poll(_POLL_SECONDS * 1000):
-                    self._serve_request()
-                self._reap()
+        try:
+            with contextlib.suppress(EOFError, ConnectionError):
+                while os.getppid() == self._program:
+                    if poller.poll(_POLL_SECONDS * 1000):
+                        self._serve_request()
+                    self._reap()
+        finally:
+            for pid in self._names:  # a child that is stopped at its start would remain
+                _kill(pid)
 
     def _serve_request(self) -> None:
         kind, frames, files = wire.receive_with_files(self._control)
         if kind == wire.FORK:
-            self._fork(files)
+            self._fork(frames[0], files)
             return
-        pid = int(frames[0])
+        pid = self._pid_of(frames[0])
         if kind == wire.END:
-            status = self._end(pid)
+            status = None if pid is None else self._end(pid)
             reply = b"" if status is None else str(status).encode()
             wire.send(self._control, wire.OK, frames[0], reply)
-        else:
+        elif pid is not None:
             self._drop(pid)
 
-    def _fork(self, files: list[int]) -> None:
+    def _pid_of(self, child: bytes) -> int | None:
+        """Returns the process id of a child from its id or name."""
+        if child.isdigit():
+            return int(child)
+        return next((pid for pid, name in self._names.items() if name == child), None)
+
+    def _fork(self, name: bytes, files: list[int]) -> None:
         try:
-            session = serve_fork(self._control, files, os.fork, self._pid)
+            session = serve_fork(self._control, files, lambda: self._fork_named(name), self._pid)
             if session is None:
                 return
             WorkerServer(session, fork_server=self._pid).run()
@@ -96,6 +107,12 @@ class _ForkServer:
             if os.getpid() != self._pid:  # the child must not run the fork server's code
                 os._exit(1)
             raise
+
+    def _fork_named(self, name: bytes) -> int:
+        pid = os.fork()
+        if pid:
+            self._names[pid] = name
+        return pid
 
     def _end(self, pid: int) -> int | None:
         """Ends a child; kills it after :data:`_GRACE_SECONDS`.
@@ -121,6 +138,7 @@ class _ForkServer:
         with contextlib.suppress(ChildProcessError):
             while (child := os.waitpid(-1, os.WNOHANG))[0]:
                 pid, status = child
+                self._names.pop(pid, None)
                 if pid in self._dropped:
                     self._dropped.discard(pid)
                 else:

@@ -19,11 +19,12 @@ from stkzoo._os import above_standard_streams, file_identity
 
 #: Requests to start a race (JSON) and to advance it (array of controls).
 BEGIN, ACT = b"B", b"A"
-#: Request to fork the process, with the descriptors of a connection and a log for the new process.
-#: There is no reply: the new process sends its process id on its own connection.
+#: Request to fork the process, with the descriptors of a connection and a log for the new process,
+#: and to a fork server with a name of the new process. There is no reply: the new process sends its
+#: process id on its own connection.
 FORK = b"F"
-#: Requests to a fork server, with the process id of a child. END ends the child and replies with
-#: its id and wait status; DROP ends it without a reply.
+#: Requests to a fork server, with the process id or the name of a child. END ends the child and
+#: replies with its id or name, and its wait status; DROP ends it without a reply.
 END, DROP = b"X", b"D"
 #: Request to the render process (:mod:`stkzoo.engine.render_process`) to move the karts and draw.
 DRAW = b"P"

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stkzoo.engine import fork_client, wire
+from stkzoo.engine import fork_client, process, wire
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
@@ -254,6 +254,45 @@ def test_a_stopped_game_times_out_and_is_ended(root):
     assert wait_until(lambda: not process_exists(pid))
     assert len(trajectory(session)) > 0
     session.close()
+
+
+STOPS_AT_BIRTH = """
+import os, signal
+
+def fork(real=os.fork):
+    pid = real()
+    if not pid and os.path.exists({flag!r}):
+        os.kill(os.getpid(), signal.SIGSTOP)
+    return pid
+
+os.fork = fork
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a fork server")
+def test_a_new_game_that_is_stopped_at_once_does_not_affect_other_races(
+    root, session, monkeypatch, tmp_path
+):
+    flag = tmp_path / "stop"
+    code = STOPS_AT_BIRTH.format(flag=str(flag)) + process._BOOTSTRAP
+    monkeypatch.setattr(process, "_BOOTSTRAP", code)
+    monkeypatch.setattr(fork_client, "_fork_servers", {})
+    monkeypatch.setattr(fork_client, "START_TIMEOUT", 20.0)
+    session.start(SETUP)
+    fork_server = fork_client.start_fork_server(root)
+    monkeypatch.setattr(fork_client, "START_TIMEOUT", 0.5)
+    flag.touch()
+    other = WorkerSession(root)
+    with pytest.raises(EngineTimeout, match="a new process of the game did not answer within"):
+        other.start(SETUP)
+    drive_on(session, steps=1)
+    assert children_of(fork_server._process.pid) == [session.pid]
+    flag.unlink()
+    other.start(SETUP)
+    drive_on(other, steps=1)
+    assert fork_client.start_fork_server(root) is fork_server
+    other.close()
+    fork_server.close()
 
 
 def test_a_step_after_the_crash_says_reset(session):
