@@ -14,12 +14,11 @@ import pytest
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.engine import fork_client
 from stkzoo.race import RaceListener, RaceResult, run_race
 from stkzoo.race.replay import load_replay
 from tests.chaos.family import family
 from tests.chaos.forms import digest
-from tests.support.processes import children_of, wait_until
+from tests.support.processes import children_of, fork_server_of_races, wait_until
 
 OPTIONS = {"num_kart": 2, "track": "olivermath", "view": "flattened_discrete"}
 
@@ -32,11 +31,6 @@ def trace(env):
     parts = [env.reset(seed=1)]
     parts.extend(env.step(dict.fromkeys(env.agents, 700)) for _ in range(20))
     return digest(parts)
-
-
-def fork_server_pid():
-    (fork_server,) = fork_client._fork_servers.values()
-    return fork_server._process.pid
 
 
 def interrupt_when(condition):
@@ -57,7 +51,7 @@ def test_an_interrupted_reset_does_not_mix_up_replies():
     with make() as env, make() as other:
         expected = trace(env)
         other.reset(seed=1)
-        fork_server = fork_server_pid()
+        fork_server = fork_server_of_races()._process.pid
         for _ in range(3):
             os.kill(fork_server, signal.SIGSTOP)  # delays the replies
             thread = interrupt_when(lambda: True)
@@ -66,7 +60,7 @@ def test_an_interrupted_reset_does_not_mix_up_replies():
             thread.join()
             os.kill(fork_server, signal.SIGCONT)
         assert trace(env) == expected
-        assert fork_server_pid() == fork_server
+        assert fork_server_of_races()._process.pid == fork_server
         other.step(dict.fromkeys(other.agents, 0))
         # Races of interrupted requests end by themselves.
         assert wait_until(lambda: len(children_of(fork_server)) == 2)
@@ -91,7 +85,7 @@ def test_a_reset_recovers_from_an_interrupted_vector_step():
     with pytest.raises(stkzoo.ApiOrderError, match="reset"):
         envs.step(actions)
     assert seen() == expected
-    assert wait_until(lambda: stopped not in children_of(fork_server_pid()))
+    assert wait_until(lambda: stopped not in children_of(fork_server_of_races()._process.pid))
     envs.close()
 
 

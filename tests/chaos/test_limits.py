@@ -20,7 +20,13 @@ from stkzoo import EngineCrashed, EngineError, StkzooError, race_v0
 from stkzoo.engine import fork_client
 from tests.chaos.forms import digest
 from tests.support.paths import AGENTS, ROOT
-from tests.support.processes import children_of, process_exists, run_program, wait_until
+from tests.support.processes import (
+    children_of,
+    fork_server_of_races,
+    process_exists,
+    run_program,
+    wait_until,
+)
 
 OPTIONS = {"num_kart": 2, "track": "olivermath", "view": "flattened_discrete"}
 
@@ -35,11 +41,6 @@ def step(env):
 
 def trace(env):
     return digest([env.reset(seed=1), *(step(env) for _ in range(20))])
-
-
-def fork_server_pid():
-    (fork_server,) = fork_client._fork_servers.values()
-    return fork_server._process.pid
 
 
 # ---------------------------------------------------------------------- open files
@@ -80,7 +81,7 @@ def test_a_fork_server_without_free_file_descriptors_says_so_and_its_races_conti
     with make() as env, make() as other:
         expected = trace(env)
         other.reset(seed=1)
-        fork_server = fork_server_pid()
+        fork_server = fork_server_of_races()._process.pid
         used = len(os.listdir(f"/proc/{fork_server}/fd"))
         _, hard = resource.prlimit(fork_server, resource.RLIMIT_NOFILE)
         resource.prlimit(fork_server, resource.RLIMIT_NOFILE, (used, hard))
@@ -88,7 +89,7 @@ def test_a_fork_server_without_free_file_descriptors_says_so_and_its_races_conti
             env.reset(seed=1)
         step(other)
         resource.prlimit(fork_server, resource.RLIMIT_NOFILE, (hard, hard))
-        assert fork_server_pid() == fork_server
+        assert fork_server_of_races()._process.pid == fork_server
         assert trace(env) == expected
 
 
@@ -119,7 +120,7 @@ def test_a_game_without_memory_fails_only_its_own_race():
 def test_a_fork_server_without_memory_raises_an_error_and_recovers():
     with make() as env:
         expected = trace(env)
-        fork_server = fork_server_pid()
+        fork_server = fork_server_of_races()._process.pid
         _, hard = resource.prlimit(fork_server, resource.RLIMIT_AS)
         limit = memory_of(fork_server) + (4 << 20)
         resource.prlimit(fork_server, resource.RLIMIT_AS, (limit, hard))
@@ -312,7 +313,7 @@ def test_an_environment_can_move_between_threads():
 def test_races_in_threads_recover_when_they_are_killed():
     with make() as env:
         expected = trace(env)
-    fork_server, stop, lost = fork_server_pid(), threading.Event(), []
+    fork_server, stop, lost = fork_server_of_races()._process.pid, threading.Event(), []
 
     def race():
         with make() as env:
@@ -340,5 +341,5 @@ def test_races_in_threads_recover_when_they_are_killed():
         thread.join(60)
     assert lost == []
     assert kills == 20
-    assert fork_server_pid() == fork_server
+    assert fork_server_of_races()._process.pid == fork_server
     assert wait_until(lambda: not children_of(fork_server))

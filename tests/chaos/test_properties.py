@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 
 import stkzoo
 from stkzoo import ActionError, AgentSpec, ConfigError, StkzooError, race_v0
-from stkzoo.engine import fork_client
 from stkzoo.race import RaceSettings, run_race
 from stkzoo.views import VIEWS
+from tests.support.processes import fork_server_of_races
 
 EXAMPLES = int(os.environ.get("STKZOO_EXAMPLES", "30"))
 QUICK = settings(
@@ -116,9 +116,9 @@ def one_fork_server():
     """Checks that the same fork server survives all tests of this module."""
     with race_v0.parallel_env(num_kart=1, track=TRACKS[0]) as env:
         env.reset(seed=1)
-        (fork_server,) = fork_client._fork_servers.values()
+        fork_server = fork_server_of_races()
         yield
-        assert list(fork_client._fork_servers.values()) == [fork_server]
+        assert fork_server_of_races() is fork_server
         assert fork_server._process.poll() is None
         env.step({"kart_0": env.action_space("kart_0").sample()})
 

@@ -9,6 +9,9 @@ import textwrap
 import time
 from pathlib import Path
 
+from stkzoo.engine import fork_client
+from stkzoo.engine.assets import find_assets
+
 
 def run_program(code, **options):
     """Runs Python code in a new process; returns the finished process with its output."""
@@ -27,6 +30,11 @@ def process_exists(pid):
         return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
     except (FileNotFoundError, ProcessLookupError):
         return False
+
+
+def fork_server_of_races():
+    """Returns this program's fork server for the installed game data; tests may start others."""
+    return fork_client._fork_servers[find_assets().root]
 
 
 def children_of(pid):
