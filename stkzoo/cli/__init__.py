@@ -110,7 +110,10 @@ def _run(words: list[str]) -> int:
     except StkzooError as error:
         print(f"stkzoo: {plain_text(str(error))}", file=sys.stderr)  # it may name strange files
         return 1
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, RuntimeError) as error:
+        # Python up to 3.11 raises a RuntimeError if an interrupt comes in a __set_name__.
+        if not any(isinstance(one, KeyboardInterrupt) for one in (error, error.__cause__)):
+            raise
         print("stkzoo: interrupted", file=sys.stderr)
         return INTERRUPTED
 

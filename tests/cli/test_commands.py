@@ -141,6 +141,18 @@ def test_a_command_that_is_told_to_end_stops_like_after_ctrl_c(name):
     assert done.stderr == "stkzoo: interrupted\n"
 
 
+def test_an_interrupt_while_a_class_is_made_is_no_other_error(monkeypatch, capsys):
+    """Imports make classes. Python up to 3.11 raises a RuntimeError."""
+
+    class Interrupting:
+        def __set_name__(self, owner, name):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(stkzoo.cli, "_exit_code", lambda _: type("C", (), {"x": Interrupting()}))
+    assert main(["karts"]) == 130
+    assert capsys.readouterr().err == "stkzoo: interrupted\n"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 def test_the_second_signal_ends_a_command_at_once_but_not_the_echo_of_the_first():
     assert ended("SIGTERM", "0").returncode == 128 + signal.SIGTERM
