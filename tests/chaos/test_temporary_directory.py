@@ -8,6 +8,7 @@ import threading
 import pytest
 
 from stkzoo._temporary import LockedTemporaryDirectory, remove_stale_directories
+from tests.support.processes import run_program
 
 PROGRAM = """
 import os, time
@@ -17,6 +18,8 @@ folder = LockedTemporaryDirectory("test")
 print(folder.path, flush=True)
 time.sleep(60)
 """
+
+IMPORTS = "import os, sys\nfrom stkzoo._temporary import LockedTemporaryDirectory\n"
 
 
 @pytest.fixture(autouse=True)
@@ -70,13 +73,10 @@ def test_the_next_program_removes_a_released_folder(tmp_path):
     assert names(tmp_path) == []
 
 
-def run_program(code):
-    head = "import os, sys\nfrom stkzoo._temporary import LockedTemporaryDirectory\n"
-    return subprocess.run([sys.executable, "-c", head + code], check=True)
-
-
 def test_a_program_removes_its_open_folders_at_its_end(tmp_path):
-    run_program("LockedTemporaryDirectory('first'), LockedTemporaryDirectory('second')")
+    run_program(
+        IMPORTS + "LockedTemporaryDirectory('one'), LockedTemporaryDirectory('two')", check=True
+    )
     assert names(tmp_path) == []
 
 
@@ -95,7 +95,7 @@ try:
 except KeyboardInterrupt:
     assert os.listdir({str(tmp_path)!r})
 """
-    run_program(code)
+    run_program(IMPORTS + code, check=True)
     assert names(tmp_path) == []
 
 
@@ -107,7 +107,7 @@ if not os.fork():
 os.wait()
 assert folder.path.is_dir()
 """
-    run_program(code)
+    run_program(IMPORTS + code, check=True)
 
 
 def test_nothing_else_is_removed(tmp_path):

@@ -48,7 +48,7 @@ class Outcome:
         fault: the fault.
         injected: whether a process was hit.
         survived: whether all checks passed afterwards.
-        answer: name of the error that the form raised, or ``"went on"`` or ``"mended"``.
+        answer: name of the error that the form raised, or ``"went on"`` or ``"recovered"``.
         seconds: time until that answer [s].
         resets: number of resets until the form raced again.
         problem: description of the failed check.
@@ -140,7 +140,7 @@ class Trials:
                 getattr(form, fault.moment)()
         except (StkzooError, KeyboardInterrupt) as error:
             return type(error).__name__
-        return "mended" if form.num_crashes > before else "went on"
+        return "recovered" if form.num_crashes > before else "went on"
 
     def _race_again(self, form: Form) -> int:
         """Resets until the form's race equals the recorded one; returns the number of resets."""

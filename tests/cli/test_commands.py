@@ -141,7 +141,7 @@ def test_a_command_that_is_told_to_end_stops_like_after_ctrl_c(name):
     assert done.stderr == "stkzoo: interrupted\n"
 
 
-def test_an_interrupt_while_a_class_is_made_is_no_other_error(monkeypatch, capsys):
+def test_an_interrupt_while_a_class_is_made_is_reported_as_an_interrupt(monkeypatch, capsys):
     """Imports make classes. Python up to 3.11 raises a RuntimeError."""
 
     class Interrupting:
