@@ -1,4 +1,4 @@
-"""Tables of ``stkzoo suite``: tasks, the population, and entries."""
+"""Tables of ``stkzoo suite``: tasks, the population, entries and conduct."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from stkzoo.suite import Entry, Task
+    from stkzoo.suite import Entry, RaceConduct, Task
 
 
 def print_tasks(tasks: Sequence[Task]) -> None:
@@ -93,3 +93,23 @@ def show_entry(entry: Entry) -> None:
             f"Normalized: {entry.normalized_score:.2f}; 0 is the weakest and 1 the strongest "
             "driver that comes with stkzoo."
         )
+
+
+def show_conduct(races: Sequence[RaceConduct]) -> None:
+    """Prints the mean conduct of each driver."""
+    from stkzoo.cli._console import show_table
+    from stkzoo.suite import mean_conduct
+
+    rows = [
+        (
+            mean.driver,
+            str(mean.races),
+            f"{mean.contacts:.2f}",
+            "-" if mean.closing is None else f"{mean.closing:.1f}",
+            f"{mean.off_road:.1f}",
+            f"{mean.overtakes:.2f}",
+        )
+        for mean in mean_conduct(races)
+    ]
+    columns = ("driver", "races", "contacts", "closing [m/s]", "off road [s]", "overtakes")
+    show_table(columns, rows, left=("driver",), title="per race")

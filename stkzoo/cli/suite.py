@@ -11,13 +11,14 @@ Examples:
   stkzoo suite exploit pretrained:ace           train an opponent that beats it
   stkzoo suite evaluate versus my_agent/        120 races on the test tracks
   stkzoo suite verify suite/versus-my_agent     run all races again
-  stkzoo suite conduct suite/versus-my_agent    contacts and who is at fault
+  stkzoo suite conduct suite/versus-my_agent    contacts, time off the road
   stkzoo suite report results/                  compare trained algorithms
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,8 +26,7 @@ from typing import TYPE_CHECKING, cast
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
-from stkzoo.cli._conduct import ConductArguments, conduct
-from stkzoo.cli._suite_tables import print_tasks, show_entry, show_task, show_tasks
+from stkzoo.cli._suite_tables import print_tasks, show_conduct, show_entry, show_task, show_tasks
 from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
 
@@ -127,6 +127,19 @@ class VerifyArguments:
 
 
 @dataclass
+class ConductArguments:
+    """Options of ``stkzoo suite conduct``.
+
+    Attributes:
+        replays: replays, or folders of entries or other batches with replays
+        json: write JSON to stdout: each race with its karts and contacts
+    """
+
+    replays: tuple[str, ...] = positional(metavar="ENTRY_OR_REPLAY")
+    json: bool = False
+
+
+@dataclass
 class SuiteReportArguments:
     """Options of ``stkzoo suite report``.
 
@@ -143,8 +156,8 @@ def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     from stkzoo.suite import EntryPlan
 
-    listing, training, exploitation, evaluation, verification, judging, reports = add_actions(
-        parser, _list, _train, _exploit, _evaluate, _verify, conduct, _report
+    listing, training, exploitation, evaluation, verification, conduct, reports = add_actions(
+        parser, _list, _train, _exploit, _evaluate, _verify, _conduct, _report
     )
     add_options(listing, ListArguments)
     add_options(training, TrainArguments)
@@ -153,8 +166,8 @@ def add_arguments(parser: CommandParser) -> None:
     add_batch_options(evaluation, EntryPlan.decided)
     add_options(verification, VerifyArguments)
     add_options(verification, BatchArguments)
-    add_options(judging, ConductArguments)
-    add_options(judging, BatchArguments)
+    add_options(conduct, ConductArguments)
+    add_options(conduct, BatchArguments)
     add_options(reports, SuiteReportArguments)
 
 
@@ -317,6 +330,37 @@ def _verify(arguments: argparse.Namespace) -> int:
         return code
     show_entry(entry)
     say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
+    return code
+
+
+@usage_errors
+def _conduct(arguments: argparse.Namespace) -> int:
+    """Show how karts behave: contacts, time off the road, overtakes.
+
+    Runs recorded races again, bit for bit, and counts the environment's events of each kart. The
+    closing speed is the speed of a kart toward the other one before they touch. All other numbers
+    are means per race.
+
+    Examples:
+      stkzoo race heuristic ai ai --seed 1 --replay race.stkz
+      stkzoo suite conduct race.stkz
+      stkzoo suite conduct suite/versus-my_agent --jobs 1
+      stkzoo suite conduct race.stkz --json        each contact with its step
+
+    exit codes:
+      0 success, 1 a replay is damaged or not reproducible, 2 invalid command
+      line, 130 interrupted
+    """
+    from stkzoo.cli._batch import run_replays
+    from stkzoo.suite import measure_conduct
+
+    races, code = run_replays(arguments, partial(measure_conduct, arguments.replays))
+    if races is None:
+        return code
+    if arguments.json:
+        print(json.dumps([json.loads(race.to_json()) for race in races], indent=2))
+    else:
+        show_conduct(races)
     return code
 
 

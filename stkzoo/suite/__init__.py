@@ -11,7 +11,7 @@ Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")
 
 from stkzoo.suite.algorithms import ALGORITHMS, can_learn
 from stkzoo.suite.conduct import (
-    JudgedContact,
+    Contact,
     KartConduct,
     MeanConduct,
     RaceConduct,
@@ -46,11 +46,11 @@ __all__ = [
     "TASKS",
     "About",
     "Baselines",
+    "Contact",
     "Entry",
     "EntryPlan",
     "EntryRefused",
     "FlatTask",
-    "JudgedContact",
     "KartConduct",
     "LearningCurve",
     "MeanConduct",
