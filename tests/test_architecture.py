@@ -113,8 +113,6 @@ def sources():
 SOURCES = sources()
 AGENT_SOURCES = [path for path in SOURCES if module_name(path).startswith("stkzoo.agents.")]
 PACKAGES = [module_name(path) for path in SOURCES if path.name == "__init__.py"]
-each_module = pytest.mark.parametrize("path", SOURCES, ids=module_name)
-each_package = pytest.mark.parametrize("package", PACKAGES)
 
 
 @functools.cache
@@ -145,13 +143,14 @@ def test_wrappers_and_agents_are_found():
     } <= modules
 
 
-@each_module
-def test_modules_import_only_from_their_layer_or_below(path):
-    module = module_name(path)
+def test_modules_import_only_from_their_layer_or_below():
     above = [
-        name
+        (module_name(path), name)
+        for path in SOURCES
         for name, _ in imports_of(path)
-        if name.split(".")[0] == "stkzoo" and name != "stkzoo" and layer_of(name) > layer_of(module)
+        if name.split(".")[0] == "stkzoo"
+        and name != "stkzoo"
+        and layer_of(name) > layer_of(module_name(path))
     ]
     assert above == []
 
@@ -162,47 +161,57 @@ def test_the_architecture_page_lists_the_layers():
     assert rows[1:] == [name for name, _ in reversed(LAYERS)]
 
 
-@each_module
-def test_only_the_engine_package_imports_pystk2(path):
-    if "pystk2" in {name.split(".")[0] for name, _ in imports_of(path)}:
-        assert module_name(path).startswith("stkzoo.engine.")
+def test_only_the_engine_package_imports_pystk2():
+    users = {
+        module_name(path)
+        for path in SOURCES
+        if "pystk2" in {name.split(".")[0] for name, _ in imports_of(path)}
+    }
+    assert [name for name in users if not name.startswith("stkzoo.engine.")] == []
 
 
-@each_module
-def test_only_agents_import_agents_and_only_tests_import_tests(path):
+def test_only_agents_import_agents_and_only_tests_import_tests():
     outside = {"tests", "benchmarks", "agents", "wrappers"}
-    if path not in AGENT_SOURCES:
-        outside.add("stkzoo.agents")
-    assert not outside & {".".join(name.split(".")[:2]) for name, _ in imports_of(path)}
+    for path in SOURCES:
+        imported = {".".join(name.split(".")[:2]) for name, _ in imports_of(path)}
+        forbidden = outside if path in AGENT_SOURCES else {*outside, "stkzoo.agents"}
+        assert not forbidden & imported, module_name(path)
 
 
 # ---------------------------------------------------------------------- public names
 
 
-@each_package
-def test_a_package_lists_what_it_exports(package):
-    exported = getattr(importlib.import_module(package), "__all__", None)
-    assert exported is not None, "give it __all__, empty if its modules are imported by name"
-    assert [name for name in exported if name.startswith("_") and name != "__version__"] == []
-    assert sorted(exported) == sorted(set(exported))
-    module = importlib.import_module(package)
-    assert [name for name in exported if not hasattr(module, name)] == []
+def test_a_package_lists_what_it_exports():
+    for package in PACKAGES:
+        module = importlib.import_module(package)
+        exported = getattr(module, "__all__", None)
+        assert exported is not None, f"{package}: give it __all__, empty if nothing is exported"
+        unfit = [
+            name
+            for name in exported
+            if (name.startswith("_") and name != "__version__") or not hasattr(module, name)
+        ]
+        assert unfit == [], package
+        assert len(exported) == len(set(exported)), package
 
 
-@each_package
-def test_names_that_a_package_reexports_are_in_its_list(package):
-    path = next(
-        path for path in SOURCES if module_name(path) == package and path.stem == "__init__"
-    )
-    taken, used = set(), set()
+def test_names_that_a_package_reexports_are_in_its_list():
+    for path in SOURCES:
+        if path.stem == "__init__":
+            assert unlisted_names(path) == set(), module_name(path)
+
+
+def unlisted_names(path):
+    """Returns the names that a package takes from its modules, but does not list."""
+    taken, used, package = set(), set(), module_name(path)
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.ImportFrom) and (node.level or node.module.startswith("stkzoo")):
             taken |= {alias.asname or alias.name for alias in node.names}
         elif isinstance(node, ast.Name):
             used.add(node.id)
-    found = importlib.import_module(package)
-    others = {name for name in taken - used if not name.startswith("_")} - {*found.__all__, "*"}
-    assert {name for name in others if f"{package}.{name}" not in sys.modules} == set()
+    listed = importlib.import_module(package).__all__
+    others = {name for name in taken - used if not name.startswith("_")} - {*listed, "*"}
+    return {name for name in others if f"{package}.{name}" not in sys.modules}
 
 
 def is_public(module, name):
@@ -221,9 +230,13 @@ def private_imports_of(path):
             yield from ((module, name) for name in names if not is_public(module, name))
 
 
-@pytest.mark.parametrize("path", AGENT_SOURCES, ids=module_name)
-def test_agents_use_public_names_only(path):
-    private = [(home, name) for home, name in private_imports_of(path) if home not in NOT_EXPORTED]
+def test_agents_use_public_names_only():
+    private = [
+        (module_name(path), home, name)
+        for path in AGENT_SOURCES
+        for home, name in private_imports_of(path)
+        if home not in NOT_EXPORTED
+    ]
     assert private == []
 
 
