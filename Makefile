@@ -19,12 +19,13 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser engine graphics sandbox help race test test-fast sanitize check bench docs pictures site wheel clean
+.PHONY: browser engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures site wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
-	@echo "make test    set everything up and run all tests"
+	@echo "make test    set everything up and run the tests: one case of each kind, 12 minutes"
 	@echo "make test-fast  the quick tests: every package, two minutes"
+	@echo "make test-all  the tests with all cases of each kind"
 	@echo "make sanitize  the kernel's tests under AddressSanitizer and UBSan (gcc, Linux)"
 	@echo "make check   lint, format, types and spelling"
 	@echo "make bench   measure speed and memory"
@@ -39,14 +40,20 @@ race: $(VENV)/.core engine
 	$(BIN)/stkzoo assets install
 	$(BIN)/stkzoo race --demo
 
+# Per commit: one case of each kind. pyproject.toml describes the markers.
 test: $(VENV)/.dev engine graphics browser sandbox
 	$(BIN)/stkzoo assets install
-	$(PYTEST) $(ARGS)
+	$(PYTEST) -m "not matrix" $(ARGS)
 
 # Tests every package with the real engine, in two minutes on two cores.
 test-fast: $(VENV)/.dev engine
 	$(BIN)/stkzoo assets install
-	$(PYTEST) -m "not slow" $(ARGS)
+	$(PYTEST) -m "not slow and not matrix" $(ARGS)
+
+# Every night: all cases.
+test-all: $(VENV)/.dev engine graphics browser sandbox
+	$(BIN)/stkzoo assets install
+	$(PYTEST) $(ARGS)
 
 # Builds the C kernel with checks of addresses, alignment and undefined behavior, in a copy of this
 # checkout. An invalid access ends its process, also if that is a game process, so the test fails.

@@ -65,7 +65,7 @@ LAYERS = [
     ("views", ["stkzoo.views", "stkzoo.wrappers", "stkzoo.kernel.reference.racing_observer"]),
     ("drivers", ["stkzoo.drivers"]),
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
-    ("front", ["stkzoo", "stkzoo.compat", "stkzoo._pystk2_gymnasium", "stkzoo.checks"]),
+    ("front", ["stkzoo", "stkzoo.compat", "stkzoo._pystk2_gymnasium"]),
     ("race", ["stkzoo.race", "stkzoo.play", "stkzoo.sb3"]),
     ("evaluation", ["stkzoo.evaluation", "stkzoo.suite"]),
     ("agents", ["stkzoo.agents"]),

@@ -119,10 +119,8 @@ def test_a_forged_result_in_a_replay_is_detected(tmp_path):
     assert not play_replay(load_replay(file)).is_exact
 
 
-#: Modules that unpickle bytes. Both ends belong to the same program or to its checks.
+#: Modules that unpickle bytes. Both ends belong to the same program.
 UNPICKLING = {
-    "stkzoo/checks/processes.py",
-    "stkzoo/checks/determinism.py",
     "stkzoo/drivers/policy.py",  # copies a policy of this program, in memory
 }
 RUNNING = {"eval", "exec", "compile"}

@@ -16,8 +16,8 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import stkzoo
 from stkzoo import ActionError, AgentSpec, CameraMode, ConfigError, make_stkrace_vec, race_v0
-from stkzoo.checks.play import fingerprint
 from stkzoo.env.gymnasium_api import STKRaceEnv
+from tests.support.playing import fingerprint
 
 SINGLE_IDS = [
     f"supertuxkart/{name}-v0"

@@ -13,7 +13,6 @@ from gymnasium.envs.registration import EnvSpec
 
 import stkzoo
 from stkzoo import race_v0
-from stkzoo.checks.play import fingerprint
 from stkzoo.views import VIEWS
 from stkzoo.wrappers import (
     CameraObservations,
@@ -25,6 +24,7 @@ from stkzoo.wrappers import (
     OnlyContinuousActionsWrapper,
     PolarObservations,
 )
+from tests.support.playing import fingerprint
 
 RACE = {"track": "lighthouse", "num_kart": 2}
 NAMES = (

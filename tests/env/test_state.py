@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from stkzoo import AgentSpec, race_v0
-from stkzoo.checks.play import fingerprint
 from stkzoo.engine import fork_client
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import (
@@ -27,6 +26,7 @@ from stkzoo.errors import (
     EngineError,
     EngineTimeout,
 )
+from tests.support.playing import fingerprint
 from tests.support.processes import children_of, process_exists, run_program, wait_until
 
 SPECS = [AgentSpec(), AgentSpec(use_ai=True), AgentSpec()]

@@ -13,13 +13,13 @@ from stkzoo.engine import fork_client
 from stkzoo.engine.assets import find_assets
 
 
-def run_program(code, **options):
+def run_program(code, timeout=60, **options):
     """Runs Python code in a new process; returns the finished process with its output."""
     return subprocess.run(
         [sys.executable, "-c", textwrap.dedent(code)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=timeout,
         **options,
     )
 

@@ -1,0 +1,28 @@
+"""Views to test: one for each mechanism in every run, and all of them in ``make test-all``."""
+
+import pytest
+from gymnasium.wrappers import TransformObservation
+
+from stkzoo.views import VIEWS
+
+#: A view with lists, one with a dict, one with flat vectors, and the view of the learned drivers.
+MECHANISMS = ("full", "simple", "flattened_discrete", "racing")
+
+
+def walked(env):
+    """A view with a wrapper that does not compile, so it runs agent by agent."""
+    env = VIEWS["flattened_discrete"](env)
+    return TransformObservation(env, dict, env.observation_space)
+
+
+def marked(values, kept):
+    """Returns values for ``parametrize``; only ``make test-all`` runs those that are not kept."""
+    return [
+        value if value in kept else pytest.param(value, marks=pytest.mark.matrix)
+        for value in values
+    ]
+
+
+BUILT_IN = marked(tuple(VIEWS), MECHANISMS)
+each_view = pytest.mark.parametrize("view", BUILT_IN)
+each_view_and_a_walked_one = pytest.mark.parametrize("view", [*BUILT_IN, walked])
