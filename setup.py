@@ -1,7 +1,4 @@
-"""Builds the C kernel, and the functions of the C library that races use.
-
-Both are optional: if they cannot be built, the installation continues.
-"""
+"""Builds the C kernel, and the functions of the C library that races use."""
 
 import sys
 
@@ -46,7 +43,6 @@ _KERNEL = Extension(
     # Hidden functions: the kernel then calls its own libm, not that of the system.
     extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
     libraries=_LIBRARIES,
-    optional=True,
 )
 # Not a Python module: the dynamic linker loads it into engine processes.
 _LIBM = Extension(
@@ -54,7 +50,6 @@ _LIBM = Extension(
     sources=["stkzoo/kernel/libm.c"],
     extra_compile_args=_FLAGS,
     libraries=_LIBRARIES,
-    optional=True,
 )
 
 setup(ext_modules=[_KERNEL, _LIBM] if _IS_LINUX else [_KERNEL])

@@ -54,7 +54,6 @@ class Spec:
         num_agents: number of karts driven by actions; the game drives the others.
         subprocess: whether the game runs in a separate process.
         cores: cores that the contender may use; empty for all.
-        kernel: whether the contender may use stkzoo's compiled kernel.
         events: whether the contender, with the api ``parallel``, counts events.
     """
 
@@ -65,7 +64,6 @@ class Spec:
     num_agents: int = 3
     subprocess: bool = False
     cores: tuple[int, ...] = ()
-    kernel: bool = True
     events: bool = False
 
 
@@ -150,7 +148,6 @@ class Contender(Interpreter):
     def __init__(self, spec: Spec) -> None:
         self.spec = spec
         env = os.environ | (engine_variables() if spec.kind != "stkzoo" else {})
-        env |= {} if spec.kernel else {"STKZOO_KERNEL": "off"}
         super().__init__(str(spec), ["-W", "ignore", "-m", "benchmarks.bench_contenders"], env)
         self._send(asdict(spec))
 

@@ -9,8 +9,8 @@ distance, bit for bit. The ratio of a step is its time over the time spent insid
 ``pystk2.Race.step`` in that step. Compilation and the first steps are not counted.
 
 There are three groups. ``parallel`` is stkzoo's ParallelEnv in each view with all karts as agents,
-also with events and without the compiled kernel. ``multi`` is the id multi-full-v0 with all karts
-as agents, in stkzoo and in the reference. ``single`` are the ids with one agent in each view of the
+also with events. ``multi`` is the id multi-full-v0 with all karts as agents, in stkzoo and in the
+reference. ``single`` are the ids with one agent in each view of the
 reference, in both; the game drives the other karts.
 
 Actions of the views ``control`` and ``flattened_control`` are a speed and a steering angle. Their
@@ -79,11 +79,9 @@ def matches(options: argparse.Namespace) -> Iterator[Lineup]:
 
 
 def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dict[str, Spec]:
-    def spec(
-        kind: str, subprocess: bool = False, kernel: bool = True, events: bool = False
-    ) -> Spec:
+    def spec(kind: str, subprocess: bool = False, events: bool = False) -> Spec:
         num_agents = 1 if group == "single" else num_kart
-        return Spec(kind, group, view, num_kart, num_agents, subprocess, pinned, kernel, events)
+        return Spec(kind, group, view, num_kart, num_agents, subprocess, pinned, events)
 
     specs = {} if driving_style(view) == PHYSICAL else {"engine": spec("bare")}
     specs |= {
@@ -92,7 +90,6 @@ def _specs(group: str, view: str, num_kart: int, pinned: tuple[int, ...]) -> dic
     }
     if group == "parallel":
         specs["stkzoo, events"] = spec("stkzoo", events=True)
-        specs["stkzoo, no kernel"] = spec("stkzoo", kernel=False)
     # The reference's fixed-size views fail in a race without other karts.
     if group == "multi" or (group == "single" and (num_kart > 1 or view == "full")):
         specs["reference, in process"] = spec("reference")

@@ -65,7 +65,7 @@ _INSTRUMENTED = [
     "stkzoo.evaluation.batch.plan",
     "stkzoo.evaluation.benchmark",
     "stkzoo.drivers.codec",
-    "stkzoo.kernel.reference.messages",
+    "tests.oracle.messages",
     "stkzoo.race.replay.file",
     "stkzoo.race.result",
     "stkzoo.evaluation.tournament.plan",

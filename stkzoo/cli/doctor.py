@@ -37,7 +37,6 @@ from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.engine.process import engine_environment
 from stkzoo.errors import AssetError
-from stkzoo.kernel import IS_COMPILED
 
 _GRAPHICS_REMEDY = "sudo apt install libegl1 libgl1 libgl1-mesa-dri"
 
@@ -45,8 +44,6 @@ _SANDBOX_REMEDY = (
     "install bubblewrap 0.8 or later (sudo apt install bubblewrap) and allow user namespaces, see "
     "docs/reference/agents.md"
 )
-
-_KERNEL_REMEDY = "install a C compiler and Python's headers (python3-dev), then stkzoo again"
 
 _PROBE = """\
 import pystk2
@@ -144,7 +141,6 @@ def _diagnose() -> list[Finding]:
         _look("headless pack", partial(_pack, f"{prefix}stkzoo assets pack"), install),
         _look("full data", _full_data, install),
         _look("fork", _fork, "use Linux"),
-        _look("kernel", _kernel, _KERNEL_REMEDY),
         _look("sandbox of agents", _sandbox, _SANDBOX_REMEDY),
         _look("3D graphics", _graphics, _GRAPHICS_REMEDY),
         _look("display", _display, "run in a graphical session, or under xvfb-run"),
@@ -249,14 +245,6 @@ def _fork() -> str:
     if not (hasattr(os, "fork") and sys.platform.startswith("linux")):
         raise NotFound("each race starts a new game process")
     return "races start in milliseconds"
-
-
-def _kernel() -> str:
-    if os.environ.get("STKZOO_KERNEL") == "off":
-        raise NotFound("turned off: numpy replaces it", "unset STKZOO_KERNEL")
-    if not IS_COMPILED:
-        raise NotFound("not compiled: steps are slower")
-    return "compiled"
 
 
 def _sandbox() -> str:

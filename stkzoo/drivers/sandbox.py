@@ -55,7 +55,7 @@ _TRIAL = (
     "os.execv(sys.argv[1], sys.argv[1:])"
 )
 #: Environment variables that agents get. Others may contain secrets.
-_VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH", "STKZOO_KERNEL")
+_VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH")
 #: Environment variable that is set in processes that share the machine with other races.
 SHARED_CORES = "STKZOO_SHARED_CORES"
 #: Prefixes of the lines of a ``.pth`` file that are not folders: code and comments.

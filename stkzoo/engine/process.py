@@ -44,7 +44,7 @@ _TOKEN_BYTES = 32
 _ADDR_NO_RANDOMIZE, _CURRENT_PERSONALITY = 0x0040000, 0xFFFFFFFF
 
 #: Functions of the C library with the same results in all its versions (``stkzoo/kernel/libm.c``).
-#: The file is absent if stkzoo was installed without a compiler.
+#: Only Linux has the file.
 LIBM = Path(__file__).with_name("_libm" + EXTENSION_SUFFIXES[0])
 
 #: Environment variables that limit numerical libraries to one thread.

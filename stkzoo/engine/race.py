@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,17 @@ import numpy.typing as npt
 
 from stkzoo.config import NORMAL, TIME_TRIAL
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.snapshot import (
+    CONTROLS,
+    HEADER_DTYPE,
+    ITEM_DTYPE,
+    KART_DTYPE,
+    Snapshot,
+)
 from stkzoo.engine.starting import put_karts
 from stkzoo.engine.track import encode_track
 from stkzoo.errors import EngineError
 from stkzoo.kernel import GameStepper
-from stkzoo.kernel.reference import game_stepper
 from stkzoo.names import AttachmentType, CameraMode, ItemType, Phase, PowerupType
 
 #: Maximum number of steps before the phase READY; a race needs 31 at a step size of 0.1 s.
@@ -27,6 +33,21 @@ _MAX_WARMUP_STEPS = 100_000
 _LONGEST_NAME = 20
 #: The engine's names of the modes.
 _GAME_MODES = {NORMAL: "NORMAL_RACE", TIME_TRIAL: "TIME_TRIAL"}
+#: What to do if the engine differs from the one that stkzoo knows.
+_REMEDY = "install PySuperTuxKart2==0.7.4 or a newer stkzoo"
+#: The engine's names of record fields, where they differ from the field's name.
+_ATTRIBUTES = {
+    "attachment_time_left": "attachment.time_left",
+    "attachment_type": "attachment.type.value",
+    "powerup_num": "powerup.num",
+    "powerup_type": "powerup.type.value",
+    "type": "type.value",
+}
+#: Read all fields of a record in order, except for a kart's last field, its control.
+_item_of, _kart_of = (
+    attrgetter(*(_ATTRIBUTES.get(name, name) for name in names))
+    for names in (ITEM_DTYPE.names or (), (KART_DTYPE.names or ())[:-1])
+)
 _is_initialized = False
 
 
@@ -99,7 +120,7 @@ def _check_numbers(pystk2: Any) -> None:
         if found != expected:
             raise EngineError(
                 f"this PySuperTuxKart2 numbers its {ours.__name__} as {found}, stkzoo knows "
-                f"{expected}; install PySuperTuxKart2==0.7.4 or a newer stkzoo"
+                f"{expected}; {_REMEDY}"
             )
 
 
@@ -117,7 +138,9 @@ class GameRace:
         self._make_action = pystk2.Action
         self._actions = [self._make_action() for kart in setup.karts if not kart.is_bot]
         phases = Phase.READY_PHASE, Phase.SET_PHASE, Phase.GO_PHASE
-        self._phases = {getattr(pystk2.WorldState.Phase, ours.name): ours for ours in phases}
+        self._phases: dict[Any, int] = {
+            getattr(pystk2.WorldState.Phase, ours.name): ours for ours in phases
+        }
         self._reporting = tuple(i for i, kart in enumerate(setup.karts) if kart.reports_control)
         self._race = pystk2.Race(race_config(setup))
         self._race.start()
@@ -164,8 +187,8 @@ class GameRace:
         """Function that serves step requests until another request arrives, which it returns.
 
         Its argument is the descriptor of one end of :func:`stkzoo.engine.wire.pair`, without a
-        timeout. It raises EOFError when the other end is closed. ``None`` if the stepper of this
-        race has no such function.
+        timeout. It raises EOFError when the other end is closed. ``None`` on Windows, whose sockets
+        are no descriptors.
         """
         return getattr(self._stepper, "serve", None)
 
@@ -173,21 +196,40 @@ class GameRace:
         """Ends the race. Do not call any other method afterwards."""
         self._race.stop()
 
-    def _new_stepper(self) -> Any:
+    def _new_stepper(self) -> GameStepper:
         """Returns the object that steps and reads the race.
 
-        The compiled stepper reads the engine's memory block. If it is not available or its result
-        differs, the slower reference reads the engine's attributes one by one.
+        Raises:
+            EngineError: the engine's block of memory, which it reads, differs from the attributes.
         """
-        what: tuple[Any, ...] = self._race, self._world, self._actions, CONTROLS
-        what += self._phases, Phase.RACE_PHASE, self._reporting
-        by_attribute = game_stepper.GameStepper(*what)
+        engine = self._race, self._world, self._actions
         try:
-            by_block = GameStepper(*what)
-            is_right = by_block.read(True) == by_attribute.read(True)
+            stepper = GameStepper(
+                *engine, CONTROLS, self._phases, Phase.RACE_PHASE, self._reporting
+            )
+            is_right = stepper.read(True) == self.read_attributes(True).data
         except (AttributeError, TypeError, ValueError):
             is_right = False
-        return by_block if is_right else by_attribute
+        if not is_right:
+            raise EngineError(f"this PySuperTuxKart2 lays out its state differently; {_REMEDY}")
+        return stepper
+
+    def read_attributes(self, is_running: bool) -> Snapshot:
+        """Reads the current snapshot from the engine's attributes, one by one.
+
+        A step reads the engine's block of memory, which is much faster, but whose layout the engine
+        does not guarantee.
+        """
+        world = self._world
+        karts = np.array([(*_kart_of(kart), (0.0,) * 7) for kart in world.karts], KART_DTYPE)
+        items = np.array([_item_of(item) for item in world.items], ITEM_DTYPE)
+        for kart in self._reporting:
+            action = self._race.get_kart_action(kart)
+            karts[kart]["control"] = [float(getattr(action, name)) for name in CONTROLS]
+        phase = self._phases.get(world.phase, Phase.RACE_PHASE)
+        times = world.time, world.aux_ticks
+        header = np.array([(*times, phase, len(karts), len(items), is_running)], HEADER_DTYPE)
+        return Snapshot.of(header[0], karts, items)
 
 
 def race_config(setup: RaceSetup, *, has_cameras: bool = False) -> Any:

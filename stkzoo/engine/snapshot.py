@@ -1,6 +1,6 @@
 """Snapshots: the state of a race at one moment, as arrays.
 
-A :class:`Snapshot` is one block of bytes: header, karts, items. The compiled kernel reads it
+A :class:`Snapshot` is one block of bytes: header, karts, items. The kernel reads it
 directly; Python reads it with numpy's structured types. It is sent between processes as it is,
 without pickling. The rest of the library knows a race's state only from snapshots.
 """
@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import layouts
+from stkzoo.kernel import layouts, not_built
 
 #: Names of a kart's controls, in the order of the last axis of control arrays.
 CONTROLS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
@@ -78,11 +78,8 @@ _OFFSETS = [
     for name, (_, offset, *_) in (dtype.fields or {}).items()
 ]
 
-if layouts() not in (None, _OFFSETS):
-    raise ImportError(
-        "stkzoo's compiled kernel is from another version; install stkzoo again, "
-        "or set STKZOO_KERNEL=off to run without it"
-    )
+if layouts() != _OFFSETS:
+    raise not_built("its snapshots have another layout")
 
 
 @dataclass(frozen=True)

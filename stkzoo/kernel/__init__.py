@@ -1,62 +1,85 @@
-"""The inner loops of a step, implemented in C and in NumPy.
+"""The inner loops of a step, in C.
 
-Except for the named tuples, each name in this module comes from the compiled extension ``_kernel``.
-If the extension is not built or ``STKZOO_KERNEL=off`` is set, the name comes from the NumPy
-reference implementation in :mod:`stkzoo.kernel.reference`. Only this module chooses between the
-two. The stub ``_kernel.pyi`` types both, and ``tests/kernel`` compares their results.
-
-Attributes:
-    IS_COMPILED: whether the names come from the extension.
+Except for the named tuples, each name in this module comes from the extension ``_kernel``. Its stub
+``_kernel.pyi`` documents and types the names; ``tests/kernel`` compares them with implementations
+in NumPy (``tests/oracle``).
 """
 
 from __future__ import annotations
 
-import importlib
-import os
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-if TYPE_CHECKING:
-    from stkzoo.kernel._kernel import *  # noqa: F403 - all names of the stub
 
-#: The module in ``stkzoo.kernel.reference`` that implements each name. Modules are imported on
-#: first use, because some of them import packages that use the kernel themselves.
-_TWINS = {
-    "ActionReader": "action_reader",
-    "CarController": "car_controller",
-    "EventCounter": "event_counter",
-    "GameStepper": "game_stepper",
-    "KartObserver": "kart_observer",
-    "Mlp": "mlp",
-    "RacingObserver": "racing_observer",
-    "StepScorer": "step_scorer",
-    "TrackGraph": "track_graph",
-    "age_memory": "plan_memory",
-    "join_rows": "rows",
-    "layouts": "rows",
-    "look_along": "road_tracer",
-    "measure_message": "messages",
-    "present_plans": "plan_viewer",
-    "stack_vectors": "road_tracer",
-    "survey_road": "plan_viewer",
-    "trace_roads": "road_tracer",
-    "weigh_plans": "plan_weigher",
-    "write_memory": "plan_memory",
-}
+def not_built(reason: object) -> ImportError:
+    """Returns the error for an extension that is missing or out of date.
 
-__all__ = sorted(["IS_COMPILED", "MotionRules", "MotionState", "PlanMemory", "PlanTable", *_TWINS])
+    Args:
+        reason: what is wrong with it.
+    """
+    from stkzoo._installation import pip_install  # slow, and engine processes do not need it
+
+    root = Path(__file__).parents[2]
+    is_checkout = (root / "setup.py").exists()
+    remedy = pip_install(f'-e "{root}"') if is_checkout else "install stkzoo again"
+    return ImportError(f"stkzoo's C extension is not built for this code ({reason}): {remedy}")
 
 
-def _extension() -> ModuleType | None:
-    if os.environ.get("STKZOO_KERNEL") == "off":
-        return None
-    try:
-        return importlib.import_module("stkzoo.kernel._kernel")
-    except ImportError:
-        return None
+try:
+    from stkzoo.kernel._kernel import (
+        ActionReader,
+        CarController,
+        EventCounter,
+        GameStepper,
+        KartObserver,
+        Mlp,
+        RacingObserver,
+        StepScorer,
+        TrackGraph,
+        age_memory,
+        join_rows,
+        layouts,
+        look_along,
+        measure_message,
+        present_plans,
+        stack_vectors,
+        survey_road,
+        trace_roads,
+        weigh_plans,
+        write_memory,
+    )
+except ImportError as error:
+    raise not_built(error) from None
+
+__all__ = [
+    "ActionReader",
+    "CarController",
+    "EventCounter",
+    "GameStepper",
+    "KartObserver",
+    "Mlp",
+    "MotionRules",
+    "MotionState",
+    "PlanMemory",
+    "PlanTable",
+    "RacingObserver",
+    "StepScorer",
+    "TrackGraph",
+    "age_memory",
+    "join_rows",
+    "layouts",
+    "look_along",
+    "measure_message",
+    "present_plans",
+    "stack_vectors",
+    "survey_road",
+    "trace_roads",
+    "weigh_plans",
+    "write_memory",
+]
 
 
 class PlanTable(NamedTuple):
@@ -207,16 +230,3 @@ class MotionState(NamedTuple):
             np.where(self.release > 0, self.turn, 0),
         )
         return np.stack([np.asarray(column, np.float32) for column in columns], axis=-1)
-
-
-_compiled = _extension()
-IS_COMPILED = _compiled is not None
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _TWINS:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    twin = f"stkzoo.kernel.reference.{_TWINS[name]}"
-    value = getattr(_compiled or importlib.import_module(twin), name)
-    globals()[name] = value
-    return value

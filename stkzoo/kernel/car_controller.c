@@ -1,7 +1,7 @@
 /* Converts a speed or an acceleration, and a steering angle or steering speed, to throttle,
    steering and brake.
 
-   The NumPy reference implementation is stkzoo.kernel.reference.car_controller; the formulas are
+   The NumPy reference implementation is tests.oracle.car_controller; the formulas are
    those of stkzoo.wrappers.control. */
 
 #include "kernel.h"

@@ -1,6 +1,6 @@
 /* Converts a snapshot's records to agents' observations in one pass.
 
-   The NumPy reference implementation is stkzoo.kernel.reference.kart_observer. The formulas are
+   The NumPy reference implementation is tests.oracle.kart_observer. The formulas are
    those of stkzoo.mdp.observations and of the wrappers in stkzoo.wrappers. */
 
 #include "geometry.h"

@@ -1,7 +1,7 @@
 /* Declarations that the parts of the kernel share.
 
-   Every type and function has a NumPy reference implementation in stkzoo.kernel.reference. The
-   tests compare the two, and the reference runs where the kernel is not compiled. */
+   This is the code that runs: tests/kernel compares it with NumPy implementations in tests/oracle.
+   The stub _kernel.pyi has the signatures. */
 
 #ifndef STKZOO_KERNEL_H
 #define STKZOO_KERNEL_H

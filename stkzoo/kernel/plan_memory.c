@@ -1,6 +1,4 @@
-/* Updates the memory that drivers keep between steps.
-
-   The NumPy reference implementation is stkzoo.kernel.reference.plan_memory. */
+/* Updates the memory that drivers keep between steps. */
 
 #include "plan_memory.h"
 

@@ -1,6 +1,6 @@
 /* Computes the inputs of plans, and a policy's inputs from the weighed plans.
 
-   The NumPy reference implementation, stkzoo.kernel.reference.plan_viewer, documents the arrays.
+   The NumPy reference implementation, tests.oracle.plan_viewer, documents the arrays.
    The results match NumPy's bit for bit where NumPy uses fused multiply-adds. */
 
 #include "geometry.h"

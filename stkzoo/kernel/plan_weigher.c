@@ -1,7 +1,7 @@
 /* Simulates the plans of karts on the road ahead with a model of a kart, and weighs them.
 
    There are two models: arcs at constant speed, and a small network that has learned how karts
-   move. The NumPy reference implementation, stkzoo.kernel.reference.plan_weigher, documents the
+   move. The NumPy reference implementation, tests.oracle.plan_weigher, documents the
    arrays. The results match NumPy's bit for bit where NumPy uses fused multiply-adds. The network's
    results do not depend on the processor. */
 

@@ -1,6 +1,6 @@
 /* Converts a snapshot's records to the vectors of the racing view in one pass.
 
-   The NumPy reference implementation is stkzoo.kernel.reference.racing_observer. The constants,
+   The NumPy reference implementation is tests.oracle.racing_observer. The constants,
    the tables and the order of the numbers are those of stkzoo.wrappers.racing.features. */
 
 #include "geometry.h"

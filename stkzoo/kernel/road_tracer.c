@@ -1,6 +1,4 @@
-/* Builds the line of the road ahead, with evenly spaced points, from a track's segments.
-
-   The NumPy reference implementation is stkzoo.kernel.reference.road_tracer. */
+/* Builds the line of the road ahead, with evenly spaced points, from a track's segments. */
 
 #include "geometry.h"
 

@@ -1,6 +1,6 @@
 /* Computes the rewards, terminations, truncations and infos of a race's agents.
 
-   The NumPy reference implementation is stkzoo.kernel.reference.step_scorer; the formulas are those
+   The NumPy reference implementation is tests.oracle.step_scorer; the formulas are those
    of stkzoo.mdp.rewards. */
 
 #include "kernel.h"

@@ -1,6 +1,4 @@
-/* A track's segments, and the order of the segments ahead of each.
-
-   The NumPy reference implementation is stkzoo.kernel.reference.track_graph. */
+/* A track's segments, and the order of the segments ahead of each. */
 
 #include "kernel.h"
 

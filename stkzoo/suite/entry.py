@@ -20,7 +20,6 @@ from stkzoo.evaluation.batch.run import RunOptions, run_batch
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult, plan_benchmark
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind
 from stkzoo.evaluation.statistics import Estimate
-from stkzoo.kernel import IS_COMPILED
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult
 from stkzoo.race.settings import RaceSettings
@@ -254,15 +253,13 @@ def plan_entry(
 
     Raises:
         ConfigError: the task, the split or the agent does not exist, a setting is invalid, the
-            agent requires another difficulty than the races have, it talks and the task has other
-            words or none, or the kernel is not compiled and the task has races against the
-            population.
+            agent requires another difficulty than the races have, or it talks and the task has
+            other words or none.
         AssetError: the game's data is missing.
     """
     task = find_task(task) if isinstance(task, str) else task
     if split not in (TEST, TRAIN):
         raise unknown_name("split", split, (TEST, TRAIN))
-    _check_kernel(task)
     _check_level(task, agent)
     is_test = split == TEST
     base = plan_benchmark(
@@ -282,15 +279,6 @@ def plan_entry(
         population=population_digests(),
         about=about or About(),
     )
-
-
-def _check_kernel(task: Task) -> None:
-    """Refuses other decisions of the population than those of its digests."""
-    if task.has_population and not IS_COMPILED:
-        raise ConfigError(
-            f"{task.name} has races against the population, whose decisions need the compiled "
-            "kernel, which is missing or turned off; see `stkzoo doctor`"
-        )
 
 
 def _check_level(task: Task, agent: str) -> None:

@@ -13,9 +13,9 @@ from stkzoo.agents import heuristic
 from stkzoo.agents.planning.kart import RESCUE_STEPS, STEP
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.road import LINE_MARKS, MARK_SPACING, headings_of, line_of
-from stkzoo.kernel.reference.road_ahead import RoadAhead
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import surroundings_of
+from tests.oracle.road_ahead import RoadAhead
 
 SEEDS = range(1, 7)
 

@@ -120,7 +120,7 @@ def test_all_five_contenders_are_compared(trial):
     ours = {"engine", "stkzoo, in process", "stkzoo, worker"}
     theirs = {"reference, in process", "reference, subprocess"}
     assert by_group == {
-        "parallel": ours | {"stkzoo, events", "stkzoo, no kernel"},
+        "parallel": ours | {"stkzoo, events"},
         "multi": ours | theirs,
         "single": ours | theirs,
     }

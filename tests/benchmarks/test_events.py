@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.events import SCRIPTS, compare
 from benchmarks.events_races import TICKS, record
-from stkzoo.kernel.reference.event_counter import EventCounter
 from stkzoo.mdp.events import EVENTS, RaceEvents
+from tests.oracle.event_counter import EventCounter
 
 
 @pytest.fixture(scope="module")

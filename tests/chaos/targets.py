@@ -41,11 +41,11 @@ from stkzoo.evaluation import (
     plan_tournament,
     record_demonstrations,
 )
-from stkzoo.kernel.reference import messages
 from stkzoo.race import RaceResult, run_race
 from stkzoo.race.remote.access import read_servers
 from stkzoo.race.remote.keys import new_key_files, read_public, read_secret
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
+from tests.oracle import messages
 from tests.support.bombs import BOMBS, bomb
 
 __all__ = ["TARGETS", "Target"]

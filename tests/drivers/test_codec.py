@@ -17,7 +17,7 @@ from stkzoo import race_v0
 from stkzoo.drivers import codec
 from stkzoo.drivers.codec import LIMITS, Encoded, Limits, decode, encode
 from stkzoo.errors import ProtocolError
-from stkzoo.kernel.reference import messages as twin
+from tests.oracle import messages as twin
 from tests.support.bombs import BOMBS, array_bytes, bomb
 
 DTYPES = (

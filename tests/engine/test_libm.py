@@ -16,7 +16,7 @@ from stkzoo.engine.process import LIBM
 from stkzoo.engine.session import WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
 
-pytestmark = pytest.mark.skipif(not LIBM.exists(), reason="needs a compiler and Linux")
+pytestmark = pytest.mark.skipif(not LIBM.exists(), reason="needs Linux")
 #: Digests of the results of glibc 2.36 for :func:`inputs`.
 RESULTS = {
     "acosf": "014ecd37f293d756",

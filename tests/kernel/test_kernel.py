@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
-import importlib
-import inspect
 import itertools
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +18,6 @@ from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYP
 from stkzoo.engine.track import TrackMap, decode_track
 from stkzoo.errors import ActionError
 from stkzoo.kernel import (
-    IS_COMPILED,
     ActionReader,
     EventCounter,
     KartObserver,
@@ -33,17 +27,6 @@ from stkzoo.kernel import (
     join_rows,
     measure_message,
 )
-from stkzoo.kernel.reference import (
-    action_reader,
-    car_controller,
-    game_stepper,
-    messages,
-    rows,
-    track_graph,
-)
-from stkzoo.kernel.reference.kart_observer import KartObserver as KartObserverTwin
-from stkzoo.kernel.reference.racing_observer import RacingObserver as RacingObserverTwin
-from stkzoo.kernel.reference.track_graph import TrackGraph as TrackGraphTwin
 from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
@@ -57,9 +40,8 @@ from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_fe
 from stkzoo.wrappers.racing.features import KERNEL_TABLES
 from stkzoo.wrappers.racing.road import LOOKS, NUM_POINTS
 from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
+from tests import oracle
 from tests.support.bombs import BOMBS, bomb
-
-pytestmark = pytest.mark.skipif(not IS_COMPILED, reason="nothing was compiled here to compare")
 
 TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
 #: The ground is slow in NumPy, and most of all on tracks with many triangles. This one has few.
@@ -125,13 +107,12 @@ def assert_owned(observations):
 
 @pytest.fixture
 def numpy_only(monkeypatch):
-    """Returns a function that makes all later objects use the reference implementations."""
+    """Returns a function that makes all later objects use the oracle."""
 
     def turn_off():
         for user, names in USERS.items():
             for name in names:
-                twin = importlib.import_module(f"stkzoo.kernel.reference.{kernel._TWINS[name]}")
-                monkeypatch.setattr(f"stkzoo.{user}.{name}", getattr(twin, name))
+                monkeypatch.setattr(f"stkzoo.{user}.{name}", getattr(oracle, name))
         decode_track.cache_clear()
         racing_view_of.cache_clear()
         _writer.cache_clear()
@@ -144,7 +125,6 @@ def numpy_only(monkeypatch):
 
 #: The modules that use the kernel's names.
 USERS = {
-    "engine.race": ["GameStepper"],
     "engine.track": ["TrackGraph"],
     "env.episode": ["StepScorer"],
     "mdp.events": ["EventCounter"],
@@ -162,28 +142,11 @@ USERS = {
 }
 
 
-def test_every_name_has_a_tested_reference_implementation():
+def test_every_name_is_compared():
     stub = Path(kernel.__file__).with_name("_kernel.pyi").read_text()
-    assert sorted(kernel._TWINS) == sorted(re.findall(r"^(?:class|def) (\w+)", stub, re.M))
-    assert {*(name for names in USERS.values() for name in names), "layouts"} == set(kernel._TWINS)
-
-
-@pytest.mark.parametrize("name", [name for name in kernel._TWINS if name != "layouts"])
-def test_a_reference_implementation_has_the_stubs_signature(name):
-    twin = importlib.import_module(f"stkzoo.kernel.reference.{kernel._TWINS[name]}")
-    stub = ast.parse((Path(kernel.__file__).parent / "_kernel.pyi").read_text())
-    (node,) = (node for node in stub.body if getattr(node, "name", None) == name)
-    functions = node.body if isinstance(node, ast.ClassDef) else [node]
-    for function in functions:
-        is_new = function.name == "__new__"
-        made = getattr(twin, name)
-        if node is not function:
-            if function.name == "serve":  # in C only: it takes steps without Python
-                continue
-            made = made.__init__ if is_new else getattr(made, function.name)
-        theirs = [argument.arg for argument in function.args.args]
-        ours = list(inspect.signature(made).parameters)
-        assert ours[bool(is_new) :] == theirs[bool(is_new) :], function.name
+    names = re.findall(r"^(?:class|def) (\w+)", stub, re.M)
+    assert sorted(names) == sorted([*oracle.__all__, "GameStepper", "layouts"])
+    assert {name for names in USERS.values() for name in names} == {*oracle.__all__}
 
 
 @pytest.mark.slow
@@ -262,7 +225,7 @@ def test_the_car_controller_matches_its_reference_implementation(
 ):
     car = CarAction((longitudinal, steering), {"T_steer": lag}, normalize=normalize_act)
     controller = car.new_controller(CONTROLS)
-    twin = car_controller.CarController(car.act, (), (), None, (0, 1, 2), 7)
+    twin = oracle.CarController(car.act, (), (), None, (0, 1, 2), 7)
     random, count = np.random.default_rng(0), 40
     ours, theirs = (np.zeros((count, 3)) for _ in range(2))
     ours[:, 2] = theirs[:, 2] = random.choice([0.05, 0.1, 0.2], count)
@@ -376,7 +339,7 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
 def seen_by_twin(snapshot, table, who):
     """Returns the view and the surroundings of some karts from the reference implementation."""
     roads = ((table.lines, table.starts, table.along),)
-    twin = RacingObserverTwin(roads, *KERNEL_TABLES)
+    twin = oracle.RacingObserver(roads, *KERNEL_TABLES)
     view = np.empty((len(who), SIZE), np.float32)
     twin.observe(snapshot.data, 0, who, view)
     counts = ((len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3))
@@ -403,7 +366,6 @@ def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
     """Runs one lap of the game's AI, in which karts finish and leave."""
 
     def race():
-        from stkzoo.config import AgentSpec
 
         agents = [AgentSpec(use_ai=True) for _ in range(3)]
         env = race_v0.parallel_env(
@@ -525,7 +487,7 @@ def test_actions_are_read_as_by_the_wrappers(view):
     random = np.random.default_rng(0)
     plan = chains._plans["kart_0"]
     names = () if set(plan.leaves) == {""} else tuple(plan.leaves)
-    twin = action_reader.ActionReader(names, tuple(plan.leaves.values()), 7)
+    twin = oracle.ActionReader(names, tuple(plan.leaves.values()), 7)
     place = np.zeros(1, np.intp)
     (group,) = chains._roster(Seats(("kart_0",), place, place, 1)).groups
     num_taken = 0
@@ -553,7 +515,7 @@ def test_batches_of_actions_match_the_reference_implementation():
         ((-1.0, 1.0, False, 0, None),),
         ((0.0, 3.0, True, 1, table), (0.0, 1.0, True, 3, None)),
     )
-    readers = [made(("a", "b"), leaves, 4) for made in (ActionReader, action_reader.ActionReader)]
+    readers = [made(("a", "b"), leaves, 4) for made in (ActionReader, oracle.ActionReader)]
     slots, rows, num_taken = np.array([4, 0, 2]), np.array([1, 0, 3]), 0
     for _ in range(500):
         good = {"a": random.uniform(-1, 1, (5, 1)), "b": random.integers(0, 2, (5, 2))}
@@ -646,7 +608,7 @@ FIRST, TWO = np.zeros(1, np.intp), np.arange(2)
 
 
 def observe_into(observer, where, batch, who=TWO):
-    kind = TrackGraph if isinstance(observer, KartObserver) else TrackGraphTwin
+    kind = TrackGraph if isinstance(observer, KartObserver) else oracle.TrackGraph
     track = track_of([[0]], kind=kind)
     observer.observe_into(track, 1, ("tux", "gnu"), KARTS, who, where, batch)
 
@@ -687,7 +649,7 @@ def test_an_observer_checks_a_batch():
 
 
 @pytest.mark.parametrize("name", ["items_type", "paths_start", "action"])
-@pytest.mark.parametrize("made", [KartObserver, KartObserverTwin])
+@pytest.mark.parametrize("made", [KartObserver, oracle.KartObserver])
 def test_entries_of_variable_size_have_no_rows(made, name):
     with pytest.raises(ValueError, match=f"{name} has no row"):
         made((name,)).observe_into(track_of([[0]]), 1, ("tux",), KARTS, FIRST, FIRST, {name: []})
@@ -712,7 +674,7 @@ def test_a_flat_observer_checks_a_batch():
     for wrong in (vectors[:, 1:].copy(), batch, None, vectors.astype(np.float64)):
         with pytest.raises((ValueError, TypeError)):
             observe_into(joined, TWO, wrong)
-    for kind in (KartObserver, KartObserverTwin):
+    for kind in (KartObserver, oracle.KartObserver):
         with pytest.raises(IndexError, match="choice 0"):
             observe_into(kind(names, 0, 0, 0, flat=True, joined=FIRST), TWO, vectors[:, :1].copy())
 
@@ -836,7 +798,7 @@ def twin_of(track):
     begins = np.cumsum([0, *map(len, track.successors)]).astype(np.intp)
     ends = np.array([node for nodes in track.successors for node in nodes], np.intp)
     arrays = track.path_nodes, track.path_width, track.path_distance, begins, ends
-    return track_graph.TrackGraph(*arrays, track.length)
+    return oracle.TrackGraph(*arrays, track.length)
 
 
 @pytest.mark.slow
@@ -868,41 +830,6 @@ def test_the_order_ahead_is_the_same_on_any_graph(successors):
         assert track.graph.ahead(node).tolist() == twin_of(track).ahead(node).tolist()
 
 
-def test_the_snapshot_matches_the_engines_attributes():
-    agents = [AgentSpec(use_ai=True), AgentSpec(), AgentSpec()]
-    env = race_v0.parallel_env(agents=agents, num_kart=4, track="lighthouse", use_subprocess=False)
-    env.reset(seed=0)
-    race = env._session._race
-    twin = game_stepper.GameStepper(
-        race._race, race._world, [], CONTROLS, race._phases, 3, race._reporting
-    )
-    assert not isinstance(race._stepper, game_stepper.GameStepper)
-    for _ in range(45):  # in all phases
-        env.step({a: env.action_space(a).sample() for a in env.agents})
-        assert twin.read(True) == env.snapshot.data
-    with pytest.raises(ValueError, match="bytes of controls"):
-        race._stepper.step(b"1234")
-    with pytest.raises(ValueError, match="bytes of controls"):
-        twin.step(b"1234")
-    env.close()
-
-
-def test_a_race_without_the_kernel_has_the_same_snapshots(numpy_only):
-    def race():
-        env = race_v0.parallel_env(num_kart=3, track="lighthouse", use_subprocess=False)
-        env.reset(seed=0)
-        for space in env.action_spaces.values():
-            space.seed(0)
-        for _ in range(30):
-            env.step({a: env.action_space(a).sample() for a in env.agents})
-            yield env.snapshot.data
-        env.close()
-
-    with_kernel = list(race())
-    numpy_only()
-    assert list(race()) == with_kernel
-
-
 @pytest.mark.parametrize(
     "parts",
     [
@@ -916,7 +843,7 @@ def test_a_race_without_the_kernel_has_the_same_snapshots(numpy_only):
     ],
 )
 def test_joined_rows_match_the_reference_implementation(parts):
-    assert join_rows(parts) == rows.join_rows(parts)
+    assert join_rows(parts) == oracle.join_rows(parts)
 
 
 def measured(measure, data, limits=(16, 8192, 1 << 17, 1 << 21)):
@@ -930,7 +857,7 @@ def measured(measure, data, limits=(16, 8192, 1 << 17, 1 << 21)):
 def test_measured_bombs_match_the_reference_implementation(name):
     for length in (8, 100, 5000, 70_000):
         data = bomb(name, length)
-        assert measured(measure_message, data) == measured(messages.measure_message, data)
+        assert measured(measure_message, data) == measured(oracle.measure_message, data)
 
 
 @settings(deadline=None, max_examples=1000)
@@ -939,26 +866,12 @@ def test_measured_damaged_messages_match_the_reference_implementation(name, leng
     good = bomb(name, length)[:400]
     place = data.draw(st.integers(0, len(good)))
     bad = good[:place] + data.draw(st.binary(max_size=6)) + good[place + 1 :]
-    assert measured(measure_message, bad) == measured(messages.measure_message, bad)
+    assert measured(measure_message, bad) == measured(oracle.measure_message, bad)
 
 
 def test_both_implementations_refuse_invalid_arguments():
-    for make in (KartObserver, KartObserverTwin):
+    for make in (KartObserver, oracle.KartObserver):
         with pytest.raises(ValueError, match="no entry named"):
             make(("color",))
         with pytest.raises(ValueError, match="a fixed size"):
             make(("energy",), flat=True)
-
-
-def test_a_variable_turns_the_kernel_off():
-    code = (
-        "from stkzoo.kernel import IS_COMPILED, KartObserver as k; print(IS_COMPILED, k.__module__)"
-    )
-    answer = subprocess.run(
-        [sys.executable, "-c", code],
-        env={"STKZOO_KERNEL": "off", "PATH": ""},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert answer.stdout == "False stkzoo.kernel.reference.kart_observer\n"

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from stkzoo import kernel
-from stkzoo.kernel.reference import mlp
-
-pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+from tests.oracle import mlp
 
 SIZES = (50, 65, 16, 7)
 

@@ -6,9 +6,7 @@ import pytest
 from stkzoo import kernel
 from stkzoo.agents.planning.memory import MEMORY_SIZE, DriverMemory
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.kernel.reference import plan_memory
-
-pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+from tests.oracle import plan_memory
 
 
 def memory_of(chance, count):

@@ -8,14 +8,12 @@ from stkzoo.agents.planning.driver import _LOGITS, INPUT_SIZE
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.road import MARK_COUNT, MARK_SPACING, headings_of
 from stkzoo.agents.planning.worth import OwnState, plan_rules
-from stkzoo.kernel.reference import plan_viewer
 from stkzoo.wrappers.racing import SIZE
+from tests.oracle import plan_viewer
 
 RULES = plan_rules(DriverParameters())
 ITEMS, RIVALS = 8, 4
 NAMES = ("rows", "karts", "road", "items", "rivals", "scene")
-
-pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 
 
 def winding_road(chance, count):

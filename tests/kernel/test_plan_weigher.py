@@ -10,9 +10,9 @@ from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, LONGEST_DRIFT, plan_table
 from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
 from stkzoo.agents.planning.worth import plan_rules
-from stkzoo.kernel.reference import plan_weigher
-from stkzoo.kernel.reference.plan_viewer import table_rows, write_road
-from stkzoo.kernel.reference.road_ahead import RoadAhead
+from tests.oracle import plan_weigher
+from tests.oracle.plan_viewer import table_rows, write_road
+from tests.oracle.road_ahead import RoadAhead
 
 RADIUS, LOCK, SPEED, REACH = 60.0, 1.45, 25.0, 12.0
 RULES = DriverParameters()
@@ -221,7 +221,6 @@ def random_arguments(seed, count=9, motion=()):
     return table, rules, motion, rows, karts, road.astype(np.float32), items, rivals
 
 
-@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize("seed", range(20))
 def test_weigh_plans_matches_the_reference_implementation(seed):
     arguments = random_arguments(seed)
@@ -229,7 +228,6 @@ def test_weigh_plans_matches_the_reference_implementation(seed):
     np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-4)
 
 
-@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize("seed", range(20))
 def test_weigh_plans_with_the_network_matches_the_reference_implementation(seed):
     ours, theirs = weighed_by_both(random_arguments(seed, motion=learned_motion()))
@@ -246,7 +244,6 @@ def weighed_by_both(arguments):
     return ours, theirs
 
 
-@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize("part", range(1, 7))
 def test_nan_in_the_network_reaches_the_worth_of_plans(part):
     motion = tuple(array.copy() for array in learned_motion())
@@ -257,7 +254,6 @@ def test_nan_in_the_network_reaches_the_worth_of_plans(part):
     np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
 
 
-@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize("span", [np.nan, -1.0, np.inf, 1e9])
 def test_spans_that_would_never_end_are_refused(span):
     table, *arguments = random_arguments(0, count=1, motion=learned_motion())
@@ -279,7 +275,6 @@ def test_results_do_not_depend_on_the_batch(weigh, motion):
         assert (alone[:, 0] == together[:, kart]).all()
 
 
-@pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
 @pytest.mark.parametrize(
     ("place", "value", "error"),
     [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
-from stkzoo.kernel.reference.road_ahead import RoadAhead
+from tests.oracle.road_ahead import RoadAhead
 
 RADIUS = 60.0
 

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from stkzoo import kernel
-from stkzoo.kernel.reference import road_tracer
 from stkzoo.wrappers.racing.road import _RULES, LOOKS, NUM_POINTS, STEP
-
-pytestmark = pytest.mark.skipif(not kernel.IS_COMPILED, reason="the kernel is not compiled")
+from tests.oracle import road_tracer
 
 
 def segments(chance, count):

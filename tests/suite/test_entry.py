@@ -66,19 +66,6 @@ def test_the_games_ai_at_the_difficulty_of_the_races_is_an_agent(name, agent):
     assert plan_entry(name, agent).agent.source == agent
 
 
-def test_races_against_the_population_need_the_compiled_kernel(tmp_path, monkeypatch):
-    """Without it, some drivers decide differently, and an honest entry would be refused."""
-    entry = Entry(plan_entry("selfplay-5", "random"), ())
-    (tmp_path / ENTRY_FILE).write_text(entry.to_json())
-    monkeypatch.setattr("stkzoo.suite.entry.IS_COMPILED", False)
-    message = "selfplay-5 has races against the population, whose decisions need the compiled"
-    with pytest.raises(ConfigError, match=message):
-        plan_entry("selfplay-5", "random")
-    with pytest.raises(ConfigError, match=message):
-        verify_entry(tmp_path)
-    assert plan_entry("versus", "random").task == "versus"
-
-
 @pytest.mark.parametrize(
     ("about", "message"),
     [

@@ -95,7 +95,7 @@ def test_a_team_shares_its_rewards_and_hears_only_its_words():
     env.close()
 
 
-@pytest.mark.skipif(not LIBM.exists(), reason="needs a compiler and Linux")
+@pytest.mark.skipif(not LIBM.exists(), reason="needs Linux")
 @pytest.mark.parametrize("member", POPULATION, ids=lambda member: member.driver)
 def test_a_member_of_the_population_still_drives_the_same(member):
     assert behavior(member.driver) == member.digest

@@ -12,7 +12,7 @@ from stkzoo.agents.planning.plans import (
     LONGEST_DRIFT,
     plan_table,
 )
-from stkzoo.kernel.reference.plan_viewer import table_rows
+from tests.oracle.plan_viewer import table_rows
 
 TABLE = plan_table(4)
 ALL = {FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT}

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.kernel import PlanMemory
-from stkzoo.kernel.reference.road_ahead import RoadAhead
 from stkzoo.mdp.geometry import squared
+from tests.oracle.road_ahead import RoadAhead
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.kernel.reference.track_graph import TrackGraph
 from stkzoo.mdp.geometry import to_polar
 from stkzoo.mdp.observations import ai_actions, karts_motion, observe_karts
 from stkzoo.mdp.spaces import EXTRAS, kart_observation_space
+from tests.oracle.track_graph import TrackGraph
 
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]

@@ -1,4 +1,4 @@
-"""The reference implementations of functions in ``rows.c`` and ``module.c``."""
+"""The NumPy implementation of ``rows.c``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,3 @@ def join_rows(rows: tuple[Any, ...]) -> bytes | None:
         return b"".join(rows)
     except (TypeError, ValueError, BufferError):  # an array is not contiguous
         return None
-
-
-def layouts() -> None:
-    """Returns ``None``: the reference implementation has no layouts other than the dtypes."""
