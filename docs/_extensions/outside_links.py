@@ -1,7 +1,8 @@
 """Adapts links from ``docs`` to other parts of the repository, so that they work on the site.
 
-A link to a page that the site includes becomes a link to that page. A link to a folder becomes
-plain text. MyST turns links to other files into downloads.
+A link to a page that the site includes becomes a link to that page. A link to another Markdown file
+becomes a link to the repository, and a link to a folder becomes plain text. MyST turns links to
+other files into downloads.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import os
 import re
 from pathlib import Path
 from typing import Any
+
+from stkzoo._installation import repository_url
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -32,6 +35,9 @@ def inside(text: str, folder: Path) -> str:
         path = (folder / link["path"]).resolve()
         if path in PAGES:
             return f"[{link['text']}]({os.path.relpath(PAGES[path], folder)})"
+        if path.suffix == ".md" and DOCS not in path.parents:
+            page = path.relative_to(ROOT).as_posix()
+            return f"[{link['text']}]({repository_url()}/blob/main/{page}{link['place'] or ''})"
         return link["text"] if path.is_dir() and DOCS not in path.parents else link[0]
 
     return _LINK.sub(replaced, text)

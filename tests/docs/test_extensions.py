@@ -52,6 +52,8 @@ def test_links_to_published_files_become_links_within_the_site():
     assert inside("[method](../../benchmarks/README.md)", folder) == f"[method]({method})"
     assert inside("[results](../../benchmarks/results)", folder) == "results"
     assert inside("[tracks](../../stkzoo/tracks.py)", folder) == "[tracks](../../stkzoo/tracks.py)"
+    log = inside("[log](../../benchmarks/results/research-log.md#scout)", folder)
+    assert log.endswith("/blob/main/benchmarks/results/research-log.md#scout)")
     assert inside("[agents](../reference/agents.md)", folder) == "[agents](../reference/agents.md)"
 
 
