@@ -55,7 +55,7 @@ test-all: $(VENV)/.dev engine graphics browser sandbox
 	$(BIN)/stkzoo assets install
 	$(PYTEST) $(ARGS)
 
-# Builds the C kernel with checks of addresses, alignment and undefined behavior, in a copy of this
+# Builds the C extensions with checks of addresses, alignment and undefined behavior, in a copy of this
 # checkout. An invalid access ends its process, also if that is a game process, so the test fails.
 # PYTHONMALLOC=malloc allocates each object separately, so that the checks see its bounds. Leaks are
 # not reported, because Python and NumPy never free some memory.
@@ -65,7 +65,7 @@ SANITIZERS := -O1 -g -fno-omit-frame-pointer -fno-sanitize-recover=all \
 ODD_VALUES := $(addprefix tests/chaos/test_properties.py::test_any_,\
 	actions_are_accepted_or_leave_the_race_unchanged action_of_any_view_is_accepted_or_refused \
 	batch_of_actions_is_accepted_or_refused)
-SANITIZED_TESTS := tests/kernel tests/drivers/test_codec.py tests/env/test_parallel.py \
+SANITIZED_TESTS := tests/kernel tests/agents/planning tests/drivers/test_codec.py tests/env/test_parallel.py \
 	tests/env/test_events.py tests/env/test_vec.py tests/wrappers/test_chain.py $(ODD_VALUES)
 
 sanitize: $(VENV)/.dev

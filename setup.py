@@ -9,15 +9,13 @@ _IS_LINUX = sys.platform == "linux"
 _PARTS = (
     "module",
     "action_reader",
+    "arguments",
     "car_controller",
     "event_counter",
     "game_stepper",
     "kart_observer",
     "messages",
     "mlp",
-    "plan_memory",
-    "plan_viewer",
-    "plan_weigher",
     "racing_observer",
     "road_tracer",
     "rows",
@@ -36,11 +34,23 @@ else:
 _KERNEL = Extension(
     "stkzoo.kernel._kernel",
     sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
-    depends=[
-        f"stkzoo/kernel/{part}.h" for part in ("geometry", "kernel", "plan_memory", "vectors")
-    ],
+    depends=[f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel", "vectors")],
     include_dirs=[numpy.get_include()],
     # Hidden functions: the kernel then calls its own libm, not that of the system.
+    extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
+    libraries=_LIBRARIES,
+)
+_PLANNING = Extension(
+    "stkzoo.agents.planning._planning",
+    sources=[
+        *(f"agents/planning/{part}.c" for part in ("module", "memory", "viewer", "weigher")),
+        "stkzoo/kernel/arguments.c",
+    ],
+    depends=[
+        "agents/planning/planning.h",
+        *(f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel", "vectors")),
+    ],
+    include_dirs=[numpy.get_include(), "stkzoo/kernel"],
     extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
     libraries=_LIBRARIES,
 )
@@ -52,4 +62,4 @@ _LIBM = Extension(
     libraries=_LIBRARIES,
 )
 
-setup(ext_modules=[_KERNEL, _LIBM] if _IS_LINUX else [_KERNEL])
+setup(ext_modules=[_KERNEL, _PLANNING, *([_LIBM] if _IS_LINUX else [])])

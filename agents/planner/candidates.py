@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import HEADS, OFFSETS, PolicyInput, likeliest
 from stkzoo.agents.planning.plans import MANEUVERS
 from stkzoo.agents.planning.worth import LEAST_LOGIT

@@ -12,7 +12,7 @@ import numpy as np
 from stkzoo import Phase, RaceParallelEnv
 from stkzoo.agents import heuristic, pretrained
 from stkzoo.agents.planning.driver import PlanDriver
-from stkzoo.agents.planning.kart import STEP
+from stkzoo.agents.planning.motion import STEP
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError, check_whole

@@ -7,8 +7,27 @@ each a worth in meters (:mod:`.worth`). Boosts and items increase the worth; the
 and slower karts ahead decrease it. :class:`PlanDriver` keeps the karts' state between steps and
 converts a policy's choices among the best plans to controls.
 
-It was developed on the training tracks of :mod:`stkzoo.tracks` only. An evolution strategy tuned
-most of its parameters there (:mod:`stkzoo.agents.training.tune_plans`).
+The inner loops are in the C extension ``_planning``, typed by ``_planning.pyi``; NumPy versions in
+``tests/oracle`` check them.
+
+The planner was developed on the training tracks of :mod:`stkzoo.tracks` only. An evolution strategy
+tuned most of its parameters there (:mod:`stkzoo.agents.training.tune_plans`).
 """
 
-__all__: list[str] = []
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from stkzoo.kernel import not_built
+
+try:
+    from . import _planning  # noqa: F401 - tells how to build it before another import fails
+except ImportError as error:
+    raise not_built(error) from None
+
+__all__ = ["BoolArray", "FloatArray", "IntArray"]
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from stkzoo import Phase
-from stkzoo.kernel import present_plans
 from stkzoo.wrappers.racing import (
     LOOKS,
     MIRROR,
@@ -25,13 +24,13 @@ from stkzoo.wrappers.racing import (
     surroundings_of,
 )
 
-from .arrays import BoolArray, FloatArray, IntArray
-from .kart import DRIFT_TURN
+from . import BoolArray, FloatArray, IntArray
+from ._planning import present_plans
 from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
+from .motion import DRIFT_TURN
 from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANEUVERS
-from .rivals import RIVALS_MIRROR, RivalTracker
-from .road import LINE_MARKS
+from .road import LINE_MARKS, RIVALS_MIRROR, RivalTracker
 from .worth import OwnState, PlanOptions, plan_rules, weigh
 
 #: Steering offsets from the plan [fraction of full lock].

@@ -5,21 +5,13 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stkzoo.kernel import PlanMemory, age_memory, write_memory
-
-from .arrays import BoolArray, FloatArray, IntArray
-from .kart import (
-    BOOST_LASTS,
-    BOOST_STEPS,
-    DRIFT_APART,
-    RELEASE_STEPS,
-    RESCUE_STEPS,
-    STEP,
-)
+from . import BoolArray, FloatArray, IntArray
+from ._planning import age_memory, write_memory
+from .motion import BOOST_LASTS, BOOST_STEPS, DRIFT_APART, RELEASE_STEPS, RESCUE_STEPS, STEP
 from .parameters import DriverParameters
 
 #: If the skid factor is still 1 after this many steps, the engine has ended the drift.
@@ -47,6 +39,58 @@ MEMORY_SIZE = len(_SIGNS)
 MEMORY_MIRROR = np.array(list(_SIGNS.values()), np.float32)
 
 
+class PlanMemory(NamedTuple):
+    """The memory of the drivers of ``A`` karts, ``(A,)`` float32 each. Times are in steps.
+
+    Attributes:
+        speed: forward speed in the last step [m/s].
+        gain: change of speed in that step [m/s].
+        turn: turn in that step, positive to the right [fraction of full lock].
+        drift_turn: turn in the last step of a drift [fraction of full lock].
+        drift_side: 1 in a drift to the right, -1 to the left, 0 outside drifts.
+        drift_steps: duration of the drift so far.
+        still_steps: time for which the kart has stood still.
+        crawl_steps: time for which the kart has crawled.
+        free_steps: time for which the kart has not stood still.
+        reverses: number of times that the kart has reversed without getting free.
+        lost_steps: time for which the kart has been far off the road.
+        since_fire: time since the last shot.
+        held_offset: steering offset from the plan that is held [fraction of full lock].
+        hold_steps: remaining time of that offset; this and all attributes below count down to 0.
+        hop_steps: time until another drift can begin.
+        release_steps: remaining time of the turn after a drift.
+        boost_steps: remaining time of the boost of a short drift.
+        big_boost_steps: remaining time of the boost of a long drift.
+        nitro_steps: remaining time of a burst of nitro.
+        caution_steps: remaining time of caution after a crash.
+        reverse_steps: remaining time of reversing.
+        rescue_steps: remaining time of a rescue.
+    """
+
+    speed: FloatArray
+    gain: FloatArray
+    turn: FloatArray
+    drift_turn: FloatArray
+    drift_side: FloatArray
+    drift_steps: FloatArray
+    still_steps: FloatArray
+    crawl_steps: FloatArray
+    free_steps: FloatArray
+    reverses: FloatArray
+    lost_steps: FloatArray
+    since_fire: FloatArray
+    held_offset: FloatArray
+    hold_steps: FloatArray
+    hop_steps: FloatArray
+    release_steps: FloatArray
+    boost_steps: FloatArray
+    big_boost_steps: FloatArray
+    nitro_steps: FloatArray
+    caution_steps: FloatArray
+    reverse_steps: FloatArray
+    rescue_steps: FloatArray
+
+
 @dataclass(frozen=True, slots=True)
 class KartSituation:
     """Drifts of A karts, ``(A,)`` each.
@@ -70,7 +114,7 @@ class DriverMemory:
         rules: durations, and thresholds for crashes and for standing still.
 
     Attributes:
-        rows: ``(22, A)`` float32, in the order of :class:`stkzoo.kernel.PlanMemory`.
+        rows: ``(22, A)`` float32, in the order of :class:`PlanMemory`.
     """
 
     def __init__(self, count: int, rules: DriverParameters) -> None:

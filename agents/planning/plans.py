@@ -1,8 +1,8 @@
 """Tables of the plans for the next two seconds, by the kart's ongoing maneuver.
 
-For each moment, a plan gives the range of turns, whether the kart drifts, and the lane that it
-steers for. All tables have the same number of plans, so that one array holds those of many karts;
-plans that a kart does not have are masked.
+A plan consists of stages. For each, it gives the range of turns, whether the kart drifts, and the
+lane that it steers for. All tables have the same number of plans, so that one array holds those of
+many karts; plans that a kart does not have are masked.
 """
 
 from __future__ import annotations
@@ -10,26 +10,23 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import PlanTable
+from . import BoolArray, FloatArray, IntArray
+from .motion import BOOST_STEPS, BRAKE_TIME, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
 
-from .arrays import FloatArray
-from .kart import BOOST_STEPS, BRAKING, DRIFT_TURN, RELEASE_STEPS, STEP
-
-#: Durations of the moments of a plan [s].
+#: Durations of a plan's stages [s].
 SPANS = np.array([0.1] * 4 + [0.2] * 8, np.float32)
-#: Ends of the moments [s].
+#: Ends of the stages [s].
 ENDS = np.cumsum(SPANS)
 _BEGINS, _MIDDLES = ENDS - SPANS, ENDS - SPANS / 2
 
 #: Maneuvers with which a plan begins.
 FREE, BRAKE, DRIFT_LEFT, DRIFT_RIGHT = range(4)
 MANEUVERS = 4
-
 
 #: Number of items at which plans aim, one per plan.
 ITEM_LANES = 2
@@ -45,8 +42,8 @@ CHANGE_AT = 0.8
 #: Possible numbers of steps for which the kart turns away before a drift.
 SWINGS = (1, 2, 3)
 
-#: Duration of braking [s], and acceleration afterwards [m/s²], in plans that brake.
-BRAKE_TIME, GAIN = 0.3, 4.0
+#: Acceleration after braking [m/s²].
+GAIN = 4.0
 
 #: Plans that come this close to the big boost get credit for it [steps].
 BIG_BOOST_IN_SIGHT = 20
@@ -56,6 +53,39 @@ def all_lanes(changes: int) -> Lanes:
     """Returns nine lanes, and all changes between ``changes`` lanes."""
     kept = [(lane, lane) for lane in np.linspace(-1.0, 1.0, 9).tolist()]
     return [*kept, *itertools.permutations(np.linspace(-0.9, 0.9, changes).tolist(), 2)]
+
+
+class PlanTable(NamedTuple):
+    """The plans of all states: ``S`` states, ``T`` stages, ``C`` plans.
+
+    Attributes:
+        spans: ``(T,)`` duration of each stage [s].
+        least: ``(S, T, C)`` lower limit of the turn, positive to the right [fraction of full lock].
+        most: ``(S, T, C)`` upper limit of the turn [fraction of full lock].
+        drifts: ``(S, T, C)`` 1 while the kart drifts.
+        releases: ``(S, T, C)`` 1 while it keeps turning after a drift.
+        slower: ``(S, T, C)`` change of speed [m/s].
+        lanes: ``(S, T, C)`` lateral target; -1 is the left edge of the road, 1 the right edge.
+        items: ``(S, C)`` number of the item to drive over instead; -1 for none.
+        maneuvers: ``(S, C)`` first maneuver of the plan; -1 if there is no plan.
+        boosts: ``(S, C)`` boost that the plan earns: 0 for the small one, 1 for the big one, -1 for
+            none.
+        boost_steps: ``(S, C)`` time until it earns the boost [steps].
+        needs_drift: ``(S, C)`` whether only karts that may begin a drift can follow the plan.
+    """
+
+    spans: FloatArray
+    least: FloatArray
+    most: FloatArray
+    drifts: FloatArray
+    releases: FloatArray
+    slower: FloatArray
+    lanes: FloatArray
+    items: IntArray
+    maneuvers: IntArray
+    boosts: IntArray
+    boost_steps: FloatArray
+    needs_drift: BoolArray
 
 
 #: Types of the columns that are not float32.
@@ -133,7 +163,7 @@ def _in_lanes(plan: PlanTable, lanes: Lanes) -> list[PlanTable]:
 
 
 def _between(begin: float, end: float) -> FloatArray:
-    """Returns 1 for the moments between two times [s] and 0 for others, ``(T,)``."""
+    """Returns 1 for the stages between two times [s] and 0 for others, ``(T,)``."""
     return (np.greater_equal(_MIDDLES, begin) & np.less(_MIDDLES, end)).astype(np.float32)
 
 
@@ -181,7 +211,7 @@ def plan_table(changes: int) -> PlanTable:
     columns: dict[str, npt.NDArray[Any]] = {}
     for name in PlanTable._fields[1:]:
         column = np.array([[getattr(plan, name) for plan in plans] for plans in rows])
-        if column.ndim == 3:  # has an axis of moments
+        if column.ndim == 3:  # has an axis of stages
             column = np.ascontiguousarray(column.swapaxes(1, 2))
         columns[name] = column.astype(_TYPES.get(name, np.float32))
     return PlanTable(spans=SPANS, **columns)

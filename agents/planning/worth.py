@@ -17,16 +17,26 @@ import numpy.typing as npt
 
 from stkzoo import ItemType, PowerupType
 from stkzoo.errors import ConfigError
-from stkzoo.kernel import survey_road, weigh_plans
 from stkzoo.wrappers.racing import Surroundings
 
-from .arrays import FloatArray
-from .kart import BOOST_LASTS, RELEASE_STEPS, RELEASE_TURN, STEERING_LAG, STEP
-from .motion import learned_motion
+from . import FloatArray
+from ._planning import survey_road, weigh_plans
+from .motion import BOOST_LASTS, RELEASE_STEPS, RELEASE_TURN, STEERING_LAG, STEP, learned_motion
 from .parameters import DriverParameters
 from .plans import LONGEST_DRIFT, MANEUVERS, plan_table
-from .rivals import FASTEST, MOST_TURNED, NOWHERE, REACH, RIVALS, RivalMoment, RivalTracker
-from .road import MARK_COUNT, MARK_SPACING, headings_of, line_of
+from .road import (
+    FASTEST,
+    MARK_COUNT,
+    MARK_SPACING,
+    MOST_TURNED,
+    NOWHERE,
+    REACH,
+    RIVALS,
+    RivalMoment,
+    RivalTracker,
+    headings_of,
+    line_of,
+)
 
 DoubleArray = npt.NDArray[np.float64]
 
@@ -61,7 +71,7 @@ _METER, LEAST_LOGIT = 2.0, -30.0
 
 
 class OwnState(NamedTuple):
-    """Own state of A karts, for the kernel.
+    """Own state of A karts, for the extension.
 
     Attributes:
         velocity: ``(A, 3)`` float32 [m/s].
@@ -88,14 +98,14 @@ class OwnState(NamedTuple):
 
 
 class PlanRules:
-    """The parameters of plans, in the forms that the kernel expects.
+    """The parameters of plans, in the forms that the extension expects.
 
     Attributes:
         parameters: the parameters.
         table: the plans.
-        view: the rules of :func:`stkzoo.kernel.survey_road`.
+        view: the rules of ``survey_road``.
         worths: ``(2, types)`` worth of item types for karts without and with a powerup [m].
-        costs: the rules of :func:`stkzoo.kernel.weigh_plans`.
+        costs: the rules of ``weigh_plans``.
         motion: the network of the karts' motion, or an empty tuple.
     """
 
@@ -175,7 +185,7 @@ def weigh(
 
     Args:
         rules: parameters of the plans.
-        memory: ``(22, A)``, see :class:`stkzoo.kernel.PlanMemory`.
+        memory: ``(22, A)``, see :class:`.memory.PlanMemory`.
         own: own state of the karts.
         max_steer_angle: ``(A, 1)`` [rad].
         around: their surroundings; the road at :data:`.road.LINE_MARKS` comes last. Plans on the

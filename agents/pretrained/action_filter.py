@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import START_STEER, steer_of_turn
-from stkzoo.agents.planning.kart import DRIFT_TURN
 from stkzoo.agents.planning.memory import MEMORY_MIRROR, MEMORY_SIZE, DriverMemory, KartSituation
+from stkzoo.agents.planning.motion import DRIFT_TURN
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.wrappers.racing import BRAKE, CHOICES, MIRROR, PLACES, RESCUE, SIZE, STEERS
 

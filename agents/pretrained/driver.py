@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from stkzoo._reading import Unreadable, load_json, reading
 from stkzoo._schema import Matching, typed
-from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.parameters import DriverParameters
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import (
     HEADS,
     OFFSETS,

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import Mlp
 from stkzoo.wrappers.racing import CHOICES, SIZE

@@ -11,7 +11,7 @@ import safetensors.numpy
 
 from stkzoo._os import write_whole
 from stkzoo._reading import read_file, reading
-from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning import FloatArray
 from stkzoo.errors import ConfigError
 
 _MOST_BYTES = 1 << 26

@@ -25,12 +25,12 @@ import numpy.typing as npt
 from stkzoo._arguments import option
 from stkzoo._os import make_folder
 from stkzoo.agents.planning.driver import PlanDriver
-from stkzoo.agents.planning.kart import RELEASE_TURN
-from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, WEIGHTS
+from stkzoo.agents.planning.memory import PlanMemory
+from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, RELEASE_TURN, WEIGHTS, MotionState
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.kernel import Mlp, MotionState, PlanMemory
+from stkzoo.kernel import Mlp
 from stkzoo.mdp import rotation_matrices
 from stkzoo.tracks import SPLITS
 

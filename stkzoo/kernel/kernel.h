@@ -6,15 +6,7 @@
 #ifndef STKZOO_KERNEL_H
 #define STKZOO_KERNEL_H
 
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
-
-#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
-#define PY_ARRAY_UNIQUE_SYMBOL stkzoo_kernel_numpy
-#ifndef STKZOO_KERNEL_MODULE
-#define NO_IMPORT_ARRAY
-#endif
-#include <numpy/arrayobject.h>
+#include "arguments.h"
 
 /* ---------------------------------------------------------------- snapshots */
 
@@ -49,38 +41,7 @@ typedef struct {
     const Item *items;
 } Moment;
 
-/* ---------------------------------------------------------------- arguments */
-
-/* C-contiguous, aligned NumPy arrays: their data and number of elements. */
-typedef struct { float *data; npy_intp size; } Floats;
-typedef struct { double *data; npy_intp size; } Doubles;
-typedef struct { npy_intp *data; npy_intp size; } Indices;
-typedef struct { npy_int32 *data; npy_intp size; } Integers;
-typedef struct { npy_int64 *data; npy_intp size; } Wholes;
-typedef struct { npy_int8 *data; npy_intp size; } Bytes;
-typedef struct { npy_bool *data; npy_intp size; } Flags;
-
-/* Converters for "O&" of PyArg_ParseTuple. as_written_* require a writeable array. */
-int as_floats(PyObject *object, void *floats);
-int as_written_floats(PyObject *object, void *floats);
-int as_doubles(PyObject *object, void *doubles);
-int as_written_doubles(PyObject *object, void *doubles);
-int as_indices(PyObject *object, void *indices);
-int as_written_indices(PyObject *object, void *indices);
-int as_integers(PyObject *object, void *integers);
-int as_wholes(PyObject *object, void *wholes);
-int as_written_wholes(PyObject *object, void *wholes);
-int as_bytes(PyObject *object, void *bytes);
-int as_written_bytes(PyObject *object, void *bytes);
-int as_flags(PyObject *object, void *flags);
-int as_written_flags(PyObject *object, void *flags);
-int as_moment(PyObject *object, void *moment); /* from the bytes of a Snapshot */
-
-/* Returns whether all indices are at least 0 and below a limit. */
-int are_below(Indices indices, npy_intp limit);
-
-/* Sets a ValueError, unless an exception is set already; always returns -1. */
-int refuse(const char *message);
+int as_moment(PyObject *object, void *moment); /* converts the bytes of a Snapshot */
 
 /* ---------------------------------------------------------------- types */
 
@@ -131,16 +92,11 @@ void free_object(PyObject *self);
         .tp_new = PREFIX##_new, .tp_dealloc = free_object, .tp_methods = PREFIX##_methods,        \
     };
 
-PyObject *age_memory(PyObject *module, PyObject *args);
 PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *measure_message(PyObject *module, PyObject *args);
-PyObject *present_plans(PyObject *module, PyObject *args);
 PyObject *stack_vectors(PyObject *module, PyObject *args);
-PyObject *survey_road(PyObject *module, PyObject *args);
 PyObject *trace_roads(PyObject *module, PyObject *args);
-PyObject *weigh_plans(PyObject *module, PyObject *args);
-PyObject *write_memory(PyObject *module, PyObject *args);
 
 extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, MlpType, RacingObserverType, ActionReaderType, StepScorerType;
 

@@ -1,52 +1,12 @@
 /* The extension module, and the functions that its parts share. */
 
-#define STKZOO_KERNEL_MODULE
+#define STKZOO_EXTENSION
 #include "kernel.h"
 
 #include <stddef.h>
 #include <string.h>
 
-/* ---------------------------------------------------------------- arguments */
-
-static int as_array(PyObject *object, int type, int flags, void *out)
-{
-    PyArrayObject *array = (PyArrayObject *)object;
-    if (!PyArray_Check(object) || !PyArray_EquivTypenums(PyArray_TYPE(array), type)) {
-        PyArray_Descr *expected = PyArray_DescrFromType(type);
-        PyErr_Format(PyExc_TypeError, "expected an array of %S, not %R", expected, object);
-        Py_XDECREF(expected);
-        return 0;
-    }
-    if (!PyArray_CHKFLAGS(array, flags | NPY_ARRAY_CARRAY_RO) || !PyArray_ISNOTSWAPPED(array)) {
-        PyErr_Format(PyExc_ValueError, "an array must be C-contiguous, aligned%s and native-endian",
-                     flags ? ", writeable" : "");
-        return 0;
-    }
-    /* Floats, Doubles and the other types differ only in the type of their pointer. */
-    const struct { void *data; npy_intp size; } numbers = {PyArray_DATA(array), PyArray_SIZE(array)};
-    memcpy(out, &numbers, sizeof numbers);
-    return 1;
-}
-
-#define CONVERTER(NAME, TYPE, FLAGS)                                                              \
-    int NAME(PyObject *object, void *out)                                                         \
-    {                                                                                             \
-        return as_array(object, TYPE, FLAGS, out);                                                \
-    }
-
-CONVERTER(as_floats, NPY_FLOAT32, 0)
-CONVERTER(as_written_floats, NPY_FLOAT32, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_doubles, NPY_FLOAT64, 0)
-CONVERTER(as_written_doubles, NPY_FLOAT64, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_indices, NPY_INTP, 0)
-CONVERTER(as_written_indices, NPY_INTP, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_wholes, NPY_INT64, 0)
-CONVERTER(as_written_wholes, NPY_INT64, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_integers, NPY_INT32, 0)
-CONVERTER(as_bytes, NPY_INT8, 0)
-CONVERTER(as_written_bytes, NPY_INT8, NPY_ARRAY_WRITEABLE)
-CONVERTER(as_flags, NPY_BOOL, 0)
-CONVERTER(as_written_flags, NPY_BOOL, NPY_ARRAY_WRITEABLE)
+/* ---------------------------------------------------------------- snapshots */
 
 int as_moment(PyObject *object, void *out)
 {
@@ -66,20 +26,6 @@ int as_moment(PyObject *object, void *out)
     moment->karts = (const Kart *)(header + 1);
     moment->items = (const Item *)(moment->karts + header->num_kart);
     return 1;
-}
-
-int are_below(Indices indices, npy_intp limit)
-{
-    for (npy_intp i = 0; i < indices.size; i++) {
-        if (indices.data[i] < 0 || indices.data[i] >= limit) return 0;
-    }
-    return 1;
-}
-
-int refuse(const char *message)
-{
-    if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, message);
-    return -1;
 }
 
 /* ---------------------------------------------------------------- objects */
@@ -151,17 +97,12 @@ static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 }
 
 static PyMethodDef methods[] = {
-    {"age_memory", age_memory, METH_VARARGS, "Advances the memory of drivers by one step."},
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
     {"layouts", layouts, METH_NOARGS, "Returns the byte offsets of record fields."},
     {"look_along", look_along, METH_VARARGS, "Writes points at distances ahead of karts."},
     {"measure_message", measure_message, METH_VARARGS, "Returns the peak memory of decoding."},
-    {"present_plans", present_plans, METH_VARARGS, "Writes a policy's inputs on plans."},
     {"stack_vectors", stack_vectors, METH_VARARGS, "Writes the vectors of rows, padded."},
-    {"survey_road", survey_road, METH_VARARGS, "Writes the arguments of weigh_plans."},
     {"trace_roads", trace_roads, METH_VARARGS, "Writes the lines ahead of karts."},
-    {"weigh_plans", weigh_plans, METH_VARARGS, "Writes each kart's best plan of each maneuver."},
-    {"write_memory", write_memory, METH_VARARGS, "Writes a policy's inputs from the memory."},
     {NULL, NULL, 0, NULL},
 };
 

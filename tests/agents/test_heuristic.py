@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.agents import heuristic
-from stkzoo.agents.planning.kart import RESCUE_STEPS, STEP
+from stkzoo.agents.planning.motion import RESCUE_STEPS, STEP
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.road import LINE_MARKS, MARK_SPACING, headings_of, line_of
 from stkzoo.race import run_race

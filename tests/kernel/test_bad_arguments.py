@@ -15,11 +15,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from stkzoo import RaceVectorEnv, kernel, race_v0
-from stkzoo.agents.planning.motion import learned_motion
 from stkzoo.drivers import codec
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, KART_DTYPE
 from stkzoo.engine.track import decode_track
@@ -28,17 +25,11 @@ from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests import oracle
 from tests.kernel.test_kernel import USERS
 from tests.kernel.test_mlp import inputs_of, layers_of
-from tests.kernel.test_plan_memory import age_arguments, write_arguments
-from tests.kernel.test_plan_viewer import present_arguments, scene_arguments
-from tests.kernel.test_plan_weigher import random_arguments
+from tests.support.bad_arguments import check_bad_calls, check_lists_are_refused
 
-REFUSALS = (AttributeError, IndexError, MemoryError, OverflowError, TypeError, ValueError)
 VIEWS = ("full", "masked_discrete", "flattened_control", "racing", "simple")
-WHOLE = (0, 1, -1, 2, 7, 1000, -(2**31), 2**40)
-REAL = (0.0, -1.0, 1e-30, 1e30, -1e30, float("nan"), float("inf"), float("-inf"))
 #: Size of the item count and one item in the engine's block [bytes].
 ITEM_SIZE = 4 + 33
-OBJECTS = (None, (), {}, b"", "", 0.5, object(), np.zeros(0), np.zeros(3), np.float32(1))
 
 
 # ------------------------------------------------------------------ valid calls, recorded in races
@@ -89,19 +80,6 @@ def cases():
         codec.decode(codec.encode((np.arange(3.0), np.arange(3.0))))
         for cache in (decode_track, racing_view_of, _writer):
             cache.cache_clear()
-    kept["weigh_plans"] = [
-        (
-            (*random_arguments(0, count=2, motion=motion), np.empty((3, 2, 4), np.float32)),
-            {},
-            None,
-            (),
-        )
-        for motion in ((), learned_motion())
-    ]
-    kept["survey_road"] = [(scene_arguments(0, count=2), {}, None, ())]
-    kept["age_memory"] = [(age_arguments(0, count=2), {}, None, ())]
-    kept["write_memory"] = [(write_arguments(0, count=2), {}, None, ())]
-    kept["present_plans"] = [(present_arguments(0, count=2), {}, None, ())]
     layers, rows = layers_of(0, (5, 3, 2)), (inputs_of(0, 4, 6), np.empty((4, 2), np.float32))
     kept["Mlp"] = [((layers, is_tanh), {}, "evaluate", rows) for is_tanh in (True, False)]
     kept["GameStepper"] = [
@@ -151,99 +129,6 @@ def stepper_arguments():
     return race, world, actions, CONTROLS, {"go": 2}, 3, (1,)
 
 
-# ------------------------------------------------------------------ bad calls, made from valid ones
-
-
-def bad_array(draw, array):
-    """Returns the array with another length, type, memory layout or content."""
-    kind = draw(
-        st.sampled_from(["shorter", "longer", "empty", "content", "type", "strided", "fixed"])
-    )
-    flat = array.reshape(-1)
-    if kind == "shorter":
-        return flat[:-1].copy()
-    if kind == "longer":
-        return np.concatenate([flat, flat[:1], np.zeros(1, array.dtype)])
-    if kind == "empty":
-        return np.zeros((0,) * max(array.ndim, 1), array.dtype)
-    if kind == "type":
-        dtype = draw(st.sampled_from(["f4", "f8", "i1", "i4", "i8", "?", ">f4", "O"]))
-        with np.errstate(all="ignore"):
-            return array.astype(dtype)
-    if kind == "strided":
-        return np.repeat(array, 2, axis=-1)[..., ::2] if array.ndim else array
-    changed = array.copy()
-    if kind == "fixed":
-        changed.flags.writeable = False
-        return changed
-    values = [value for value in (*WHOLE, *REAL) if fits(value, array.dtype)]
-    for _ in range(draw(st.integers(1, 3))):
-        if changed.size:
-            place = draw(st.integers(0, changed.size - 1))
-            changed.reshape(-1)[place] = draw(st.sampled_from(values))
-    return changed
-
-
-def fits(value, dtype):
-    if dtype.kind in "fO":
-        return True
-    is_whole = isinstance(value, int)
-    return is_whole and (dtype.kind == "b" or np.iinfo(dtype).min <= value <= np.iinfo(dtype).max)
-
-
-def bad_bytes(draw, data):
-    """Returns a truncated snapshot, or one with other numbers in its records."""
-    if draw(st.booleans()) or len(data) < HEADER_DTYPE.itemsize:
-        size = draw(st.integers(0, len(data) + 8))
-        return (data + bytes(8))[:size]
-    changed = bytearray(data)
-    for _ in range(draw(st.integers(1, 3))):
-        end = draw(st.sampled_from([len(data), min(len(data), HEADER_DTYPE.itemsize + 600)]))
-        place = 4 * draw(st.integers(0, end // 4 - 1))
-        number = draw(st.sampled_from([*REAL, *WHOLE[:-1]]))
-        code = "<f" if isinstance(number, float) else "<i"
-        changed[place : place + 4] = struct.pack(code, number)
-    return bytes(changed)
-
-
-def bad(draw, value):
-    """Returns another value to replace an argument or a part of it."""
-    if draw(st.integers(0, 9)) == 0:
-        return draw(st.sampled_from(OBJECTS))
-    if isinstance(value, np.ndarray):
-        return bad_array(draw, value)
-    if isinstance(value, bytes):
-        return bad_bytes(draw, value)
-    if isinstance(value, (tuple, list)) and value:
-        return with_bad_part(draw, value)
-    if isinstance(value, dict) and value:
-        key = draw(st.sampled_from(list(value)))
-        return {**value, key: bad(draw, value[key])}
-    if isinstance(value, float):
-        return draw(st.sampled_from(REAL))
-    return draw(st.sampled_from(WHOLE) if isinstance(value, int) else st.sampled_from(OBJECTS))
-
-
-def with_bad_part(draw, values):
-    """Returns the sequence with one element replaced or removed."""
-    place = draw(st.integers(0, len(values) - 1))
-    parts = list(values)
-    if draw(st.integers(0, 4)) == 0:
-        del parts[place]
-    else:
-        parts[place] = bad(draw, parts[place])
-    return tuple(parts) if isinstance(values, tuple) else parts
-
-
-def own(value):
-    """Returns the value with copies of its arrays, because the kernel may write into them."""
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if type(value) in (tuple, list):
-        return type(value)(map(own, value))
-    return {key: own(part) for key, part in value.items()} if isinstance(value, dict) else value
-
-
 #: Methods that write into the caller's arrays.
 ROWS = {
     "ActionReader": "read_batch",
@@ -262,30 +147,7 @@ def test_races_call_the_methods_that_write_into_arrays(cases, name):
 @pytest.mark.parametrize("name", [*oracle.__all__, "GameStepper"])
 def test_bad_arguments_are_accepted_or_refused(cases, name):
     assert cases[name], "no race has called it"
-
-    @settings(
-        max_examples=150,
-        deadline=None,
-        derandomize=True,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
-    @given(st.data())
-    def call(data):
-        args, kwargs, method, values = own(data.draw(st.sampled_from(cases[name]), "case"))
-        for _ in range(data.draw(st.integers(1, 2))):
-            if args and (not values or data.draw(st.booleans())):
-                args = with_bad_part(data.draw, args)
-            elif values:
-                values = with_bad_part(data.draw, values)
-        try:
-            made = getattr(kernel, name)(*args, **kwargs)
-            if method is not None:
-                getattr(made, method)(*values)
-        except REFUSALS:
-            return
-
-    call()
+    check_bad_calls(getattr(kernel, name), cases[name])
 
 
 # ------------------------------------------------------------------ earlier defects
@@ -325,15 +187,6 @@ def test_a_kart_with_an_invalid_location_can_be_observed(cases, place):
     kernel.RacingObserver(*args).observe(
         data[:start] + karts.tobytes() + data[end:], road, who, out
     )
-
-
-def test_a_plan_for_an_item_out_of_range_ignores_it():
-    table, *arguments = random_arguments(0, count=1)
-    lost, none = (table._replace(items=np.full_like(table.items, number)) for number in (10**6, -1))
-    out = np.empty((2, 3, 1, 4), np.float32)
-    kernel.weigh_plans(lost, *arguments, out[0])
-    kernel.weigh_plans(none, *arguments, out[1])
-    assert (out[0] == out[1]).all()
 
 
 def test_a_table_without_rows_is_refused():
@@ -383,26 +236,10 @@ def test_a_conversion_can_clear_its_own_action():
     assert (answer.returncode, answer.stdout) == (0, "False\n"), answer.stderr
 
 
-@pytest.mark.parametrize("name", ["RacingObserver", "present_plans", "survey_road", "weigh_plans"])
-def test_arrays_in_a_list_are_refused(cases, name):
-    """A list can lose its arrays while the kernel uses them."""
-
-    def refuses(call, args):
-        groups = [n for n, part in enumerate(args) if holds_arrays(part)]
-        for n in groups:
-            with pytest.raises(TypeError, match="must be tuple, not list"):
-                call(*args[:n], list(args[n]), *args[n + 1 :])
-        return len(groups)
-
-    for args, kwargs, method, values in {case[2]: case for case in cases[name]}.values():
-        assert not kwargs
-        assert refuses(getattr(kernel, name), args)
-        if method is not None:
-            refuses(getattr(getattr(kernel, name)(*args), method), values)
-
-
-def holds_arrays(value):
-    return isinstance(value, tuple) and any(isinstance(part, np.ndarray) for part in value)
+def test_arrays_in_a_list_are_refused(cases):
+    for args, _, method, values in {case[2]: case for case in cases["RacingObserver"]}.values():
+        assert check_lists_are_refused(kernel.RacingObserver, args)
+        check_lists_are_refused(getattr(kernel.RacingObserver(*args), method), values)
 
 
 def test_negative_numbers_of_choices_are_refused():

@@ -134,9 +134,6 @@ USERS = {
     "wrappers.racing.road": ["trace_roads"],
     "wrappers.racing.surroundings": ["look_along", "stack_vectors"],
     "wrappers.racing.wrapper": ["RacingObserver"],
-    "agents.planning.driver": ["present_plans"],
-    "agents.planning.memory": ["age_memory", "write_memory"],
-    "agents.planning.worth": ["survey_road", "weigh_plans"],
     "agents.pretrained.mlp": ["Mlp"],
     "agents.pretrained.policy": ["Mlp"],
 }

@@ -1,6 +1,7 @@
-"""NumPy implementations of the kernel's names: a module per C file.
+"""NumPy implementations of the names of the C extensions: a module per C file.
 
-``tests/kernel`` compares them with the extension, which is what runs.
+``tests/kernel`` and ``tests/agents/planning`` compare them with the extensions, which races use.
+Those of the planner (``plan_*``) are not imported here, because the planner is an agent.
 """
 
 from tests.oracle.action_reader import ActionReader
@@ -9,9 +10,6 @@ from tests.oracle.event_counter import EventCounter
 from tests.oracle.kart_observer import KartObserver
 from tests.oracle.messages import measure_message
 from tests.oracle.mlp import Mlp
-from tests.oracle.plan_memory import age_memory, write_memory
-from tests.oracle.plan_viewer import present_plans, survey_road
-from tests.oracle.plan_weigher import weigh_plans
 from tests.oracle.racing_observer import RacingObserver
 from tests.oracle.road_tracer import look_along, stack_vectors, trace_roads
 from tests.oracle.rows import join_rows
@@ -27,14 +25,9 @@ __all__ = [
     "RacingObserver",
     "StepScorer",
     "TrackGraph",
-    "age_memory",
     "join_rows",
     "look_along",
     "measure_message",
-    "present_plans",
     "stack_vectors",
-    "survey_road",
     "trace_roads",
-    "weigh_plans",
-    "write_memory",
 ]

@@ -1,4 +1,4 @@
-"""The NumPy reference implementation of ``plan_memory.c``: drivers' memory between steps."""
+"""The oracle of ``agents/planning/memory.c`` in NumPy, which documents the arguments."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import PlanMemory
+from stkzoo.agents.planning.memory import PlanMemory
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -37,14 +37,7 @@ class _MemoryRules(NamedTuple):
 def age_memory(
     rules: npt.NDArray[np.float64], memory: FloatArray, speed: FloatArray, skeed_factor: FloatArray
 ) -> None:
-    """Advances the memory of ``A`` karts by one step.
-
-    Args:
-        rules: ``(13,)``, in the order of ``_MemoryRules``.
-        memory: ``(22, A)``, in the order of :class:`~stkzoo.kernel.PlanMemory`.
-        speed: ``(A,)`` forward speed [m/s].
-        skeed_factor: ``(A,)`` skid factor.
-    """
+    """Advances the memory by one step."""
     known, of, clocks = _MemoryRules(*rules.tolist()), PlanMemory(*memory), memory[_CLOCKS]
     np.maximum(clocks - 1, 0, out=clocks)
     of.gain[:] = speed - of.speed
@@ -65,14 +58,7 @@ def age_memory(
 def write_memory(
     rules: npt.NDArray[np.float64], memory: FloatArray, out: FloatArray, first: int
 ) -> None:
-    """Writes a policy's inputs from the memory of ``A`` karts.
-
-    Args:
-        rules: see :func:`age_memory`.
-        memory: see :func:`age_memory`.
-        out: ``(A, F)``; 12 columns are written.
-        first: index of the first of these columns.
-    """
+    """Writes a policy's inputs from the memory."""
     known, of = _MemoryRules(*rules.tolist()), PlanMemory(*memory)
     drift = np.minimum(of.drift_steps / 30.0, 2.0)
     columns = (

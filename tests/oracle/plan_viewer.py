@@ -1,10 +1,4 @@
-"""The NumPy reference implementation of ``plan_viewer.c``: inputs of plans and of a policy.
-
-An observation has the positions of other karts but neither their velocities nor their identities.
-The observing kart's own motion is known: its velocity, and its rotation from the apparent rotation
-of the road. Once this is subtracted, other karts move little in a step, so each is matched with the
-nearest previous position.
-"""
+"""The oracle of ``agents/planning/viewer.c`` in NumPy, which documents the arguments."""
 
 from __future__ import annotations
 
@@ -13,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import PlanMemory
+from stkzoo.agents.planning.memory import PlanMemory
 from stkzoo.mdp.geometry import squared
 from tests.oracle.road_ahead import RoadAhead
 
@@ -84,36 +78,7 @@ def survey_road(
     now: Arrays,
     out: Arrays,
 ) -> None:
-    """Computes the arguments of ``weigh_plans`` for ``A`` karts, and where the karts are.
-
-    Args:
-        rules: ``(34,)`` parameters for all karts, in the order of ``_ViewRules``.
-        worths: ``(2, types)`` worth of item types for karts without and with a powerup [m].
-        memory: ``(22, A)`` memory of the drivers, in the order of
-            :class:`~stkzoo.kernel.PlanMemory`.
-        own: entries of the ``full`` view in batch form, in the order of ``_Own``: ``velocity``
-            ``(A, 3)`` and ``energy`` float32, the others ``(A,)`` int64.
-        around: a tuple of six arrays:
-
-            - the road at 12 or more marks, with distances to its left and to its right edge,
-              ``(A, M + 1, 5)`` [m];
-            - directions of the road, ``(A, M)`` [rad], which are unwrapped in place;
-            - tangents of the karts' largest steering angles, ``(A, 1)``;
-            - positions of other karts in the kart's frame, ``(A, K, 3)`` [m], not finite if
-              missing;
-            - positions of items in the kart's frame, ``(A, N, 3)`` [m];
-            - types of the items, ``(A, N)`` int64.
-        before: observations of the previous step: positions of the nearest karts, right and ahead,
-            ``(A, R, 2)`` [m]; velocity of the observing kart, ``(A, 2)`` [m/s]; directions of the
-            road, ``(A, M)`` [rad].
-        now: the same positions and velocities of this step, ``(A, R, 2)`` and ``(A, 2)``, which are
-            written.
-        out: arrays to write. The first five are the arguments ``rows``, ``karts``, ``road``,
-            ``items`` ``(A, I, 4)`` and ``rivals`` ``(A, R, 5)`` of ``weigh_plans``; with ``R = 0``,
-            other karts are ignored. The last one, ``(A, 5)``, is where the karts are: angle to the
-            road [rad], offset from its middle [m], distance beyond the nearer edge [m], the largest
-            turn of the road in the near future [rad], and whether firing is useful.
-    """
+    """Computes the arguments of ``weigh_plans``, and where the karts are."""
     known, remembered, state = _ViewRules(*rules.tolist()), PlanMemory(*memory), _Own(*own)
     line, headings, tangents, karts, items, types = around
     rows, kart_columns, road_columns, item_columns, rival_columns, scene = out
@@ -350,22 +315,7 @@ def present_plans(
     inputs: FloatArray,
     first: int,
 ) -> None:
-    """Writes the logits of the rules, and a policy's inputs from the plans and the nearest karts.
-
-    Args:
-        rules: see :func:`survey_road`.
-        logits: ``(7,)`` logits of the offsets, and ``(2, 2)`` logits of a button, first if the
-            rules do not press it, then if they do.
-        memory: see :func:`survey_road`.
-        own: see :func:`survey_road`.
-        best: argument ``out`` of ``weigh_plans``.
-        scene: last array of the argument ``out`` of :func:`survey_road`.
-        rivals: see :func:`survey_road`.
-        prior: ``(A, 15)`` logits of the rules, which are written.
-        inputs: ``(A, F)``; 19 columns, and 5 for each kart of ``rivals``, are written. With
-            ``F = 0``, none are written.
-        first: index of the first of these columns.
-    """
+    """Writes the logits of the rules, and a policy's inputs."""
     known, remembered, state = _ViewRules(*rules.tolist()), PlanMemory(*memory), _Own(*own)
     worth, turns, dangers = best
     angle, offset, _, straightness, is_useful = scene.T

@@ -1,4 +1,4 @@
-"""The NumPy reference implementation of ``plan_weigher.c``: simulates and weighs plans."""
+"""The oracle of ``agents/planning/weigher.c`` in NumPy, which documents the arguments."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import MotionRules, MotionState, PlanTable
+from stkzoo.agents.planning.motion import MotionRules, MotionState
+from stkzoo.agents.planning.plans import PlanTable
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
@@ -57,44 +58,7 @@ def weigh_plans(
     rivals: DoubleArray,
     out: FloatArray,
 ) -> None:
-    """Finds the best plan of each maneuver for ``A`` karts.
-
-    A kart steers toward a point of its lane ahead, within the turning limits of its plan. The lanes
-    from -1 to 0 share the room to the left, those from 0 to 1 the room to the right.
-
-    Args:
-        table: the plans of all states, in the order of :class:`~stkzoo.kernel.PlanTable`.
-        rules: ``(19,)`` parameters for all karts, in the order of ``_Rules``.
-        motion: empty for karts that drive arcs at constant speed. Otherwise ``(7,)`` float64 in the
-            order of :class:`~stkzoo.kernel.MotionRules`, and three layers of a network,
-            ``(outputs, inputs)`` and ``(outputs,)`` each, with rectified linear units between
-            them. The network maps :meth:`~stkzoo.kernel.MotionState.inputs` to the turn to the
-            right in a step [rad] and the changes of forward speed and speed to the right [m/s].
-        rows: ``(A,)`` states of the karts.
-        karts: ``(A, 16)`` columns of the karts:
-
-            - speed [m/s];
-            - turn at full lock [rad/s];
-            - distance at which the kart aims [m];
-            - turn in the last step, and in the last step of a drift [fraction of full lock];
-            - offset from the middle of the road [m] and angle to the road [rad];
-            - remaining time of a small boost and of a big boost [steps];
-            - whether the kart may drift, and whether it may brake;
-            - speed to the right [m/s] and turn in the last step [rad];
-            - side of a drift and its duration [steps];
-            - remaining time of the turn after a drift [steps].
-        road: ``(A, 4, M)`` at the marks: lateral displacement by the road's bend within the
-            distance at which the kart aims [m], largest offsets of karts from the middle to the
-            left and to the right [m], and curvature [1/m].
-        items: ``(A, I, 4)``, nearest first: distance along the road, offset from its middle, worth
-            and radius [m].
-        rivals: ``(A, R, 5)``: whether there is another kart, its distance along the road and its
-            offset from the middle [m], its speed along the road relative to the observing kart, and
-            its speed across the road [m/s].
-        out: ``(3, A, 4)``, which is written, for the best plan that begins with each maneuver: its
-            worth [m], its current turn [fraction of full lock], and its cost beyond the edge of the
-            road [m].
-    """
+    """Finds the best plan of each maneuver."""
     drive = drive_by_network if motion else drive_arcs
     along, across, rooms, angles, turns = drive(table, rules, motion, rows, karts, road, items)
     plans, costs, speed = PlanTable(*table), _Rules(*rules.tolist()), karts[:, 0]
@@ -164,14 +128,14 @@ class _Course:
         self.rooms = np.stack(rooms)
 
     def turn(
-        self, moment: int, beside: FloatArray, angle: FloatArray, speed: FloatArray
+        self, stage: int, beside: FloatArray, angle: FloatArray, speed: FloatArray
     ) -> FloatArray:
         """Returns the turns of the plans [fraction of full lock]."""
-        lanes, (left, right) = self._lanes[:, moment], self.rooms
+        lanes, (left, right) = self._lanes[:, stage], self.rooms
         aside = lanes * np.where(lanes > 0, right, left) + self._extra - beside
         turn = (aside + self.bend - angle * self._reach) * (speed * self._pull)
-        limited: FloatArray = np.maximum(turn, self._least[:, moment])
-        return np.minimum(limited, self._most[:, moment])
+        limited: FloatArray = np.maximum(turn, self._least[:, stage])
+        return np.minimum(limited, self._most[:, stage])
 
     def way(self, step: FloatArray, beside: FloatArray) -> FloatArray:
         """Returns the distance along the road [m]; the inner side of a curve is shorter."""
@@ -210,14 +174,14 @@ def drive_arcs(
         np.repeat(x, plans, axis=1) for x in (offset, own_angle, drift_turn)
     )
     turns = last_turn
-    for moment, span in enumerate(known.spans):
-        speeds = np.maximum(speed + slower[:, moment], 4.0)
-        turn = course.turn(moment, beside, angle, speeds)
-        last_turn = np.where(drifts[:, moment], turn, last_turn)
-        if moment == 0:
+    for stage, span in enumerate(known.spans):
+        speeds = np.maximum(speed + slower[:, stage], 4.0)
+        turn = course.turn(stage, beside, angle, speeds)
+        last_turn = np.where(drifts[:, stage], turn, last_turn)
+        if stage == 0:
             turns = turn
             turn = turn + (own_turn - turn) * np.float32(physics.steering_lag)
-        release = releases[:, moment] * (np.float32(physics.release_turn) / lock)
+        release = releases[:, stage] * (np.float32(physics.release_turn) / lock)
         turn = (turn + last_turn * release) * (lock * span)
         step = speeds * span
         way = course.way(step, beside)
@@ -227,7 +191,7 @@ def drive_arcs(
         beside = beside + step * np.sin(angle)
         angle = angle + turn
         course.reach_to(at)
-        along[moment], across[moment], rooms[:, moment] = at, beside, course.rooms
+        along[stage], across[stage], rooms[:, stage] = at, beside, course.rooms
     return along, across, rooms, angle, turns
 
 
@@ -255,11 +219,11 @@ def drive_by_network(
     half = np.float32(0.5 * settings.step)
     brakers = (known.maneuvers[rows] == _BRAKE).astype(np.float32)
     step = 0
-    for moment, end in enumerate(np.cumsum(known.spans, dtype=np.float32)):
-        middle = known.least[rows, moment] + known.most[rows, moment]
-        side = np.where(known.drifts[rows, moment] > 0, np.sign(middle), 0)
+    for stage, end in enumerate(np.cumsum(known.spans, dtype=np.float32)):
+        middle = known.least[rows, stage] + known.most[rows, stage]
+        side = np.where(known.drifts[rows, stage] > 0, np.sign(middle), 0)
         while np.float32(step) * np.float32(settings.step) < end - half:
-            turn = course.turn(moment, beside, angle, own.speed)
+            turn = course.turn(stage, beside, angle, own.speed)
             turns = turn if step == 0 else turns
             brakes = brakers if step < settings.brake_lasts else zeros
             own = _act(own, turn, side, brakes, settings, is_first=step == 0)
@@ -276,12 +240,12 @@ def drive_by_network(
             own = own._replace(speed=speed, slide=slide, yaw=yaw)
             course.reach_to(at)
             step += 1
-        along[moment], across[moment], rooms[:, moment] = at, beside, course.rooms
+        along[stage], across[stage], rooms[:, stage] = at, beside, course.rooms
     return along, across, rooms, angle, turns
 
 
 def _room_for(known: PlanTable, count: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Returns empty arrays for the moments of all plans of karts.
+    """Returns empty arrays for the stages of all plans of karts.
 
     Returns:
         Two arrays ``(T, A, C)`` and one ``(2, T, A, C)``.
@@ -382,12 +346,12 @@ def _item_gain(
         own_along, own_across = along[:, who], across[:, who]
         there, beside, worth, radius = items[who, item, :, None].swapaxes(0, 1)
         passed = np.greater_equal(own_along, there)
-        moment = passed.argmax(axis=0)
-        before = np.maximum(moment - 1, 0)
+        stage = passed.argmax(axis=0)
+        before = np.maximum(stage - 1, 0)
         rows, columns = np.arange(len(who))[:, None], np.arange(gain.shape[1])
-        from_, to = own_along[before, rows, columns], own_along[moment, rows, columns]
+        from_, to = own_along[before, rows, columns], own_along[stage, rows, columns]
         share = np.clip((there - from_) / np.maximum(to - from_, 1e-3), 0.0, 1.0)
-        start, end = own_across[before, rows, columns], own_across[moment, rows, columns]
+        start, end = own_across[before, rows, columns], own_across[stage, rows, columns]
         miss = np.abs(start + (end - start) * share - beside)
         hit = np.clip((radius - miss) / rules.blur + 1.0, 0.0, 1.0)
         gain[who] += worth * hit * passed[-1]
@@ -419,9 +383,9 @@ def _bumps(
         ahead = there + (speed[who] - own) * ends[:, None]
         beside = aside.astype(np.float32) + drift.astype(np.float32) * crossing
         reached = ahead[..., None] - along[:, who] < rules.length
-        moment = reached.argmax(axis=0)
+        stage = reached.argmax(axis=0)
         rows, columns = np.arange(len(who))[:, None], np.arange(cost.shape[1])
-        gap = np.abs(across[moment, who[:, None], columns] - beside[moment, rows])
+        gap = np.abs(across[stage, who[:, None], columns] - beside[stage, rows])
         hit = np.clip((np.float32(rules.bump_width) - gap) / rules.blur, 0.0, 1.0)
         cost[who] += np.float32(rules.bump_cost) * own[:, None] * hit * reached.any(axis=0)
     return cost

@@ -99,6 +99,7 @@ def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
         "tests/support/browser.py",
         "tests/data/agents/plain/pystk_actor.py",
         "docs/conf.py",
+        "agents/planning/planning.h",
         "stkzoo/kernel/kernel.h",
         "stkzoo/kernel/libm.c",
         "stkzoo/py.typed",
@@ -116,6 +117,7 @@ def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
         assert "site-packages" in stkzoo.__file__ and "outside" in stkzoo.__file__, stkzoo.__file__
         from stkzoo.engine.process import LIBM
         assert LIBM.exists()
+        import stkzoo.agents.planning.driver
         from stkzoo import race_v0
         with race_v0.parallel_env(num_kart=2, track="lighthouse", view="masked_discrete") as env:
             env.reset(seed=1)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from stkzoo import kernel
+from stkzoo.agents.planning import _planning
 from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training import learn_motion
-from tests.kernel.test_plan_weigher import random_arguments
+from tests.agents.planning.test_plan_weigher import random_arguments
 
 pytest.importorskip("torch", reason="extra train")
 
@@ -23,7 +23,7 @@ def test_a_short_training_gives_a_network_that_plans_can_use(tmp_path, monkeypat
     assert [array.shape for array in layers] == shapes
     found = np.empty((3, 2, 4), np.float32)
     motion = (np.array(MOTION_RULES), *layers)
-    kernel.weigh_plans(*random_arguments(0, count=2, motion=motion), found)
+    _planning.weigh_plans(*random_arguments(0, count=2, motion=motion), found)
     assert np.isfinite(found).all()
     said = capsys.readouterr().out
     assert "network: median" in said

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo._schema import Place
-from stkzoo.agents.planning.arrays import BoolArray, FloatArray, IntArray
+from stkzoo.agents.planning import BoolArray, FloatArray, IntArray
 from stkzoo.agents.planning.driver import (
     ALL_LOOKS,
     PlanDriver,

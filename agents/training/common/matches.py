@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._schema import Count
-from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.action_filter import ActionFilter

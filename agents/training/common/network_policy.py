@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights

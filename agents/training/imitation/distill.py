@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo._arguments import option
-from stkzoo.agents.planning.arrays import IntArray
+from stkzoo.agents.planning import IntArray
 from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter, steering

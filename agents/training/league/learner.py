@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.pretrained.policy import RacingPolicy
 

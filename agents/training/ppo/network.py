@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.planning.arrays import FloatArray
+from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
 from stkzoo.agents.pretrained.policy import check_shapes
 from stkzoo.agents.pretrained.weights import load_weights

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import CHOICE_NAMES, CHOICES, INPUT_SIZE, PolicyInput
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import Network, RacingPolicy

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from stkzoo import RaceVectorEnv
 from stkzoo._schema import Place
-from stkzoo.agents.planning.arrays import IntArray
+from stkzoo.agents.planning import IntArray
 from stkzoo.agents.pretrained.mlp import MlpDriver, log_probability_of, sample_choices
 from stkzoo.agents.pretrained.policy import Network
 from stkzoo.suite import Task

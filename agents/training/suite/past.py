@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from stkzoo.agents.planning.arrays import FloatArray, IntArray
+from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.pretrained.mlp import MlpDriver, sample_choices
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.kart import BOOST_LASTS, BOOST_STEPS, DRIFT_APART, RESCUE_STEPS, STEP
 from stkzoo.agents.planning.memory import DriverMemory
+from stkzoo.agents.planning.motion import BOOST_LASTS, BOOST_STEPS, DRIFT_APART, RESCUE_STEPS, STEP
 from stkzoo.agents.planning.parameters import DriverParameters
 
 

@@ -1,13 +1,142 @@
-"""The learned motion network, compared with karts in races."""
+"""How karts move: the planner's constants and its network, compared with karts in races."""
+
+import math
+import statistics
 
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.motion import learned_motion
+from stkzoo import race_v0
+from stkzoo.agents import heuristic
+from stkzoo.agents.planning.motion import (
+    BOOST_STEPS,
+    DRIFT_APART,
+    DRIFT_TURN,
+    RELEASE_TURN,
+    STEERING_LAG,
+    learned_motion,
+)
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.training.common.matches import Match, plan_match_driver, play_matches
 from stkzoo.agents.training.learn_motion import drive, misses
+
+
+def drive_alone(track, reverse=False):
+    """Drives one lap; yields the drift steps before each action, the speed and the action."""
+    with race_v0.parallel_env(num_kart=1, track=track, reverse=reverse, max_cycles=None) as env:
+        observation = env.reset(seed=2)[0]["kart_0"]
+        driver = heuristic.create_state()
+        while env.agents:
+            drift_steps = driver.memory.situation().drift_steps[0]
+            action = driver.drive(observation)
+            yield drift_steps, float(observation["velocity"][2]), action
+            observation = env.step({"kart_0": action})[0]["kart_0"]
+
+
+@pytest.mark.slow
+def test_drifts_earn_boosts_in_the_game():
+    calls = list(drive_alone("lighthouse"))
+    ends = [
+        number
+        for number, (drift_steps, _, action) in enumerate(calls[:-3])
+        if drift_steps >= BOOST_STEPS[0] and not action["drift"]
+    ]
+    assert len(ends) >= 4
+    gains = [calls[end + 2][1] - calls[end][1] for end in ends]
+    assert statistics.median(gains) > 0.5  # [m/s]; without a boost the median is not above 0
+
+
+@pytest.mark.slow
+def test_the_driver_keeps_the_minimum_interval_between_drifts():
+    drifts = [action["drift"] for *_, action in drive_alone("stk_enterprise", reverse=True)]
+    begins = np.flatnonzero(np.diff(drifts, prepend=0) == 1)
+    assert len(begins) > 10
+    assert np.diff(begins).min() >= DRIFT_APART
+
+
+def control(steer, drift=0):
+    return {
+        "acceleration": np.ones(1, np.float32),
+        "steer": np.array([steer], np.float32),
+        "brake": 0,
+        "drift": drift,
+        "fire": 0,
+        "nitro": 0,
+        "rescue": 0,
+    }
+
+
+def heading(env):
+    w, x, y, z = env.snapshot.karts["rotation"][0]
+    return math.atan2(2 * (x * z - w * y), 1 - 2 * (x * x + y * y))
+
+
+@pytest.fixture(scope="module")
+def fast_kart():
+    """Yields a fast kart on open road, and its expected turn rate at full lock [rad/s]."""
+    with race_v0.parallel_env(num_kart=1, track="gran_paradiso_island", max_cycles=None) as env:
+        observation = env.reset(seed=3)[0]["kart_0"]
+        while observation["velocity"][2] < 22.0:
+            observation = env.step({"kart_0": control(0.0)})[0]["kart_0"]
+        speed = float(observation["velocity"][2])
+        angle = float(observation["max_steer_angle"][0])
+        yield env, speed * math.tan(angle) / DriverParameters().wheel_base
+
+
+def turns_of(env, controls):
+    """Returns the angle that the kart turns to the right with each control [rad]."""
+    with env.lookahead() as branch:
+        headings = [heading(branch)]
+        for action in controls:
+            branch.step({"kart_0": action})
+            headings.append(heading(branch))
+    return np.diff(np.unwrap(headings))
+
+
+@pytest.mark.slow
+def test_the_turn_rate_at_full_lock_is_as_computed(fast_kart):
+    env, lock = fast_kart
+    for side in (-1, 1):
+        turns = turns_of(env, [control(side)] * 3)
+        assert turns[1:] * side == pytest.approx(0.1 * lock, rel=0.15)
+        assert turns[0] / turns[1] == pytest.approx(1 - STEERING_LAG, abs=0.12)
+
+
+def test_a_drift_turns_by_the_expected_fractions_of_full_lock(fast_kart):
+    env, lock = fast_kart
+    for side in (-1, 1):
+        for steer, share in zip((-1, 1), DRIFT_TURN, strict=True):
+            drift = [control(0.3 * side, 1), *[control(steer * side, 1)] * 4]
+            turn = turns_of(env, drift)[-1] * side
+            assert turn == pytest.approx(0.1 * lock * share, rel=0.15)
+
+
+def test_a_kart_keeps_turning_after_a_drift_and_cannot_start_another(fast_kart):
+    env, _ = fast_kart
+    drift = [control(0.3, 1), *[control(-1.0, 1)] * 7]
+    after = turns_of(env, [*drift, *[control(0.0)] * 4])[len(drift) + 1 :]
+    assert after == pytest.approx(0.1 * RELEASE_TURN * DRIFT_TURN[0], rel=0.3)
+    again = turns_of(env, [*drift, control(0.0), *[control(-0.01, 1)] * 3])[len(drift) + 1 :]
+    assert again == pytest.approx(after[:3], abs=0.01)  # it would turn left if it drifted
+
+
+@pytest.mark.parametrize("steps", [2, 4])
+def test_after_a_short_drift_a_kart_keeps_turning_for_as_long_as_it_drifted(fast_kart, steps):
+    env, _ = fast_kart
+    drift = [control(0.3, 1), *[control(-1.0, 1)] * (steps - 1)]
+    after = turns_of(env, [*drift, *[control(0.0)] * 8])[steps + 1 :]
+    is_turning = after > 0.05 * RELEASE_TURN * DRIFT_TURN[0]
+    assert is_turning.tolist() == [step < steps - 1 for step in range(len(after))]
+
+
+@pytest.mark.parametrize("apart", range(2, 8))
+def test_a_drift_that_starts_too_soon_goes_to_the_wrong_side(fast_kart, apart):
+    env, _ = fast_kart
+    short = [control(0.3, 1), *[control(0.0)] * (apart - 1)]
+    # start a drift to the right, then widen it at once by steering to the left
+    again = turns_of(env, [*short, control(0.3, 1), *[control(-1.0, 1)] * 4])[-1]
+    assert (again > 0) == (apart >= DRIFT_APART)
 
 
 @pytest.mark.slow

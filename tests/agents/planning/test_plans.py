@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.kart import BOOST_STEPS, RELEASE_STEPS
+from stkzoo.agents.planning.motion import BOOST_STEPS, RELEASE_STEPS
 from stkzoo.agents.planning.plans import (
     BRAKE,
     DRIFT_LEFT,

@@ -1,13 +1,16 @@
 /* Computes the inputs of plans, and a policy's inputs from the weighed plans.
 
-   The NumPy reference implementation, tests.oracle.plan_viewer, documents the arrays.
-   The results match NumPy's bit for bit where NumPy uses fused multiply-adds. */
+   The NumPy version in tests/oracle/plan_viewer.py matches bit for bit where NumPy uses fused
+   multiply-adds. */
 
 #include "geometry.h"
-#include "plan_memory.h"
+#include "planning.h"
 #include "vectors.h"
 
-enum { MANEUVERS = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64, MOST_NEAR = 16 };
+enum {
+    MANEUVERS = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64,
+    MOST_NEAR = 16
+};
 /* Columns of the road's line after the point: distances to the left and to the right edge [m]. */
 enum { TO_LEFT = 3, TO_RIGHT, LINE_SIZE };
 /* Number of rows of the road in the arguments of weigh_plans. */
@@ -479,7 +482,28 @@ static int survey_fits(Survey *s, Doubles rules)
 }
 
 /* survey_road(rules, worths, memory, own, around, before, now, out): writes the arguments of
-   weigh_plans and the scene of each kart. */
+   weigh_plans for A karts, and where the karts are.
+
+   rules: (34,) in the order of the enum above.
+   worths: (2, types) worth of item types for karts without and with a powerup [m].
+   memory: (22, A) in the order of stkzoo.agents.planning.memory.PlanMemory.
+   own: entries of the full view in batch form: velocity (A, 3) and energy (A,) float32; jumping,
+       powerup_type and powerup_count (A,) int64.
+   around: the road at M marks, 12 or more, with distances to its left and to its right edge,
+       (A, M + 1, 5) [m]; directions of the road (A, M) [rad], which are unwrapped in place; tangents
+       of the karts' largest steering angles (A,); positions in the kart's frame of other karts
+       (A, K, 3) [m], not finite if missing, and of items (A, N, 3) [m]; types of the items (A, N).
+   before: observations of the previous step: positions of the nearest karts, right and ahead
+       (A, R, 2) [m]; velocity of the observing kart (A, 2) [m/s]; directions of the road (A, M).
+   now: the same positions and velocities of this step, which are written.
+   out: arrays to write: the arguments rows, karts, road, items (A, I, 4) and rivals (A, R, 5) of
+       weigh_plans; with R = 0, other karts are ignored. The last one, (A, 5), is the scene: angle to
+       the road [rad], offset from its middle [m], distance beyond the nearer edge [m], the largest
+       turn of the road in the near future [rad], and whether firing is useful.
+
+   Observations have no velocities of other karts. The observing kart's own motion is known: its
+   velocity, and its rotation from the apparent rotation of the road. Once this is subtracted, other
+   karts move little in a step, so each is matched with the nearest previous position. */
 PyObject *survey_road(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Survey s;
@@ -607,7 +631,15 @@ static int presentation_fits(Presentation *p, Doubles rules)
 }
 
 /* present_plans(rules, logits, memory, own, best, scene, rivals, prior, inputs, first): writes the
-   logits of the rules into `prior`, and a policy's inputs beginning at column `first`. */
+   logits of the rules, and a policy's inputs from the plans and the nearest karts.
+
+   rules, memory, own, scene, rivals: see survey_road.
+   logits: (7,) logits of the offsets, and (2, 2) logits of a button, first if the rules do not press
+       it, then if they do.
+   best: argument `out` of weigh_plans.
+   prior: (A, 15) logits of the rules, which are written.
+   inputs: (A, F); 19 columns, and 5 for each rival, are written. With F = 0, none are written.
+   first: index of the first of these columns. */
 PyObject *present_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Presentation p;

@@ -1,17 +1,17 @@
-"""The memory of drivers in the kernel, compared with the NumPy reference implementation."""
+"""The memory of drivers in the extension, compared with the oracle."""
 
 import numpy as np
 import pytest
 
-from stkzoo import kernel
-from stkzoo.agents.planning.memory import MEMORY_SIZE, DriverMemory
+from stkzoo.agents.planning import _planning
+from stkzoo.agents.planning.memory import MEMORY_SIZE, DriverMemory, PlanMemory
 from stkzoo.agents.planning.parameters import DriverParameters
 from tests.oracle import plan_memory
 
 
 def memory_of(chance, count):
-    memory = chance.integers(0, 5, (len(kernel.PlanMemory._fields), count)).astype(np.float32)
-    names = kernel.PlanMemory._fields
+    memory = chance.integers(0, 5, (len(PlanMemory._fields), count)).astype(np.float32)
+    names = PlanMemory._fields
     memory[names.index("drift_side")] = chance.integers(-1, 2, count)
     memory[names.index("free_steps")] = chance.integers(0, 80, count)
     memory[names.index("drift_steps")] = chance.integers(0, 70, count)
@@ -34,20 +34,20 @@ def write_arguments(seed, count=200):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_age_memory_matches_the_reference_implementation(seed):
+def test_age_memory_matches_the_oracle(seed):
     rules, memory, *rest = age_arguments(seed)
     ours, theirs = memory.copy(), memory.copy()
-    kernel.age_memory(rules, ours, *rest)
+    _planning.age_memory(rules, ours, *rest)
     plan_memory.age_memory(rules, theirs, *rest)
     np.testing.assert_array_equal(ours, theirs)
     assert (ours != memory).any(axis=1).sum() > 15
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_write_memory_matches_the_reference_implementation(seed):
+def test_write_memory_matches_the_oracle(seed):
     rules, memory, out, first = write_arguments(seed)
     ours, theirs = out.copy(), out.copy()
-    kernel.write_memory(rules, memory, ours, first)
+    _planning.write_memory(rules, memory, ours, first)
     plan_memory.write_memory(rules, memory, theirs, first)
     np.testing.assert_array_equal(ours, theirs)
     assert not ours[:, [0, 1, -1]].any()
@@ -57,7 +57,7 @@ def test_write_memory_matches_the_reference_implementation(seed):
 def test_write_memory_does_not_write_beyond_a_row(first):
     rules, memory, out, _ = write_arguments(0)
     with pytest.raises(ValueError, match="too short"):
-        kernel.write_memory(rules, memory, out, first)
+        _planning.write_memory(rules, memory, out, first)
 
 
 @pytest.mark.parametrize(("place", "size"), [(0, 3), (1, 7), (2, 5), (3, 1)])
@@ -65,4 +65,4 @@ def test_age_memory_refuses_arrays_that_do_not_fit(place, size):
     arguments = list(age_arguments(0, count=2))
     arguments[place] = np.zeros(size, arguments[place].dtype)
     with pytest.raises(ValueError, match=r"fit|must be"):
-        kernel.age_memory(*arguments)
+        _planning.age_memory(*arguments)

@@ -6,8 +6,7 @@ from stkzoo import race_v0
 from stkzoo.agents.planning.driver import ALL_LOOKS
 from stkzoo.agents.planning.memory import DriverMemory
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.rivals import RIVALS, RivalTracker
-from stkzoo.agents.planning.road import LINE_MARKS
+from stkzoo.agents.planning.road import LINE_MARKS, RIVALS, RivalTracker
 from stkzoo.agents.planning.worth import OwnState, plan_rules, weigh
 from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
 

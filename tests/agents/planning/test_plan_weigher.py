@@ -1,11 +1,10 @@
-"""Evaluation of plans in the kernel, compared with the NumPy reference implementation."""
+"""Evaluation of plans in the extension, compared with the oracle."""
 
 import numpy as np
 import pytest
 
-from stkzoo import kernel
-from stkzoo.agents.planning.kart import DRIFT_TURN, RELEASE_STEPS
-from stkzoo.agents.planning.motion import learned_motion
+from stkzoo.agents.planning import _planning
+from stkzoo.agents.planning.motion import DRIFT_TURN, RELEASE_STEPS, learned_motion
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, LONGEST_DRIFT, plan_table
 from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
@@ -112,7 +111,7 @@ def test_plans_reach_farther_to_the_side_with_more_room(side, motion):
 
 
 @pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
-@pytest.mark.parametrize("weigh", [kernel.weigh_plans, plan_weigher.weigh_plans])
+@pytest.mark.parametrize("weigh", [_planning.weigh_plans, plan_weigher.weigh_plans])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_cost_begins_at_the_edge_of_that_side(side, weigh, motion):
     narrow, wide = 2.0, 6.0
@@ -222,14 +221,14 @@ def random_arguments(seed, count=9, motion=()):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_weigh_plans_matches_the_reference_implementation(seed):
+def test_weigh_plans_matches_the_oracle(seed):
     arguments = random_arguments(seed)
     ours, theirs = weighed_by_both(arguments)
     np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_weigh_plans_with_the_network_matches_the_reference_implementation(seed):
+def test_weigh_plans_with_the_network_matches_the_oracle(seed):
     ours, theirs = weighed_by_both(random_arguments(seed, motion=learned_motion()))
     np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-4, atol=1e-2)
     # if two plans have nearly the same value, either may be the best
@@ -239,7 +238,7 @@ def test_weigh_plans_with_the_network_matches_the_reference_implementation(seed)
 def weighed_by_both(arguments):
     """Returns the results of the kernel and of the reference implementation."""
     ours, theirs = (np.empty((3, len(arguments[3]), 4), np.float32) for _ in range(2))
-    kernel.weigh_plans(*arguments, ours)
+    _planning.weigh_plans(*arguments, ours)
     plan_weigher.weigh_plans(*arguments, theirs)
     return ours, theirs
 
@@ -260,11 +259,13 @@ def test_spans_that_would_never_end_are_refused(span):
     spans = table.spans.copy()
     spans[-1] = span
     with pytest.raises(ValueError, match="at most 100 s"):
-        kernel.weigh_plans(table._replace(spans=spans), *arguments, np.empty((3, 1, 4), np.float32))
+        _planning.weigh_plans(
+            table._replace(spans=spans), *arguments, np.empty((3, 1, 4), np.float32)
+        )
 
 
 @pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
-@pytest.mark.parametrize("weigh", [kernel.weigh_plans, plan_weigher.weigh_plans])
+@pytest.mark.parametrize("weigh", [_planning.weigh_plans, plan_weigher.weigh_plans])
 def test_results_do_not_depend_on_the_batch(weigh, motion):
     table, rules, _, *of_karts = random_arguments(0)
     together = np.empty((3, len(of_karts[0]), 4), np.float32)
@@ -297,4 +298,4 @@ def test_weigh_plans_refuses_arrays_that_do_not_fit(place, value, error):
     arguments = [*random_arguments(0, count=1), np.empty((3, 1, 4), np.float32)]
     arguments[place] = value
     with pytest.raises(error):
-        kernel.weigh_plans(*arguments)
+        _planning.weigh_plans(*arguments)

@@ -1,11 +1,10 @@
 /* Simulates the plans of karts on the road ahead with a model of a kart, and weighs them.
 
    There are two models: arcs at constant speed, and a small network that has learned how karts
-   move. The NumPy reference implementation, tests.oracle.plan_weigher, documents the
-   arrays. The results match NumPy's bit for bit where NumPy uses fused multiply-adds. The network's
-   results do not depend on the processor. */
+   move. The NumPy version in tests/oracle/plan_weigher.py matches bit for bit where NumPy uses fused
+   multiply-adds. The network's results do not depend on the processor. */
 
-#include "kernel.h"
+#include "planning.h"
 #include "vectors.h"
 
 /* Before a loop: asserts that no iteration reads what an earlier one wrote, so that the compiler
@@ -25,7 +24,7 @@ static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
 /* Longest time that plans can last [s], which bounds the number of steps. */
 static const float MOST_TIME = 100.0f;
 
-/* The plans of all states, in the order of stkzoo.kernel.PlanTable. */
+/* The plans of all states, in the order of stkzoo.agents.planning.plans.PlanTable. */
 typedef struct {
     Floats spans;                                         /* (T,) */
     Floats least, most, drifts, releases, slower, lanes; /* (S, T, C) */
@@ -76,7 +75,7 @@ typedef struct {
     npy_intp units[LAYERS + 1];
 } Network;
 
-/* Indices of the network's rules, in the order of stkzoo.kernel.MotionRules. */
+/* Indices of the network's rules, in the order of stkzoo.agents.planning.motion.MotionRules. */
 enum {
     MOTION_STEP, SMALL_DRIFT, BIG_DRIFT, SMALL_LASTS, BIG_LASTS, RELEASE_LASTS, BRAKE_LASTS,
     NUM_MOTION_RULES
@@ -96,20 +95,20 @@ typedef struct {
     double is_there, along, across, gain, drift;
 } RoadRival;
 
-/* The simulated plans of one kart: (T, C) for moments by plans, (C,) for plans. */
+/* The simulated plans of one kart: (T, C) for stages by plans, (C,) for plans. */
 typedef struct {
     const Table *table;
-    npy_intp states, moments, plans, marks;
+    npy_intp states, stages, plans, marks;
     npy_intp row; /* index of the first plan of the kart's state in arrays (S, C) */
     const double *rules;
     float *along, *across;                    /* (T, C) */
-    float *lefts, *rights;                    /* (T, C) room at the ends of the moments */
+    float *lefts, *rights;                    /* (T, C) room at the ends of the stages */
     float *angle, *last_turn, *turns, *extra; /* (C,) */
     float *danger, *worth, *gain;             /* (C,) */
     float *bends, *curves;                    /* (C,) of the road at the plans' marks */
     float *lefts_now, *rights_now;            /* (C,) room at these marks */
     npy_int32 *places;                        /* (C,) marks */
-    float *ends;                              /* (T,) of the moments [s] */
+    float *ends;                              /* (T,) of the stages [s] */
     const Network *network;
     const double *motion_rules;
     npy_intp driven; /* number of simulated plans, counted from the first */
@@ -127,13 +126,13 @@ FORCE_INLINE npy_int32 mark_at(float along, float per_mark, float last_mark)
     return (npy_int32)(mark < last_mark ? mark : last_mark);
 }
 
-/* Simulates one moment of all plans, from the end of the previous moment. */
-FORCE_INLINE void drive_moment(const Forecast *f, const PlanKart *kart, npy_intp moment,
+/* Simulates one stage of all plans, from the end of the previous stage. */
+FORCE_INLINE void drive_stage(const Forecast *f, const PlanKart *kart, npy_intp stage,
                                const int is_first)
 {
     const Table *t = f->table;
-    const npy_intp plans = f->plans, at = moment * plans, in_table = f->row * f->moments + at;
-    const float span = t->spans.data[moment], lock = kart->lock, reach = kart->reach;
+    const npy_intp plans = f->plans, at = stage * plans, in_table = f->row * f->stages + at;
+    const float span = t->spans.data[stage], lock = kart->lock, reach = kart->reach;
     const float pull = 2.0f / (reach * reach * lock), rate = lock * span;
     const float release_rate = (float)f->rules[RELEASE_TURN] / lock;
     const float lag = (float)f->rules[STEERING_LAG], own_turn = kart->turn;
@@ -250,13 +249,13 @@ FORCE_INLINE void infer(const Forecast *f)
 }
 
 /* Updates what the driver would remember of each plan, then writes the network's inputs. */
-FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp moment,
+FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp stage,
                                npy_intp step)
 {
     const Table *t = f->table;
     const Motion *m = &f->motion;
     const double *rules = f->motion_rules;
-    const npy_intp in_table = f->row * f->moments + moment * f->plans, stride = f->stride;
+    const npy_intp in_table = f->row * f->stages + stage * f->plans, stride = f->stride;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table, *lanes = t->lanes.data + in_table;
     const npy_intp *maneuvers = t->maneuvers.data + f->row;
@@ -359,7 +358,7 @@ FORCE_INLINE void move_plans(const Forecast *f)
     }
 }
 
-/* Simulates all moments of all plans with the network, step by step. */
+/* Simulates all stages of all plans with the network, step by step. */
 FOR_ALL_PROCESSORS
 static void drive_by_network(const Forecast *f, const PlanKart *kart, const float *road)
 {
@@ -375,30 +374,30 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
     }
     look_up(f, road, f->lefts_now, f->rights_now);
     npy_intp step = 0;
-    for (npy_intp moment = 0; moment < f->moments; moment++) {
-        const float end = f->ends[moment] - (float)(0.5 * f->motion_rules[MOTION_STEP]);
+    for (npy_intp stage = 0; stage < f->stages; stage++) {
+        const float end = f->ends[stage] - (float)(0.5 * f->motion_rules[MOTION_STEP]);
         for (; (float)step * (float)f->motion_rules[MOTION_STEP] < end; step++) {
-            look_at_step(f, kart, moment, step);
+            look_at_step(f, kart, stage, step);
             infer(f);
             move_plans(f);
             look_up(f, road, f->lefts_now, f->rights_now);
         }
-        memcpy(f->along + moment * f->plans, f->along_now, size);
-        memcpy(f->across + moment * f->plans, f->across_now, size);
-        memcpy(f->lefts + moment * f->plans, f->lefts_now, size);
-        memcpy(f->rights + moment * f->plans, f->rights_now, size);
+        memcpy(f->along + stage * f->plans, f->along_now, size);
+        memcpy(f->across + stage * f->plans, f->across_now, size);
+        memcpy(f->lefts + stage * f->plans, f->lefts_now, size);
+        memcpy(f->rights + stage * f->plans, f->rights_now, size);
     }
 }
 
-/* Simulates all moments of all plans with arcs. */
+/* Simulates all stages of all plans with arcs. */
 FOR_ALL_PROCESSORS
 static void drive_arcs(const Forecast *f, const PlanKart *kart, const float *road)
 {
     look_up(f, road, f->lefts_now, f->rights_now);
-    for (npy_intp moment = 0; moment < f->moments; moment++) {
-        if (moment) drive_moment(f, kart, moment, 0);
-        else drive_moment(f, kart, moment, 1);
-        look_up(f, road, f->lefts + moment * f->plans, f->rights + moment * f->plans);
+    for (npy_intp stage = 0; stage < f->stages; stage++) {
+        if (stage) drive_stage(f, kart, stage, 0);
+        else drive_stage(f, kart, stage, 1);
+        look_up(f, road, f->lefts + stage * f->plans, f->rights + stage * f->plans);
     }
 }
 
@@ -413,16 +412,16 @@ FORCE_INLINE float beyond_edge(float across, float left, float right)
 FOR_ALL_PROCESSORS
 static void weigh_danger(const Forecast *f, const PlanKart *kart)
 {
-    const npy_intp plans = f->plans, last = (f->moments - 1) * plans;
+    const npy_intp plans = f->plans, last = (f->stages - 1) * plans;
     const double *rules = f->rules;
     const float late_way = kart->speed * (float)rules[LATE_TIME];
     for (npy_intp i = 0; i < plans; i++) f->danger[i] = 0;
-    for (npy_intp moment = 0; moment < f->moments; moment++) {
-        const float *across = f->across + moment * plans;
-        const float *lefts = f->lefts + moment * plans, *rights = f->rights + moment * plans;
+    for (npy_intp stage = 0; stage < f->stages; stage++) {
+        const float *across = f->across + stage * plans;
+        const float *lefts = f->lefts + stage * plans, *rights = f->rights + stage * plans;
         for (npy_intp i = 0; i < plans; i++) {
             const float over = beyond_edge(across[i], lefts[i], rights[i]);
-            f->danger[i] = fmaf(f->table->spans.data[moment], over < 0 ? 0 : over, f->danger[i]);
+            f->danger[i] = fmaf(f->table->spans.data[stage], over < 0 ? 0 : over, f->danger[i]);
         }
     }
     for (npy_intp i = 0; i < plans; i++) {
@@ -460,10 +459,10 @@ static void add_item(const Forecast *f, const RoadItem *item)
 {
     const npy_intp plans = f->plans;
     for (npy_intp i = 0; i < plans; i++) {
-        npy_intp moment = 0;
-        if (!(f->along[(f->moments - 1) * plans + i] >= item->along)) continue;
-        while (!(f->along[moment * plans + i] >= item->along)) moment++;
-        const npy_intp before = (moment ? moment - 1 : 0) * plans + i, after = moment * plans + i;
+        npy_intp stage = 0;
+        if (!(f->along[(f->stages - 1) * plans + i] >= item->along)) continue;
+        while (!(f->along[stage * plans + i] >= item->along)) stage++;
+        const npy_intp before = (stage ? stage - 1 : 0) * plans + i, after = stage * plans + i;
         const float way = f->along[after] - f->along[before];
         const float start = f->across[before], end = f->across[after];
         const double share =
@@ -480,18 +479,18 @@ static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *
     const double *rules = f->rules;
     const float *ends = f->ends;
     const float closing = -(float)rival->gain, length = (float)rules[LENGTH];
-    const npy_intp last = f->moments - 1;
+    const npy_intp last = f->stages - 1;
     if (!rival->is_there || !(rival->along > rules[BESIDE]) || !(closing > (float)rules[HARMLESS]) ||
         !(rival->along < (double)(closing * ends[last] + length))) {
         return;
     }
     const float pace = kart->speed - closing, drift = (float)rival->drift;
     for (npy_intp i = 0; i < f->plans; i++) {
-        for (npy_intp moment = 0; moment <= last; moment++) {
-            const npy_intp at = moment * f->plans + i;
-            if (!(rival->along + pace * ends[moment] - f->along[at] < rules[LENGTH])) continue;
+        for (npy_intp stage = 0; stage <= last; stage++) {
+            const npy_intp at = stage * f->plans + i;
+            if (!(rival->along + pace * ends[stage] - f->along[at] < rules[LENGTH])) continue;
             const float crossing = (float)rules[CROSSING];
-            const float time = ends[moment] < crossing ? ends[moment] : crossing;
+            const float time = ends[stage] < crossing ? ends[stage] : crossing;
             const float gap = fabsf(f->across[at] - ((float)rival->across + drift * time));
             const float hit = ((float)rules[BUMP_WIDTH] - gap) / (float)rules[BLUR];
             f->gain[i] += (float)rules[BUMP_COST] * closing * (hit < 0 ? 0 : hit > 1 ? 1 : hit);
@@ -563,7 +562,7 @@ static void weigh(Forecast *f, const PlanKart *kart, const float *road, const Ro
     if (has_network) drive_by_network(f, kart, road);
     else drive_arcs(f, kart, road);
     weigh_danger(f, kart);
-    const float *along = f->along + (f->moments - 1) * plans;
+    const float *along = f->along + (f->stages - 1) * plans;
     const float angle_cost = (float)f->rules[ANGLE_COST];
     for (npy_intp i = 0; i < plans; i++) {
         f->worth[i] = along[i] - f->danger[i] - angle_cost * f->angle[i] * f->angle[i] +
@@ -597,15 +596,15 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
     if (PyArray_NDIM(items) != 2) return refuse("items must be states by plans");
     f->table = t;
     f->states = PyArray_DIM(items, 0), f->plans = PyArray_DIM(items, 1);
-    f->moments = t->spans.size;
-    const npy_intp one = t->items.size, all = one * f->moments;
-    const int fits = f->moments > 0 && t->least.size == all && t->most.size == all &&
+    f->stages = t->spans.size;
+    const npy_intp one = t->items.size, all = one * f->stages;
+    const int fits = f->stages > 0 && t->least.size == all && t->most.size == all &&
                      t->drifts.size == all && t->releases.size == all && t->slower.size == all &&
                      t->lanes.size == all && t->maneuvers.size == one && t->boosts.size == one &&
                      t->boost_steps.size == one && t->needs_drift.size == one;
     if (!fits) return refuse("the arrays of the table do not fit together");
     float end = 0;
-    for (npy_intp i = 0; i < f->moments; i++) {
+    for (npy_intp i = 0; i < f->stages; i++) {
         const float span = t->spans.data[i];
         end += span;
         if (!(span >= 0 && end <= MOST_TIME)) {
@@ -647,7 +646,7 @@ static void *make_room(Forecast *f)
 {
     const npy_intp *units = f->network->units;
     const size_t plans = (size_t)((f->plans + BLOCK - 1) / BLOCK * BLOCK);
-    const size_t all = (size_t)f->plans * (size_t)f->moments;
+    const size_t all = (size_t)f->plans * (size_t)f->stages;
     const size_t num_units = (size_t)(units[0] + units[1] + units[2] + units[3]);
     Motion *m = &f->motion;
     float **columns[] = {
@@ -657,7 +656,7 @@ static void *make_room(Forecast *f)
         &m->steps,     &m->release,    &m->boost,   &m->big_boost, &m->turn,
     };
     const size_t num_columns = sizeof columns / sizeof *columns;
-    float *block = PyMem_Calloc(4 * all + (num_columns + 1 + num_units) * plans + (size_t)f->moments,
+    float *block = PyMem_Calloc(4 * all + (num_columns + 1 + num_units) * plans + (size_t)f->stages,
                                 sizeof *block);
     if (!block) return PyErr_NoMemory();
     f->stride = (npy_intp)plans;
@@ -669,12 +668,40 @@ static void *make_room(Forecast *f)
     for (int n = 0; n <= LAYERS; n++) *layers[n] = next, next += (size_t)units[n] * plans;
     f->places = (npy_int32 *)next, f->ends = next + plans;
     const float *spans = f->table->spans.data;
-    for (npy_intp i = 0; i < f->moments; i++) f->ends[i] = spans[i] + (i ? f->ends[i - 1] : 0);
+    for (npy_intp i = 0; i < f->stages; i++) f->ends[i] = spans[i] + (i ? f->ends[i - 1] : 0);
     return block;
 }
 
 /* weigh_plans(table, rules, motion, rows, karts, road, items, rivals, out): writes the best plan of
-   each maneuver for each kart. */
+   each maneuver for A karts.
+
+   A kart steers toward a point of its lane ahead, within the turning limits of its plan. The lanes
+   from -1 to 0 share the room to the left, those from 0 to 1 the room to the right.
+
+   table: the plans of all states, in the order of stkzoo.agents.planning.plans.PlanTable.
+   rules: (19,) in the order of the enum above.
+   motion: empty for karts that drive arcs at constant speed. Otherwise (7,) float64 in the order of
+       stkzoo.agents.planning.motion.MotionRules, and three layers of a network, (outputs, inputs)
+       and (outputs,) each, with rectified linear units between them. The network maps
+       MotionState.inputs to the turn to the right in a step [rad] and the changes of forward speed
+       and speed to the right [m/s].
+   rows: (A,) states of the karts.
+   karts: (A, 16) in the order of PlanKart: speed [m/s]; turn at full lock [rad/s]; distance at which
+       the kart aims [m]; turn in the last step, and in the last step of a drift [fraction of full
+       lock]; offset from the middle of the road [m] and angle to the road [rad]; remaining time of a
+       small and of a big boost [steps]; whether the kart may drift, and whether it may brake; speed
+       to the right [m/s] and turn in the last step [rad]; side of a drift and its duration [steps];
+       remaining time of the turn after a drift [steps].
+   road: (A, 4, M) at the marks: lateral displacement by the road's bend within the distance at which
+       the kart aims [m], largest offsets of karts from the middle to the left and to the right [m],
+       and curvature [1/m].
+   items: (A, I, 4), nearest first: distance along the road, offset from its middle, worth and radius
+       [m].
+   rivals: (A, R, 5): whether there is another kart, its distance along the road and its offset from
+       the middle [m], its speed along the road relative to the observing kart, and its speed across
+       the road [m/s].
+   out: (3, A, 4), which is written, for the best plan that begins with each maneuver: its worth [m],
+       its current turn [fraction of full lock], and its cost beyond the edge of the road [m]. */
 PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *tuple, *motion;

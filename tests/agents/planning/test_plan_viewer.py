@@ -1,10 +1,12 @@
-"""Inputs of plans and policies in the kernel, compared with the NumPy reference implementation."""
+"""Inputs of plans and policies in the extension, compared with the oracle."""
 
 import numpy as np
 import pytest
 
-from stkzoo import ItemType, PowerupType, kernel
+from stkzoo import ItemType, PowerupType
+from stkzoo.agents.planning import _planning
 from stkzoo.agents.planning.driver import _LOGITS, INPUT_SIZE
+from stkzoo.agents.planning.memory import PlanMemory
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.road import MARK_COUNT, MARK_SPACING, headings_of
 from stkzoo.agents.planning.worth import OwnState, plan_rules
@@ -40,8 +42,8 @@ def own_of(chance, count):
 
 
 def memory_of(chance, count):
-    memory = chance.integers(0, 6, (len(kernel.PlanMemory._fields), count)).astype(np.float32)
-    names = kernel.PlanMemory._fields
+    memory = chance.integers(0, 6, (len(PlanMemory._fields), count)).astype(np.float32)
+    names = PlanMemory._fields
     memory[names.index("drift_side")] = chance.integers(-1, 2, count)
     memory[names.index("drift_steps")] = chance.integers(0, 60, count)
     memory[names.index("release_steps")] = chance.integers(0, 8, count)
@@ -93,16 +95,16 @@ def surveyed(survey, arguments):
     ids=str,
 )
 @pytest.mark.parametrize("seed", range(8))
-def test_survey_road_matches_the_reference_implementation(seed, sizes):
+def test_survey_road_matches_the_oracle(seed, sizes):
     arguments = scene_arguments(seed, **sizes)
-    ours = surveyed(kernel.survey_road, arguments)
+    ours = surveyed(_planning.survey_road, arguments)
     theirs = surveyed(plan_viewer.survey_road, arguments)
     for name, array in theirs.items():
         np.testing.assert_allclose(ours[name], array, rtol=2e-6, atol=2e-5, err_msg=name)
     assert (np.abs(np.diff(theirs["headings"], axis=1)) < np.pi).all()
 
 
-@pytest.mark.parametrize("survey", [kernel.survey_road, plan_viewer.survey_road])
+@pytest.mark.parametrize("survey", [_planning.survey_road, plan_viewer.survey_road])
 def test_each_side_of_the_road_has_its_own_edge(survey):
     *given, around, before, now, out = scene_arguments(0, count=3, num_items=2)
     line, headings, _, _, items, types = around
@@ -110,7 +112,7 @@ def test_each_side_of_the_road_has_its_own_edge(survey):
     line[..., 2], line[..., 3:] = MARK_SPACING * np.arange(MARK_COUNT + 1), (2.0, 5.0)
     line[..., 0] = [[-4.0], [0.0], [3.0]]  # karts to the right of the line, on it, to the left
     items[:] = line[:, 5:6, :3] + np.array([[-4.0, 0, 0], [4.0, 0, 0]], np.float32)
-    given[2][kernel.PlanMemory._fields.index("caution_steps")] = 0
+    given[2][PlanMemory._fields.index("caution_steps")] = 0
     found = surveyed(survey, (*given, around, before, now, out))
     np.testing.assert_allclose(found["scene"][:, 2], [4.0 - 5.0, -2.0, 3.0 - 2.0], atol=1e-5)
     margin = RULES.parameters.margin
@@ -122,7 +124,7 @@ def test_each_side_of_the_road_has_its_own_edge(survey):
 
 def test_rivals_can_be_left_out():
     arguments = scene_arguments(0, rivals=0)
-    ours = surveyed(kernel.survey_road, arguments)
+    ours = surveyed(_planning.survey_road, arguments)
     theirs = surveyed(plan_viewer.survey_road, arguments)
     np.testing.assert_allclose(ours["karts"], theirs["karts"], rtol=2e-6, atol=2e-5)
     assert ours["rivals"].size == 0
@@ -152,10 +154,10 @@ def present_arguments(seed, count=60, width=INPUT_SIZE):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_present_plans_matches_the_reference_implementation(seed):
+def test_present_plans_matches_the_oracle(seed):
     *given, prior, inputs, first = present_arguments(seed)
     ours, theirs = (prior.copy(), inputs.copy()), (prior, inputs)
-    kernel.present_plans(*given, *ours, first)
+    _planning.present_plans(*given, *ours, first)
     plan_viewer.present_plans(*given, *theirs, first)
     for own, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-6)
@@ -167,7 +169,7 @@ def test_plans_of_unknown_worth_have_an_unknown_prior():
     *given, prior, inputs, first = present_arguments(0)
     given[4][:, 3] = np.nan
     ours, theirs = (prior.copy(), inputs.copy()), (prior, inputs)
-    kernel.present_plans(*given, *ours, first)
+    _planning.present_plans(*given, *ours, first)
     plan_viewer.present_plans(*given, *theirs, first)
     assert np.isnan(prior[3, :4]).all()
     for own, other in zip(ours, theirs, strict=True):
@@ -177,9 +179,9 @@ def test_plans_of_unknown_worth_have_an_unknown_prior():
 def test_the_prior_needs_no_inputs():
     *given, prior, _, first = present_arguments(0)
     alone = prior.copy()
-    kernel.present_plans(*given, alone, np.zeros((len(prior), 0), np.float32), first)
+    _planning.present_plans(*given, alone, np.zeros((len(prior), 0), np.float32), first)
     *given, prior, inputs, first = present_arguments(0)
-    kernel.present_plans(*given, prior, inputs, first)
+    _planning.present_plans(*given, prior, inputs, first)
     assert (alone == prior).all()
 
 
@@ -198,11 +200,11 @@ def test_survey_road_refuses_arrays_that_do_not_fit(place, value, error):
     arguments = list(scene_arguments(0, count=2))
     arguments[place] = value
     with pytest.raises(error):
-        kernel.survey_road(*arguments)
+        _planning.survey_road(*arguments)
 
 
 @pytest.mark.parametrize("first", [-1, INPUT_SIZE, 2**40])
 def test_present_plans_does_not_write_beyond_a_row(first):
     *arguments, _ = present_arguments(0)
     with pytest.raises(ValueError, match="too short"):
-        kernel.present_plans(*arguments, first)
+        _planning.present_plans(*arguments, first)

@@ -1,6 +1,6 @@
 /* Updates the memory that drivers keep between steps. */
 
-#include "plan_memory.h"
+#include "planning.h"
 
 #include <math.h>
 
@@ -25,7 +25,12 @@ static int fits_rules(Doubles rules, Floats memory, npy_intp count)
     return 0;
 }
 
-/* age_memory(rules, memory, speed, skeed_factor): advances the memory by one step. */
+/* age_memory(rules, memory, speed, skeed_factor): advances the memory of A karts by one step.
+
+   rules: (13,) in the order of the enum above; times are in steps, except STEP and FREE_TIME [s].
+   memory: (22, A) in the order of stkzoo.agents.planning.memory.PlanMemory.
+   speed: (A,) forward speed [m/s].
+   skeed_factor: (A,) skid factor. */
 PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Doubles rules;
@@ -72,7 +77,7 @@ PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
 }
 
 /* write_memory(rules, memory, out, first): writes a policy's inputs from the memory, beginning at
-   column `first`. */
+   column `first` of `out`, (A, F); 12 columns are written. */
 PyObject *write_memory(PyObject *Py_UNUSED(module), PyObject *args)
 {
     Doubles rules;

@@ -1,0 +1,59 @@
+/* Reads arguments of functions of the extensions. */
+
+#include "arguments.h"
+
+#include <string.h>
+
+static int as_array(PyObject *object, int type, int flags, void *out)
+{
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (!PyArray_Check(object) || !PyArray_EquivTypenums(PyArray_TYPE(array), type)) {
+        PyArray_Descr *expected = PyArray_DescrFromType(type);
+        PyErr_Format(PyExc_TypeError, "expected an array of %S, not %R", expected, object);
+        Py_XDECREF(expected);
+        return 0;
+    }
+    if (!PyArray_CHKFLAGS(array, flags | NPY_ARRAY_CARRAY_RO) || !PyArray_ISNOTSWAPPED(array)) {
+        PyErr_Format(PyExc_ValueError, "an array must be C-contiguous, aligned%s and native-endian",
+                     flags ? ", writeable" : "");
+        return 0;
+    }
+    /* Floats, Doubles and the other types differ only in the type of their pointer. */
+    const struct { void *data; npy_intp size; } numbers = {PyArray_DATA(array), PyArray_SIZE(array)};
+    memcpy(out, &numbers, sizeof numbers);
+    return 1;
+}
+
+#define CONVERTER(NAME, TYPE, FLAGS)                                                              \
+    int NAME(PyObject *object, void *out)                                                         \
+    {                                                                                             \
+        return as_array(object, TYPE, FLAGS, out);                                                \
+    }
+
+CONVERTER(as_floats, NPY_FLOAT32, 0)
+CONVERTER(as_written_floats, NPY_FLOAT32, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_doubles, NPY_FLOAT64, 0)
+CONVERTER(as_written_doubles, NPY_FLOAT64, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_indices, NPY_INTP, 0)
+CONVERTER(as_written_indices, NPY_INTP, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_wholes, NPY_INT64, 0)
+CONVERTER(as_written_wholes, NPY_INT64, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_integers, NPY_INT32, 0)
+CONVERTER(as_bytes, NPY_INT8, 0)
+CONVERTER(as_written_bytes, NPY_INT8, NPY_ARRAY_WRITEABLE)
+CONVERTER(as_flags, NPY_BOOL, 0)
+CONVERTER(as_written_flags, NPY_BOOL, NPY_ARRAY_WRITEABLE)
+
+int are_below(Indices indices, npy_intp limit)
+{
+    for (npy_intp i = 0; i < indices.size; i++) {
+        if (indices.data[i] < 0 || indices.data[i] >= limit) return 0;
+    }
+    return 1;
+}
+
+int refuse(const char *message)
+{
+    if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, message);
+    return -1;
+}

@@ -1,0 +1,47 @@
+/* Arguments of functions of the extensions: NumPy arrays with their sizes. The file of an extension
+   that calls import_array defines STKZOO_EXTENSION before it includes this header. */
+
+#ifndef STKZOO_ARGUMENTS_H
+#define STKZOO_ARGUMENTS_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
+#define PY_ARRAY_UNIQUE_SYMBOL stkzoo_numpy
+#ifndef STKZOO_EXTENSION
+#define NO_IMPORT_ARRAY
+#endif
+#include <numpy/arrayobject.h>
+
+/* C-contiguous, aligned NumPy arrays: their data and number of elements. */
+typedef struct { float *data; npy_intp size; } Floats;
+typedef struct { double *data; npy_intp size; } Doubles;
+typedef struct { npy_intp *data; npy_intp size; } Indices;
+typedef struct { npy_int32 *data; npy_intp size; } Integers;
+typedef struct { npy_int64 *data; npy_intp size; } Wholes;
+typedef struct { npy_int8 *data; npy_intp size; } Bytes;
+typedef struct { npy_bool *data; npy_intp size; } Flags;
+
+/* Converters for "O&" of PyArg_ParseTuple. as_written_* require a writeable array. */
+int as_floats(PyObject *object, void *floats);
+int as_written_floats(PyObject *object, void *floats);
+int as_doubles(PyObject *object, void *doubles);
+int as_written_doubles(PyObject *object, void *doubles);
+int as_indices(PyObject *object, void *indices);
+int as_written_indices(PyObject *object, void *indices);
+int as_integers(PyObject *object, void *integers);
+int as_wholes(PyObject *object, void *wholes);
+int as_written_wholes(PyObject *object, void *wholes);
+int as_bytes(PyObject *object, void *bytes);
+int as_written_bytes(PyObject *object, void *bytes);
+int as_flags(PyObject *object, void *flags);
+int as_written_flags(PyObject *object, void *flags);
+
+/* Returns whether all indices are at least 0 and below a limit. */
+int are_below(Indices indices, npy_intp limit);
+
+/* Sets a ValueError, unless an exception is set already; always returns -1. */
+int refuse(const char *message);
+
+#endif
