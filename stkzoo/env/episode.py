@@ -24,7 +24,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer
 from stkzoo.mdp.events import EVENTS, RaceEvents
 from stkzoo.mdp.observations import ai_actions, observe_karts
-from stkzoo.mdp.rewards import Reward, RewardOver, as_reward
+from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
 from stkzoo.views.plan import Seats
@@ -259,12 +259,21 @@ class Episode:
 
 @dataclass(frozen=True)
 class _RewardGroup:
-    """Agents that share a reward: their rows, their karts, and the columns of the terms."""
+    """Agents that share a reward: their rows and karts, and the columns of its terms.
+
+    Attributes:
+        reward: the reward.
+        rows: row of each agent.
+        karts: kart of each agent.
+        custom: columns of the terms that are Python functions, by name.
+        built_in: names of the other terms in the kernel, their weights and their columns.
+    """
 
     reward: Reward
     rows: IntArray
     karts: IntArray
-    columns: IntArray
+    custom: Mapping[str, int]
+    built_in: tuple[tuple[str, ...], FloatArray, IntArray]
 
 
 class EpisodeRecord:
@@ -295,7 +304,7 @@ class EpisodeRecord:
         self._rows = {agent: row for row, agent in enumerate(rewards)}
         names = sorted({name for reward in rewards.values() for name in reward.terms})
         self._groups = _groups(rewards, self._karts, {name: c for c, name in enumerate(names)})
-        self._custom = [group for group in self._groups if group.reward.kernel_terms is None]
+        self._has_custom = any(group.custom for group in self._groups)
         self._race_length, self._shows_events = race_length, shows_events
         self._events, self._endings = events, endings
         shown = EVENTS if shows_events else ()
@@ -404,16 +413,15 @@ class EpisodeRecord:
         return self._events.counts if self._events is not None and self._shows_events else None
 
     def _prepare(self, before: Snapshot, after: Snapshot) -> None:
-        """Counts events and writes the terms of rewards that the kernel does not implement."""
+        """Counts events and writes the terms that are Python functions."""
         if self._events is not None:
             self._events.count(before, after)
-        if not self._custom:
+        if not self._has_custom:
             return
         step = Transition(before, after, self._race_length, self._shown_events)
-        for group in self._custom:
-            values = group.reward(step).values()
-            for column, value in zip(group.columns, values, strict=True):
-                self._last[group.rows, column] = value[group.karts]
+        for group in self._groups:
+            for name, column in group.custom.items():
+                self._last[group.rows, column] = group.reward.value(name, step)[group.karts]
 
     def _scorer_of(self, seats: Seats) -> StepScorer:
         if self._scorer is None or self._scorer[0] is not seats:
@@ -425,10 +433,8 @@ class EpisodeRecord:
         where = {int(row): number for number, row in enumerate(rows)}
         rewards = []
         for group in self._groups:
-            terms = group.reward.kernel_terms
             racing = [where[row] for row in group.rows.tolist() if row in where]
-            if terms is not None:
-                rewards.append((*terms, group.columns, np.array(racing, np.intp)))
+            rewards.append((*group.built_in, np.array(racing, np.intp)))
         events = self._shown_events
         if events is None:
             events = np.zeros((int(self._karts.max()) + 1, 0))
@@ -456,8 +462,14 @@ def _groups(
     groups = []
     for reward in {id(reward): reward for reward in of_row}.values():
         rows = np.array([row for row, own in enumerate(of_row) if own is reward], np.intp)
-        own_columns = np.array([columns[name] for name in reward.terms], np.intp)
-        groups.append(_RewardGroup(reward, rows, karts[rows], own_columns))
+        built_in = {n: term for n, term in reward.terms.items() if isinstance(term, KernelTerm)}
+        computed = (
+            tuple(term.name for term in built_in.values()),
+            np.array([reward.weights.get(name, 1.0) for name in built_in], np.float64),
+            np.array([columns[name] for name in built_in], np.intp),
+        )
+        custom = {name: columns[name] for name in reward.terms if name not in built_in}
+        groups.append(_RewardGroup(reward, rows, karts[rows], custom, computed))
     return groups
 
 

@@ -38,6 +38,7 @@ try:
         layouts,
         look_along,
         measure_message,
+        reward_term,
         stack_vectors,
         trace_roads,
     )
@@ -59,6 +60,7 @@ __all__ = [
     "look_along",
     "measure_message",
     "not_built",
+    "reward_term",
     "stack_vectors",
     "trace_roads",
 ]

@@ -95,6 +95,7 @@ void free_object(PyObject *self);
 PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *measure_message(PyObject *module, PyObject *args);
+PyObject *reward_term(PyObject *module, PyObject *args);
 PyObject *stack_vectors(PyObject *module, PyObject *args);
 PyObject *trace_roads(PyObject *module, PyObject *args);
 

@@ -101,6 +101,7 @@ static PyMethodDef methods[] = {
     {"layouts", layouts, METH_NOARGS, "Returns the byte offsets of record fields."},
     {"look_along", look_along, METH_VARARGS, "Writes points at distances ahead of karts."},
     {"measure_message", measure_message, METH_VARARGS, "Returns the peak memory of decoding."},
+    {"reward_term", reward_term, METH_VARARGS, "Returns a reward term of all karts."},
     {"stack_vectors", stack_vectors, METH_VARARGS, "Writes the vectors of rows, padded."},
     {"trace_roads", trace_roads, METH_VARARGS, "Writes the lines ahead of karts."},
     {NULL, NULL, 0, NULL},

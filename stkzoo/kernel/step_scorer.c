@@ -1,18 +1,23 @@
-/* Computes the rewards, terminations, truncations and infos of a race's agents.
-
-   The NumPy reference implementation is tests.oracle.step_scorer; the formulas are those
-   of stkzoo.mdp.rewards. */
+/* Computes the rewards, terminations, truncations and infos of a race's agents. To add a built-in term,
+   write a function here, add it to TERMS, and name it in stkzoo/mdp/rewards.py. */
 
 #include "kernel.h"
 
 #include <math.h>
 #include <string.h>
 
-enum { PROGRESS, RANK, TIME, FINISH, COURSE, PLACEMENT, ADVANCE, PLACE, NUM_TERMS };
+/* The race of a step. */
+typedef struct {
+    double num_karts, length; /* length: number of laps times the length of a lap [m] */
+} Race;
+
+/* A term of a reward: the value of a step for a kart, from its records before and after the step. */
+typedef double (*Term)(const Kart *before, const Kart *after, const Race *race);
 
 /* A reward, and the agents that share it. */
 typedef struct {
-    Indices terms, columns, who; /* who: indices of the agents */
+    Term *terms;
+    Indices columns, who; /* who: indices of the agents */
     Doubles weights;
 } Reward;
 
@@ -33,42 +38,132 @@ typedef struct {
 
 /* ---------------------------------------------------------------- rewards */
 
+/* Returns the distance driven [m]. The engine's distance is negative until the start line. */
 static double driven(const Kart *kart)
 {
     return kart->overall_distance > 0 ? kart->overall_distance : 0;
 }
 
-/* Returns the distance driven [m], limited to the length of the race. */
-static double driven_of(const Kart *kart, double race_length)
+/* Returns the distance driven [m], limited to the length of the race. The engine may finish a kart a
+   few centimeters before the line. */
+static double driven_of(const Kart *kart, const Race *race)
 {
-    return kart->has_finished_race > 0 ? race_length : fmin(driven(kart), race_length);
+    return kart->has_finished_race > 0 ? race->length : fmin(driven(kart), race->length);
 }
 
-static double place_of(const Kart *kart, double num_karts, double race_length)
+/* Returns 1 in the step in which the kart finishes, otherwise 0. */
+static double finishes(const Kart *before, const Kart *after)
 {
-    const double share = driven_of(kart, race_length) / race_length;
-    return 20.0 * ((num_karts - kart->position) / (num_karts > 1 ? num_karts - 1 : 1)) * share;
+    return after->has_finished_race > before->has_finished_race;
 }
 
-static double term(npy_intp code, const Kart *before, const Kart *after, double num_karts,
-                   double race_length)
+/* Returns the fraction of the other karts that are behind this one. */
+static double share_behind(const Kart *kart, const Race *race)
 {
-    const double finishes = after->has_finished_race > before->has_finished_race;
-    const double now = driven(after), then = driven(before);
-    switch (code) {
-    case PROGRESS: return (now - then) / 10.0;
-    case RANK: return (1.0 - after->position / num_karts) * (3.0 + 7.0 * finishes);
-    case TIME: return -0.1;
-    case FINISH: return finishes ? 10.0 : 0.0;
-    case COURSE:
-        return (driven_of(after, race_length) - fmin(then, race_length)) / race_length;
-    case PLACEMENT:
-        return finishes * (num_karts - after->position) / (num_karts > 1 ? num_karts - 1 : 1);
-    case ADVANCE:
-        return (driven_of(after, race_length) - driven_of(before, race_length)) / 10.0;
-    default: /* PLACE */
-        return place_of(after, num_karts, race_length) - place_of(before, num_karts, race_length);
+    return (race->num_karts - kart->position) / (race->num_karts > 1 ? race->num_karts - 1 : 1);
+}
+
+/* 0.1 per meter driven. */
+static double progress_term(const Kart *before, const Kart *after, const Race *Py_UNUSED(race))
+{
+    return (driven(after) - driven(before)) / 10.0;
+}
+
+/* (1 - position/K) (3 + 7 f), where f is 1 in the finishing step and otherwise 0. */
+static double rank_term(const Kart *before, const Kart *after, const Race *race)
+{
+    return (1.0 - after->position / race->num_karts) * (3.0 + 7.0 * finishes(before, after));
+}
+
+/* -0.1 in every step. */
+static double time_term(const Kart *Py_UNUSED(before), const Kart *Py_UNUSED(after),
+                        const Race *Py_UNUSED(race))
+{
+    return -0.1;
+}
+
+/* 10 in the finishing step. */
+static double finish_term(const Kart *before, const Kart *after, const Race *Py_UNUSED(race))
+{
+    return finishes(before, after) > 0 ? 10.0 : 0.0;
+}
+
+/* The fraction of the race driven in this step; a finisher's sum is 1. */
+static double course_term(const Kart *before, const Kart *after, const Race *race)
+{
+    return (driven_of(after, race) - fmin(driven(before), race->length)) / race->length;
+}
+
+/* In the finishing step, 1 for the winner down to 0 for the last kart, evenly spaced. */
+static double placement_term(const Kart *before, const Kart *after, const Race *race)
+{
+    return finishes(before, after) * share_behind(after, race);
+}
+
+/* 0.1 per meter driven up to the finish line. */
+static double advance_term(const Kart *before, const Kart *after, const Race *race)
+{
+    return (driven_of(after, race) - driven_of(before, race)) / 10.0;
+}
+
+/* The potential of place_term. */
+static double worth_of_place(const Kart *kart, const Race *race)
+{
+    return 20.0 * share_behind(kart, race) * (driven_of(kart, race) / race->length);
+}
+
+/* The change of 20 (K - position)/(K - 1) times the fraction of the race driven. As the term is
+   potential-based, it sums to 20 for the winner and 0 for the last kart, from every place on the
+   grid. Early in the race a place counts little, because the driven fraction is small. */
+static double place_term(const Kart *before, const Kart *after, const Race *race)
+{
+    return worth_of_place(after, race) - worth_of_place(before, race);
+}
+
+/* The built-in terms by name. */
+static const struct {
+    const char *name;
+    Term term;
+} TERMS[] = {
+    {"progress", progress_term}, {"rank", rank_term},           {"time", time_term},
+    {"finish", finish_term},     {"course", course_term},       {"placement", placement_term},
+    {"advance", advance_term},   {"place", place_term},
+};
+
+/* Returns the term of a name; NULL with an exception set if there is none. */
+static Term find_term(PyObject *name)
+{
+    const char *text = PyUnicode_Check(name) ? PyUnicode_AsUTF8(name) : NULL;
+    for (size_t i = 0; text && i < sizeof TERMS / sizeof *TERMS; i++) {
+        if (!strcmp(TERMS[i].name, text)) return TERMS[i].term;
     }
+    if (!PyErr_Occurred()) PyErr_Format(PyExc_ValueError, "there is no reward term %R", name);
+    return NULL;
+}
+
+/* reward_term(name, before, after, race_length): returns the value of a term for each kart, (K,)
+   float64, in the step between the bytes of two snapshots. */
+PyObject *reward_term(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *name;
+    Moment before, after;
+    double length;
+    if (!PyArg_ParseTuple(args, "OO&O&d", &name, as_moment, &before, as_moment, &after, &length)) {
+        return NULL;
+    }
+    const Term term = find_term(name);
+    if (!term) return NULL;
+    const Race race = {after.header->num_kart, length};
+    npy_intp count = after.header->num_kart;
+    if (before.header->num_kart != count) {
+        return PyErr_Format(PyExc_ValueError, "the snapshots are of different races");
+    }
+    PyObject *values = PyArray_SimpleNew(1, &count, NPY_FLOAT64);
+    double *out = values ? PyArray_DATA((PyArrayObject *)values) : NULL;
+    for (npy_intp i = 0; out && i < count; i++) {
+        out[i] = term(before.karts + i, after.karts + i, &race);
+    }
+    return values;
 }
 
 static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
@@ -79,14 +174,14 @@ static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
 static void score(const StepScorer *self, const Reward *reward, const Moment *before,
                   const Moment *after)
 {
+    const Race race = {after->header->num_kart, self->race_length};
     for (npy_intp i = 0; i < reward->who.size; i++) {
         const npy_intp agent = reward->who.data[i], kart = self->karts.data[agent];
         double *row = row_of(self, self->last, agent);
-        for (npy_intp t = 0; t < reward->terms.size; t++) {
+        for (npy_intp t = 0; t < reward->weights.size; t++) {
             row[reward->columns.data[t]] =
-                reward->weights.data[t] * term(reward->terms.data[t], before->karts + kart,
-                                               after->karts + kart, after->header->num_kart,
-                                               self->race_length);
+                reward->weights.data[t] *
+                reward->terms[t](before->karts + kart, after->karts + kart, &race);
         }
     }
 }
@@ -302,21 +397,26 @@ static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 
 /* ---------------------------------------------------------------- the type */
 
-/* Sets a reward from a tuple (terms, weights, columns, who). */
-static int set_reward(const StepScorer *self, Reward *reward, PyObject *spec)
+/* Sets a reward from a tuple (names of terms, weights, columns, who). */
+static int set_reward(StepScorer *self, Reward *reward, PyObject *spec)
 {
+    PyObject *names;
     if (!PyTuple_Check(spec)) return refuse("a reward must be a tuple");
-    if (!PyArg_ParseTuple(spec, "O&O&O&O&", as_indices, &reward->terms, as_doubles,
-                          &reward->weights, as_indices, &reward->columns, as_indices,
-                          &reward->who)) {
+    if (!PyArg_ParseTuple(spec, "O!O&O&O&", &PyTuple_Type, &names, as_doubles, &reward->weights,
+                          as_indices, &reward->columns, as_indices, &reward->who)) {
         return -1;
     }
-    const int fits = reward->weights.size == reward->terms.size &&
-                     reward->columns.size == reward->terms.size &&
-                     are_below(reward->terms, NUM_TERMS) &&
-                     are_below(reward->columns, self->num_terms) &&
-                     are_below(reward->who, self->karts.size);
-    return fits ? 0 : refuse("the parts of a reward do not fit together");
+    const npy_intp count = PyTuple_GET_SIZE(names);
+    if (reward->weights.size != count || reward->columns.size != count ||
+        !are_below(reward->columns, self->num_terms) ||
+        !are_below(reward->who, self->karts.size)) {
+        return refuse("the parts of a reward do not fit together");
+    }
+    if (!(reward->terms = room_for(self, count, sizeof *reward->terms))) return -1;
+    for (npy_intp i = 0; i < count; i++) {
+        if (!(reward->terms[i] = find_term(PyTuple_GET_ITEM(names, i)))) return -1;
+    }
+    return 0;
 }
 
 /* Sets the numbers of columns from the shapes of `sums`, which `last` shares, and `events`; checks

@@ -1,8 +1,8 @@
 """Rewards as sums of named terms, each computed for all karts at once.
 
-A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` float64. A
-:class:`Reward` is a weighted sum of terms; ``infos[agent]["reward/<name>"]`` holds the weighted
-value of each term.
+A *term* is a function from a :class:`~stkzoo.mdp.transition.Transition` to ``(K,)`` float64. The
+kernel computes the built-in terms (``stkzoo/kernel/step_scorer.c``). A :class:`Reward` is a
+weighted sum of terms; ``infos[agent]["reward/<name>"]`` holds the weighted value of each term.
 
 The ``reward`` argument of an environment accepts:
 
@@ -19,95 +19,51 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.kernel import reward_term
 from stkzoo.mdp.transition import Transition
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.intp]
 RewardTerm = Callable[[Transition], FloatArray]
 
 
-def progress(step: Transition) -> FloatArray:
-    """Returns 0.1 per meter driven, ``(K,)``."""
-    return np.asarray((step.distance - step.distance_before) / 10.0, np.float64)
+@dataclass(frozen=True)
+class KernelTerm:
+    """A built-in term, computed by the kernel: ``stkzoo/kernel/step_scorer.c`` has the formula.
 
-
-def rank(step: Transition) -> FloatArray:
-    """Returns (1 - position/K) (3 + 7 f), where f is 1 in the finishing step and otherwise 0."""
-    return (1.0 - step.position / step.num_kart) * (3.0 + 7.0 * step.finishes)
-
-
-def time(step: Transition) -> FloatArray:
-    """Returns -0.1 in every step, a time penalty."""
-    return np.full(step.num_kart, -0.1)
-
-
-def finish(step: Transition) -> FloatArray:
-    """Returns 10 in the finishing step and otherwise 0."""
-    return np.where(step.finishes, 10.0, 0.0)
-
-
-def course(step: Transition) -> FloatArray:
-    """Returns the fraction of the race driven in this step, ``(K,)``; a finisher's sum is 1."""
-    done = _driven(step.after, step.distance, step.race_length)
-    return (done - np.minimum(step.distance_before, step.race_length)) / step.race_length
-
-
-def _driven(moment: Snapshot, distance: FloatArray, race_length: float) -> FloatArray:
-    """Returns the distance driven [m], ``(K,)``, limited to the length of the race."""
-    # The engine may finish a kart a few centimeters before the line.
-    has_finished = moment.karts["has_finished_race"] > 0
-    return np.where(has_finished, race_length, np.minimum(distance, race_length))
-
-
-def placement(step: Transition) -> FloatArray:
-    """In the finishing step, returns 1 for the winner down to 0 for the last, evenly spaced."""
-    others = max(step.num_kart - 1, 1)
-    return step.finishes * (step.num_kart - step.position) / others
-
-
-def advance(step: Transition) -> FloatArray:
-    """Returns 0.1 per meter driven up to the finish line, ``(K,)``."""
-    return (
-        _driven(step.after, step.distance, step.race_length)
-        - _driven(step.before, step.distance_before, step.race_length)
-    ) / 10.0
-
-
-def place(step: Transition) -> FloatArray:
-    """Returns the change of 20 (K - position)/(K - 1) times the fraction of the race driven.
-
-    The term is potential-based: over a whole race it sums to 20 for the winner and 0 for the last
-    kart, from every place on the grid. Early in the race a place counts little, because the driven
-    fraction is small.
+    Attributes:
+        name: name of the term. The function in C is ``<name>_term``.
     """
 
-    def potential(moment: Snapshot, distance: FloatArray) -> FloatArray:
-        share = _driven(moment, distance, step.race_length) / step.race_length
-        ahead_of = (step.num_kart - moment.karts["position"]) / max(step.num_kart - 1, 1)
-        return np.asarray(20.0 * ahead_of * share, np.float64)
+    name: str
 
-    return potential(step.after, step.distance) - potential(step.before, step.distance_before)
+    def __call__(self, step: Transition) -> FloatArray:
+        """Returns the value for each kart, ``(K,)`` float64."""
+        return reward_term(self.name, step.before.data, step.after.data, step.race_length)
 
 
-#: The terms that the kernel's ``StepScorer`` implements, indexed by its term numbers.
-KERNEL_TERMS: tuple[RewardTerm, ...] = (
-    progress,
-    rank,
-    time,
-    finish,
-    course,
-    placement,
-    advance,
-    place,
-)
+#: 0.1 per meter driven.
+progress = KernelTerm("progress")
+#: (1 - position/K) (3 + 7 f), where f is 1 in the finishing step and otherwise 0.
+rank = KernelTerm("rank")
+#: -0.1 in every step, a time penalty.
+time = KernelTerm("time")
+#: 10 in the finishing step.
+finish = KernelTerm("finish")
+#: The fraction of the race driven in this step; a finisher's sum is 1.
+course = KernelTerm("course")
+#: In the finishing step, 1 for the winner down to 0 for the last kart, evenly spaced.
+placement = KernelTerm("placement")
+#: 0.1 per meter driven up to the finish line.
+advance = KernelTerm("advance")
+#: The change of 20 (K - position)/(K - 1) times the fraction of the race driven. Over a whole race,
+#: it sums to 20 for the winner and 0 for the last kart, from every place on the grid.
+place = KernelTerm("place")
 
 
 @dataclass(frozen=True)
@@ -146,33 +102,26 @@ class Reward:
         Raises:
             ConfigError: a term failed, or returned other values than K finite numbers.
         """
-        values = {}
-        for name, term in self.terms.items():
-            try:
-                value = np.asarray(term(step), np.float64)
-            except Exception as error:
-                raise ConfigError(
-                    f"reward term {name!r} failed: {type(error).__name__}: {error}"
-                ) from error
-            if value.shape != (step.num_kart,) or not np.isfinite(value).all():
-                raise ConfigError(
-                    f"reward term {name!r} returned {value!r}, expected {step.num_kart} finite "
-                    "numbers, one per kart"
-                )
-            values[name] = value * self.weights[name] if name in self.weights else value
-        return values
+        return {name: self.value(name, step) for name in self.terms}
 
-    @cached_property
-    def kernel_terms(self) -> tuple[IntArray, FloatArray] | None:
-        """The kernel's term numbers and their weights, ``(T,)`` each.
+    def value(self, name: str, step: Transition) -> FloatArray:
+        """Returns the weighted value of one term, ``(K,)`` float64.
 
-        ``None`` if a term is not defined in this module.
+        Raises:
+            ConfigError: the term failed, or returned other values than K finite numbers.
         """
-        if not all(term in KERNEL_TERMS for term in self.terms.values()):
-            return None
-        numbers = [KERNEL_TERMS.index(term) for term in self.terms.values()]
-        weights = [self.weights.get(name, 1.0) for name in self.terms]
-        return np.array(numbers, np.intp), np.array(weights, np.float64)
+        try:
+            value = np.asarray(self.terms[name](step), np.float64)
+        except Exception as error:
+            raise ConfigError(
+                f"reward term {name!r} failed: {type(error).__name__}: {error}"
+            ) from error
+        if value.shape != (step.num_kart,) or not np.isfinite(value).all():
+            raise ConfigError(
+                f"reward term {name!r} returned {value!r}, expected {step.num_kart} finite "
+                "numbers, one per kart"
+            )
+        return value * self.weights[name] if name in self.weights else value
 
     def adapted(self, changes: Mapping[str, float | RewardTerm]) -> Reward:
         """Returns a copy with changed weights (numbers) and added or replaced terms (functions).

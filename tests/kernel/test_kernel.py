@@ -27,7 +27,6 @@ from stkzoo.kernel import (
     join_rows,
     measure_message,
 )
-from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.tracks import SPLITS
@@ -128,6 +127,7 @@ USERS = {
     "engine.track": ["TrackGraph"],
     "env.episode": ["StepScorer"],
     "mdp.events": ["EventCounter"],
+    "mdp.rewards": ["reward_term"],
     "drivers.codec": ["join_rows", "measure_message"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
@@ -731,18 +731,9 @@ def test_a_counter_checks_its_arguments():
         {"alone": (*ALONE[:2], one_off := np.ones(1, np.intp), *ALONE[3:])},
         {"alone": (*ALONE[:3], np.zeros((1, 2)), *ALONE[4:])},
         {"alone": (*ALONE[:5], ALONE[5][1:], *ALONE[6:])},
-        {
-            "rewards": (
-                (
-                    one_off * len(KERNEL_TERMS),
-                    np.ones(1),
-                    np.zeros(1, np.intp),
-                    np.zeros(1, np.intp),
-                ),
-            )
-        },
-        {"rewards": ((one_off, np.ones(1), one_off, np.zeros(1, np.intp)),)},
-        {"rewards": ((one_off, np.ones(1), np.zeros(1, np.intp), one_off),)},
+        {"rewards": ((("time",), np.ones(2), one_off - 1, one_off - 1),)},
+        {"rewards": ((("time",), np.ones(1), one_off, one_off - 1),)},
+        {"rewards": ((("time",), np.ones(1), one_off - 1, one_off),)},
         {"events": np.zeros((1, 2))},
         {"events": np.zeros((0, 0))},
     ],
@@ -751,6 +742,11 @@ def test_a_scorer_checks_its_arguments(wrong):
     scorer_of()
     with pytest.raises(ValueError, match="do not fit"):
         scorer_of(**wrong)
+
+
+def test_a_scorer_refuses_a_term_without_a_formula():
+    with pytest.raises(ValueError, match="no reward term 'tme'"):
+        scorer_of(rewards=((("tme",), np.ones(1), FIRST, FIRST),))
 
 
 def test_a_scorer_refuses_snapshots_of_another_race():

@@ -13,7 +13,7 @@ from tests.oracle.mlp import Mlp
 from tests.oracle.racing_observer import RacingObserver
 from tests.oracle.road_tracer import look_along, stack_vectors, trace_roads
 from tests.oracle.rows import join_rows
-from tests.oracle.step_scorer import StepScorer
+from tests.oracle.step_scorer import StepScorer, reward_term
 from tests.oracle.track_graph import TrackGraph
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "join_rows",
     "look_along",
     "measure_message",
+    "reward_term",
     "stack_vectors",
     "trace_roads",
 ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import reduce
 from typing import Any
 
@@ -11,12 +11,86 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.mdp.rewards import KERNEL_TERMS
 from stkzoo.mdp.transition import Transition
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
+
+
+def progress(step: Transition) -> FloatArray:
+    """Returns 0.1 per meter driven, ``(K,)``."""
+    return np.asarray((step.distance - step.distance_before) / 10.0, np.float64)
+
+
+def rank(step: Transition) -> FloatArray:
+    """Returns (1 - position/K) (3 + 7 f), where f is 1 in the finishing step and otherwise 0."""
+    return (1.0 - step.position / step.num_kart) * (3.0 + 7.0 * step.finishes)
+
+
+def time(step: Transition) -> FloatArray:
+    """Returns -0.1 in every step, a time penalty."""
+    return np.full(step.num_kart, -0.1)
+
+
+def finish(step: Transition) -> FloatArray:
+    """Returns 10 in the finishing step and otherwise 0."""
+    return np.where(step.finishes, 10.0, 0.0)
+
+
+def course(step: Transition) -> FloatArray:
+    """Returns the fraction of the race driven in this step, ``(K,)``; a finisher's sum is 1."""
+    done = _driven(step.after, step.distance, step.race_length)
+    return (done - np.minimum(step.distance_before, step.race_length)) / step.race_length
+
+
+def _driven(moment: Snapshot, distance: FloatArray, race_length: float) -> FloatArray:
+    """Returns the distance driven [m], ``(K,)``, limited to the length of the race."""
+    # The engine may finish a kart a few centimeters before the line.
+    has_finished = moment.karts["has_finished_race"] > 0
+    return np.where(has_finished, race_length, np.minimum(distance, race_length))
+
+
+def placement(step: Transition) -> FloatArray:
+    """In the finishing step, returns 1 for the winner down to 0 for the last, evenly spaced."""
+    others = max(step.num_kart - 1, 1)
+    return step.finishes * (step.num_kart - step.position) / others
+
+
+def advance(step: Transition) -> FloatArray:
+    """Returns 0.1 per meter driven up to the finish line, ``(K,)``."""
+    return (
+        _driven(step.after, step.distance, step.race_length)
+        - _driven(step.before, step.distance_before, step.race_length)
+    ) / 10.0
+
+
+def place(step: Transition) -> FloatArray:
+    """Returns the change of 20 (K - position)/(K - 1) times the fraction of the race driven.
+
+    The term is potential-based: over a whole race it sums to 20 for the winner and 0 for the last
+    kart, from every place on the grid. Early in the race a place counts little, because the driven
+    fraction is small.
+    """
+
+    def potential(moment: Snapshot, distance: FloatArray) -> FloatArray:
+        share = _driven(moment, distance, step.race_length) / step.race_length
+        ahead_of = (step.num_kart - moment.karts["position"]) / max(step.num_kart - 1, 1)
+        return np.asarray(20.0 * ahead_of * share, np.float64)
+
+    return potential(step.after, step.distance) - potential(step.before, step.distance_before)
+
+
+#: The built-in terms by name.
+TERMS: dict[str, Callable[[Transition], FloatArray]] = {
+    term.__name__: term
+    for term in (progress, rank, time, finish, course, placement, advance, place)
+}
+
+
+def reward_term(name: str, before: bytes, after: bytes, race_length: float) -> FloatArray:
+    """Returns the value of a term for each kart, ``(K,)`` float64."""
+    return TERMS[name](Transition(Snapshot(before), Snapshot(after), race_length))
 
 
 class StepScorer:
@@ -30,8 +104,8 @@ class StepScorer:
         sums: ``(R, C)`` sums of ``last`` over the episode, which :meth:`score` updates.
         keys: keys of an info, in order.
         race_length: number of laps times the length of a lap [m].
-        rewards: for each group of agents that share a reward: indices of the reward's terms in
-            :data:`stkzoo.mdp.rewards.KERNEL_TERMS`, their weights, their columns in ``last``, and
+        rewards: for each group of agents that share a reward: names of the reward's
+            terms, their weights, their columns in ``last``, and
             the agents' indices in ``agents``. The caller writes other terms into ``last``.
         events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
             of ``last``.
@@ -46,7 +120,7 @@ class StepScorer:
         sums: FloatArray,
         keys: tuple[str, ...],
         race_length: float,
-        rewards: tuple[tuple[IntArray, FloatArray, IntArray, IntArray], ...],
+        rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray, IntArray], ...],
         events: FloatArray,
     ) -> None:
         if not len(agents) == len(karts) == len(rows) or last.shape != sums.shape:
@@ -112,7 +186,7 @@ class StepScorer:
         for terms, weights, columns, who in self._rewards:
             rows, karts = self._rows[who], self._karts[who]
             for term, weight, column in zip(terms, weights, columns, strict=True):
-                values = np.asarray(KERNEL_TERMS[term](step), np.float64)
+                values = np.asarray(TERMS[term](step), np.float64)
                 self._last[rows, column] = weight * values[karts]
         self._last[self._rows, self._num_terms :] = self._events[self._karts]
         self._last[self._absent] = 0.0
