@@ -19,7 +19,7 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures site wheel clean
+.PHONY: browser engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -29,9 +29,8 @@ help:
 	@echo "make sanitize  the kernel's tests under AddressSanitizer and UBSan (gcc, Linux)"
 	@echo "make check   lint, format, types and spelling"
 	@echo "make bench   measure speed and memory"
-	@echo "make site    build the documentation's pages"
 	@echo "make pictures  draw the tracks and charts of the documentation again"
-	@echo "make docs    build them and run all examples of the documentation"
+	@echo "make docs    build the documentation's pages; the tests run their examples"
 	@echo "make wheel   build dist/stkzoo-*.whl, to install elsewhere"
 	@echo "make clean   remove what was built here; the game's data stays"
 	@echo "             (it goes with: stkzoo assets clean)"
@@ -91,15 +90,6 @@ bench: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
 	$(BIN)/python -m benchmarks.bench_all $(ARGS)
 
-# Modules that pytest cannot import here: most need libraries that conflict with this environment,
-# and supersuit.py shadows the library of the same name.
-NOT_IMPORTED := $(addprefix --ignore=stkzoo/,\
-	agents/training/rllib agents/training/sb3/supersuit.py suite/torchrl.py suite/benchmarl.py)
-
-docs: site $(VENV)/.dev
-	$(BIN)/stkzoo assets install
-	$(PYTEST) --doctest-modules stkzoo $(NOT_IMPORTED) tests/docs $(ARGS)
-
 # The pictures are in the repository; draw them again after a change to the map or the results.
 pictures: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
@@ -108,7 +98,7 @@ pictures: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.bench_charts
 
 # Builds the documentation in the folder site; fails on any warning or broken link.
-site: $(VENV)/.docs
+docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs site
 	@echo "open site/index.html"
 

@@ -1,57 +1,78 @@
-"""CONTRIBUTING.md's worked examples work, and docs/architecture.md names files that exist."""
+"""CONTRIBUTING.md's recipes work in a copy of the project; docs/architecture.md names its files."""
 
+import os
 import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
-import stkzoo.cli
-from stkzoo.race import run_race
-from tests.support.paths import ROOT
+import stkzoo.kernel
+from tests.support.paths import ROOT, copy_checkout
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
-BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+#: Each recipe, and text that its commands print.
+RECIPES = {
+    "Add a view": "",
+    "Add a driver": "steady",
+    "Add a command": "zengarden",
+    "Add a game mode": "heuristic",
+}
 
 
-def file_of_page(name):
-    """Returns the code block that begins with a file's name."""
-    (code,) = [block for block in BLOCKS if block.startswith(f"# {name}\n")]
-    return code
+@pytest.mark.parametrize("title", RECIPES)
+def test_a_recipe_works_as_it_is_written(title, tmp_path):
+    copy = copy_checkout(tmp_path / "copy")
+    for built in Path(stkzoo.kernel.__path__[0]).glob("*.so"):
+        shutil.copy(built, copy / "stkzoo" / "kernel")
+    recipe = re.search(rf"^## {title}\n(.*?)^## ", PAGE, re.MULTILINE | re.DOTALL)[1]
+    commands = []
+    for language, code in re.findall(r"```(\w+)\n(.*?)```", recipe, re.DOTALL):
+        name = re.match(r"# (\S+\.py)\n", code)
+        if language == "diff":
+            apply_diff(copy, code)
+        elif name:
+            (copy / name[1]).parent.mkdir(exist_ok=True)
+            (copy / name[1]).write_text(code)
+        else:
+            commands += [["-c", code]] if language == "python" else words_of(code)
+    assert commands, "a recipe shows how to try its result"
+    assert RECIPES[title] in "".join(run_in(copy, words) for words in commands)
 
 
-@pytest.mark.slow
-def test_the_view_and_the_reward_term_work():
-    code = "\n".join(block for block in BLOCKS if not block.startswith("# "))
-    names = {}
-    exec(compile(code, "CONTRIBUTING.md", "exec"), names)
-    assert names["cautious"].name == "cautious"
-    assert "reward/air" in names["infos"]["kart_1"]
+def apply_diff(folder, diff):
+    for name, lines in re.findall(r"^--- (\S+)\n((?:(?!---).*\n)+)", diff, re.MULTILINE):
+        old, new = (
+            "".join(f"{line[1:]}\n" for line in lines.splitlines() if line[0] in f" {sign}")
+            for sign in "-+"
+        )
+        text = (folder / name).read_text("utf-8")
+        assert text.count(old) == 1, f"{name}: {old}"
+        (folder / name).write_text(text.replace(old, new))
 
 
-@pytest.mark.slow
-def test_the_driver_finishes_a_race(tmp_path):
-    folder = tmp_path / "steady"
-    folder.mkdir()
-    (folder / "pystk_actor.py").write_text(file_of_page("steady/pystk_actor.py"))
-    result = run_race([str(folder), "ai"], track="lighthouse", seed=1)
-    assert result.is_finished
-    assert "steady" in {row.driver for row in result.agents}
+def words_of(shell):
+    for line in shell.splitlines():
+        program, *words = shlex.split(line)
+        yield ["-m", program, *words] if program == "stkzoo" else words
 
 
-def test_the_command_is_found_and_runs(tmp_path, monkeypatch, capsys):
-    (tmp_path / "split.py").write_text(file_of_page("stkzoo/cli/split.py"))
-    monkeypatch.setattr(stkzoo.cli, "__path__", [*stkzoo.cli.__path__, str(tmp_path)])
-    monkeypatch.setattr(stkzoo.cli, "COMMANDS", (*stkzoo.cli.COMMANDS, "split"))
-    assert stkzoo.cli.main(["split", "test"]) == 0
-    assert "zengarden" in capsys.readouterr().out.split()
-
-
-def test_the_diff_for_a_game_mode_matches_the_code():
-    (diff,) = re.findall(r"```diff\n(.*?)```", PAGE, re.DOTALL)
-    files = re.findall(r"^--- (\S+)\n((?:(?!---)[ +-].*\n)+)", diff, re.MULTILINE)
-    assert len(files) == 2
-    for name, lines in files:
-        source = (ROOT / name).read_text("utf-8").splitlines()
-        assert all(line[1:] in source for line in lines.splitlines() if line[0] in " -"), name
+def run_in(folder, words):
+    """Runs Python in a copy of the project; returns what it prints."""
+    done = subprocess.run(
+        [sys.executable, *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def test_the_architecture_page_names_files_that_exist():
