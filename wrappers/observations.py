@@ -11,7 +11,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError, check_flag, check_whole
-from stkzoo.mdp.geometry import to_polar
+from stkzoo.kernel import to_polar
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import dict_space
@@ -175,9 +175,9 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         for key in self._keys:
             value = observation[key]
             if not isinstance(value, tuple):
-                changed[key] = to_polar(np.asarray(value, np.float32))
+                changed[key] = to_polar(np.ascontiguousarray(value, np.float32))
             elif value:
-                changed[key] = tuple(to_polar(np.asarray(value, np.float32)))
+                changed[key] = tuple(to_polar(np.ascontiguousarray(value, np.float32)))
         return changed
 
 

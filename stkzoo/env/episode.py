@@ -23,7 +23,7 @@ from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer
 from stkzoo.mdp.events import EVENTS, RaceEvents
-from stkzoo.mdp.observations import ai_actions, observe_karts
+from stkzoo.mdp.observations import as_actions, observe_karts
 from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
@@ -211,7 +211,7 @@ class Episode:
         _, num_paths, kart_types = self.course
         batch = observe_karts(self.track_map, kart_types, self.snapshot, karts, num_paths)
         if self._reports_control:
-            batch["action"] = ai_actions(self.snapshot, karts)
+            batch["action"] = as_actions(self.snapshot.karts["control"][karts])
         return batch
 
     @property

@@ -34,12 +34,14 @@ try:
         RacingObserver,
         StepScorer,
         TrackGraph,
+        action_mask,
         join_rows,
         layouts,
         look_along,
         measure_message,
         reward_term,
         stack_vectors,
+        to_polar,
         trace_roads,
     )
 except ImportError as error:
@@ -55,6 +57,7 @@ __all__ = [
     "RacingObserver",
     "StepScorer",
     "TrackGraph",
+    "action_mask",
     "join_rows",
     "layouts",
     "look_along",
@@ -62,5 +65,6 @@ __all__ = [
     "not_built",
     "reward_term",
     "stack_vectors",
+    "to_polar",
     "trace_roads",
 ]

@@ -68,7 +68,7 @@ class RacingObserver:
         cls,
         roads: tuple[tuple[npt.NDArray[np.float32], ...], ...],
         tables: tuple[npt.NDArray[np.float32], npt.NDArray[np.int8], npt.NDArray[np.int8]],
-        counts: tuple[int, int, int, int, int, int, int],
+        counts: tuple[int, int, int, int, int, int],
         lengths: tuple[float, float, float, float, float, float],
     ) -> RacingObserver: ...
     def observe(
@@ -85,7 +85,9 @@ class RacingObserver:
         road: int,
         who: npt.NDArray[np.intp],
         looks: npt.NDArray[np.float32],
-        out: tuple[npt.NDArray[Any], ...],
+        numbers: tuple[npt.NDArray[np.float32], ...],
+        kinds: tuple[npt.NDArray[np.int64], ...],
+        around: tuple[npt.NDArray[Any], ...],
     ) -> None: ...
     def trace(
         self,
@@ -204,6 +206,13 @@ def layouts() -> list[tuple[str, int]]: ...
 def measure_message(
     data: bytes | bytearray | memoryview, limits: tuple[int, int, int, int]
 ) -> int: ...
+def action_mask(
+    nitro: npt.NDArray[np.bool_],
+    fire: npt.NDArray[np.bool_],
+    energy: npt.NDArray[np.float32],
+    powerup_types: npt.NDArray[np.int64],
+) -> npt.NDArray[np.int8]: ...
+def to_polar(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]: ...
 def join_rows(rows: tuple[Any, ...]) -> bytes | None: ...
 def trace_roads(
     starts: tuple[Any, ...],

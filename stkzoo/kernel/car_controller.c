@@ -146,11 +146,11 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
 {
     const CarController *self = (CarController *)object;
     Floats controls;
-    Moment moment;
+    Snapshot snapshot;
     Doubles memory;
     Indices rows, karts, places;
     if (!PyArg_ParseTuple(args, "O&O&O&O&O&O&", as_written_floats, &controls, as_indices, &rows,
-                          as_moment, &moment, as_indices, &karts, as_written_doubles, &memory,
+                          as_snapshot, &snapshot, as_indices, &karts, as_written_doubles, &memory,
                           as_indices, &places)) {
         return NULL;
     }
@@ -159,12 +159,12 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
                             karts.size, places.size);
     }
     if (!are_below(rows, controls.size / self->num_columns) ||
-        !are_below(karts, moment.header->num_kart) || !are_below(places, memory.size / 3)) {
+        !are_below(karts, snapshot.header->num_kart) || !are_below(places, memory.size / 3)) {
         return PyErr_Format(PyExc_IndexError, "a row, kart or state index is out of range");
     }
     State *states = (State *)memory.data;
     for (npy_intp i = 0; i < rows.size; i++) {
-        drive(self, moment.karts + karts.data[i], states + places.data[i],
+        drive(self, snapshot.karts + karts.data[i], states + places.data[i],
               controls.data + rows.data[i] * self->num_columns);
     }
     Py_RETURN_NONE;

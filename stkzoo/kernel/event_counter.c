@@ -156,17 +156,17 @@ static void count_ranks(const EventCounter *self, const Kart *then, const Kart *
     }
 }
 
-static int has_item(const Moment *moment, npy_int32 id)
+static int has_item(const Snapshot *snapshot, npy_int32 id)
 {
-    for (npy_int32 i = 0; i < moment->header->num_items; i++) {
-        if (moment->items[i].id == id) return 1;
+    for (npy_int32 i = 0; i < snapshot->header->num_items; i++) {
+        if (snapshot->items[i].id == id) return 1;
     }
     return 0;
 }
 
 /* Bubble gum that has disappeared counts as a hit of the nearest kart within GUM_REACH, unless that
    kart has a shield. */
-static void count_gum(const EventCounter *self, const Moment *then, const Moment *now)
+static void count_gum(const EventCounter *self, const Snapshot *then, const Snapshot *now)
 {
     for (npy_int32 n = 0; n < then->header->num_items; n++) {
         const Item *item = then->items + n;
@@ -287,15 +287,15 @@ static int count_contacts(const EventCounter *self, const Kart *before, const Ka
 
 /* ---------------------------------------------------------------- the type */
 
-static int is_valid(const EventCounter *self, const Moment *moment)
+static int is_valid(const EventCounter *self, const Snapshot *snapshot)
 {
-    if (moment->header->num_kart != self->num_karts) {
+    if (snapshot->header->num_kart != self->num_karts) {
         PyErr_Format(PyExc_ValueError, "a snapshot of another race, with %d karts",
-                     moment->header->num_kart);
+                     snapshot->header->num_kart);
         return 0;
     }
     for (npy_intp i = 0; i < self->num_karts; i++) {
-        const npy_intp node = moment->karts[i].node;
+        const npy_intp node = snapshot->karts[i].node;
         if (node < 0 || node >= self->nodes.size / 6) return refuse("a kart is on no segment"), 0;
     }
     return 1;
@@ -305,8 +305,8 @@ static int is_valid(const EventCounter *self, const Moment *moment)
 static PyObject *counter_count(PyObject *object, PyObject *args)
 {
     const EventCounter *self = (EventCounter *)object;
-    Moment then, now;
-    if (!PyArg_ParseTuple(args, "O&O&", as_moment, &then, as_moment, &now) ||
+    Snapshot then, now;
+    if (!PyArg_ParseTuple(args, "O&O&", as_snapshot, &then, as_snapshot, &now) ||
         !is_valid(self, &then) || !is_valid(self, &now)) {
         return NULL;
     }

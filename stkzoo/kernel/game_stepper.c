@@ -240,7 +240,7 @@ static int read_header(GameStepper *self, npy_int32 num_items, int is_running, H
 }
 
 /* Returns the current snapshot as bytes, read from the engine's block. */
-static PyObject *moment_from(GameStepper *self, Block block, int is_running)
+static PyObject *snapshot_from(GameStepper *self, Block block, int is_running)
 {
     const npy_int32 num_items = count_at(block, self->items_at);
     if (num_items < 0) return NULL;
@@ -281,7 +281,7 @@ static PyObject *read_now(GameStepper *self, int is_running)
 {
     Block block;
     PyObject *state = write_block(self, &block);
-    PyObject *data = state ? moment_from(self, block, is_running) : NULL;
+    PyObject *data = state ? snapshot_from(self, block, is_running) : NULL;
     Py_XDECREF(state);
     return data;
 }

@@ -1,4 +1,4 @@
-/* A kart's frame, as in stkzoo.mdp.geometry, and sorted lists of nearby objects. */
+/* A kart's frame and its own state, and sorted lists of nearby objects. */
 
 #ifndef STKZOO_GEOMETRY_H
 #define STKZOO_GEOMETRY_H
@@ -8,6 +8,17 @@
 #include <math.h>
 #include <string.h>
 
+/* stkzoo.mdp.spaces.POWERUP_COUNT_LIMIT */
+enum { POWERUP_COUNT_LIMIT = 9 };
+
+/* Returns the number of powerups that observations show. */
+static inline npy_int32 powerup_count(const Kart *kart)
+{
+    return kart->powerup_num < POWERUP_COUNT_LIMIT ? kart->powerup_num : POWERUP_COUNT_LIMIT;
+}
+
+/* Returns the matrix of the kart's unit quaternion q = (w, x, y, z), the expansion of q v q*. It
+   rotates directions from the world frame to the kart's frame. */
 static inline void rotation_matrix(const Kart *kart, float m[9])
 {
     const float *q = kart->rotation;
@@ -31,7 +42,7 @@ static inline void rotate(const float m[9], float x, float y, float z, float *ou
     out[2] = x * m[6] + y * m[7] + z * m[8];
 }
 
-/* Transforms a point from the world frame to the kart's frame. */
+/* Transforms a point [m] from the world frame to the kart's frame: x right, y up, z forward. */
 static inline void to_kart_frame(const Kart *kart, const float m[9], const float *point,
                                  float *out)
 {

@@ -1,7 +1,9 @@
 /* Converts a snapshot's records to agents' observations in one pass.
 
-   The NumPy reference implementation is tests.oracle.kart_observer. The formulas are
-   those of stkzoo.mdp.observations and of the wrappers in stkzoo.wrappers. */
+   KEYS lists the entries of the `full` view. The options of KartObserver replace the wrappers
+   ConstantSizedObservations (items, karts, paths), PolarObservations (polar), FlattenerWrapper
+   (flat), JoinedObservations (joined) and ActionMasks (nitro, fire) of stkzoo.wrappers, which
+   change observations of any environment. */
 
 #include "geometry.h"
 
@@ -13,7 +15,7 @@ typedef struct {
     TrackGraph *track;
     npy_intp num_paths;   /* number of visible segments */
     PyObject *kart_types; /* tuple */
-    Moment moment;
+    Snapshot snapshot;
     int is_polar;
     npy_intp rows[4], real[4]; /* by group: number of rows, and number of those without padding */
     /* of the observing kart: */
@@ -38,6 +40,8 @@ typedef struct {
     int form;
 } Key;
 
+/* The entries of the `full` view, and masks of its padded lists. Vectors are in the observing kart's
+   frame: x right, y up, z forward [m]. stkzoo.engine.snapshot has the units of the records. */
 static const Key KEYS[] = {
     {"kart_type", NAME, OWN, 1},
     {"aux_ticks", NUMBER, OWN, 1, HEADER, offsetof(Header, aux_ticks)},
@@ -52,15 +56,18 @@ static const Key KEYS[] = {
     {"velocity", NUMBER, OWN, 3, KART, offsetof(Kart, velocity_lc)},
     {"max_steer_angle", NUMBER, OWN, 1, KART, offsetof(Kart, max_steer_angle)},
     {"distance_down_track", NUMBER, OWN, 1, KART, offsetof(Kart, distance_down_track)},
+    /* find_center_path() */
     {"center_path_distance", NUMBER, OWN, 1, SCENE, offsetof(Scene, center_path_distance)},
     {"center_path", NUMBER, OWN, 3, SCENE, offsetof(Scene, center_path), IS_PLACE},
     {"front", NUMBER, OWN, 3, KART, offsetof(Kart, front), IS_POINT},
     {"jumping", CHOICE, OWN, 1, KART, offsetof(Kart, jumping)},
+    /* find_near(), write_motion() */
     {"items_position", NUMBER, ITEMS, 3, NEAREST, 0, IS_PLACE},
     {"items_type", CHOICE, ITEMS, 1},
     {"karts_position", NUMBER, KARTS, 3, NEAREST, 0, IS_PLACE},
     {"karts_velocity", NUMBER, KARTS, 3, MOTION},
     {"karts_heading", NUMBER, KARTS, 1, MOTION},
+    /* the segments ahead, the kart's own first: nodes_ahead() */
     {"paths_distance", NUMBER, PATHS, 2, DISTANCES},
     {"paths_width", NUMBER, PATHS, 1, WIDTHS},
     {"paths_start", NUMBER, PATHS, 3, NODES, 0, IS_POINT | IS_PLACE},
@@ -72,9 +79,6 @@ static const Key KEYS[] = {
 };
 
 enum { NUM_KEYS = sizeof KEYS / sizeof *KEYS };
-
-/* stkzoo.mdp.spaces.POWERUP_COUNT_LIMIT */
-enum { POWERUP_COUNT_LIMIT = 9 };
 
 /* An entry of one observer. */
 typedef struct {
@@ -107,6 +111,7 @@ static void see(const Scene *scene, const float *point, float *out)
     to_kart_frame(scene->me, scene->matrix, point, out);
 }
 
+/* Converts a position (x, y, z) to (atan2(x, z), atan2(y, z), norm) [rad, rad, m]. */
 static void make_polar(float *v)
 {
     const float x = v[0], y = v[1], z = v[2];
@@ -115,6 +120,9 @@ static void make_polar(float *v)
     v[1] = atan2f(y, z);
 }
 
+/* Computes center_path, the vector to the kart from the nearest point of the infinite line through
+   its segment, and center_path_distance, the vector's length, negative when the line is to the right
+   of the kart [m]. */
 static void find_center_path(Scene *scene)
 {
     float start[3], end[3], along[3];
@@ -128,16 +136,16 @@ static void find_center_path(Scene *scene)
     scene->center_path_distance = path[0] < 0 ? -length(path) : length(path);
 }
 
-/* Finds the nearest items or other karts. */
+/* Finds the nearest items or other karts: those in front by distance, then those behind. */
 static void find_near(Scene *scene, int group)
 {
-    const Moment *moment = &scene->moment;
-    const npy_intp there = group == ITEMS ? moment->header->num_items : moment->header->num_kart;
+    const Snapshot *snapshot = &scene->snapshot;
+    const npy_intp there = group == ITEMS ? snapshot->header->num_items : snapshot->header->num_kart;
     npy_intp count = 0;
     for (npy_intp i = 0; i < there; i++) {
-        if (group == KARTS && moment->karts + i == scene->me) continue;
+        if (group == KARTS && snapshot->karts + i == scene->me) continue;
         Near one = {.which = (int)i};
-        see(scene, group == ITEMS ? moment->items[i].location : moment->karts[i].location,
+        see(scene, group == ITEMS ? snapshot->items[i].location : snapshot->karts[i].location,
             one.place);
         one.key = one.place[2] < 0 ? -length(one.place) : length(one.place);
         count = insert(scene->nearest[group], count, scene->real[group], &one);
@@ -148,12 +156,12 @@ static void find_near(Scene *scene, int group)
    failure. */
 static int look(const KartObserver *observer, Scene *scene, npy_intp kart)
 {
-    const npy_int32 num_kart = scene->moment.header->num_kart;
+    const npy_int32 num_kart = scene->snapshot.header->num_kart;
     if (kart < 0 || kart >= num_kart) {
         PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, num_kart);
         return -1;
     }
-    scene->me = scene->records[KART] = scene->moment.karts + kart;
+    scene->me = scene->records[KART] = scene->snapshot.karts + kart;
     if (!(scene->ahead = nodes_ahead(scene->track, scene->me->node))) return -1;
     rotation_matrix(scene->me, scene->matrix);
     if (observer->needs[OWN]) find_center_path(scene);
@@ -171,14 +179,13 @@ static const void *record_of(const Scene *scene, const Key *key)
 
 static npy_int64 choice_of(const Scene *scene, const Key *key)
 {
-    const npy_int32 choice = *(const npy_int32 *)record_of(scene, key);
     const int is_count = key->source == KART && key->offset == offsetof(Kart, powerup_num);
-    return is_count && choice > POWERUP_COUNT_LIMIT ? POWERUP_COUNT_LIMIT : choice;
+    return is_count ? powerup_count(scene->me) : *(const npy_int32 *)record_of(scene, key);
 }
 
 static npy_int64 item_type(const Scene *scene, npy_intp i)
 {
-    return scene->moment.items[scene->nearest[ITEMS][i].which].type;
+    return scene->snapshot.items[scene->nearest[ITEMS][i].which].type;
 }
 
 static void write_choices(const Scene *scene, const Key *key, npy_int64 *out)
@@ -192,7 +199,8 @@ static void write_choices(const Scene *scene, const Key *key, npy_int64 *out)
     }
 }
 
-/* Writes another kart's velocity or heading in the observing kart's frame. */
+/* Writes another kart's velocity over the ground in the observing kart's frame [m/s], or its heading
+   relative to that kart, positive to the right, seen from above it [rad]. */
 static void write_motion(const Scene *scene, const Key *key, const Kart *other, float *out)
 {
     if (key->width == 3) {
@@ -222,7 +230,7 @@ static void write_numbers(const Scene *scene, const Key *key, float *out)
     if (key->source == MOTION) {
         const Near *near = scene->nearest[KARTS];
         for (npy_intp i = 0; i < real; i++, near++) {
-            write_motion(scene, key, scene->moment.karts + near->which, out + width * i);
+            write_motion(scene, key, scene->snapshot.karts + near->which, out + width * i);
         }
         return;
     }
@@ -379,7 +387,7 @@ static PyObject *value_of(const KartObserver *observer, const Scene *scene, Entr
     PyObject *array;
     switch (key->kind) {
     case NAME:
-        return Py_XNewRef(PyTuple_GetItem(scene->kart_types, scene->me - scene->moment.karts));
+        return Py_XNewRef(PyTuple_GetItem(scene->kart_types, scene->me - scene->snapshot.karts));
     case CONTROL: return control_of(scene->me);
     case MASK:
         array = new_array(1, shape, NPY_INT8, &data);
@@ -427,14 +435,14 @@ static void write_flat(const KartObserver *observer, const Scene *scene, float *
     }
 }
 
-/* Writes 0 for actions that need nitro or a powerup that the kart does not have, else 1. */
-static void write_action_mask(const KartObserver *observer, const Kart *me, npy_int8 *out)
+/* Writes 0 for actions without effect, else 1: actions that press nitro with an empty tank, and
+   actions that fire without a powerup. */
+static void write_action_mask(Flags nitro, Flags fire, float energy, npy_int64 powerup_type,
+                              npy_int8 *out)
 {
-    const int no_nitro = !(me->energy > 0), no_powerup = me->powerup_type == 0;
-    for (npy_intp i = 0; i < observer->nitro.size; i++) {
-        const int is_vain =
-            (no_nitro && observer->nitro.data[i]) || (no_powerup && observer->fire.data[i]);
-        out[i] = !is_vain;
+    const int no_nitro = !(energy > 0), no_powerup = powerup_type == 0;
+    for (npy_intp i = 0; i < nitro.size; i++) {
+        out[i] = !((no_nitro && nitro.data[i]) || (no_powerup && fire.data[i]));
     }
 }
 
@@ -457,7 +465,10 @@ static int write_vectors(const KartObserver *observer, const Scene *scene, float
                          npy_int64 *choices, npy_int8 *mask)
 {
     write_flat(observer, scene, numbers, choices);
-    if (observer->nitro.data) write_action_mask(observer, scene->me, mask);
+    if (observer->nitro.data) {
+        const Kart *me = scene->me;
+        write_action_mask(observer->nitro, observer->fire, me->energy, me->powerup_type, mask);
+    }
     if (!observer->joined.data) return 0;
     return write_ones(observer->joined, choices, numbers + observer->num_continuous);
 }
@@ -619,6 +630,46 @@ static int dicts_into(KartObserver *observer, Scene *scene, Indices who, Indices
     return names_into(observer, scene, who, rows, batch);
 }
 
+/* ---------------------------------------------------------------- entries of other environments */
+
+/* to_polar(points): returns positions (..., 3) [m] as two angles and a distance. */
+PyObject *to_polar(PyObject *Py_UNUSED(module), PyObject *points)
+{
+    Floats numbers;
+    if (!as_floats(points, &numbers)) return NULL;
+    const int axes = PyArray_NDIM((PyArrayObject *)points);
+    if (!axes || PyArray_DIM((PyArrayObject *)points, axes - 1) != 3) {
+        return PyErr_Format(PyExc_ValueError, "expected vectors of 3 numbers");
+    }
+    PyArrayObject *polar = (PyArrayObject *)PyArray_NewCopy((PyArrayObject *)points, NPY_CORDER);
+    float *out = polar ? PyArray_DATA(polar) : NULL;
+    for (npy_intp i = 0; out && i < numbers.size; i += 3) make_polar(out + i);
+    return (PyObject *)polar;
+}
+
+/* action_mask(nitro, fire, energy, powerup_types): returns the masks of A karts, (A, n) int8. */
+PyObject *action_mask(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    Flags nitro, fire;
+    Floats energy;
+    Wholes types;
+    if (!PyArg_ParseTuple(args, "O&O&O&O&", as_flags, &nitro, as_flags, &fire, as_floats, &energy,
+                          as_wholes, &types)) {
+        return NULL;
+    }
+    if (fire.size != nitro.size || types.size != energy.size) {
+        return PyErr_Format(PyExc_ValueError, "the arrays do not fit together");
+    }
+    npy_intp shape[2] = {energy.size, nitro.size};
+    void *data;
+    PyObject *masks = new_array(2, shape, NPY_INT8, &data);
+    for (npy_intp i = 0; masks && i < energy.size; i++) {
+        write_action_mask(nitro, fire, energy.data[i], types.data[i],
+                          (npy_int8 *)data + i * nitro.size);
+    }
+    return masks;
+}
+
 /* ---------------------------------------------------------------- the type */
 
 /* Completes a scene from its parsed arguments and allocates nearest[ITEMS], which the caller frees.
@@ -630,7 +681,7 @@ static int set_scene(const KartObserver *observer, Scene *scene)
                      scene->track->num_nodes);
         return -1;
     }
-    const Header *header = scene->records[HEADER] = scene->moment.header;
+    const Header *header = scene->records[HEADER] = scene->snapshot.header;
     const npy_intp there[] = {header->num_items, header->num_kart - 1, scene->num_paths, 1};
     for (int group = 0; group < 4; group++) {
         const npy_intp size = observer->sizes[group];
@@ -653,7 +704,7 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
     Scene scene;
     Indices who;
     if (!PyArg_ParseTuple(args, "O!nO!O&O&", &TrackGraphType, &scene.track, &scene.num_paths,
-                          &PyTuple_Type, &scene.kart_types, as_moment, &scene.moment, as_indices,
+                          &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
                           &who) ||
         set_scene(observer, &scene) < 0) {
         return NULL;
@@ -681,7 +732,7 @@ static PyObject *observer_observe_into(PyObject *self, PyObject *args)
     Indices who, rows;
     PyObject *batch;
     if (!PyArg_ParseTuple(args, "O!nO!O&O&O&O", &TrackGraphType, &scene.track, &scene.num_paths,
-                          &PyTuple_Type, &scene.kart_types, as_moment, &scene.moment, as_indices,
+                          &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
                           &who, as_indices, &rows, &batch)) {
         return NULL;
     }

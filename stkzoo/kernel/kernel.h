@@ -39,9 +39,9 @@ typedef struct {
     const Header *header;
     const Kart *karts;
     const Item *items;
-} Moment;
+} Snapshot;
 
-int as_moment(PyObject *object, void *moment); /* converts the bytes of a Snapshot */
+int as_snapshot(PyObject *object, void *snapshot); /* converts the bytes of a Snapshot */
 
 /* ---------------------------------------------------------------- types */
 
@@ -92,11 +92,13 @@ void free_object(PyObject *self);
         .tp_new = PREFIX##_new, .tp_dealloc = free_object, .tp_methods = PREFIX##_methods,        \
     };
 
+PyObject *action_mask(PyObject *module, PyObject *args);
 PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *measure_message(PyObject *module, PyObject *args);
 PyObject *reward_term(PyObject *module, PyObject *args);
 PyObject *stack_vectors(PyObject *module, PyObject *args);
+PyObject *to_polar(PyObject *module, PyObject *points);
 PyObject *trace_roads(PyObject *module, PyObject *args);
 
 extern PyTypeObject CarControllerType, EventCounterType, GameStepperType, TrackGraphType, KartObserverType, MlpType, RacingObserverType, ActionReaderType, StepScorerType;

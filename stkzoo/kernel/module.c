@@ -8,23 +8,23 @@
 
 /* ---------------------------------------------------------------- snapshots */
 
-int as_moment(PyObject *object, void *out)
+int as_snapshot(PyObject *object, void *out)
 {
-    Moment *moment = out;
+    Snapshot *snapshot = out;
     if (!PyBytes_Check(object)) {
         PyErr_Format(PyExc_TypeError, "expected a snapshot's bytes, not %R", object);
         return 0;
     }
     const size_t size = (size_t)PyBytes_GET_SIZE(object);
-    const Header *header = moment->header = (const Header *)PyBytes_AS_STRING(object);
+    const Header *header = snapshot->header = (const Header *)PyBytes_AS_STRING(object);
     if (size < sizeof *header || header->num_kart < 0 || header->num_items < 0 ||
         size != sizeof *header + (size_t)header->num_kart * sizeof(Kart) +
                     (size_t)header->num_items * sizeof(Item)) {
         PyErr_Format(PyExc_ValueError, "%zu bytes are not a snapshot", size);
         return 0;
     }
-    moment->karts = (const Kart *)(header + 1);
-    moment->items = (const Item *)(moment->karts + header->num_kart);
+    snapshot->karts = (const Kart *)(header + 1);
+    snapshot->items = (const Item *)(snapshot->karts + header->num_kart);
     return 1;
 }
 
@@ -97,12 +97,14 @@ static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
 }
 
 static PyMethodDef methods[] = {
+    {"action_mask", action_mask, METH_VARARGS, "Returns masks of the actions with an effect."},
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
     {"layouts", layouts, METH_NOARGS, "Returns the byte offsets of record fields."},
     {"look_along", look_along, METH_VARARGS, "Writes points at distances ahead of karts."},
     {"measure_message", measure_message, METH_VARARGS, "Returns the peak memory of decoding."},
     {"reward_term", reward_term, METH_VARARGS, "Returns a reward term of all karts."},
     {"stack_vectors", stack_vectors, METH_VARARGS, "Writes the vectors of rows, padded."},
+    {"to_polar", to_polar, METH_O, "Returns positions as two angles and a distance."},
     {"trace_roads", trace_roads, METH_VARARGS, "Writes the lines ahead of karts."},
     {NULL, NULL, 0, NULL},
 };

@@ -1,7 +1,8 @@
 /* Converts a snapshot's records to the vectors of the racing view in one pass.
 
-   The NumPy reference implementation is tests.oracle.racing_observer. The constants,
-   the tables and the order of the numbers are those of stkzoo.wrappers.racing.features. */
+   stkzoo.wrappers.racing.features describes each number; its constants and tables are arguments of
+   RacingObserver. Both forms of the view run here: `observe` from a snapshot, and `write` from the
+   observations of any environment in the `full` view. */
 
 #include "geometry.h"
 
@@ -19,8 +20,7 @@ typedef struct {
     Floats marks;      /* distances at which the road is observed [m] */
     Bytes items;       /* by type: column of a good item, -1 for a bad one, -2 for others */
     Bytes attachments; /* by type: column, or -1 */
-    /* One-hot lengths; powerup_limit is the largest powerup count in the view. */
-    int num_powerups, powerup_limit, num_hangs, num_kinds;
+    int num_powerups, num_hangs, num_kinds; /* one-hot lengths */
     int karts, goods, bads; /* numbers of objects in the view */
     float step, beyond, kart_reach, item_reach, item_ahead, item_level;
     npy_intp size;
@@ -70,7 +70,58 @@ static int entry_of(Bytes table, npy_int64 type, int none)
 
 /* ---------------------------------------------------------------- own state */
 
-static OwnState own_of(const Kart *kart, int powerup_limit)
+/* Arrays of the own state of karts, in the order of OWN_NUMBERS and OWN_KINDS. */
+typedef struct {
+    Floats velocity, numbers[5];
+    Wholes kinds[4];
+} OwnArrays;
+
+/* Reads the arrays from two tuples; returns 0 with an exception set on failure. */
+static int read_own(PyObject *floats, PyObject *wholes, int (*to_floats)(PyObject *, void *),
+                    int (*to_wholes)(PyObject *, void *), OwnArrays *own)
+{
+    Floats *numbers = own->numbers;
+    Wholes *kinds = own->kinds;
+    return PyArg_ParseTuple(floats, "O&O&O&O&O&O&", to_floats, &own->velocity, to_floats, numbers,
+                            to_floats, numbers + 1, to_floats, numbers + 2, to_floats, numbers + 3,
+                            to_floats, numbers + 4) &&
+           PyArg_ParseTuple(wholes, "O&O&O&O&", to_wholes, kinds, to_wholes, kinds + 1, to_wholes,
+                            kinds + 2, to_wholes, kinds + 3);
+}
+
+/* Returns whether the arrays have a row for each of `count` karts. */
+static int has_rows_of(const OwnArrays *own, npy_intp count)
+{
+    int fits = own->velocity.size == 3 * count;
+    for (int i = 0; i < 5; i++) fits &= own->numbers[i].size == count;
+    for (int i = 0; i < 4; i++) fits &= own->kinds[i].size == count;
+    return fits;
+}
+
+static OwnState own_at(const OwnArrays *own, npy_intp row)
+{
+    const Floats *numbers = own->numbers;
+    const Wholes *kinds = own->kinds;
+    return (OwnState){
+        own->velocity.data + 3 * row, numbers[0].data[row], numbers[1].data[row],
+        numbers[2].data[row],         numbers[3].data[row], numbers[4].data[row],
+        kinds[0].data[row],           kinds[1].data[row],   kinds[2].data[row],
+        kinds[3].data[row],
+    };
+}
+
+static void store_own(const OwnState *own, OwnArrays *out, npy_intp row)
+{
+    const float numbers[] = {own->max_steer_angle, own->skeed_factor, own->energy,
+                             own->attachment_time_left, own->shield_time};
+    const npy_int64 kinds[] = {own->jumping, own->powerup_type, own->powerup_count,
+                               own->attachment};
+    memcpy(out->velocity.data + 3 * row, own->velocity, 3 * sizeof *own->velocity);
+    for (int i = 0; i < 5; i++) out->numbers[i].data[row] = numbers[i];
+    for (int i = 0; i < 4; i++) out->kinds[i].data[row] = kinds[i];
+}
+
+static OwnState own_of(const Kart *kart)
 {
     return (OwnState){
         .velocity = kart->velocity_lc,
@@ -81,7 +132,7 @@ static OwnState own_of(const Kart *kart, int powerup_limit)
         .shield_time = kart->shield_time,
         .jumping = kart->jumping,
         .powerup_type = kart->powerup_type,
-        .powerup_count = kart->powerup_num < powerup_limit ? kart->powerup_num : powerup_limit,
+        .powerup_count = powerup_count(kart),
         .attachment = kart->attachment_type,
     };
 }
@@ -201,18 +252,18 @@ static void put_items(Pen *pen, const float *items, const npy_int64 *types, npy_
 
 /* Sets the observing kart. Returns -1 with an exception set if its track, kart or segment does not
    exist. */
-static int open_eye(const RacingObserver *view, npy_intp track, const Moment *moment, npy_intp kart,
+static int open_eye(const RacingObserver *view, npy_intp track, const Snapshot *snapshot, npy_intp kart,
                     Eye *eye)
 {
     if (track < 0 || track >= view->num_tracks) {
         PyErr_Format(PyExc_IndexError, "there is no road %zd", track);
         return -1;
     }
-    if (kart < 0 || kart >= moment->header->num_kart) {
-        PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, moment->header->num_kart);
+    if (kart < 0 || kart >= snapshot->header->num_kart) {
+        PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, snapshot->header->num_kart);
         return -1;
     }
-    eye->track = view->tracks + track, eye->kart = moment->karts + kart;
+    eye->track = view->tracks + track, eye->kart = snapshot->karts + kart;
     const npy_intp node = eye->kart->node;
     if (node < 0 || node >= eye->track->num_nodes) {
         PyErr_Format(PyExc_IndexError, "there is no segment %zd", node);
@@ -229,11 +280,11 @@ static int open_eye(const RacingObserver *view, npy_intp track, const Moment *mo
 
 /* Writes the positions of the other karts in the kart's frame: infinity for missing karts and for
    the kart itself. */
-static void see_karts(const Eye *eye, const Moment *moment, npy_intp most, float *out)
+static void see_karts(const Eye *eye, const Snapshot *snapshot, npy_intp most, float *out)
 {
     for (npy_intp i = 0; i < most; i++, out += 3) {
-        const Kart *other = moment->karts + i;
-        if (i < moment->header->num_kart && other != eye->kart) {
+        const Kart *other = snapshot->karts + i;
+        if (i < snapshot->header->num_kart && other != eye->kart) {
             to_kart_frame(eye->kart, eye->matrix, other->location, out);
         } else {
             out[0] = out[1] = out[2] = INFINITY;
@@ -243,12 +294,12 @@ static void see_karts(const Eye *eye, const Moment *moment, npy_intp most, float
 
 /* Writes the positions of the items in the kart's frame, and their types. Missing items have
    position 0 and type -1. */
-static void see_items(const Eye *eye, const Moment *moment, npy_intp most, float *out,
+static void see_items(const Eye *eye, const Snapshot *snapshot, npy_intp most, float *out,
                       npy_int64 *types)
 {
     for (npy_intp i = 0; i < most; i++, out += 3) {
-        const Item *item = moment->items + i;
-        const int is_there = i < moment->header->num_items;
+        const Item *item = snapshot->items + i;
+        const int is_there = i < snapshot->header->num_items;
         types[i] = is_there ? item->type : -1;
         if (is_there) to_kart_frame(eye->kart, eye->matrix, item->location, out);
         else out[0] = out[1] = out[2] = 0;
@@ -262,11 +313,11 @@ static void see_items(const Eye *eye, const Moment *moment, npy_intp most, float
 static PyObject *racing_observe(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
-    Moment moment;
+    Snapshot snapshot;
     npy_intp track;
     Indices who, rows = {NULL, 0};
     Floats out;
-    if (!PyArg_ParseTuple(args, "O&nO&O&|O&", as_moment, &moment, &track, as_indices, &who,
+    if (!PyArg_ParseTuple(args, "O&nO&O&|O&", as_snapshot, &snapshot, &track, as_indices, &who,
                           as_written_floats, &out, as_indices, &rows)) {
         return NULL;
     }
@@ -282,7 +333,7 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
         return PyErr_Format(PyExc_IndexError, "a row index is out of range");
     }
     const npy_intp marks = view->marks.size, num_looks = 1 + 2 * marks;
-    const npy_intp num_karts = moment.header->num_kart, num_items = moment.header->num_items;
+    const npy_intp num_karts = snapshot.header->num_kart, num_items = snapshot.header->num_items;
     const size_t floats = (size_t)(LINE * num_looks + 3 * (num_karts + num_items));
     npy_int64 *types = PyMem_Malloc((size_t)num_items * sizeof *types + floats * sizeof(float));
     if (!types) return PyErr_NoMemory();
@@ -290,18 +341,18 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
     float *items = karts + 3 * num_karts;
     for (npy_intp i = 0; i < who.size; i++) {
         Eye eye;
-        if (open_eye(view, track, &moment, who.data[i], &eye) < 0) break;
+        if (open_eye(view, track, &snapshot, who.data[i], &eye) < 0) break;
         const npy_intp row = has_rows ? rows.data[i] : i;
         Pen pen = {.view = view, .out = out.data + row * view->size};
-        const OwnState own = own_of(eye.kart, view->powerup_limit);
+        const OwnState own = own_of(eye.kart);
         look_at(view, &eye, 0, road);
         for (npy_intp mark = 0; mark < marks; mark++) {
             const float distance = view->marks.data[mark];
             look_at(view, &eye, distance, road + LINE * (1 + mark));
             look_at(view, &eye, distance + view->beyond, road + LINE * (1 + marks + mark));
         }
-        see_karts(&eye, &moment, num_karts, karts);
-        see_items(&eye, &moment, num_items, items, types);
+        see_karts(&eye, &snapshot, num_karts, karts);
+        see_items(&eye, &snapshot, num_items, items, types);
         put_own(&pen, &own);
         put_road(&pen, road);
         put_karts(&pen, karts, num_karts);
@@ -312,18 +363,22 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* look(data, road, who, looks, out): writes the surroundings of each kart of `who`. */
+/* look(data, road, who, looks, numbers, kinds, around): writes the own state and the surroundings of
+   each kart of `who`. */
 static PyObject *racing_look(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
-    Moment moment;
+    Snapshot snapshot;
     npy_intp track;
-    PyObject *arrays;
+    PyObject *numbers, *kinds, *arrays;
     Indices who;
+    OwnArrays own;
     Floats looks, road, karts, items;
     Wholes types;
-    if (!PyArg_ParseTuple(args, "O&nO&O&O!", as_moment, &moment, &track, as_indices, &who,
-                          as_floats, &looks, &PyTuple_Type, &arrays) ||
+    if (!PyArg_ParseTuple(args, "O&nO&O&O!O!O!", as_snapshot, &snapshot, &track, as_indices, &who,
+                          as_floats, &looks, &PyTuple_Type, &numbers, &PyTuple_Type, &kinds,
+                          &PyTuple_Type, &arrays) ||
+        !read_own(numbers, kinds, as_written_floats, as_written_wholes, &own) ||
         !PyArg_ParseTuple(arrays, "O&O&O&O&", as_written_floats, &road, as_written_floats, &karts,
                           as_written_floats, &items, as_written_wholes, &types)) {
         return NULL;
@@ -333,15 +388,18 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
     const npy_intp num_karts = karts.size / (3 * count), num_items = types.size / count;
     if (road.size != LINE * looks.size * count || karts.size != 3 * num_karts * count ||
         types.size != num_items * count || items.size != 3 * num_items * count ||
-        num_karts < moment.header->num_kart || num_items < moment.header->num_items) {
+        num_karts < snapshot.header->num_kart || num_items < snapshot.header->num_items ||
+        !has_rows_of(&own, count)) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
     }
     for (npy_intp i = 0; i < count; i++) {
         Eye eye;
-        if (open_eye(view, track, &moment, who.data[i], &eye) < 0) return NULL;
+        if (open_eye(view, track, &snapshot, who.data[i], &eye) < 0) return NULL;
+        const OwnState state = own_of(eye.kart);
+        store_own(&state, &own, i);
         see_road(view, &eye, looks, road.data + LINE * looks.size * i);
-        see_karts(&eye, &moment, num_karts, karts.data + 3 * num_karts * i);
-        see_items(&eye, &moment, num_items, items.data + 3 * num_items * i,
+        see_karts(&eye, &snapshot, num_karts, karts.data + 3 * num_karts * i);
+        see_items(&eye, &snapshot, num_items, items.data + 3 * num_items * i,
                   types.data + num_items * i);
     }
     Py_RETURN_NONE;
@@ -351,11 +409,11 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
 static PyObject *racing_trace(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
-    Moment moment;
+    Snapshot snapshot;
     npy_intp track;
     Indices who;
     Floats looks, out;
-    if (!PyArg_ParseTuple(args, "O&nO&O&O&", as_moment, &moment, &track, as_indices, &who,
+    if (!PyArg_ParseTuple(args, "O&nO&O&O&", as_snapshot, &snapshot, &track, as_indices, &who,
                           as_floats, &looks, as_written_floats, &out)) {
         return NULL;
     }
@@ -365,7 +423,7 @@ static PyObject *racing_trace(PyObject *self, PyObject *args)
     }
     for (npy_intp i = 0; i < who.size; i++) {
         Eye eye;
-        if (open_eye(view, track, &moment, who.data[i], &eye) < 0) return NULL;
+        if (open_eye(view, track, &snapshot, who.data[i], &eye) < 0) return NULL;
         see_road(view, &eye, looks, out.data + LINE * looks.size * i);
     }
     Py_RETURN_NONE;
@@ -377,40 +435,31 @@ static PyObject *racing_write(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
     PyObject *own_numbers, *own_kinds, *around;
-    Floats velocity, numbers[5], road, karts, items, out;
-    Wholes kinds[4], types;
+    OwnArrays own;
+    Floats road, karts, items, out;
+    Wholes types;
     if (!PyArg_ParseTuple(args, "O!O!O!O&", &PyTuple_Type, &own_numbers, &PyTuple_Type, &own_kinds,
                           &PyTuple_Type, &around, as_written_floats, &out) ||
-        !PyArg_ParseTuple(own_numbers, "O&O&O&O&O&O&", as_floats, &velocity, as_floats, numbers,
-                          as_floats, numbers + 1, as_floats, numbers + 2, as_floats, numbers + 3,
-                          as_floats, numbers + 4) ||
-        !PyArg_ParseTuple(own_kinds, "O&O&O&O&", as_wholes, kinds, as_wholes, kinds + 1, as_wholes,
-                          kinds + 2, as_wholes, kinds + 3) ||
+        !read_own(own_numbers, own_kinds, as_floats, as_wholes, &own) ||
         !PyArg_ParseTuple(around, "O&O&O&O&", as_floats, &road, as_floats, &karts, as_floats,
                           &items, as_wholes, &types)) {
         return NULL;
     }
-    const npy_intp count = velocity.size / 3;
+    const npy_intp count = own.velocity.size / 3;
     if (!count) Py_RETURN_NONE;
     const npy_intp num_looks = road.size / (LINE * count), num_karts = karts.size / (3 * count);
     const npy_intp num_items = types.size / count, width = out.size / count;
-    int fits = velocity.size == 3 * count && road.size == LINE * num_looks * count &&
+    const int fits = has_rows_of(&own, count) && road.size == LINE * num_looks * count &&
                num_looks > 2 * view->marks.size && karts.size == 3 * num_karts * count &&
                types.size == num_items * count && items.size == 3 * num_items * count &&
                out.size == width * count && width >= view->size;
-    for (int i = 0; i < 5; i++) fits &= numbers[i].size == count;
-    for (int i = 0; i < 4; i++) fits &= kinds[i].size == count;
     if (!fits) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
     }
     for (npy_intp i = 0; i < count; i++) {
         Pen pen = {.view = view, .out = out.data + width * i};
-        const OwnState own = {
-            velocity.data + 3 * i,   numbers[0].data[i], numbers[1].data[i], numbers[2].data[i],
-            numbers[3].data[i],      numbers[4].data[i], kinds[0].data[i],   kinds[1].data[i],
-            kinds[2].data[i],        kinds[3].data[i],
-        };
-        put_own(&pen, &own);
+        const OwnState state = own_at(&own, i);
+        put_own(&pen, &state);
         put_road(&pen, road.data + LINE * num_looks * i);
         put_karts(&pen, karts.data + 3 * num_karts * i, num_karts);
         put_items(&pen, items.data + 3 * num_items * i, types.data + num_items * i, num_items);
@@ -457,8 +506,8 @@ static int fits_together(const RacingObserver *view)
 static int racing_set_up(RacingObserver *view, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *roads, *tables;
-    if (!PyArg_ParseTuple(args, "O!O!(iiiiiii)(ffffff)", &PyTuple_Type, &roads, &PyTuple_Type,
-                          &tables, &view->num_powerups, &view->powerup_limit, &view->num_hangs,
+    if (!PyArg_ParseTuple(args, "O!O!(iiiiii)(ffffff)", &PyTuple_Type, &roads, &PyTuple_Type,
+                          &tables, &view->num_powerups, &view->num_hangs,
                           &view->num_kinds, &view->karts, &view->goods, &view->bads, &view->step,
                           &view->beyond, &view->kart_reach, &view->item_reach, &view->item_ahead,
                           &view->item_level) ||

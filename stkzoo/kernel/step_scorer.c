@@ -146,9 +146,9 @@ static Term find_term(PyObject *name)
 PyObject *reward_term(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *name;
-    Moment before, after;
+    Snapshot before, after;
     double length;
-    if (!PyArg_ParseTuple(args, "OO&O&d", &name, as_moment, &before, as_moment, &after, &length)) {
+    if (!PyArg_ParseTuple(args, "OO&O&d", &name, as_snapshot, &before, as_snapshot, &after, &length)) {
         return NULL;
     }
     const Term term = find_term(name);
@@ -171,8 +171,8 @@ static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
     return table.data + self->rows.data[agent] * self->num_columns;
 }
 
-static void score(const StepScorer *self, const Reward *reward, const Moment *before,
-                  const Moment *after)
+static void score(const StepScorer *self, const Reward *reward, const Snapshot *before,
+                  const Snapshot *after)
 {
     const Race race = {after->header->num_kart, self->race_length};
     for (npy_intp i = 0; i < reward->who.size; i++) {
@@ -249,15 +249,15 @@ static double total_of(const StepScorer *self, npy_intp agent)
     return total;
 }
 
-static int is_of_this_race(const StepScorer *self, const Moment *moment)
+static int is_of_this_race(const StepScorer *self, const Snapshot *snapshot)
 {
-    if (are_below(self->karts, moment->header->num_kart)) return 1;
+    if (are_below(self->karts, snapshot->header->num_kart)) return 1;
     PyErr_Format(PyExc_ValueError, "a snapshot of another race, with %d karts",
-                 moment->header->num_kart);
+                 snapshot->header->num_kart);
     return 0;
 }
 
-static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, int is_over)
+static PyObject *ends_and_rewards(const StepScorer *self, const Snapshot *after, int is_over)
 {
     PyObject *rewards = PyDict_New(), *ended = PyDict_New(), *cut = PyDict_New();
     int status = rewards && ended && cut ? 0 : -1;
@@ -277,7 +277,7 @@ static PyObject *ends_and_rewards(const StepScorer *self, const Moment *after, i
 
 /* Computes the step's terms and adds them to the sums. Returns 0 with an exception set if the
    snapshots are of another race. */
-static int advance(StepScorer *self, const Moment *before, const Moment *after)
+static int advance(StepScorer *self, const Snapshot *before, const Snapshot *after)
 {
     if (!is_of_this_race(self, before) || !is_of_this_race(self, after)) return 0;
     for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
@@ -298,9 +298,9 @@ static int advance(StepScorer *self, const Moment *before, const Moment *after)
 static PyObject *scorer_score(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
-    Moment before, after;
+    Snapshot before, after;
     int is_over;
-    if (!PyArg_ParseTuple(args, "O&O&p", as_moment, &before, as_moment, &after, &is_over) ||
+    if (!PyArg_ParseTuple(args, "O&O&p", as_snapshot, &before, as_snapshot, &after, &is_over) ||
         !advance(self, &before, &after)) {
         return NULL;
     }
@@ -326,12 +326,12 @@ static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
 static PyObject *scorer_score_into(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
-    Moment before, after;
+    Snapshot before, after;
     int is_over;
     Indices slots;
     Doubles rewards;
     Flags ended, cut;
-    if (!PyArg_ParseTuple(args, "O&O&pO&O&O&O&", as_moment, &before, as_moment, &after, &is_over,
+    if (!PyArg_ParseTuple(args, "O&O&pO&O&O&O&", as_snapshot, &before, as_snapshot, &after, &is_over,
                           as_indices, &slots, as_written_doubles, &rewards, as_written_flags,
                           &ended, as_written_flags, &cut)) {
         return NULL;
@@ -355,9 +355,9 @@ static PyObject *scorer_score_into(PyObject *object, PyObject *args)
 static PyObject *scorer_infos(PyObject *object, PyObject *args)
 {
     const StepScorer *self = (StepScorer *)object;
-    Moment now;
+    Snapshot now;
     PyObject *length;
-    if (!PyArg_ParseTuple(args, "O&O", as_moment, &now, &length) || !is_of_this_race(self, &now)) {
+    if (!PyArg_ParseTuple(args, "O&O", as_snapshot, &now, &length) || !is_of_this_race(self, &now)) {
         return NULL;
     }
     PyObject *infos = PyDict_New();
@@ -374,11 +374,11 @@ static PyObject *scorer_infos(PyObject *object, PyObject *args)
 static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 {
     const StepScorer *self = (StepScorer *)object;
-    Moment now;
+    Snapshot now;
     double length;
     Indices slots;
     Doubles table;
-    if (!PyArg_ParseTuple(args, "O&dO&O&", as_moment, &now, &length, as_indices, &slots,
+    if (!PyArg_ParseTuple(args, "O&dO&O&", as_snapshot, &now, &length, as_indices, &slots,
                           as_written_doubles, &table) ||
         !is_of_this_race(self, &now)) {
         return NULL;

@@ -90,13 +90,3 @@ def line_places(
     places = (passed[:, None] + looks) / np.float32(spacing)
     before = np.minimum(places.astype(np.intp), num_points - 2)
     return before, (places - before).astype(np.float32)
-
-
-def to_polar(positions: FloatArray) -> FloatArray:
-    """Converts positions ``(..., 3)`` [m] to two angles [rad] and a distance [m]."""
-    x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
-    polar = np.empty_like(positions)
-    polar[..., 0] = np.arctan2(x, z)
-    polar[..., 1] = np.arctan2(y, z)
-    polar[..., 2] = np.linalg.norm(positions, axis=-1)
-    return polar

@@ -40,6 +40,7 @@ from stkzoo.wrappers.racing.features import KERNEL_TABLES
 from stkzoo.wrappers.racing.road import LOOKS, NUM_POINTS
 from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests import oracle
+from tests.oracle.racing_observer import own_arrays
 from tests.support.bombs import BOMBS, bomb
 
 TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
@@ -129,7 +130,10 @@ USERS = {
     "mdp.events": ["EventCounter"],
     "mdp.rewards": ["reward_term"],
     "drivers.codec": ["join_rows", "measure_message"],
+    "mdp.observations": ["KartObserver"],
     "views.plan": ["ActionReader", "KartObserver"],
+    "wrappers.marl.masks": ["action_mask"],
+    "wrappers.observations": ["to_polar"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.racing.road": ["trace_roads"],
     "wrappers.racing.surroundings": ["look_along", "stack_vectors"],
@@ -342,7 +346,7 @@ def seen_by_twin(snapshot, table, who):
     counts = ((len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3))
     around = [np.empty((len(who), *shape), np.float32) for shape in counts]
     types = np.empty((len(who), len(snapshot.items)), np.int64)
-    twin.look(snapshot.data, 0, who, LOOKS, (*around, types))
+    twin.look(snapshot.data, 0, who, LOOKS, *own_arrays(len(who)), (*around, types))
     return view, (*around, types)
 
 

@@ -7,9 +7,10 @@ Those of the planner (``plan_*``) are not imported here, because the planner is 
 from tests.oracle.action_reader import ActionReader
 from tests.oracle.car_controller import CarController
 from tests.oracle.event_counter import EventCounter
-from tests.oracle.kart_observer import KartObserver
+from tests.oracle.kart_observer import KartObserver, action_mask
 from tests.oracle.messages import measure_message
 from tests.oracle.mlp import Mlp
+from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import RacingObserver
 from tests.oracle.road_tracer import look_along, stack_vectors, trace_roads
 from tests.oracle.rows import join_rows
@@ -25,10 +26,12 @@ __all__ = [
     "RacingObserver",
     "StepScorer",
     "TrackGraph",
+    "action_mask",
     "join_rows",
     "look_along",
     "measure_message",
     "reward_term",
     "stack_vectors",
+    "to_polar",
     "trace_roads",
 ]

@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.mdp.geometry import to_polar
-from stkzoo.mdp.observations import ai_actions, karts_motion, observe_karts
 from stkzoo.mdp.spaces import EXTRAS, kart_observation_space
+from tests.oracle.observations import ai_actions, karts_motion, observe_karts, to_polar
 from tests.oracle.track_graph import TrackGraph
 
 IntArray = npt.NDArray[np.intp]
@@ -161,7 +160,10 @@ class KartObserver:
         choices = np.concatenate([part for part, kind in parts if kind == np.int64], axis=1)
         numbers = [part for part, kind in parts if kind != np.int64]
         continuous = np.concatenate(numbers, axis=1, dtype=np.float32)
-        mask = {} if self._nitro is None else {"action_mask": self._mask(batch)}
+        mask = {}
+        if self._nitro is not None and self._fire is not None:
+            has = batch["energy"], batch["powerup_type"]
+            mask["action_mask"] = action_mask(self._nitro, self._fire, *has)
         if self._joined is None:
             return {**mask, "continuous": continuous, "discrete": choices}
         ones = []
@@ -173,11 +175,16 @@ class KartObserver:
         vector = np.concatenate([continuous, *ones], axis=1)
         return {**mask, "observation": vector} if mask else vector
 
-    def _mask(self, batch: Batch) -> npt.NDArray[np.int8]:
-        has_nitro = batch["energy"] > 0
-        has_powerup = batch["powerup_type"][:, None] != 0
-        mask = (~np.asarray(self._nitro) | has_nitro) & (~np.asarray(self._fire) | has_powerup)
-        return np.asarray(mask, np.int8)
+
+def action_mask(
+    nitro: BoolArray,
+    fire: BoolArray,
+    energy: npt.NDArray[np.float32],
+    powerup_types: npt.NDArray[np.int64],
+) -> npt.NDArray[np.int8]:
+    """Returns the masks of A karts, ``(A, n)`` int8: 1 for actions that have an effect."""
+    has_nitro, has_powerup = energy.reshape(-1, 1) > 0, powerup_types.reshape(-1, 1) != 0
+    return np.asarray((~nitro | has_nitro) & (~fire | has_powerup), np.int8)
 
 
 def _resize(batch: Batch, group: str, size: int) -> None:

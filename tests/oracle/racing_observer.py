@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import KART_DTYPE, Snapshot
 from stkzoo.mdp.geometry import line_places, rotation_matrices, squared, to_kart_frame
-from stkzoo.mdp.observations import own_state
 from stkzoo.wrappers.racing.features import (
     ATTACHMENT_COLUMNS,
     ATTACHMENTS,
@@ -31,6 +30,7 @@ from stkzoo.wrappers.racing.features import (
     TYPES_GOOD,
 )
 from stkzoo.wrappers.racing.road import LOOKS, MARKS, STEP
+from tests.oracle.observations import own_state
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
@@ -88,9 +88,8 @@ class RacingObserver:
             for count, width in zip(counts, (4, 3, 3), strict=True)
         )
         types = np.empty((len(who), len(snapshot.items)), np.int64)
-        self.look(data, road, who, LOOKS, (*around, types))
-        own = own_state(snapshot.karts[who])
-        numbers, kinds = (tuple(own[k] for k in keys) for keys in (OWN_NUMBERS, OWN_KINDS))
+        numbers, kinds = own_arrays(len(who))
+        self.look(data, road, who, LOOKS, numbers, kinds, (*around, types))
         view = np.empty((len(who), SIZE), np.float32)
         self.write(numbers, kinds, (*around, types), view)
         out[slice(None) if rows is None else rows] = view
@@ -101,20 +100,28 @@ class RacingObserver:
         road: int,
         who: npt.NDArray[np.intp],
         looks: FloatArray,
-        out: Arrays,
+        numbers: Arrays,
+        kinds: Arrays,
+        around: Arrays,
     ) -> None:
-        """Writes the surroundings of each kart of ``who``.
+        """Writes the own state and the surroundings of each kart of ``who``.
 
         Args:
             data: bytes of a snapshot.
             road: index of its track.
             who: ``(n,)`` indices of karts.
             looks: ``(L,)`` distances at which the road is observed [m].
-            out: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as many
-                karts and items as the race has.
+            numbers: see :meth:`write`.
+            kinds: see :meth:`write`.
+            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as
+                many karts and items as the race has.
         """
         snapshot = Snapshot(data)
-        line, karts, items, types = out
+        own = own_state(snapshot.karts[who])
+        for keys, arrays in ((OWN_NUMBERS, numbers), (OWN_KINDS, kinds)):
+            for key, array in zip(keys, arrays, strict=True):
+                array[:] = own[key]
+        line, karts, items, types = around
         self.trace(data, road, who, looks, line)
         locations, matrices = _frames(_records(snapshot, who))
         others, things = snapshot.karts["location"][None], snapshot.items["location"][None]
@@ -171,6 +178,13 @@ class RacingObserver:
         _write_karts(view, karts)
         _write_items(view, items, types)
         np.clip(view, -5.0, 5.0, out=view)
+
+
+def own_arrays(count: int) -> tuple[Arrays, Arrays]:
+    """Returns arrays for the own state of karts, which :meth:`RacingObserver.look` writes."""
+    widths = (3 if key == "velocity" else 1 for key in OWN_NUMBERS)
+    numbers = tuple(np.empty((count, width), np.float32) for width in widths)
+    return numbers, tuple(np.empty(count, np.int64) for _ in OWN_KINDS)
 
 
 def _records(snapshot: Snapshot, who: npt.NDArray[np.intp]) -> npt.NDArray[Any]:

@@ -7,7 +7,8 @@ import pytest
 import stkzoo
 from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
 from stkzoo.drivers import Driver
-from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame, to_polar
+from stkzoo.kernel import to_polar
+from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.race import find_driver, run_race
 from stkzoo.race.remote import RemoteDriverGroup

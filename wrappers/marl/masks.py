@@ -12,7 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo.errors import ConfigError
-from stkzoo.names import PowerupType
+from stkzoo.kernel import action_mask
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.wrappers.flattening import FlattenerWrapper
 
@@ -24,7 +24,8 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Adds ``action_mask`` to a flattened view: 1 for actions that have an effect, otherwise 0.
 
     Nitro has no effect with an empty tank, and fire has none without a powerup; actions with such a
-    button are masked. Masked actions are still valid: the race ignores the button.
+    button are masked. ``write_action_mask`` in ``stkzoo/kernel/kart_observer.c`` computes the mask.
+    Masked actions are still valid: the race ignores the button.
 
     The mask is int8, ``(n,)`` for ``Discrete(n)``. For ``MultiDiscrete``, the masks of all choices
     are concatenated, ``(sum(nvec),)``, as ``MaskablePPO`` expects.
@@ -69,11 +70,11 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns the observation with the mask, ``(..., n)`` int8."""
-        has_nitro = np.asarray(observation["continuous"])[..., self._energy, None] > 0
-        powerup = np.asarray(observation["discrete"])[..., self._powerup, None]
-        has_item = powerup != PowerupType.NOTHING
-        mask = (~self._nitro | has_nitro) & (~self._fire | has_item)
-        seen = {**observation, "action_mask": mask.astype(np.int8)}
+        numbers, choices = (np.asarray(observation[key]) for key in ("continuous", "discrete"))
+        energy = np.ascontiguousarray(numbers[..., self._energy], np.float32)
+        powerups = np.ascontiguousarray(choices[..., self._powerup], np.int64)
+        mask = action_mask(self._nitro, self._fire, energy, powerups)
+        seen = {**observation, "action_mask": mask.reshape(*numbers.shape[:-1], -1)}
         return {key: seen[key] for key in self._keys}
 
 

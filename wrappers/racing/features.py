@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.wrappers.racing.road import BEYOND, MARKS, STEP
 
@@ -143,7 +142,7 @@ ATTACHMENT_COLUMNS[list(ATTACHMENTS)] = range(len(ATTACHMENTS))
 KERNEL_TABLES = (
     (MARKS, ITEM_CLASSES, ATTACHMENT_COLUMNS),
     (
-        *(NUM_POWERUPS, POWERUP_COUNT_LIMIT, len(ATTACHMENTS), len(TYPES_GOOD)),
+        *(NUM_POWERUPS, len(ATTACHMENTS), len(TYPES_GOOD)),
         *(KARTS, GOODS, BADS),
     ),
     (STEP, BEYOND, KART_REACH, ITEM_REACH, ITEM_LEAST_AHEAD, ITEM_LEVEL),

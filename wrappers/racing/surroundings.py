@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.kernel import look_along, stack_vectors
-from stkzoo.mdp.observations import OWN_KEYS
+from stkzoo.wrappers.racing.features import OWN_KINDS, OWN_NUMBERS
 from stkzoo.wrappers.racing.road import LOOKS, STEP, traced
 
 FloatArray = npt.NDArray[np.float32]
@@ -71,13 +71,13 @@ def surroundings_of(
         item_types=_stacked_types(batch["items_type"]),
         line=_line_of(batch),
     )
-    own = {key: np.asarray(batch[key]) for key in OWN_KEYS}
+    own = {key: np.asarray(batch[key]) for key in (*OWN_NUMBERS, *OWN_KINDS)}
     return own, around
 
 
 _PATHS = ("paths_start", "paths_end", "paths_width")
 _LINE = ("ground_line", "ground_room")
-_KEYS = (*OWN_KEYS, *_PATHS, "karts_position", "items_position", "items_type")
+_KEYS = (*OWN_NUMBERS, *OWN_KINDS, *_PATHS, "karts_position", "items_position", "items_type")
 
 
 def _stacked(rows: Sequence[Any], blank: float) -> FloatArray:

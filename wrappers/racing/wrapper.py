@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.engine.snapshot import CONTROLS, KART_DTYPE, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import RacingObserver
-from stkzoo.mdp.observations import as_actions, own_state
+from stkzoo.mdp.observations import as_actions
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
 from stkzoo.wrappers.observations import refuse_polar
@@ -199,13 +199,22 @@ class BatchedRacingView:
             np.empty((count, most_items, 3), np.float32),
             np.empty((count, most_items), np.int64),
         )
-        looks, records = np.ascontiguousarray(looks, np.float32), []
+        widths = (3 if key == "velocity" else 1 for key in OWN_NUMBERS)
+        numbers = tuple(np.empty((count, width), np.float32) for width in widths)
+        kinds = tuple(np.empty(count, np.int64) for _ in OWN_KINDS)
+        looks = np.ascontiguousarray(looks, np.float32)
         for snapshot, road, who, rows in _races(snapshots, roads, karts):
-            parts = tuple(array[rows] for array in arrays)
-            self._observer.look(snapshot.data, road, who, looks, parts)
-            records.append(snapshot.karts[who].tobytes())
-        state = own_state(np.frombuffer(b"".join(records), KART_DTYPE))
-        return state, Surroundings(*arrays)
+            self._observer.look(
+                snapshot.data,
+                road,
+                who,
+                looks,
+                tuple(array[rows] for array in numbers),
+                tuple(array[rows] for array in kinds),
+                tuple(array[rows] for array in arrays),
+            )
+        own: dict[str, npt.NDArray[Any]] = dict(zip(OWN_NUMBERS, numbers, strict=True))
+        return own | dict(zip(OWN_KINDS, kinds, strict=True)), Surroundings(*arrays)
 
     def road(
         self,
