@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.agents.planning.test_rivals import STRAIGHT, around_of, karts, own_of
 
 from stkzoo.agents.planning.memory import DriverMemory, PlanMemory
 from stkzoo.agents.planning.motion import STEP
@@ -10,6 +9,7 @@ from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, FREE
 from stkzoo.agents.planning.road import LINE_MARKS, RivalTracker, line_of
 from stkzoo.agents.planning.worth import NEVER, plan_rules, weigh
+from tests.agents.planning.test_road import STRAIGHT, around_of, karts, own_of
 
 
 def weighed(speed=25.0, ahead=0.0, closing=0.0, across=0.0, **rules):
