@@ -93,9 +93,10 @@ bench: $(VENV)/.dev
 # The pictures are in the repository; draw them again after a change to the map or the results.
 pictures: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
-	$(BIN)/python -m benchmarks.track_atlas
-	$(BIN)/python -m benchmarks.gallery
-	$(BIN)/python -m benchmarks.bench_charts
+	$(BIN)/python docs/_extensions/track_atlas.py
+	$(BIN)/python docs/_extensions/gallery.py
+	$(BIN)/python docs/_extensions/charts.py
+	$(BIN)/python docs/_extensions/suite_page.py
 
 # Builds the documentation in the folder site; fails on any warning or broken link.
 docs: $(VENV)/.docs

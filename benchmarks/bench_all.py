@@ -1,12 +1,11 @@
-"""Runs all benchmarks one after another and writes the documentation page of their results.
+"""Runs all benchmarks one after another.
 
     python -m benchmarks.bench_all
     python -m benchmarks.bench_all --only steps transport
     python -m benchmarks.bench_all --quick --output trial
 
-The results are JSON files in one folder. The page is written only if that folder is the project's
-own (``benchmarks/results``). ``--steps`` and ``--karts`` override the defaults of every benchmark;
-each command shows them with ``--help``, such as ``python -m benchmarks.bench_steps --help``.
+The results are JSON files in one folder. ``--steps`` and ``--karts`` override the defaults of every
+benchmark; each command shows them with ``--help``.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks import bench_charts, bench_tables
 from benchmarks.bench_common import RESULTS, progress_bar
 from stkzoo._arguments import CommandParser
 
@@ -41,19 +39,6 @@ BENCHMARKS: dict[str, tuple[str, ...]] = {
         "--races",
         "1",
     ),
-    "profile": ("--steps", "10", "--karts", "2", "--view", "flattened"),
-    "engine": (
-        "--track",
-        "lighthouse",
-        "--steps",
-        "20",
-        "--seeds",
-        "1",
-        "--length",
-        "10",
-        "--karts",
-        "2",
-    ),
 }
 
 
@@ -77,8 +62,6 @@ def main(arguments: list[str] | None = None) -> int:
             bar.advance(task)
     if failed:
         print(f"failed, or contenders drove different races: {', '.join(failed)}", file=sys.stderr)
-    elif options.output.resolve() == RESULTS.resolve() and not options.quick:
-        return bench_charts.main([]) or bench_tables.main([])
     return int(bool(failed))
 
 

@@ -11,7 +11,7 @@ import statistics
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -192,15 +192,20 @@ def read_rows(file: Path) -> list[dict[str, Any]]:
 
 
 def save(
-    output: Path, name: str, settings: argparse.Namespace, results: Sequence[Mapping[str, Any]]
+    output: Path,
+    name: str,
+    settings: argparse.Namespace,
+    results: Sequence[Mapping[str, Any]],
+    tables: Sequence[Table],
 ) -> None:
-    """Writes the results as JSON, with the command and the host facts.
+    """Writes the results as JSON, with the command and the host facts, and prints their tables.
 
     Args:
         output: file to write.
         name: name of the benchmark: its module without ``bench_``.
         settings: arguments of the command.
         results: the measurements; floats are rounded to five significant digits.
+        tables: the results as tables, for the terminal and the documentation.
     """
     # Paths on this machine are irrelevant to the measurement.
     arguments = {k: v for k, v in vars(settings).items() if k not in ("output", "folder")}
@@ -210,7 +215,9 @@ def save(
         "host": host_facts(),
         "settings": arguments,
         "results": results,
+        "tables": [asdict(table) for table in tables],
     }
+    print_tables(tables)
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(json.dumps(_rounded(report), indent=1) + "\n")
     Console().print(f"written to {output}", markup=False, highlight=False, soft_wrap=True)
@@ -231,13 +238,6 @@ class Table:
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
-
-    def to_markdown(self) -> str:
-        """Returns the table as Markdown."""
-        rule = [":--", *["--:"] * (len(self.columns) - 1)]
-        lines = [" | ".join(cells) for cells in (self.columns, rule, *self.rows)]
-        parts = [f"**{self.title}**", "\n".join(f"| {line} |" for line in lines), self.note]
-        return "\n\n".join(filter(None, parts)) + "\n"
 
 
 def print_tables(tables: Iterable[Table]) -> None:

@@ -47,7 +47,6 @@ from benchmarks.bench_common import (
     Table,
     cores,
     parser,
-    print_tables,
     progress_bar,
     quantiles,
     save,
@@ -68,7 +67,7 @@ from benchmarks.bench_shares import (
     processor_times,
     shares_of,
 )
-from benchmarks.ecosystem import ROOT, SETS, environment
+from benchmarks.ecosystem import ROOT, environment
 from stkzoo._os import cpu_count
 
 #: Measured parts of an actor's time.
@@ -127,8 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
                 )
                 bar.advance(task)
     results = [_result(setting, found) for setting in todo]
-    print_tables(tables(results))
-    save(options.output, "learners", options, results)
+    save(options.output, "learners", options, results, tables(results))
     return 0
 
 
@@ -158,7 +156,7 @@ def _python(name: str, folder: Path) -> str:
     if _is_installed(name):
         return sys.executable
     where = _LIBRARIES[name][1]
-    return str(environment(folder / where, SETS[where]))
+    return str(environment(folder, where))
 
 
 def _measure(setting: Setting, options: argparse.Namespace, python: str) -> dict[str, float]:

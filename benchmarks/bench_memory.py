@@ -21,7 +21,6 @@ from benchmarks.bench_common import (
     Table,
     cores,
     parser,
-    print_tables,
     progress_bar,
     save,
 )
@@ -59,8 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
             bar.update(task, description=f"{name}, {karts} karts")
             found = measure(spec, options, lambda: bar.advance(task))
             results.append({"karts": karts, "contender": name, **found})
-    print_tables(tables(results))
-    save(options.output, "memory", options, results)
+    save(options.output, "memory", options, results, tables(results))
     return 0
 
 

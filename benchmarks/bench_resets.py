@@ -24,7 +24,6 @@ from benchmarks.bench_common import (
     Table,
     cores,
     parser,
-    print_tables,
     progress_bar,
     quantiles,
     save,
@@ -64,8 +63,7 @@ def main(arguments: list[str] | None = None) -> int:
                 bar.update(task, description=f"{karts} karts, round {number + 1}")
                 _round(seconds, karts, options, lambda: bar.advance(task))
             results.append(_summary(karts, seconds))
-    print_tables(tables(results))
-    save(options.output, "resets", options, results)
+    save(options.output, "resets", options, results, tables(results))
     return 0
 
 

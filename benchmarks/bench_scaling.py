@@ -22,7 +22,6 @@ from benchmarks.bench_common import (
     cores,
     figures,
     parser,
-    print_tables,
     progress_bar,
     save,
     spread,
@@ -56,8 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
         for karts, track, found in _races(options, lambda count: bar.advance(task, count)):
             bar.update(task, description=f"{karts} karts on {track} done")
             results.append(found)
-    print_tables(tables(results))
-    save(options.output, "scaling", options, results)
+    save(options.output, "scaling", options, results, tables(results))
     return int(not all(result["same_race"] for result in results))
 
 

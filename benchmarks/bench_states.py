@@ -20,7 +20,6 @@ from typing import Any
 from benchmarks.bench_common import (
     Table,
     parser,
-    print_tables,
     progress_bar,
     quantiles,
     save,
@@ -38,8 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
         for karts in options.karts:
             bar.update(task, description=f"{karts} karts")
             results.append(measure(karts, options, lambda: bar.advance(task)))
-    print_tables(tables(results))
-    save(options.output, "states", options, results)
+    save(options.output, "states", options, results, tables(results))
     return 0
 
 

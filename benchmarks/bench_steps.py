@@ -35,7 +35,6 @@ from benchmarks.bench_common import (
     cores,
     figures,
     parser,
-    print_tables,
     progress_bar,
     save,
     spread,
@@ -137,8 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
         for match in todo:
             bar.update(task, description=f"{match.group} {match.view}, {match.num_kart} karts")
             results.append(run(match, options, lambda count: bar.advance(task, count)))
-    print_tables(tables(results))
-    save(options.output, "steps", options, results)
+    save(options.output, "steps", options, results, tables(results))
     return int(any(result["same_race"] is False for result in results))
 
 

@@ -35,7 +35,6 @@ from benchmarks.bench_common import (
     add_driving,
     cores,
     parser,
-    print_tables,
     progress_bar,
     quantiles,
     save,
@@ -61,8 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
             bar.update(task, description=f"{view}, {karts} karts, cores: {number or 'all'}")
             advance = functools.partial(bar.advance, task)
             results.append(measure(number, view, karts, options, advance))
-    print_tables(tables(results))
-    save(options.output, "transport", options, results)
+    save(options.output, "transport", options, results, tables(results))
     return int(not all(result["same_race"] for result in results))
 
 

@@ -27,7 +27,6 @@ import numpy as np
 from benchmarks.bench_common import (
     Table,
     parser,
-    print_tables,
     progress_bar,
     quantiles,
     save,
@@ -59,8 +58,7 @@ def main(arguments: list[str] | None = None) -> int:
                 rates[name].append(_in_an_interpreter_of_its_own(spec, options))
                 bar.advance(task)
     results = _results(todo, rates)
-    print_tables(tables(results))
-    save(options.output, "vector", options, results)
+    save(options.output, "vector", options, results, tables(results))
     return 0
 
 

@@ -16,6 +16,7 @@ project_copyright = f"the game's pictures: the SuperTuxKart team; all else: {aut
 release = version = version_of("stkzoo")
 
 extensions = [
+    "generated_pages",
     "internal_links",
     "outside_links",
     "myst_nb",
@@ -32,7 +33,7 @@ myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "fieldlist"]
 myst_heading_anchors = 4
 myst_url_schemes = ("http", "https", "mailto")
 
-nb_execution_mode = "off"  # `python -m benchmarks.tutorials` runs them
+nb_execution_mode = "off"  # `python docs/_extensions/tutorials.py` runs them
 
 # The reference, from docstrings in Google's form
 add_module_names = False

@@ -11,13 +11,13 @@ import jsonschema
 import pytest
 from referencing import Registry, Resource
 
-from benchmarks.mutation_kinds import KINDS
-from benchmarks.mutations import mutate, run_kind
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation import BenchmarkResult, TimeTrialResult, TournamentResult
 from stkzoo.evaluation.benchmark.ai_times import AiTimes
 from stkzoo.race import RaceResult
 from stkzoo.suite import Entry
+from tests.support.file_kinds import KINDS
+from tests.support.mutations import mutate, run_kind
 from tests.support.paths import SCHEMAS
 
 JSON_KINDS = [name for name, kind in KINDS.items() if kind.is_json]

@@ -1,7 +1,4 @@
-"""Writes the reference page of the commands from their parsers.
-
-Run it with ``python docs/_extensions/command_page.py``. A test compares the page with the parsers.
-"""
+"""Builds the reference page of the commands from their parsers."""
 
 from __future__ import annotations
 
@@ -9,25 +6,21 @@ import argparse
 import re
 import textwrap
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from stkzoo.agents.training.common.command import command_parser
 from stkzoo.agents.training.league import league
 from stkzoo.cli import COMMANDS, build_parser
 
-FILE = Path(__file__).parent.parent / "reference" / "commands.md"
 _HEAD = """\
 # Commands and options
-
-<!-- written by python docs/_extensions/command_page.py -->
 
 This page lists the options that `stkzoo COMMAND --help` shows. For an overview, exit codes and
 completion, see [The command line](cli.md).
 """
 
 
-def page() -> str:
+def pages() -> dict[str, str]:
     """Returns the text of the page."""
     subparsers = _actions_of(build_parser())
     assert subparsers is not None  # noqa: S101 - each command is one
@@ -35,7 +28,7 @@ def page() -> str:
     kinds = (league.LeagueOptions, league.LeagueArguments)
     parsers["league"] = command_parser("league", league.__doc__, kinds)
     lines = [line for name in COMMANDS for line in _section(parsers[name], 2)]
-    return "\n".join([_HEAD, *lines]).rstrip() + "\n"
+    return {"reference/commands.md": "\n".join([_HEAD, *lines]).rstrip() + "\n"}
 
 
 def _section(parser: argparse.ArgumentParser, level: int) -> Iterator[str]:
@@ -77,7 +70,3 @@ def _actions_of(parser: argparse.ArgumentParser) -> argparse._SubParsersAction[A
 
 def _plain(text: str) -> str:
     return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text).replace("``", "`")
-
-
-if __name__ == "__main__":
-    FILE.write_text(page(), "utf-8")

@@ -1,7 +1,6 @@
-"""Writes the reference pages of the views from the layouts in the code.
+"""Builds the reference pages of the views from the layouts in the code.
 
-Run it with ``python docs/_extensions/view_pages.py``. A test compares the pages with the code. The
-units and meanings of the game's own entries come from ``docs/reference/environment.md``.
+The units and meanings of the game's own entries come from ``docs/reference/environment.md``.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from stkzoo.wrappers.flattening import SpaceFlattener
 from stkzoo.wrappers.observations import PolarBox
 from stkzoo.wrappers.racing import CHOICE_NAMES, CHOICES, MEANINGS, PARTS, PEDALS, PLACES, STEERS
 
-FOLDER = Path(__file__).parent.parent / "reference"
-_ENTRIES = (FOLDER / "environment.md").read_text("utf-8")
+_VIEWS = "reference/views"
+_ENTRIES = (Path(__file__).parents[1] / "reference" / "environment.md").read_text("utf-8")
 _LINES = [line.strip().strip("|") for line in _ENTRIES.splitlines() if line.startswith("| `")]
 _ROWS = [[cell.strip() for cell in line.split("|")] for line in _LINES]
 #: Unit and meaning of the game's own observations, and meaning of its actions, by key.
@@ -35,8 +34,8 @@ Rows = Iterator[tuple[object, ...]]
 
 
 def pages() -> dict[str, str]:
-    """Returns the text of each page by file name."""
-    found = {f"{view.name}.md": _page(view.name, view.description) for view in SHIPPED}
+    """Returns the text of each page by its path in ``docs``."""
+    views = {f"{_VIEWS}/{view.name}.md": _page(view.name, view.description) for view in SHIPPED}
     lines = [
         "# Views entry by entry",
         "",
@@ -53,7 +52,7 @@ def pages() -> dict[str, str]:
         *(view.name for view in SHIPPED),
         "```",
     ]
-    return {"index.md": "\n".join(lines) + "\n", **found}
+    return {f"{_VIEWS}/index.md": "\n".join(lines) + "\n", **views}
 
 
 def _text(view: Any) -> str:
@@ -70,8 +69,6 @@ def _page(name: str, description: str) -> str:
     text = description.replace("``", "`")
     lines = [
         f"# View: {name}",
-        "",
-        "<!-- written by python docs/_extensions/view_pages.py -->",
         "",
         f"{text} The Gymnasium id is `supertuxkart/{name}-v0`.",
         "",
@@ -274,9 +271,3 @@ def _table(columns: tuple[str, ...], rows: Any) -> list[str]:
     # The links of environment.md are relative to the parent folder.
     there = [re.sub(r"\]\(#", "](../environment.md#", line) for line in lines]
     return head + [re.sub(r"\]\(\.\./how-to", "](../../how-to", line) for line in there]
-
-
-if __name__ == "__main__":
-    (FOLDER / "views").mkdir(exist_ok=True)
-    for file, text in pages().items():
-        (FOLDER / "views" / file).write_text(text, "utf-8")

@@ -2,7 +2,7 @@
 
 The engine reports ranks and what karts carry. The kernel's ``EventCounter`` derives the other
 events from the karts' positions and velocities before and after a step. Its thresholds are meant
-for steps of about 0.1 s; ``python -m benchmarks.events`` compares it with races recorded at 120 Hz.
+for steps of about 0.1 s; ``docs/reference/events.md`` compares it with races recorded at 120 Hz.
 """
 
 from __future__ import annotations

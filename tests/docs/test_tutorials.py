@@ -9,7 +9,11 @@ import venv
 
 import pytest
 
-from benchmarks.tutorials import PAGES, ROOT, SOURCES, unexecuted
+from tests.docs.test_extensions import extension
+from tests.support.paths import ROOT
+
+tutorials = extension("tutorials")
+PAGES, SOURCES, unexecuted = tutorials.PAGES, tutorials.SOURCES, tutorials.unexecuted
 
 NAMES = sorted(path.stem for path in SOURCES.glob("*.py"))
 
@@ -35,7 +39,7 @@ def test_the_first_training_gives_a_driver_that_beats_the_easiest_ai(tmp_path, m
 
 def executed(name, folder, *options):
     """Runs a tutorial and returns its notebook."""
-    command = [sys.executable, "-m", "benchmarks.tutorials", *options, "--only", name]
+    command = [sys.executable, tutorials.__file__, *options, "--only", name]
     done = subprocess.run(
         [*command, "--output", folder],
         cwd=ROOT,

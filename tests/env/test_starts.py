@@ -6,7 +6,6 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import stkzoo
-from benchmarks.starts import summary, track_starts
 from stkzoo import (
     AgentSpec,
     ApiOrderError,
@@ -466,12 +465,6 @@ def test_a_damaged_file_is_one_clear_error(tmp_path):
         except ConfigError:
             refused += 1
     assert refused > 150
-
-
-def test_the_benchmark_of_starts_counts_its_starts():
-    row = track_starts("lighthouse", 2, seed=0)
-    assert (row["starts"], row["fallen"], row["bad"], row["finishes"]) == (2, 0, [], True)
-    assert summary([row, row])["starts"] == 4
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Gymnasium's wrappers and utilities with stkzoo's ids, as listed in docs/how-to/tool-belt.md."""
 
-import argparse
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -419,14 +417,3 @@ def test_gymnasiums_benchmark_functions_run():
     assert performance.benchmark_init(made_and_kept, target_duration=0, seed=1) > 0
     for env in made:
         env.close()
-
-
-def test_the_benchmark_of_the_tool_belt_page_runs():
-    from benchmarks import bench_tool_belt
-
-    for spec in (
-        {"group": "step", "who": "stkzoo", "id": "full"},
-        {"group": "cameras", "who": "the map", "karts": 2},
-    ):
-        options = argparse.Namespace(track="lighthouse", seconds=0, steps=2)
-        assert bench_tool_belt._measure(spec, options) > 0

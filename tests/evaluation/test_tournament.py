@@ -13,7 +13,6 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from benchmarks import adversaries as attacks
 from stkzoo._installation import install_command
 from stkzoo.cli import main
 from stkzoo.drivers.sandbox import bubblewrap_problem
@@ -34,6 +33,7 @@ from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.ratings import rate
 from stkzoo.evaluation.tournament.run import resumed_plan
 from stkzoo.race import RaceResult, RaceSettings
+from tests.support.adversaries import write_sore_loser
 from tests.support.paths import AGENTS, SCHEMAS
 from tests.support.processes import children_of, process_exists, run_program, wait_until
 from tests.support.remote_race import write_agent
@@ -440,8 +440,11 @@ def test_a_repeated_race_keeps_a_required_sandbox(mode, again):
 @pytest.mark.slow
 @pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
 def test_an_agent_that_attacks_when_behind_voids_no_race_and_finishes_last(tmp_path):
-    """To run 100 races: ``python -m benchmarks.adversaries --cup 100``."""
-    result = attacks.cup(tmp_path, races=3, action_timeout=2.0)
+    loser = write_sore_loser(tmp_path, f"stkzoo-test-{os.getpid()}")
+    settings = {**SMALL, "races": 3, "per_race": 2, "max_steps": 60, "sandbox": "on"}
+    result = run_tournament(
+        [str(AGENTS / "plain"), loser], output=tmp_path / "cup", action_timeout=2.0, **settings
+    )
     assert result.is_complete
     assert result.standings[-1].label == "sore loser"
     assert result.sandboxes == ("bubblewrap",)

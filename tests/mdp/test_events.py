@@ -1,4 +1,4 @@
-"""Events on snapshots made by hand. ``benchmarks.events`` checks them on whole races."""
+"""Events on snapshots made by hand."""
 
 import copy
 from itertools import pairwise

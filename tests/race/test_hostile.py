@@ -11,12 +11,18 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import adversaries as attacks
 from stkzoo._temporary import remove_stale_directories
 from stkzoo.drivers import landlock, sandbox, seccomp
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
-from tests.support import adversaries
+from tests.support.adversaries import (
+    ADVERSARIES,
+    left_behind,
+    problems_of,
+    race_with,
+    write_adversary,
+    write_quitter,
+)
 from tests.support.paths import AGENTS
 from tests.support.processes import wait_until
 
@@ -237,6 +243,7 @@ ON_THE_PAGE = (
     *("fills its folders", "writes sparse files", "makes many files"),
     *("leaves daemons", "leaves finalizers"),
 )
+OTHERS = [name for name in ADVERSARIES if name not in ON_THE_PAGE]
 
 FORK_BOMB = """
 def get_actor(module_dir, observation_space, action_space):
@@ -508,18 +515,18 @@ def test_an_agent_without_a_sandbox_is_not_confined(bench):
 
 
 @needs_bubblewrap
-def test_attacks_affect_only_their_own_karts(tmp_path):
-    """Runs half of the attacks at once beside two drivers, among them those that the page names.
-
-    ``python -m benchmarks.adversaries`` runs all 55 attacks 200 times.
-    """
-    others = [name for name in adversaries.ADVERSARIES if name not in ON_THE_PAGE]
-    names, mark = [*ON_THE_PAGE, *others[::3]], f"stkzoo-test-{os.getpid()}"
-    quiet = attacks.race([adversaries.write_quitter(tmp_path, name) for name in names])
-    before = attacks.left_behind(mark)
-    result = attacks.race([adversaries.write_adversary(tmp_path, name, mark) for name in names])
-    assert attacks.problems_of(result, quiet) == []
-    assert wait_until(lambda: attacks.left_behind(mark) == before)
+@pytest.mark.parametrize(
+    "names",
+    [ON_THE_PAGE, *(pytest.param(OTHERS[n::2], marks=pytest.mark.matrix) for n in (0, 1))],
+)
+def test_attacks_affect_only_their_own_karts(tmp_path, names):
+    """Runs many attacks at once beside two drivers."""
+    mark = f"stkzoo-test-{os.getpid()}"
+    quiet = race_with(*(write_quitter(tmp_path, name) for name in names))
+    before = left_behind(mark)
+    result = race_with(*(write_adversary(tmp_path, name, mark) for name in names))
+    assert problems_of(result, quiet) == []
+    assert wait_until(lambda: left_behind(mark) == before)
 
 
 @needs_bubblewrap

@@ -1,7 +1,15 @@
-"""Agents that attack their race, for tests and ``python -m benchmarks.adversaries``."""
+"""Agents that attack their race, and the checks of such races."""
 
+import os
+import re
 import textwrap
+import threading
 from dataclasses import dataclass
+from pathlib import Path
+
+from stkzoo.race import run_race
+from tests.support.paths import AGENTS
+from tests.support.processes import children_of
 
 
 @dataclass(frozen=True)
@@ -280,13 +288,6 @@ def write_quitter(folder, name):
     return _write(folder, f"{name} quietly", _QUITTER.format(step=ADVERSARIES[name].step))
 
 
-def groups(size):
-    """Returns all adversaries' names in groups; the first names also fill up the last group."""
-    names = [*ADVERSARIES]
-    names += names[: -len(names) % size]
-    return [names[start : start + size] for start in range(0, len(names), size)]
-
-
 def _write(folder, name, code):
     place = folder / name.replace(" ", "_")
     place.mkdir(exist_ok=True)
@@ -321,3 +322,59 @@ def write_sore_loser(folder, mark):
     """Writes an agent that attacks its race in a random way when it is behind."""
     code = _PRELUDE.format(mark=mark) + _SORE_LOSER.format(attacks=[*VOIDS.values()])
     return _write(folder, "sore loser", code)
+
+
+def race_with(*drivers):
+    """Runs a short race of two ordinary drivers and others; returns its result."""
+    return run_race(
+        [str(AGENTS / "plain"), "heuristic", *drivers],
+        track="lighthouse",
+        seed=1,
+        sandbox="on",
+        action_timeout=5.0,
+        agent_memory=400,
+        max_steps=60,
+    )
+
+
+def problems_of(result, undisturbed):
+    """Returns descriptions of what went wrong in a race with adversaries.
+
+    Args:
+        result: result of the race.
+        undisturbed: result of the same race with agents that only fail at the same steps.
+    """
+    ordinary = [
+        [row for row in race.agents if row.driver in ("Plain", "heuristic")]
+        for race in (result, undisturbed)
+    ]
+    problems = [] if ordinary[0] == ordinary[1] else ["the results of the other drivers differ"]
+    for row in result.agents:
+        if (adversary := ADVERSARIES.get(row.driver)) is None:
+            continue
+        failure = row.errors[0] if row.errors else None
+        if failure is None or row.status != "retired":
+            problems.append(f"{row.driver!r} was not retired")
+        elif failure.step != adversary.step or not re.search(adversary.says, failure.message):
+            failed = f"failed at step {failure.step}: {failure.message[:100]}"
+            problems.append(f"{row.driver!r} {failed}")
+    return problems
+
+
+def left_behind(mark):
+    """Counts what this program and its agents currently have, by kind."""
+    commands = [_text(folder / "cmdline") for folder in Path("/proc").glob("[0-9]*")]
+    names = [name for folder in ("/tmp", "/dev/shm") for name in os.listdir(folder)]
+    return {
+        "processes": len(children_of(os.getpid())) + sum(mark in text for text in commands),
+        "files": sum(mark in name or name.startswith("stkzoo-agent") for name in names),
+        "descriptors": len(os.listdir("/proc/self/fd")),
+        "threads": threading.active_count(),
+    }
+
+
+def _text(file):
+    try:
+        return file.read_text(errors="replace")
+    except OSError:
+        return ""

@@ -1,8 +1,7 @@
 """The RLlib script, without training.
 
 Ray needs an older Gymnasium than the other tests, so it is usually not installed; the tests that
-need it are in test_rllib_runner.py. ``python -m benchmarks.rllib_cluster`` runs the whole script;
-see docs/how-to/cluster.md.
+need it are in test_rllib_runner.py.
 """
 
 import importlib.util
@@ -13,12 +12,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.rllib_cluster import Trial
 from stkzoo._installation import install_command
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.common.arguments import ScriptOptions
-from stkzoo.agents.training.common.command import command_parser, run_command
+from stkzoo.agents.training.common.command import run_command
 from stkzoo.agents.training.rllib import selfplay
 from stkzoo.agents.training.rllib.races import (
     MAIN,
@@ -338,12 +336,6 @@ def test_the_policy_is_never_older_than_the_checkpoint(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         selfplay._save(FakeAlgorithm(10), tmp_path)
     assert load_weights(tmp_path / "policy.safetensors")["action_net.bias"] == [10]
-
-
-def test_the_cluster_benchmark_uses_existing_options(tmp_path):
-    words = Trial(tmp_path, 10, 1.0, "some.tar.xz").words("auto")
-    kinds = ScriptOptions, RLlibArguments
-    assert command_parser("rllib.selfplay", "", kinds).parse_args(words).train_batch_size == 120
 
 
 @pytest.mark.parametrize(

@@ -1,19 +1,16 @@
 """Draws the charts of ``docs/explanation`` from the saved results.
 
-python -m benchmarks.bench_charts
+python docs/_extensions/charts.py
 """
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from benchmarks.bench_common import RESULTS
-from stkzoo._arguments import CommandParser
 from stkzoo.evaluation.plotting import (
     GRAY,
     PALETTE,
@@ -23,7 +20,8 @@ from stkzoo.evaluation.plotting import (
     style_axes,
 )
 
-PICTURES = Path(__file__).parents[1] / "docs" / "images" / "benchmarks"
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+PICTURES = Path(__file__).parents[1] / "images" / "benchmarks"
 WIDTH = 8.0  # [in]
 _DRIVERS = ("random", "ai", "scout", "heuristic", "ace", "apex", "zenith")
 _FORMS = {"P": "alone", "PAAAA": "one against four", "PPAAA": "two against three"}
@@ -139,19 +137,13 @@ CHARTS: dict[str, tuple[Callable[[Path, Any], None], float]] = {
 }
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Runs the command; returns its exit code."""
-    words = CommandParser(prog="python -m benchmarks.bench_charts", description=__doc__)
-    words.add_argument("--results", type=Path, default=RESULTS, help="folder of the JSON files")
-    words.add_argument("--output", type=Path, default=PICTURES, help="folder of the pictures")
-    options = words.parse_args(arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
+def main(output: Path = PICTURES) -> None:
+    """Draws all charts into a folder."""
+    output.mkdir(parents=True, exist_ok=True)
     for name, (draw, height) in CHARTS.items():
         figure = new_figure(WIDTH, height)
-        draw(options.results, figure.add_subplot())
-        save_figure(figure, options.output / f"{name}.svg")
-    print(f"written to {options.output}")
-    return 0
+        draw(RESULTS, figure.add_subplot())
+        save_figure(figure, output / f"{name}.svg")
 
 
 def _figures(results: Path, driver: str, form: str) -> Mapping[str, Any]:
@@ -167,4 +159,4 @@ def _load(path: Path) -> list[Mapping[str, Any]]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,31 +1,22 @@
-"""Damages files of every kind that stkzoo reads; each must be read or raise stkzoo's own error.
+"""Damages files of every kind that stkzoo reads.
 
 Changes of a JSON file: a value of another type, a number out of range or not finite, a huge or
 deeply nested value, a missing, repeated or renamed entry, or a truncated file. Arrays and zip files
 are damaged in their parts.
-
-    python -m benchmarks.mutations                       # 10,000 of each kind, half an hour
-    python -m benchmarks.mutations --mutations 500 --kinds race-result league
 """
 
 from __future__ import annotations
 
 import copy
 import random
-import resource
-import sys
-import tempfile
-import time
 import traceback
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from benchmarks.bench_common import Table, print_tables
-from benchmarks.mutation_kinds import KINDS, FileKind
-from stkzoo._arguments import CommandParser
 from stkzoo.errors import StkzooError
+from tests.support.file_kinds import FileKind
 
 #: Replacements for a value.
 VALUES: tuple[Any, ...] = (
@@ -35,8 +26,6 @@ VALUES: tuple[Any, ...] = (
     *([], {}, [[]], [None], {"": 0}, [0] * 1000, {str(n): n for n in range(1000)}),
 )
 _DEPTH = 100_000
-_MAX_SHOWN = 3
-_COLUMNS = ("kind", "mutations", "refused", "read", "bare errors", "slowest", "a second")
 
 
 @dataclass(slots=True)
@@ -46,14 +35,12 @@ class Outcome:
     Attributes:
         refused: number of files that raised stkzoo's own error.
         read: number of files that were read.
-        slowest: longest time of a file [s].
         findings: mutation and traceback of each other error.
     """
 
     refused: int = 0
     read: int = 0
-    slowest: float = 0.0
-    findings: list[str] | None = None
+    findings: list[str] = field(default_factory=list)
 
 
 def mutate(value: Any, source: random.Random) -> Any:
@@ -118,49 +105,16 @@ def run_kind(kind: FileKind, count: int, seed: int, folder: Path) -> Outcome:
         seed: seed of the damage.
         folder: empty folder for the files.
     """
-    source, outcome, findings = random.Random(f"{seed} {kind.name}"), Outcome(), []
+    source, outcome = random.Random(f"{seed} {kind.name}"), Outcome()
     kind.read(kind.write(folder, kind.valid()))  # a valid file must be readable
     for number in range(count):
         file = kind.damage(folder, source, mutate, damaged_text)
-        begin = time.perf_counter()
         try:
             kind.read(file)
             outcome.read += 1
         except StkzooError:
             outcome.refused += 1
         except Exception:  # noqa: BLE001 - any other error is a finding
-            findings.append(f"{kind.name}, mutation {number}:\n{traceback.format_exc()[-1500:]}")
-        outcome.slowest = max(outcome.slowest, time.perf_counter() - begin)
-    outcome.findings = findings
+            trace = traceback.format_exc()[-1500:]
+            outcome.findings.append(f"{kind.name}, mutation {number}:\n{trace}")
     return outcome
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Damages and reads files, and prints a table."""
-    parser = CommandParser(prog="python -m benchmarks.mutations", description=__doc__)
-    parser.add_argument("--mutations", type=int, default=10_000, metavar="N", help="of each kind")
-    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args(argv)
-    rows: list[tuple[str, ...]] = []
-    found: list[str] = []
-    for name in arguments.kinds:
-        begin = time.perf_counter()
-        with tempfile.TemporaryDirectory() as folder:
-            outcome = run_kind(KINDS[name], arguments.mutations, arguments.seed, Path(folder))
-        own = outcome.findings or []
-        speed = arguments.mutations / (time.perf_counter() - begin)
-        counts = (arguments.mutations, outcome.refused, outcome.read, len(own))
-        times = (f"{outcome.slowest * 1e3:.0f} ms", f"{speed:.0f}")
-        rows.append((name, *(f"{number:,}" for number in counts), *times))
-        found += own[:_MAX_SHOWN]
-        print(f"{name}: {len(own)} bare errors", file=sys.stderr, flush=True)
-    print_tables([Table("damaged files", _COLUMNS, rows)])
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-    print(f"peak memory of the process: {peak} MB")
-    print("\n".join(found))
-    return 1 if found else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

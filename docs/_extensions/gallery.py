@@ -1,7 +1,7 @@
-"""Draws the gallery of the documentation: pictures of each track and of each view.
+"""Draws the pictures of the gallery: those of each track and of each view.
 
-    python -m benchmarks.gallery              # all, about ten minutes without a graphics card
-    python -m benchmarks.gallery --only views
+    python docs/_extensions/gallery.py              # all, ten minutes without a graphics card
+    python docs/_extensions/gallery.py --only views
 
 A track has a frame from the game's renderer and a film of one lap on the map. A view has a drawing
 of its observation and, if the observation is a vector, a plot of its values. All views show the
@@ -10,7 +10,7 @@ same moment.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -35,8 +35,7 @@ from stkzoo.views import views
 from stkzoo.wrappers.racing import PLACES
 from stkzoo.wrappers.racing.road import MARKS
 
-IMAGES = Path(__file__).parent.parent / "docs" / "images"
-PAGE = Path(__file__).parent.parent / "docs" / "reference" / "gallery.md"
+IMAGES = Path(__file__).parents[1] / "images"
 _FRAME_SIZE, _FRAME_STEP = (480, 270), 45
 _DRIVERS = ("heuristic", *(f"ai@:AI {number}" for number in range(1, 5)))
 
@@ -93,13 +92,9 @@ def draw_track(track: str) -> None:
     run_race(_DRIVERS, track=track, difficulty=3, seed=1, listeners=[frame, film])
     if frame.frame is not None:
         picture = Image.fromarray(frame.frame)
-        picture.save(_frame_file(track), quality=70, method=6)
+        picture.save(IMAGES / "tracks" / f"{track}-frame.webp", quality=70, method=6)
     svg, _ = draw_film(film.film(), track, is_looped=True)
     write_text(IMAGES / "tracks" / f"{track}-lap.svg", svg)
-
-
-def _frame_file(track: str) -> Path:
-    return IMAGES / "tracks" / f"{track}-frame.webp"
 
 
 # ---------------------------------------------------------------------- views
@@ -231,60 +226,9 @@ def _draw_numbers(axes: Any, vectors: Mapping[str, Array]) -> None:
     style_axes(axes, "the same as numbers")
 
 
-# ---------------------------------------------------------------------- the page
-
-
-def page() -> str:
-    """Returns the gallery's page."""
-    return "\n".join(
-        (
-            "# Gallery",
-            "",
-            "<!-- written by python -m benchmarks.gallery -->",
-            "",
-            "## Tracks",
-            "",
-            "Each track as the game draws it, and an animated map of one lap, four times as",
-            "fast as the race. [Tracks](tracks.md) lists lengths, items and lap times.",
-            "",
-            *_grid(_track_cards()),
-            "## Views",
-            "",
-            "What one agent sees at the same moment in each view: from above, and as numbers where",
-            "the observation is a vector. [Views entry by entry](views/index.md) names every",
-            "number.",
-            "",
-            *_grid(_view_cards()),
-        )
-    )
-
-
-def _grid(cards: Iterator[tuple[str, list[str]]]) -> Iterator[str]:
-    yield from ("::::{grid} 1 1 2 2", ":gutter: 3", "")
-    for title, lines in cards:
-        yield from (f":::{{grid-item-card}} {title}", *lines, ":::", "")
-    yield from ("::::", "")
-
-
-def _track_cards() -> Iterator[tuple[str, list[str]]]:
-    for track in SPLITS["all"]:
-        name = f"../images/tracks/{track}"
-        frame = f"![Karts on {track}]({name}-frame.webp)"
-        if not _frame_file(track).exists():
-            frame = "The game crashes when it draws this track; the map and the race itself work."
-        yield track, [frame, "", f"![One lap of {track} on the map]({name}-lap.svg)"]
-
-
-def _view_cards() -> Iterator[tuple[str, list[str]]]:
-    for view in views().values():
-        picture = f"![What an agent sees in the view {view.name}](../images/views/{view.name}.png)"
-        text = view.description.replace("``", "`")
-        yield f"[{view.name}](views/{view.name}.md)", [picture, "", text]
-
-
 def main() -> None:
-    """Draws the pictures and writes the page."""
-    parser = CommandParser(prog="python -m benchmarks.gallery", description=__doc__)
+    """Draws the pictures."""
+    parser = CommandParser(prog="python docs/_extensions/gallery.py", description=__doc__)
     parser.add_argument("--only", choices=("tracks", "views"), help="draw these pictures alone")
     only = parser.parse_args().only
     for folder in ("tracks", "views"):
@@ -296,7 +240,6 @@ def main() -> None:
     if only != "tracks":
         for view in views():
             draw_view(view)
-    write_text(PAGE, page())
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 import functools
 import importlib.util
-import io
 import os
 import subprocess
 import sys
@@ -11,8 +10,9 @@ import numpy as np
 import pytest
 
 import stkzoo
-from benchmarks import ecosystem
+from tests.support.paths import ROOT
 
+EXAMPLES = ROOT / "examples" / "ecosystem"
 #: Examples that need only the tests' extras. ``python -m benchmarks.ecosystem`` runs all.
 HERE = ("gymnasium_vector", "supersuit_sb3", "sb3_ppo", "cleanrl_ppo")
 
@@ -21,7 +21,7 @@ HERE = ("gymnasium_vector", "supersuit_sb3", "sb3_ppo", "cleanrl_ppo")
 @pytest.mark.parametrize("script", HERE)
 def test_an_example_runs(script):
     done = subprocess.run(
-        [sys.executable, ecosystem.EXAMPLES / f"{script}.py"],
+        [sys.executable, EXAMPLES / f"{script}.py"],
         capture_output=True,
         text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
@@ -33,7 +33,7 @@ def test_an_example_runs(script):
 
 
 def test_cleanrl_evaluates_the_last_observation_of_a_truncated_episode(monkeypatch):
-    path = ecosystem.EXAMPLES / "cleanrl_ppo.py"
+    path = EXAMPLES / "cleanrl_ppo.py"
     spec = importlib.util.spec_from_file_location(path.stem, path)
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
@@ -59,22 +59,7 @@ def test_cleanrl_evaluates_the_last_observation_of_a_truncated_episode(monkeypat
     assert {each["observation"].tobytes() for each in last} <= {*evaluated}
 
 
-def test_nothing_is_installed_without_consent(tmp_path, monkeypatch, capsys):
-    folder = tmp_path / "environments"
-    monkeypatch.setattr(sys, "argv", ["ecosystem", "--only", "torchrl", "--folder", str(folder)])
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    assert ecosystem.main() == 1
-    assert "This installs up to 3 GB" in capsys.readouterr().out
-    assert not folder.exists()
-
-
-def test_every_example_is_listed():
-    scripts = {path.stem for path in ecosystem.EXAMPLES.glob("*.py")}
-    assert scripts == {example.script for example in ecosystem.LIBRARIES}
-
-
-def test_the_page_has_a_row_for_every_library():
-    _, table, _ = ecosystem.PAGE.read_text().split(ecosystem.MARK)
-    for example in ecosystem.LIBRARIES:
-        assert f"| {example.library} |" in table
-        assert f"../examples/ecosystem/{example.script}.py" in table
+def test_the_page_has_a_row_for_every_example():
+    page = (ROOT / "docs" / "how-to" / "works-with.md").read_text()
+    for script in EXAMPLES.glob("*.py"):
+        assert f"../examples/ecosystem/{script.name}) |" in page

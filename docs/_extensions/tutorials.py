@@ -1,8 +1,8 @@
 """Runs the tutorials and writes them as notebooks with their outputs.
 
-python -m benchmarks.tutorials                       all, in full: about 30 minutes
-python -m benchmarks.tutorials --only first_race     one of them
-python -m benchmarks.tutorials --short --output DIR  only check that they run, in a minute
+    python docs/_extensions/tutorials.py                       # all, in full: about 30 minutes
+    python docs/_extensions/tutorials.py --only first_race     # one of them
+    python docs/_extensions/tutorials.py --short --output DIR  # only check that they run: a minute
 
 The tutorials are Python files, ``examples/tutorials/*.py``. Each notebook gets a badge that opens
 it in Colab and a cell that installs stkzoo there.
@@ -22,7 +22,7 @@ from stkzoo._arguments import CommandParser
 from stkzoo._installation import repository_url
 from stkzoo._os import write_text
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 SOURCES = ROOT / "examples" / "tutorials"
 PAGES = ROOT / "docs" / "tutorials"
 #: Extras of stkzoo that each tutorial needs.
@@ -66,7 +66,7 @@ if importlib.util.find_spec("stkzoo") is None:
 
 def main() -> int:
     """Runs the command; returns its exit code."""
-    parser = CommandParser(prog="python -m benchmarks.tutorials", description=__doc__)
+    parser = CommandParser(prog="python docs/_extensions/tutorials.py", description=__doc__)
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these")
     parser.add_argument("--short", action="store_true", help="run only a few steps")
     parser.add_argument("--output", type=Path, help="folder (default: docs/tutorials)")

@@ -148,7 +148,7 @@ def _race() -> tuple[RaceResult, MapFilm, bytes, bytes]:
         drivers = ["heuristic", "ai", "random"]
         result = run_race(drivers, track=_TRACK, max_steps=20, seed=1, listeners=listeners)
         episodes = demos.episodes({"view": "racing"})
-        assert episodes is not None  # noqa: S101 - the race had 20 steps
+        assert episodes is not None
         save_demonstrations(episodes, folder / "demos.npz")
         replay, data = (folder / "race.stkz").read_bytes(), (folder / "demos.npz").read_bytes()
         return result, film.film(), replay, data
@@ -172,7 +172,7 @@ def _tournament_result() -> TournamentResult:
     plan = _tournament()
     labels = {entrant.label for entrant in plan.entrants}
     result = _race()[0]
-    assert labels == {row.driver for row in result.agents}  # noqa: S101 - as planned
+    assert labels == {row.driver for row in result.agents}
     return plan.summarize(_results(3), Path())
 
 
@@ -269,9 +269,9 @@ def _demos_text() -> str:
 def _read_demos(file: Path) -> None:
     demos = load_demonstrations(file)
     demos.pairs()
-    assert demos.view  # noqa: S101 - text
+    assert demos.view
     for number in range(len(demos)):
-        assert len(demos[number]) == demos.lengths[number]  # noqa: S101
+        assert len(demos[number]) == demos.lengths[number]
 
 
 # ---------------------------------------------------------------------- agents and training
