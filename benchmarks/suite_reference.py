@@ -24,12 +24,13 @@ from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from rich.console import Console
 
 from benchmarks.bench_common import RESULTS
 from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
-from stkzoo._schema import Count, Whole, Within
+from stkzoo._schema import Count, Whole
 from stkzoo.agents.training.common.run_folder import ARGUMENTS, read_run_file, require_log
 from stkzoo.agents.training.suite.learner import MACHINE, TrainingMachine
 from stkzoo.errors import ConfigError
@@ -76,7 +77,7 @@ class _Chapter:
     arguments: _Arguments
 
 
-_Chapters: Any = Annotated[tuple[_Chapter, ...], Within(1)]
+_Chapters: Any = Annotated[tuple[_Chapter, ...], Meta(min_length=1)]
 
 
 def main(arguments: list[str] | None = None) -> int:

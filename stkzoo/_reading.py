@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import encodings.cp437  # noqa: F401 - zipfile imports it when it reads the first name of a file
-import io
-import json
 import math
 import os
 import re
@@ -14,18 +12,20 @@ import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._os import read_blocks
+from stkzoo._schema import plain_json
 from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason, shortened
 
 __all__ = [
     "MAX_BYTES",
     "Unreadable",
     "is_there",
-    "json_size",
     "load_json",
     "open_zip",
     "read_arrays",
@@ -37,16 +37,15 @@ __all__ = [
     "reading",
 ]
 
+T = TypeVar("T")
+
 #: Default maximum size of a text or JSON file [bytes].
 MAX_BYTES = 8 << 20
 
-#: Minimum size of a text per JSON value [bytes]. A value takes up to 72 bytes of memory.
-_BYTES_PER_VALUE = 8
 _MAX_REASON = 300
 _MAX_ZIP = 64 << 20  # maximum size of a zip for :func:`read_zip` [bytes]
 _MAX_ARRAYS = 1000
-_MIN_LIST = 1 << 20
-_MAX_NAME = 300  # maximum mean size of a member's entry in a zip's list of files [bytes]
+_MEMBER = b"PK\1\2"  # start of a member's entry in a zip's list of files
 _KINDS = "biufU"  # valid kinds of array types
 #: Header of an array, as numpy writes it. Python's parser, which numpy uses to read it, needs much
 #: memory for some texts and warns about others.
@@ -62,24 +61,7 @@ _MAX_RATIO, _SMALL = 1100, 1 << 20
 
 
 class Unreadable(ValueError):
-    """A file is damaged. :func:`reading` converts this to an error that names the file.
-
-    Args:
-        problem: what was found, and what was expected.
-        field: the affected part of the document, such as ``agents[0].rank``.
-    """
-
-    def __init__(self, problem: str, field: str = "") -> None:
-        super().__init__(f"{field.removeprefix('.')} {problem}".strip())
-        self._problem, self._field = problem, field
-
-    def inside(self, outer: str) -> Unreadable:
-        """Returns the same error for an enclosing document.
-
-        Args:
-            outer: the part of the enclosing document: ``.name`` or ``[number]``.
-        """
-        return Unreadable(self._problem, outer + self._field)
+    """A file is damaged. :func:`reading` converts this to an error that names the file."""
 
 
 @contextlib.contextmanager
@@ -111,8 +93,8 @@ def reading(
 def _why(error: Exception) -> str:
     if isinstance(error, (OSError, StkzooError, Unreadable)):
         text = reason(error)
-    elif isinstance(error, RecursionError):
-        text = "it is nested too deep"
+    elif isinstance(error, msgspec.MsgspecError):
+        text = str(error)
     else:
         text = f"{type(error).__name__}: {error!s:.{_MAX_REASON}}"
     return text if len(text) <= _MAX_REASON else f"{text[:_MAX_REASON]}..."
@@ -182,139 +164,70 @@ def _decoded(data: bytes) -> str:
         raise Unreadable(f"byte {error.start} is not UTF-8 text") from None
 
 
-def read_json(text: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
+def read_json(text: str | bytes, kind: type[T], max_bytes: int = MAX_BYTES) -> T:
     """Returns the value of a JSON text.
 
-    Unlike Python's own reader, it accepts only finite numbers, and each key of an object only
-    once, because readers disagree about which value of a repeated key counts.
+    Objects become dataclasses. Entries that are not fields are ignored, because later versions may
+    add entries. Control codes in texts are replaced.
 
     Args:
         text: the text, or its UTF-8 bytes.
-        max_bytes: maximum length of the text [characters], which also limits its number of values.
+        kind: type of the value, such as a dataclass whose annotations contain bounds.
+        max_bytes: maximum length of the text [characters].
 
     Raises:
-        Unreadable: the text is not JSON, is too long or too deeply nested, has too many values, or
-            has a repeated key.
+        Unreadable: the text is too long, not JSON, nested too deep, or has another type.
     """
     if isinstance(text, bytes):
         text = _decoded(text)
     if len(text) > max_bytes:
         raise Unreadable(f"it has {len(text):,} characters, expected at most {max_bytes:,}")
-    count, most = _count_of_values(text), max_bytes // _BYTES_PER_VALUE
-    if count > most:
-        raise Unreadable(f"it has about {count:,} values, expected at most {most:,}")
     try:
-        return json.loads(
-            text, parse_constant=_finite, parse_float=_finite, object_pairs_hook=_object
-        )
+        return msgspec.json.decode(plain_json(text), type=kind)
     except RecursionError:
         raise Unreadable("it is nested too deep") from None
-    except Unreadable:
-        raise
-    except json.JSONDecodeError as error:
-        raise Unreadable(f"it is not JSON: {error}") from None
-    except ValueError as error:  # a whole number with more digits than Python accepts
-        raise Unreadable(f"it has a number that is too long: {error!s:.100}") from None
+    except msgspec.DecodeError as error:
+        raise Unreadable(str(error)) from None
 
 
-def json_size(text: str) -> int:
-    """Returns by how much a text in a JSON file counts toward the limits of :func:`read_json`.
-
-    Args:
-        text: the text.
-
-    Returns:
-        The size [bytes]. Commas and brackets count as values.
-    """
-    return max(len(json.dumps(text)), _BYTES_PER_VALUE * _count_of_values(text))
-
-
-def _count_of_values(text: str) -> int:
-    """Returns an upper bound of the number of values in a JSON text, which is fast to compute."""
-    return sum(map(text.count, ",[{"))
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        keys = Counter(key for key, _ in pairs)
-        raise Unreadable(f"it has the key {shortened(keys.most_common(1)[0][0])} more than once")
-    return found
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
-        raise Unreadable(f"{text[:20]} is not a finite number")
-    return number
-
-
-def load_json(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> Any:
-    """Returns the value of a JSON file; see :func:`read_text` and :func:`read_json`.
+def load_json(path: str | os.PathLike[str], kind: type[T], max_bytes: int = MAX_BYTES) -> T:
+    """Returns the value of a JSON file; see :func:`read_file` and :func:`read_json`.
 
     Args:
         path: the file.
+        kind: type of the value.
         max_bytes: maximum size [bytes].
     """
-    return read_json(read_text(path, max_bytes), max_bytes)
+    return read_json(read_file(path, max_bytes), kind, max_bytes)
 
 
-def read_lines(path: str | os.PathLike[str], max_bytes: int = 64 << 20) -> Iterator[Any]:
-    """Yields the value of each line of a file of JSON lines.
+def read_lines(path: str | os.PathLike[str], kind: type[T], max_bytes: int = 64 << 20) -> list[T]:
+    """Returns the values of the lines of a file of JSON lines.
 
-    A last line that is the start of an object is left out: a power failure or a full disk can
-    leave such a line.
+    A last line without a line feed is left out: a power failure or a full disk can leave a part of
+    a line.
 
     Args:
         path: the file.
+        kind: type of the values.
         max_bytes: maximum size [bytes].
 
     Raises:
-        Unreadable: the file is too large, or a line is not JSON.
+        Unreadable: the file is too large, or a line is not such a value.
         OSError: the file is missing or cannot be read.
     """
-    _checked_size(Path(path), max_bytes)
-    with Path(path).open("rb") as stream:
-        for number, line in enumerate(iter(lambda: stream.readline(MAX_BYTES + 1), b""), 1):
-            try:
-                value = read_json(line)
-            except Unreadable as error:
-                if len(line) <= MAX_BYTES and _is_incomplete(line):
-                    return
-                raise Unreadable(f"in line {number}: {error}") from None
-            yield value
+    *lines, _ = read_file(path, max_bytes).split(b"\n")
+    return [_read_line(number, line, kind) for number, line in enumerate(lines, 1)]
 
 
-def _is_incomplete(line: bytes) -> bool:
-    """Returns whether a line is the start of an object, perhaps padded with zeros."""
-    rest = line.rstrip(b"\0")
-    return not rest or (rest.startswith(b"{") and not rest.endswith((b"}", b"\n")))
+def _read_line(number: int, line: bytes, kind: type[T]) -> T:
+    try:
+        return read_json(line, kind)
+    except Unreadable as error:
+        raise Unreadable(f"in line {number}: {error}") from None
 
 
 # ---------------------------------------------------------------------- zips and arrays
-
-
-class _ZipFile(io.FileIO):
-    """The file of a zip. It limits the list of members that zipfile reads when it opens the zip.
-
-    Setting ``max_files`` to ``None`` ends the limit.
-    """
-
-    def __init__(self, path: Path, max_files: int) -> None:
-        super().__init__(path)
-        self.max_files: int | None = max_files
-
-    def read(self, size: int | None = -1, /) -> Any:
-        size = -1 if size is None else size
-        if self.max_files is None:
-            return super().read(size)
-        most = max(_MIN_LIST, _MAX_NAME * self.max_files)
-        data = super().read(min(size, most) if size >= 0 else most) or b""
-        if size > most:
-            raise Unreadable(f"its list of files has {size:,} bytes, expected at most {most:,}")
-        if data.count(zipfile.stringCentralDir) > self.max_files:  # type: ignore[attr-defined]
-            raise Unreadable(f"it has more than {self.max_files} files")
-        return data
 
 
 @contextlib.contextmanager
@@ -338,11 +251,11 @@ def open_zip(
     """
     file = Path(path)
     _checked_size(file, max_unpacked if max_bytes is None else max_bytes)
-    with _ZipFile(file, max_files) as stream, zipfile.ZipFile(stream) as archive:
-        stream.max_files = None
+    # A list of files takes memory as soon as the zip is opened.
+    if sum(block.count(_MEMBER) for block in read_blocks(file)) > max_files:
+        raise Unreadable(f"it has more than {max_files} files")
+    with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        if len(members) > max_files:
-            raise Unreadable(f"it has {len(members)} files, expected at most {max_files}")
         for member in members:
             _check_member(member)
         most = min(max_unpacked, _SMALL + _MAX_RATIO * file.stat().st_size)

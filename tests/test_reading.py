@@ -6,9 +6,12 @@ import os
 import struct
 import tracemalloc
 import zipfile
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
+from msgspec import Meta
 
 from stkzoo._reading import (
     Unreadable,
@@ -22,7 +25,7 @@ from stkzoo._reading import (
     read_zip,
     reading,
 )
-from stkzoo.errors import AssetError, ConfigError
+from stkzoo.errors import AssetError, ConfigError, check_whole
 
 MEGABYTE = 1 << 20
 
@@ -44,7 +47,11 @@ def sparse(path, size=1 << 30):
     return path
 
 
-@pytest.mark.parametrize("read", [read_file, read_text, load_json])
+def load_any(path):
+    return load_json(path, Any)
+
+
+@pytest.mark.parametrize("read", [read_file, read_text, load_any])
 def test_a_huge_file_is_refused_without_reading_it(tmp_path, read):
     assert peak_of(read, sparse(tmp_path / "huge")) < MEGABYTE
 
@@ -75,39 +82,69 @@ def test_text_in_another_encoding_is_refused(tmp_path):
         read_text(tmp_path / "a")
 
 
+@dataclass(frozen=True, slots=True)
+class Wheel:
+    size: Annotated[float, Meta(gt=0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Cart:
+    place: Annotated[int, Meta(ge=1, le=256)]
+    wheels: tuple[Wheel, ...] = ()
+    more: Any = None
+
+    def __post_init__(self):
+        check_whole("place", self.place, 1, 99)
+
+
+def test_json_becomes_a_dataclass_and_unknown_entries_are_ignored():
+    text = '{"place": 2, "wheels": [{"size": 1}], "more": {"a": [1, null]}, "unknown": [[]]}'
+    assert read_json(text, Cart) == Cart(2, (Wheel(1.0),), {"a": [1, None]})
+
+
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("", "it is not JSON: Expecting value: line 1"),
-        ('{"a": 1', "it is not JSON"),
-        ("[" * 100_000, "it is nested too deep"),
-        ('{"a":' * 100_000, "it is nested too deep"),
-        ("NaN", "NaN is not a finite number"),
-        ("-Infinity", "-Infinity is not a finite number"),
-        ("1e999", "1e999 is not a finite number"),
-        ("9" * 100_000, "a number that is too long"),
-        ("[" + "0," * MEGABYTE + "0]", "it has about .* values, expected at most"),
+        ("", "truncated"),
+        ('{"place": 1', "truncated"),
+        ('{"place": 1, "more": ' + "[" * 100_000, "it is nested too deep"),
+        ('{"place": 1, "unknown": ' + '{"a":' * 100_000, "it is nested too deep"),
+        ('{"place": 1, "more": NaN}', "JSON is malformed"),
+        ('{"place": 1, "more": 1e999}', r"Number out of range - at `\$\.more`"),
+        ('{"place": ' + "9" * 100_000 + "}", r"Integer value out of range - at `\$\.place`"),
         (b"\xff", "byte 0 is not UTF-8"),
-        ('[{"a": {"b": 1, "c": 2, "b": 1}}]', "it has the key 'b' more than once"),
+        ("{}", "missing required field `place`"),
+        ('{"place": 0}', r"Expected `int` >= 1 - at `\$\.place`"),
+        ('{"place": 100}', "place is 100, expected a whole number from 1 to 99"),
+        ('{"place": 1, "wheels": [{"size": 1}, {}]}', r"`size` - at `\$\.wheels\[1\]`"),
     ],
 )
 def test_unusable_json_is_refused(text, problem):
     with pytest.raises(Unreadable, match=problem):
-        read_json(text)
+        read_json(text, Cart)
+
+
+@pytest.mark.parametrize("part", ["[]", "{}", "[0]", '{"a":0}'])
+def test_the_memory_of_json_is_bounded_by_its_size(part):
+    text = "[" + f"{part}," * 100_000 + "0]"
+    tracemalloc.start()
+    try:
+        read_json(text, Any)
+        assert tracemalloc.get_traced_memory()[1] < 32 * len(text)
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_damaged_line_is_reported_with_its_number(tmp_path):
     (tmp_path / "log").write_text('{"a": 1}\n{"a"\n')
-    lines = read_lines(tmp_path / "log")
-    assert next(lines) == {"a": 1}
-    with pytest.raises(Unreadable, match="in line 2: it is not JSON"):
-        next(lines)
+    with pytest.raises(Unreadable, match="in line 2: "):
+        read_lines(tmp_path / "log", Any)
 
 
-@pytest.mark.parametrize("rest", [b'{"a": 2, "b', b"{", b"\0\0\0", b'{"a": "\xc3'])
+@pytest.mark.parametrize("rest", [b'{"a": 2, "b', b"\0\0\0", b'{"a": "\xc3'])
 def test_an_incomplete_last_line_is_left_out(rest, tmp_path):
     (tmp_path / "log").write_bytes(b'{"a": 1}\n' + rest)
-    assert list(read_lines(tmp_path / "log")) == [{"a": 1}]
+    assert read_lines(tmp_path / "log", Any) == [{"a": 1}]
 
 
 # ---------------------------------------------------------------------- zips
@@ -142,7 +179,7 @@ def test_a_directory_of_a_million_members_is_refused_without_reading_it(tmp_path
     count = 1_000_000
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)
     (tmp_path / "a.zip").write_bytes(entry * count + end)
-    with pytest.raises(Unreadable, match="its list of files has 46,000,000 bytes"):
+    with pytest.raises(Unreadable, match="it has more than 10 files"):
         open_zip(tmp_path / "a.zip", 10, 1 << 30).__enter__()
 
 
@@ -218,7 +255,7 @@ def test_a_long_reason_is_truncated():
 
 def test_a_long_invalid_value_is_not_in_the_message():
     with pytest.raises(ConfigError) as caught, reading("a", "b"):
-        read_json(json.dumps("x" * 100_000)[:-1])
+        read_json(json.dumps("x" * 100_000)[:-1], Any)
     assert len(str(caught.value)) < 400
 
 

@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any
 
+import msgspec
+from msgspec import Meta
+
 from stkzoo._reading import Unreadable
-from stkzoo._schema import Count, Whole, Within, typed
+from stkzoo._schema import Count, Whole
 
 _LARGEST = 1e6
 
@@ -76,7 +79,7 @@ class DriverParameters:
     aim_distance: float = 4.67
     aim_time: float = 0.31
     margin: float = 1.13
-    lane_changes: Annotated[int, Within(0, 20)] = 4
+    lane_changes: Annotated[int, Meta(ge=0, le=20)] = 4
     greatest_room: float = 4.37
     over_cost: float = 17.4
     late_time: float = 0.05
@@ -130,10 +133,10 @@ class DriverParameters:
         Raises:
             Unreadable: the value is not an object, or a parameter is unknown or invalid.
         """
-        parameters = typed(cls, values)
+        parameters = msgspec.convert(values, cls)
         if unknown := set(values) - {entry.name for entry in fields(cls)}:
             raise Unreadable(f"this version of stkzoo has no parameter {min(unknown)[:60]!r}")
         for name, value in asdict(parameters).items():
             if abs(value) > _LARGEST:
-                raise Unreadable(f"is {value}, expected at most {_LARGEST:,.0f}", name)
+                raise Unreadable(f"{name} is {value}, expected at most {_LARGEST:,.0f}")
         return parameters

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
+
 from stkzoo._reading import Unreadable, load_json, reading
-from stkzoo._schema import Matching, typed
+from stkzoo._schema import matching
 from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.parameters import DriverParameters
@@ -96,7 +98,7 @@ class AgentCard:
         rules: parameters of the plans, unchecked.
     """
 
-    sha256: Annotated[str, Matching("[0-9a-f]{64}", "64 hexadecimal digits")]
+    sha256: Annotated[str, matching("[0-9a-f]{64}")]
     ensemble_weight: Any = None
     rules: Any = None
 
@@ -108,8 +110,8 @@ def read_card(folder: str | Path) -> AgentCard:
         ConfigError: the card is missing or damaged.
     """
     with reading_card(folder):
-        values = load_json(Path(folder) / CARD)
-        card = typed(AgentCard, values)
+        values = load_json(Path(folder) / CARD, dict[str, Any])
+        card = msgspec.convert(values, AgentCard)
         if "trust" in values and "ensemble_weight" not in values:
             raise Unreadable("another version wrote it; rename its entry trust to ensemble_weight")
         return card

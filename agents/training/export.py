@@ -24,6 +24,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -31,7 +32,7 @@ import stkzoo
 from stkzoo._arguments import option, positional
 from stkzoo._os import PART_FILES, make_folder, write_text
 from stkzoo._reading import load_json, reading
-from stkzoo._schema import Count, typed
+from stkzoo._schema import Count
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_card, read_numbers, reading_card
 from stkzoo.agents.pretrained.ensemble import (
@@ -241,9 +242,9 @@ def _runs_of(source: Path) -> list[dict[str, Any]]:
     """Returns the training runs of a file of weights, or of an agent by its card."""
     if source.is_dir():
         with reading_card(source):
-            card = load_json(source / CARD)
-            typed(_Runs, card)
+            card = load_json(source / CARD, dict[str, Any])
             runs: list[dict[str, Any]] = card.get("runs", [])
+            msgspec.convert(runs, tuple[_Run, ...])
         return runs
     if (league := source.parent.parent / LEAGUE).exists():
         return [_run_of_member(league, source.stem)]
@@ -253,7 +254,7 @@ def _runs_of(source: Path) -> list[dict[str, Any]]:
     if isinstance(history, dict):  # a run with fixed arguments
         history = [{"from": 0, "arguments": history}]
     with reading(f"{str(arguments)!r} cannot be read", "the file that the run wrote"):
-        typed(tuple[_Learned, ...], history)
+        msgspec.convert(history, tuple[_Learned, ...])
         history = chapters_of(history, kart_steps)
     return [{"kart_steps": kart_steps, "history": history}]
 
@@ -263,13 +264,13 @@ def _run_of_member(league: Path, name: str) -> dict[str, Any]:
     with reading(f"{str(league)!r} cannot be read", "the file that the league wrote"):
         found = read_run_file(_LearnedLeague, league)
         steps = {member.name: member.kart_steps for member in found.members}
-        typed(_LearnedArguments, found.arguments)
+        msgspec.convert(found.arguments, _LearnedArguments)
     return {"kart_steps": steps.get(name), "history": [{"from": 0, "arguments": found.arguments}]}
 
 
 def _describe(run: dict[str, Any]) -> str:
     arguments = run["history"][-1]["arguments"] if run["history"] else {}
-    facts = typed(_LearnedArguments, arguments)
+    facts = msgspec.convert(arguments, _LearnedArguments)
     return _RUN.format(
         kart_steps=f"{run['kart_steps']:,}" if run["kart_steps"] else "unknown",
         tracks=", ".join(facts.tracks),
@@ -298,13 +299,6 @@ class _Run:
 
     kart_steps: Count | None
     history: tuple[_Learned, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Runs:
-    """The training runs on a card."""
-
-    runs: tuple[_Run, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,12 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from stkzoo._arguments import option, positional
 from stkzoo._reading import Unreadable, reading
-from stkzoo._schema import Count, Positive, Within, typed
+from stkzoo._schema import Count, Positive
 from stkzoo.evaluation import GRAY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
@@ -110,7 +112,7 @@ class OtherRating:
 class RunRatings:
     """Content of a run's ``ratings.json``: policies by kart-steps, other drivers, and a table."""
 
-    policies: Annotated[tuple[PolicyRating, ...], Within(1)]
+    policies: Annotated[tuple[PolicyRating, ...], Meta(min_length=1)]
     others: dict[str, OtherRating]
     table: tuple[str, ...]
 
@@ -173,8 +175,8 @@ def read_figures(folder: str | Path) -> list[dict[str, Any]]:
     """
     log = require_log(folder)
     with reading(f"{str(Path(folder) / LOG)!r} cannot be drawn", "the log of a run"):
-        for number, line in enumerate(log):
-            _check_line(line, f"[{number}]")
+        for number, line in enumerate(log, 1):
+            _check_line(line, f"line {number}")
     return log
 
 
@@ -185,12 +187,14 @@ def _check_line(line: Mapping[str, Any], place: str) -> None:
         Unreadable: a figure is not a number.
     """
     if "kart_steps" not in line and "round" not in line:
-        raise Unreadable("has neither kart_steps nor round", place)
-    typed(dict[str, float], {name: line[name] for name in ("kart_steps", "round") if name in line})
+        raise Unreadable(f"{place} has neither kart_steps nor round")
+    msgspec.convert(
+        dict[str, float], {name: line[name] for name in ("kart_steps", "round") if name in line}
+    )
     drawn = ("error", *(name for _, names in _PANELS for name in names))
-    typed(dict[str, _Figure], {name: line[name] for name in drawn if name in line})
+    msgspec.convert(dict[str, _Figure], {name: line[name] for name in drawn if name in line})
     if line.get("time_ratio") is not None and line.get("error") is None:
-        raise Unreadable("has a time_ratio and no error", place)
+        raise Unreadable(f"{place} has a time_ratio and no error")
 
 
 def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

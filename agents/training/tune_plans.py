@@ -28,10 +28,10 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
-from stkzoo._schema import Within
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError, unknown_name
@@ -155,7 +155,7 @@ class TuningArguments(RunArguments):
 
 
 #: One number per tuned parameter.
-_Point = Annotated[list[float], Within(len(BOUNDS), len(BOUNDS))]
+_Point = Annotated[list[float], Meta(min_length=len(BOUNDS), max_length=len(BOUNDS))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import re
 import select
@@ -15,7 +16,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from stkzoo._reading import json_size
 from stkzoo._schema import plain_text
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError, shortened
 
@@ -70,7 +70,7 @@ def fitted(text: str, size: int) -> str:
 
     Args:
         text: the text.
-        size: maximum size, as :func:`~stkzoo._reading.json_size` measures it [bytes].
+        size: maximum size, as :func:`json_size` measures it [bytes].
 
     Returns:
         The text or, if it is too large, its beginning and end; empty if ``size`` is too small.
@@ -82,6 +82,11 @@ def fitted(text: str, size: int) -> str:
         if limit > 1 and json_size(shorter := bounded(text, limit)) <= size:
             return shorter
     return ""
+
+
+def json_size(text: str) -> int:
+    """Returns the size of a text in a JSON file [bytes]."""
+    return len(json.dumps(text))
 
 
 def value_in_words(value: object) -> str:

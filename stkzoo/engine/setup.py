@@ -6,11 +6,13 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Annotated
 
-from stkzoo._schema import Matching, OneOf, Share, Within
+from msgspec import Meta
+
+from stkzoo._schema import Share, matching, one_of
 from stkzoo.config import NORMAL, RACE_MODES, Start
 from stkzoo.names import CameraMode
 
-_FOLDER = Matching(r"[^/\\\0]*", "the name of a folder in the game's data")
+_FOLDER = matching(r"[^/\\\0]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +33,7 @@ class KartSetup:
     kart: Annotated[str, _FOLDER] = ""
     name: str = ""
     color: Share = 0.0
-    camera_mode: Annotated[int, OneOf(tuple(map(int, CameraMode)))] = 0
+    camera_mode: Annotated[int, Meta(ge=0, le=int(max(CameraMode)))] = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +54,15 @@ class RaceSetup:
     """
 
     track: Annotated[str, _FOLDER]
-    karts: Annotated[tuple[KartSetup, ...], Within(1, 256)]
+    karts: Annotated[tuple[KartSetup, ...], Meta(min_length=1, max_length=256)]
     laps: int = 1
     reverse: bool = False
     difficulty: int = 2
     seed: int = 0
     step_size: float = 0.1
-    num_cameras: Annotated[int, Within(0, 8)] = 0
+    num_cameras: Annotated[int, Meta(ge=0, le=8)] = 0
     starts: tuple[Start, ...] = ()
-    mode: Annotated[str, OneOf(RACE_MODES)] = NORMAL
+    mode: Annotated[str, one_of(*RACE_MODES)] = NORMAL
 
     def to_json(self) -> bytes:
         """Returns the setup as UTF-8 JSON."""

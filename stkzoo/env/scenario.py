@@ -12,27 +12,27 @@ from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from stkzoo._os import write_whole, write_zip
 from stkzoo._reading import Unreadable, read_json, read_zip, reading
-from stkzoo._schema import Count, Within, typed
+from stkzoo._schema import Count
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.grid import RaceRoster
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError, check_whole, shortened
+from stkzoo.errors import ConfigError, check_whole
 
 _TYPE, _FORMAT = "stkzoo-scenario", 1
 _ABOUT, _CONTROLS = "scenario.json", "controls.f4"
 _MAX_MEMBER = {_ABOUT: 1 << 20, _CONTROLS: 256 << 20}
 _MAX_STEPS = 1_000_000
-_Steps = Annotated[int, Within(0, _MAX_STEPS)]
 _ENGINE = "PySuperTuxKart2"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
     """A moment of a race that can be replayed bit for bit, on this or another machine.
 
@@ -44,8 +44,8 @@ class Scenario:
         setup: setup of the race in the engine.
         kart_indices: kart of each agent, in grid order.
         agents: agents that were still racing.
-        controls: ``(T, P, 7)`` float32, controls of the P player karts in each of T steps.
         digest: digest of all karts at the moment, for verification.
+        controls: ``(T, P, 7)`` float32, controls of the P player karts in each of T steps.
         engine: version of the engine.
         opponents: kart of each opponent, in grid order.
     """
@@ -53,8 +53,10 @@ class Scenario:
     setup: RaceSetup
     kart_indices: tuple[Count, ...]
     agents: tuple[str, ...]
-    controls: npt.NDArray[np.float32] = field(repr=False)
     digest: str
+    controls: npt.NDArray[np.float32] = field(
+        repr=False, default_factory=lambda: np.zeros((0, 0, len(CONTROLS)), np.float32)
+    )
     engine: str = field(default_factory=lambda: version(_ENGINE))
     opponents: tuple[Count, ...] = ()
 
@@ -144,16 +146,28 @@ def digest_of(snapshot: Snapshot) -> str:
     return seen.hexdigest()
 
 
+@dataclass(frozen=True, slots=True)
+class _ScenarioHead:
+    """What a scenario's JSON contains besides its fields; players' controls show their steps."""
+
+    type: str
+    format: int
+    num_steps: Annotated[int, Meta(ge=0, le=_MAX_STEPS)] = 0
+
+
 def _read(text: bytes, numbers: bytes) -> Scenario:
-    about = read_json(text)
-    if not isinstance(about, dict) or (about.get("type"), about.get("format")) != (_TYPE, _FORMAT):
-        raise Unreadable(f"it is {shortened(about)}, expected a {_TYPE} of format {_FORMAT}")
+    head = read_json(text, _ScenarioHead)
+    if (head.type, head.format) != (_TYPE, _FORMAT):
+        raise Unreadable(
+            f"it is a {head.type[:40]} of format {head.format}, expected a {_TYPE} of format "
+            f"{_FORMAT}"
+        )
+    scenario = read_json(text, Scenario)
     controls = np.frombuffer(numbers, "<f4").astype(np.float32)
-    scenario = typed(Scenario, about | {"controls": controls})
     players = sum(not kart.is_bot for kart in scenario.setup.karts)
     if len(controls) % max(players * len(CONTROLS), 1) or (len(controls) and not players):
         raise Unreadable(f"{_CONTROLS} has {len(controls)} numbers, with {players} players")
-    num_steps = -1 if players else typed(_Steps, about.get("num_steps", 0))
+    num_steps = -1 if players else head.num_steps
     return replace(scenario, controls=controls.reshape(num_steps, players, len(CONTROLS)))
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
-from stkzoo._schema import Within
 from stkzoo.errors import import_extra
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
 
@@ -42,7 +42,7 @@ class Rating(Estimate):
 
     low: float
     high: float
-    sigma: Annotated[float, Within(0)]
+    sigma: Annotated[float, Meta(ge=0)]
 
 
 def require_openskill() -> Any:

@@ -6,16 +6,16 @@ import json
 from abc import ABC
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
+import msgspec
 from typing_extensions import Self  # a dependency of gymnasium
 
-from stkzoo._reading import MAX_BYTES, Unreadable, read_json, read_text, reading
-from stkzoo._schema import typed
+from stkzoo._reading import MAX_BYTES, read_json, read_text, reading
+from stkzoo._schema import plain_json
 from stkzoo.errors import ConfigError, shortened
-from stkzoo.race.json_values import json_value
 
 
 class Document(ABC):
@@ -38,17 +38,13 @@ class Document(ABC):
         return asdict(self)  # type: ignore[call-overload, no-any-return]  # a dataclass
 
     def to_json(self) -> str:
-        """Returns the document as JSON text.
-
-        Any field value is accepted; see :func:`~stkzoo.race.json_values.json_value`.
-        """
-        document = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
-        values = json_value(document)
-        if not self.rows:
-            return json.dumps(values, indent=2, allow_nan=False)
-        rows = ",\n    ".join(map(json.dumps, values.pop(self.rows)))
-        text = json.dumps(values, indent=2, allow_nan=False)[:-2]
-        return f'{text},\n  "{self.rows}": [\n    {rows}\n  ]\n}}'
+        """Returns the document as JSON text."""
+        values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        rows = ",\n    ".join(map(json.dumps, values.pop(self.rows))) if self.rows else ""
+        text = json.dumps(values, indent=2, allow_nan=False)
+        if self.rows:
+            text = f'{text[:-2]},\n  "{self.rows}": [\n    {rows}\n  ]\n}}'
+        return plain_json(text)
 
     @classmethod
     def from_json(cls, text: str, place: str = "the text") -> Self:
@@ -63,9 +59,8 @@ class Document(ABC):
                 missing or invalid.
         """
         with cls._reading(place):
-            values = read_json(text, cls.max_bytes)
-            check_document(values, cls.kind, cls.version)
-            return typed(cls, values)
+            check_document(text, cls.kind, cls.version, cls.max_bytes)
+            return read_json(text, cls, cls.max_bytes)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
@@ -75,7 +70,7 @@ class Document(ABC):
             ConfigError: a field is missing or invalid.
         """
         with cls._reading("the text"):
-            return typed(cls, values)
+            return msgspec.convert(values, cls)
 
     @classmethod
     def load(cls, file: Path) -> Self:
@@ -94,25 +89,35 @@ class Document(ABC):
         return reading(f"{place} has no {cls.kind.replace('-', ' ')}", cls.origin)
 
 
-def check_document(document: Any, kind: str, version: int) -> None:
+@dataclass(frozen=True, slots=True)
+class _DocumentHead:
+    """What each document contains besides its fields."""
+
+    type: str
+    schema_version: int
+
+
+def check_document(text: str | bytes, kind: str, version: int, max_bytes: int = MAX_BYTES) -> None:
     """Checks the type and version of a document.
+
+    Args:
+        text: the document as JSON text.
+        kind: the expected type.
+        version: the expected version.
+        max_bytes: maximum length of the text [characters].
 
     Raises:
         Unreadable: the document has no type or version.
         ConfigError: the document has another type or version.
     """
-    if not isinstance(document, dict):
-        raise Unreadable(f"it is {shortened(document)}, expected an object")
-    found, number = document.get("type"), document.get("schema_version")
-    if not isinstance(found, str) or type(number) is not int:
-        raise Unreadable("it has no type and schema_version")
-    if (found, number) != (kind, version):
+    head = read_json(text, _DocumentHead, max_bytes)
+    if (head.type, head.schema_version) != (kind, version):
         raise ConfigError(
-            f"the file is a {found[:40]} of version {shortened(number)}, expected a {kind} of "
-            f"version {version}; "
+            f"the file is a {head.type[:40]} of version {shortened(head.schema_version)}, expected "
+            f"a {kind} of version {version}; "
             + (
                 "another version of stkzoo wrote it"
-                if found == kind
+                if head.type == kind
                 else f"choose the file or folder of a {kind.rpartition('-')[0]}"
             )
         )

@@ -9,9 +9,8 @@ from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo._reading import json_size
 from stkzoo.drivers.driver import Driver
-from stkzoo.drivers.failures import bounded, fitted, in_words, printable
+from stkzoo.drivers.failures import bounded, fitted, in_words, json_size, printable
 from stkzoo.drivers.files import name_of_files
 from stkzoo.drivers.instances import DriverInstance, DriverRequest, ThinkingClock
 from stkzoo.errors import ActionError, AgentError, AgentTimeout

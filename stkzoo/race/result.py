@@ -11,22 +11,12 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.ma
+from msgspec import Meta
 
-from stkzoo._schema import (
-    Count,
-    Level,
-    Matching,
-    OneOf,
-    Place,
-    Positive,
-    Seconds,
-    Whole,
-    Within,
-)
+from stkzoo._schema import Count, Level, Place, Positive, Seconds, Whole, matching, one_of
 from stkzoo.config import NORMAL, RACE_MODES
 from stkzoo.drivers.sandbox import BUBBLEWRAP, LANDLOCK, NONE
 from stkzoo.race.document import Document
-from stkzoo.race.json_values import json_value
 
 #: Version of the JSON schema (``docs/schemas/race-result.schema.json``). It increases with each
 #: change that breaks older readers.
@@ -45,8 +35,8 @@ class AgentFailure:
     """
 
     step: Count
-    kind: Annotated[str, OneOf(("start", "timeout", "error"))]
-    message: Annotated[str, Within(1)]
+    kind: Annotated[str, one_of("start", "timeout", "error")]
+    message: Annotated[str, Meta(min_length=1)]
     trace: str = field(compare=False, default="")
 
 
@@ -105,10 +95,10 @@ class AgentResult:
             a successful decision.
     """
 
-    agent: Annotated[str, Matching("kart_[0-9]+", "an agent's id such as kart_0")]
+    agent: Annotated[str, matching("kart_[0-9]+")]
     driver: str
     source: str
-    status: Annotated[str, OneOf(("finished", "racing", "retired"))]
+    status: Annotated[str, one_of("finished", "racing", "retired")]
     start_position: Place
     rank: Place
     finish_time: Positive | None
@@ -118,7 +108,7 @@ class AgentResult:
     rescues: Count | None = None
     num_errors: Count = 0
     num_clipped: Count = 0
-    errors: Annotated[tuple[AgentFailure, ...], Within(0, 20)] = ()
+    errors: Annotated[tuple[AgentFailure, ...], Meta(max_length=20)] = ()
     action_time: ActionTime | None = field(compare=False, default=None)
 
 
@@ -182,7 +172,7 @@ class RaceResult(Document):
     version: ClassVar[int] = SCHEMA_VERSION
     origin: ClassVar[str] = "a file from `stkzoo race --output`"
 
-    status: Annotated[str, Within(1)]
+    status: Annotated[str, Meta(min_length=1)]
     track: str
     reverse: bool
     laps: Whole
@@ -191,15 +181,15 @@ class RaceResult(Document):
     race_length: Positive
     steps: Count
     race_time: Seconds
-    agents: Annotated[tuple[AgentResult, ...], Within(1, 256)]
+    agents: Annotated[tuple[AgentResult, ...], Meta(min_length=1, max_length=256)]
     versions: dict[str, str] = field(compare=False, default_factory=versions_now)
     wall_time: Seconds = field(compare=False, default=0.0)
-    sandbox: Annotated[str, OneOf((BUBBLEWRAP, LANDLOCK, NONE))] | None = field(
+    sandbox: Annotated[str, one_of(BUBBLEWRAP, LANDLOCK, NONE)] | None = field(
         compare=False, default=None
     )
     protections: tuple[str, ...] = field(compare=False, default=())
     time_budget: Seconds | None = field(compare=False, default=None)
-    mode: Annotated[str, OneOf(RACE_MODES)] = NORMAL
+    mode: Annotated[str, one_of(*RACE_MODES)] = NORMAL
 
     @property
     def is_finished(self) -> bool:
@@ -213,5 +203,4 @@ class RaceResult(Document):
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the result as JSON values, with its ``type`` and ``schema_version``."""
-        values = {"type": self.kind, "schema_version": self.version, **asdict(self)}
-        return dict(json_value(values))
+        return {"type": self.kind, "schema_version": self.version, **asdict(self)}

@@ -7,8 +7,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any
 
+from msgspec import Meta
+
 from stkzoo._arguments import option
-from stkzoo._schema import Level, Whole, Within
+from stkzoo._schema import Level, Whole
 from stkzoo.config import NORMAL, RACE_MODES, check_mode
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.sandbox import MODES
@@ -60,7 +62,7 @@ class RaceSettings:
     """
 
     track: str | None = None
-    laps: Annotated[int, Within(1, 1000)] = 1
+    laps: Annotated[int, Meta(ge=1, le=1000)] = 1
     difficulty: Level = 2
     reverse: bool = False
     mode: str = option(NORMAL, choices=RACE_MODES)

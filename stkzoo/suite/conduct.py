@@ -12,9 +12,10 @@ from statistics import fmean
 from typing import Annotated, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
 from stkzoo._os import cpu_count
-from stkzoo._schema import Count, Seconds, Within
+from stkzoo._schema import Count, Seconds
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
@@ -88,7 +89,7 @@ class RaceConduct(Document):
     track: str
     reverse: bool
     steps: Count
-    karts: Annotated[tuple[KartConduct, ...], Within(1, 256)]
+    karts: Annotated[tuple[KartConduct, ...], Meta(min_length=1, max_length=256)]
     contacts: tuple[Contact, ...]
 
 

@@ -10,8 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
 
+from msgspec import Meta
+
 from stkzoo._os import file_digest
-from stkzoo._schema import Count, Matching, Within, plain_text
+from stkzoo._schema import Count, matching, plain_text
 from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError, check_whole, shortened, unknown_name
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
@@ -34,10 +36,10 @@ DECIDED_SETTINGS = (*BenchmarkPlan.decided, "max_paths")
 #: Splits of a task's tracks. Only an evaluation on the test tracks is an entry.
 TEST, TRAIN = "test", "train"
 _BEATEN = FigureKind(BEATEN, lambda race: race.beaten, (0.0, 1.0))
-_Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
+_Digest = Annotated[str, matching("[0-9a-f]{64}")]
 #: Maximum length of a text about an entry [characters], and maximum number of kart-steps.
 _MAX_TEXT, _MAX_KART_STEPS = 2000, 2**62
-_Text = Annotated[str, Within(0, _MAX_TEXT)]
+_Text = Annotated[str, Meta(max_length=_MAX_TEXT)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 
 from stkzoo._reading import load_json, reading
-from stkzoo._schema import typed
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.suite.population import population_digests
@@ -70,7 +69,7 @@ def load_baselines() -> Baselines:
         ConfigError: the file is missing or damaged.
     """
     with reading(f"{BASELINES_FILE} cannot be read", "the file that comes with stkzoo"):
-        return typed(Baselines, load_json(BASELINES_FILE))
+        return load_json(BASELINES_FILE, Baselines)
 
 
 def normalized(task: str, score: float, baselines: Baselines | None = None) -> float:

@@ -12,9 +12,10 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import gymnasium as gym
+from msgspec import Meta
 from pettingzoo import ParallelEnv
 
-from stkzoo._schema import Count, OneOf, Whole, Within
+from stkzoo._schema import Count, Whole, one_of
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import unknown_name
 from stkzoo.evaluation.benchmark.races import BenchmarkForm
@@ -68,11 +69,11 @@ class Task:
     view: str = "racing"
     reward: str = "race"
     teams: tuple[tuple[Count, ...], ...] = ()
-    sight: Annotated[float, Within(0)] | None = None
+    sight: Annotated[float, Meta(ge=0)] | None = None
     words: Count = 0
     forms: tuple[str, ...]
     seeds: Whole
-    metric: Annotated[str, OneOf((TIME_RATIO, BEATEN))] = BEATEN
+    metric: Annotated[str, one_of(TIME_RATIO, BEATEN)] = BEATEN
     budget: Whole = 2_000_000
     long_budget: Whole = 10_000_000
 

@@ -346,7 +346,7 @@ def verify_entry(
                 last = results[number] = RaceResult.from_json(outcome.result)
             report(BatchProgress(len(results), len(orders), last, outcome.error))
     _refuse([problems[number] for number in sorted(problems)])
-    _compare(entry, read_json(text, Entry.max_bytes), results)
+    _compare(entry, read_json(text, dict[str, Any], Entry.max_bytes), results)
     return entry
 
 

@@ -2,9 +2,8 @@
 
 import pytest
 
-from stkzoo._reading import json_size
 from stkzoo.cli import main
-from stkzoo.drivers.failures import agent_trace, bounded, fitted, printable
+from stkzoo.drivers.failures import agent_trace, bounded, fitted, json_size, printable
 from stkzoo.race import run_race
 
 ACT = "def get_actor(folder, seen, space):\n    def act(state, observation):\n{}\n    return act\n"

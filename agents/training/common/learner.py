@@ -17,9 +17,10 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from stkzoo._locks import locked_folder
-from stkzoo._schema import Count, Within
+from stkzoo._schema import Count
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
@@ -71,7 +72,7 @@ class RunFacts:
         iteration: number of iterations so far.
     """
 
-    history: Annotated[list[dict[str, Any]], Within(1)]
+    history: Annotated[list[dict[str, Any]], Meta(min_length=1)]
     kart_steps: Count
     iteration: Count
 

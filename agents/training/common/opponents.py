@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from stkzoo._schema import Count, Share, typed
+from stkzoo._schema import Count, Share
 
 #: Weight of one race in the win rate against an opponent.
 _RATE = 0.1
@@ -106,7 +107,7 @@ class RivalPool:
         """Restores a :meth:`state`.
 
         Raises:
-            Unreadable: the state is damaged.
+            msgspec.ValidationError: the state is damaged.
         """
-        rivals = typed(tuple[Rival, ...], [dict(kept) for kept in state])
+        rivals = msgspec.convert(state, tuple[Rival, ...])
         self._opponents = {rival.name: rival for rival in rivals}

@@ -16,10 +16,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
+import msgspec
+from msgspec import Meta
+
 from stkzoo._locks import LOCK
 from stkzoo._os import make_folder, write_text, write_whole, writing
 from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
-from stkzoo._schema import Count, Within, typed
+from stkzoo._schema import Count
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.errors import ConfigError
 
@@ -43,14 +46,14 @@ def read_run_file(kind: type[T], file: Path) -> T:
     """Returns the content of a JSON file in a run's folder.
 
     Args:
-        kind: type of the content; see :func:`stkzoo._schema.typed`.
+        kind: type of the content; see :func:`stkzoo._reading.read_json`.
         file: the file.
 
     Raises:
         ConfigError: the file is missing or damaged.
     """
     with reading(f"{str(file)!r} cannot be read", "the file that the run wrote"):
-        return typed(kind, load_json(file, _MAX_BYTES))
+        return load_json(file, kind, _MAX_BYTES)
 
 
 # ---------------------------------------------------------------------- arguments
@@ -140,9 +143,9 @@ def plan_parameters(file: str | Path, kart_steps: int | None = None) -> DriverPa
     if not file:
         return DriverParameters()
     with reading(f"{str(file)!r} has no parameters of plans", "a best.json or arguments.json"):
-        content = load_json(file)
+        content: Any = load_json(file, Any)
         if isinstance(content, list):
-            content = typed(_Chapters, chapters_of(content, kart_steps))[-1].rules
+            content = msgspec.convert(chapters_of(content, kart_steps), _Chapters)[-1].rules
         return DriverParameters.from_json(content)
 
 
@@ -153,7 +156,7 @@ class _Chapter:
     rules: dict[str, Any]
 
 
-_Chapters = Annotated[tuple[_Chapter, ...], Within(1)]
+_Chapters = Annotated[tuple[_Chapter, ...], Meta(min_length=1)]
 
 
 def chapters_of(history: Sequence[Any], kart_steps: int | None) -> Sequence[Any]:
@@ -249,7 +252,7 @@ def load_checkpoint(folder: Path, kind: type[T]) -> tuple[T, dict[str, Any]] | N
         with open_zip(file, 100_000, _MAX_CHECKPOINT):
             pass  # the list of its members is valid
         state = training_library("torch").load(file, weights_only=True, map_location="cpu")
-        return typed(kind, read_json(state["facts"], _MAX_BYTES)), state
+        return read_json(state["facts"], kind, _MAX_BYTES), state
 
 
 def reading_checkpoint(folder: Path) -> AbstractContextManager[None]:
@@ -268,12 +271,15 @@ def read_json_lines(file: Path, kind: type[T]) -> list[T]:
 
     Args:
         file: the file.
-        kind: type of a line; see :func:`stkzoo._schema.typed`.
+        kind: type of a line; see :func:`stkzoo._reading.read_json`.
 
     Raises:
         ConfigError: the file is damaged.
     """
-    return _typed_lines(file, kind)[0]
+    if not file.exists():
+        return []
+    with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
+        return read_lines(file, kind, _MAX_BYTES)
 
 
 def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
@@ -282,19 +288,11 @@ def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
     An incomplete last line is removed from the file, so that the next line does not continue it.
     See :func:`read_json_lines` for the arguments and errors.
     """
-    lines, values = _typed_lines(file, kind)
+    lines = read_json_lines(file, kind)
     if file.exists():
-        _write_lines(file, values)
+        with file.open("r+b") as stream:
+            stream.truncate(stream.read().rfind(b"\n") + 1)
     return lines
-
-
-def _typed_lines(file: Path, kind: type[T]) -> tuple[list[T], list[Any]]:
-    """Returns the lines of a file as a type, and as JSON values."""
-    if not file.exists():
-        return [], []
-    with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
-        values = list(read_lines(file, _MAX_BYTES))
-        return [typed(kind, value) for value in values], values
 
 
 def _write_lines(file: Path, lines: Sequence[Mapping[str, Any]]) -> None:

@@ -14,13 +14,14 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._locks import locked_folder
 from stkzoo._os import atomic_write
 from stkzoo._reading import Unreadable, read_arrays, reading
-from stkzoo._schema import Count, typed
+from stkzoo._schema import Count
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
@@ -116,8 +117,8 @@ class Lesson:
                 raise Unreadable("observations are not finite numbers")
             if (actions < 0).any() or (actions >= CHOICES).any():
                 raise Unreadable("actions are not valid choices")
-            ratios = typed(tuple[float, ...], found["ratios"].tolist())
-            return cls(seen, actions, ratios, typed(Count, found["finished"].tolist()))
+            ratios = msgspec.convert(found["ratios"].tolist(), tuple[float, ...])
+            return cls(seen, actions, ratios, msgspec.convert(found["finished"].tolist(), Count))
 
 
 def run_rounds(

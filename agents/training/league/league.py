@@ -27,12 +27,14 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._os import using_folder, write_text
-from stkzoo._schema import Count, Matching, Within, typed
+from stkzoo._schema import Count, matching
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
@@ -148,7 +150,7 @@ class _LeagueState:
 class _Member:
     """A past self in the file."""
 
-    name: Annotated[str, Matching(r"[a-z0-9-]+", "the name of a member")]
+    name: Annotated[str, matching(r"[a-z0-9-]+")]
     player: str
     turn: Count
     kart_steps: Count
@@ -162,15 +164,15 @@ class _LeagueFile:
     arguments: dict[str, Any]
     turn: Count
     kart_steps: Count
-    players: Annotated[list[Player], Within(1, 100)]
-    members: Annotated[list[_Member], Within(1)]
+    players: Annotated[list[Player], Meta(min_length=1, max_length=100)]
+    members: Annotated[list[_Member], Meta(min_length=1)]
     matches: list[MatchRecord]
     ratings: dict[str, tuple[float, float, float]]
 
     def __post_init__(self) -> None:
         names = {member.name for member in self.members}
         for player in self.players:
-            typed(list[Rival], player.pool)
+            msgspec.convert(player.pool, list[Rival])
         met = {name for match in self.matches for name in match.order} | set(self.ratings)
         if unknown := met - names - {AI}:
             raise ConfigError(f"there is no member {min(unknown)[:60]!r}")

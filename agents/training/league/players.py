@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from stkzoo._schema import Count, Matching, OneOf, Share
+from stkzoo._schema import Count, Share, matching, one_of
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 
@@ -46,8 +46,8 @@ class Player:
             :class:`~stkzoo.agents.training.common.opponents.RivalPool`.
     """
 
-    name: Annotated[str, Matching(r"[a-z-]+", "the name of a player")]
-    kind: Annotated[str, OneOf((MAIN, EXPLOITER, LEAGUE_EXPLOITER))]
+    name: Annotated[str, matching(r"[a-z-]+")]
+    kind: Annotated[str, one_of(MAIN, EXPLOITER, LEAGUE_EXPLOITER)]
     generation: Count = 0
     turns: Count = 0
     past_turns: Count = 0

@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from stkzoo._schema import Count, Within, typed
+from stkzoo._schema import Count
 
 #: The training tracks, ordered by a simple driver's performance relative to the AI.
 EASY_TO_HARD = (
@@ -99,9 +101,9 @@ class Curriculum:
         """Restores a :meth:`state`.
 
         Raises:
-            Unreadable: the state is damaged.
+            msgspec.ValidationError: the state is damaged.
         """
-        known = typed(_CurriculumState, state)
+        known = msgspec.convert(state, _CurriculumState)
         self.stage = min(known.stage, len(self.tracks))
         self._paces.clear()
         self._paces.extend(known.paces)
@@ -112,4 +114,4 @@ class _CurriculumState:
     """State of a curriculum, as in its file."""
 
     stage: Count
-    paces: Annotated[tuple[float, ...], Within(0, 100_000)]
+    paces: Annotated[tuple[float, ...], Meta(max_length=100_000)]

@@ -39,11 +39,12 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
+import msgspec
 import numpy as np
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
-from stkzoo._schema import Count, typed
+from stkzoo._schema import Count
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
@@ -406,7 +407,7 @@ class SB3Run:
         self._bots.restore(facts.bots)
         self._snapshots.restore(facts.snapshots)
         ends: Any = importlib.import_module("stkzoo.agents.training.sb3.races").RaceEnd
-        self._recent.extend(typed(ends, end) for end in facts.recent)
+        self._recent.extend(msgspec.convert(end, ends) for end in facts.recent)
         self._model.policy.load_state_dict(state["policy"])
         self._model.policy.optimizer.load_state_dict(state["optimizer"])
         for rival in self._snapshots.opponents:

@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 
 from stkzoo._reading import Unreadable, load_json, read_file
-from stkzoo._schema import typed
 from stkzoo.errors import AssetError
 
 #: Version of the game's data. The engine requires an empty file ``data/supertuxkart.VERSION``.
@@ -84,7 +83,7 @@ def read_marker(root: Path) -> Assets | None:
         AssetError: the marker cannot be read or is from another version of stkzoo.
     """
     try:
-        marker = typed(_Marker, load_json(root / MARKER, _MAX_MARKER))
+        marker = load_json(root / MARKER, _Marker, _MAX_MARKER)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, Unreadable) as error:

@@ -12,8 +12,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
+from msgspec import Meta
+
 from stkzoo._os import read_blocks
-from stkzoo._schema import Within, plain_text
+from stkzoo._schema import plain_text
 from stkzoo.drivers.driver import Driver, declared_name, driver_names, find_driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import (
@@ -49,8 +51,8 @@ class Entrant:
         served: the agent on a server; ``None`` for an agent that runs here.
     """
 
-    label: Annotated[str, Within(1)]
-    source: Annotated[str, Within(1)]
+    label: Annotated[str, Meta(min_length=1)]
+    source: Annotated[str, Meta(min_length=1)]
     files: Mapping[str, str] = field(default_factory=dict, hash=False)
     served: ServedAgent | None = None
 

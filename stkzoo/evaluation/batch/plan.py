@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, TypeVar
 
-from stkzoo._schema import Within
+from msgspec import Meta
+
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
@@ -68,7 +69,7 @@ class BatchPlan(Document, Generic[Result]):
     #: Whether a part of the races has a result, which :meth:`draw` can plot.
     is_gradual: ClassVar[bool] = True
 
-    tracks: Annotated[tuple[str, ...], Within(1, 1000)]
+    tracks: Annotated[tuple[str, ...], Meta(min_length=1, max_length=1000)]
     settings: RaceSettings = field(default_factory=RaceSettings)
     versions: Mapping[str, str] = field(default_factory=versions_now)
 

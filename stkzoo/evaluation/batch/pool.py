@@ -19,8 +19,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+import msgspec
+
 from stkzoo._python import python_command, search_path
-from stkzoo._schema import typed
 from stkzoo._temporary import remove_stale_directories
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.sandbox import SHARED_CORES
@@ -265,7 +266,7 @@ def _read(lines: SimpleQueue[dict[str, Any]]) -> None:
 def _run(line: dict[str, Any]) -> dict[str, str]:
     try:
         kind = getattr(import_module(line["module"]), line["class"])
-        return {"result": typed(kind, line["order"]).run(Path(line["folder"])).to_json()}
+        return {"result": msgspec.convert(line["order"], kind).run(Path(line["folder"])).to_json()}
     except StkzooError as error:
         return {"error": str(error)}
     except Exception:  # noqa: BLE001 - the program reports it to the user

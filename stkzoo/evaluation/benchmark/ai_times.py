@@ -12,7 +12,9 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from stkzoo._schema import Level, OneOf, Positive, Whole, Within
+from msgspec import Meta
+
+from stkzoo._schema import Level, Positive, Whole, one_of
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
@@ -30,7 +32,8 @@ _MAX_SEEDS = 1000
 RaceKey = tuple[str, bool, int]
 #: Finish times of the karts of each race [s]; ``None`` for a kart that did not finish.
 RaceTimes = Annotated[
-    tuple[Annotated[tuple[Positive | None, ...], Within(1, 20)], ...], Within(0, _MAX_SEEDS)
+    tuple[Annotated[tuple[Positive | None, ...], Meta(min_length=1, max_length=20)], ...],
+    Meta(max_length=_MAX_SEEDS),
 ]
 
 
@@ -64,7 +67,7 @@ class AiTime:
     """
 
     track: str
-    direction: Annotated[str, OneOf(("forward", "reversed"))]
+    direction: Annotated[str, one_of("forward", "reversed")]
     difficulty: Level
     median: Positive
     best: Positive

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
-from stkzoo._schema import Within
 from stkzoo.config import NORMAL
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
@@ -79,11 +79,11 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
 
     agent: Entrant
     split: str
-    directions: Annotated[tuple[bool, ...], Within(1, 2)]
-    forms: Annotated[tuple[str, ...], Within(1, 400)]
+    directions: Annotated[tuple[bool, ...], Meta(min_length=1, max_length=2)]
+    forms: Annotated[tuple[str, ...], Meta(min_length=1, max_length=400)]
     seeds: int
-    ai_times: Mapping[str, Mapping[str, Annotated[float, Within(0, 1e5, is_above=True)]]]
-    limit: Annotated[float, Within(0, 1000, is_above=True)] = LIMIT
+    ai_times: Mapping[str, Mapping[str, Annotated[float, Meta(gt=0, le=1e5)]]]
+    limit: Annotated[float, Meta(gt=0, le=1000)] = LIMIT
     ai_races: Mapping[str, Mapping[str, RaceTimes]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._schema import Count, OneOf, Place, Positive
+from stkzoo._schema import Count, Place, Positive, one_of
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import (
     DRAWS,
@@ -117,7 +117,7 @@ class BenchmarkRace:
     track: str
     reverse: bool
     form: str
-    end: Annotated[str, OneOf((FRONT, BACK))]
+    end: Annotated[str, one_of(FRONT, BACK)]
     index: Count
     seed: Count
 

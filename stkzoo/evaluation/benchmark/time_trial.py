@@ -11,7 +11,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Any, ClassVar
 
-from stkzoo._schema import Count, Positive, Whole, Within
+from msgspec import Meta
+
+from stkzoo._schema import Count, Positive, Whole
 from stkzoo.config import TIME_TRIAL
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
@@ -115,7 +117,7 @@ class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
     split: str
     seeds: int
     records: Mapping[str, HumanRecord]
-    limit: Annotated[float, Within(0, 1000, is_above=True)] = _LIMIT
+    limit: Annotated[float, Meta(gt=0, le=1000)] = _LIMIT
 
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)

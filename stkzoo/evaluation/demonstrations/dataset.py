@@ -24,10 +24,11 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from stkzoo._os import write_whole
 from stkzoo._reading import Unreadable, read_arrays, read_json, reading
-from stkzoo._schema import Count, Place, Positive, Within, typed
+from stkzoo._schema import Count, Place, Positive
 from stkzoo.config import NORMAL
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError
@@ -248,7 +249,7 @@ def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
 class _About:
     """The required values of the file's ``about``."""
 
-    view: Annotated[str, Within(1)]
+    view: Annotated[str, Meta(min_length=1)]
     episodes: tuple[EpisodeFacts, ...]
 
 
@@ -256,12 +257,13 @@ def _read(arrays: Columns) -> Demonstrations:
     for name in ("about", "lengths"):
         if name not in arrays:
             raise Unreadable(f"it has no {name}")
-    values = read_json(str(arrays.pop("about")), _MAX_ABOUT)
-    check_document(values, _KIND, _VERSION)
-    facts = typed(_About, values).episodes
+    text = str(arrays.pop("about"))
+    check_document(text, _KIND, _VERSION, _MAX_ABOUT)
+    facts = read_json(text, _About, _MAX_ABOUT).episodes
+    values = read_json(text, dict[str, Any], _MAX_ABOUT)
     plan = {name: values[name] for name in values.keys() - {"type", "schema_version", "episodes"}}
     lengths = arrays.pop("lengths").astype(np.int64)
-    demos = Demonstrations(typed(dict[str, Any], plan), facts, lengths, arrays)
+    demos = Demonstrations(plan, facts, lengths, arrays)
     _check(demos)
     return demos
 

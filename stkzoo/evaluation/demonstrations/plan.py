@@ -15,7 +15,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from stkzoo._schema import Count, OneOf, Within
+from msgspec import Meta
+
+from stkzoo._schema import Count
 from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError, check_whole
 from stkzoo.evaluation.batch.entrants import Entrant, check_level, find_entrants
@@ -118,12 +120,12 @@ class DemoPlan(BatchPlan[Demonstrations]):
     is_gradual: ClassVar[bool] = False
 
     agent: Entrant
-    karts: Annotated[int, Within(1, _MAX_KARTS)]
-    rivals: Annotated[tuple[str, ...], Within(0, 255)]
+    karts: Annotated[int, Meta(ge=1, le=_MAX_KARTS)]
+    rivals: Annotated[tuple[str, ...], Meta(max_length=255)]
     view: str
-    directions: Annotated[tuple[bool, ...], Within(1, 2)]
-    seeds: Annotated[tuple[Count, ...], Within(1)]
-    substeps: Annotated[int, OneOf(_SUBSTEPS)]
+    directions: Annotated[tuple[bool, ...], Meta(min_length=1, max_length=2)]
+    seeds: Annotated[tuple[Count, ...], Meta(min_length=1)]
+    substeps: Annotated[int, Meta(ge=1, le=12)]
 
     def __post_init__(self) -> None:
         check_num_races("dataset", len(self.tracks) * len(self.directions) * len(self.seeds))

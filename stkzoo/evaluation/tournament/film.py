@@ -9,8 +9,9 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
-from stkzoo._schema import Positive, Within
+from stkzoo._schema import Positive
 from stkzoo.errors import ConfigError
 from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -26,7 +27,7 @@ _OWN_ROAD = ' fill="none" stroke="#b3bdcb" stroke-linecap="round"'
 _LOOP = 'begin="0s" repeatCount="indefinite"'
 
 #: A coordinate [m].
-_Meters = Annotated[float, Within(-1e6, 1e6)]
+_Meters = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +47,9 @@ class MapFilm(Document):
 
     track: str
     interval: Positive
-    width: Annotated[float, Within(0, 1e6, is_above=True)]
-    road: Annotated[tuple[tuple[_Meters, _Meters, _Meters, _Meters], ...], Within(1)]
-    karts: Annotated[Mapping[str, tuple[_Meters, ...]], Within(1, 256)]
+    width: Annotated[float, Meta(gt=0, le=1e6)]
+    road: Annotated[tuple[tuple[_Meters, _Meters, _Meters, _Meters], ...], Meta(min_length=1)]
+    karts: Annotated[Mapping[str, tuple[_Meters, ...]], Meta(min_length=1, max_length=256)]
 
     def __post_init__(self) -> None:
         if len({len(way) for way in self.karts.values()}) > 1 or any(

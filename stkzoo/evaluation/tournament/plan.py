@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from stkzoo._schema import Count, Whole, Within
+from msgspec import Meta
+
+from stkzoo._schema import Count, Whole
 from stkzoo.errors import ConfigError, check_whole, shortened
 from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
 from stkzoo.evaluation.batch.plan import (
@@ -59,7 +61,7 @@ class TournamentPlan(BatchPlan["TournamentResult"]):
     resume_command: ClassVar[str] = "stkzoo tournament --resume {folder}"
     decided: ClassVar[tuple[str, ...]] = ("track", "seed")
 
-    entrants: Annotated[tuple[Entrant, ...], Within(2, _MAX_ENTRANTS)]
+    entrants: Annotated[tuple[Entrant, ...], Meta(min_length=2, max_length=_MAX_ENTRANTS)]
     races: int
     per_race: int
     seed: int

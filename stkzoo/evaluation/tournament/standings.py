@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Annotated
 
-from stkzoo._schema import Count, Positive, Whole, Within
+from msgspec import Meta
+
+from stkzoo._schema import Count, Positive, Whole
 from stkzoo.evaluation.batch.entrants import Entrant
 from stkzoo.evaluation.ratings import Rating
 from stkzoo.race.result import AgentResult, RaceResult
@@ -86,12 +88,12 @@ class Standing:
     rating: Rating
     races: Count
     wins: Count
-    mean_rank: Annotated[float, Within(1)] | None
+    mean_rank: Annotated[float, Meta(ge=1)] | None
     finished: Count
     retired: Count
     errors: Count
     mean_time: Positive | None
-    track_ranks: Mapping[str, Annotated[float, Within(1)]]
+    track_ranks: Mapping[str, Annotated[float, Meta(ge=1)]]
     reason: str = ""
     failed: Count = 0
 

@@ -14,16 +14,16 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from stkzoo._os import write_whole, write_zip
 from stkzoo._reading import Unreadable, read_json, read_zip, reading
-from stkzoo._schema import Count, Place, Within, typed
+from stkzoo._schema import Count, Place
 from stkzoo.config import NORMAL
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import StkzooError, shortened
-from stkzoo.race.document import check_document
-from stkzoo.race.result import SCHEMA_VERSION, RaceResult
+from stkzoo.errors import StkzooError
+from stkzoo.race.result import RaceResult
 
 #: Size of one digest [bytes].
 DIGEST_SIZE = 8
@@ -47,7 +47,7 @@ class ReplayAgent:
     is_game_ai: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
     """A recorded race.
 
@@ -83,13 +83,13 @@ class Replay:
     max_paths: int | None
     step_size: float
     seed: Count
-    num_tracks: Annotated[int, Within(1, 10_000)]
+    num_tracks: Annotated[int, Meta(ge=1, le=10_000)]
     engine_seed: Count
     start_positions: tuple[Place, ...]
     kart_types: tuple[str, ...]
-    agents: Annotated[tuple[ReplayAgent, ...], Within(1, 256)]
-    controls: npt.NDArray[np.float32] = field(repr=False)
-    digests: npt.NDArray[np.uint8] = field(repr=False)
+    agents: Annotated[tuple[ReplayAgent, ...], Meta(min_length=1, max_length=256)]
+    controls: npt.NDArray[np.float32] = field(repr=False, default_factory=lambda: np.empty(0, "f4"))
+    digests: npt.NDArray[np.uint8] = field(repr=False, default_factory=lambda: np.empty(0, "u1"))
     status: str
     result: RaceResult | None = field(repr=False)
     versions: Mapping[str, str]
@@ -193,16 +193,13 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
 
 
 def _replay_of(members: dict[str, bytes]) -> Replay:
-    header = read_json(members[_ABOUT], _MAX_MEMBER[_ABOUT])
-    _check_version(header)
-    if header.get("result") is not None:
-        check_document(header["result"], "race-result", SCHEMA_VERSION)
-    none = np.zeros(0, np.uint8)
-    replay = typed(Replay, header | {"controls": none, "digests": none})
+    head = read_json(members[_ABOUT], _ReplayHead, _MAX_MEMBER[_ABOUT])
+    _check_version(head)
+    replay = read_json(members[_ABOUT], Replay, _MAX_MEMBER[_ABOUT])
     count = len(replay.agents)
     controls = _controls(members[_CONTROLS], count)
     size = DIGEST_SIZE * (len(controls) + 1)
-    if header.get("steps") != len(controls) or len(members[_DIGESTS]) != size:
+    if head.steps != len(controls) or len(members[_DIGESTS]) != size:
         raise Unreadable(f"{_CONTROLS} has {len(controls)} steps, and steps or {_DIGESTS} do not")
     if sorted(replay.start_positions) != list(range(1, count + 1)):
         raise Unreadable("start_positions does not contain each place once")
@@ -214,14 +211,22 @@ def _replay_of(members: dict[str, bytes]) -> Replay:
     return replace(replay, controls=controls, digests=digests)
 
 
-def _check_version(header: Any) -> None:
-    if not isinstance(header, dict) or header.get("type") != _TYPE:
+@dataclass(frozen=True, slots=True)
+class _ReplayHead:
+    """What a replay's JSON contains besides its fields."""
+
+    type: str
+    format: int
+    steps: int = -1
+
+
+def _check_version(head: _ReplayHead) -> None:
+    if head.type != _TYPE:
         raise Unreadable(f"race.json is not a {_TYPE}")
-    found = header.get("format")
-    if found != FORMAT:
+    if head.format != FORMAT:
         raise ReplayError(
-            f"it has format {shortened(found)}, this stkzoo reads format {FORMAT}; use the "
-            "version of stkzoo that wrote it"
+            f"it has format {head.format}, this stkzoo reads format {FORMAT}; use the version of "
+            "stkzoo that wrote it"
         )
 
 

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from msgspec import Meta
 
-from stkzoo._schema import Count, Matching, Seconds, Share, Whole, Within
+from stkzoo._schema import Count, Seconds, Share, Whole, matching
 from stkzoo.errors import ConfigError, shortened
 from stkzoo.evaluation.benchmark.plan import LIMIT
 from stkzoo.evaluation.benchmark.races import BenchmarkForm, direction_name, make_races
@@ -25,8 +26,8 @@ from stkzoo.suite.population import population_digests
 from stkzoo.suite.report.statistics import FloatArray
 from stkzoo.suite.tasks import SUITE, TIME_RATIO, Task, find_task
 
-_Algorithm = Annotated[str, Matching(r"[\w.+-]{1,40}", "letters, digits and any of _ . + -")]
-_Digest = Annotated[str, Matching("[0-9a-f]{64}", "a SHA-256 in hexadecimal digits")]
+_Algorithm = Annotated[str, matching(r"[\w.+-]{1,40}")]
+_Digest = Annotated[str, matching("[0-9a-f]{64}")]
 _TOLERANCE = 1e-9
 #: ``reverse`` in the columns of a track, in their order.
 DIRECTIONS = (False, True)
@@ -46,11 +47,11 @@ class LearningCurve:
         position: mean position at their end.
     """
 
-    kart_steps: Annotated[tuple[Count, ...], Within(1)]
+    kart_steps: Annotated[tuple[Count, ...], Meta(min_length=1)]
     seconds: tuple[Seconds, ...]
     returns: tuple[float | None, ...]
     finished: tuple[Share | None, ...]
-    position: tuple[Annotated[float, Within(1)] | None, ...]
+    position: tuple[Annotated[float, Meta(ge=1)] | None, ...]
 
     def __post_init__(self) -> None:
         lengths = {own.name: len(getattr(self, own.name)) for own in fields(self)}
@@ -75,7 +76,7 @@ class RaceScore:
     track: str
     direction: str
     form: str
-    value: Annotated[float, Within(0)]
+    value: Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True, slots=True)
