@@ -8,13 +8,13 @@ ratings from evaluations during training.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
@@ -22,6 +22,7 @@ from msgspec import Meta
 from stkzoo._arguments import option, positional
 from stkzoo._reading import Unreadable, reading
 from stkzoo._schema import Count, Positive
+from stkzoo.errors import check_number
 from stkzoo.evaluation import GRAY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
@@ -30,8 +31,6 @@ from .common.run_folder import LOG, read_run_file, require_log
 #: A rating and both ends of its interval.
 Interval = Sequence[float]
 
-#: A figure of a log; ``None`` where it was not measured.
-_Figure = float | None
 
 #: Panels: title, and labels by name of the figure in the log.
 _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
@@ -184,15 +183,15 @@ def _check_line(line: Mapping[str, Any], place: str) -> None:
     """Checks the figures of a line of a log.
 
     Raises:
-        Unreadable: a figure is not a number.
+        Unreadable: a figure is missing.
+        ConfigError: a figure is not a number.
     """
     if "kart_steps" not in line and "round" not in line:
         raise Unreadable(f"{place} has neither kart_steps nor round")
-    msgspec.convert(
-        dict[str, float], {name: line[name] for name in ("kart_steps", "round") if name in line}
-    )
-    drawn = ("error", *(name for _, names in _PANELS for name in names))
-    msgspec.convert(dict[str, _Figure], {name: line[name] for name in drawn if name in line})
+    drawn = {"error", *(name for _, names in _PANELS for name in names)}
+    for name in line.keys() & (drawn | {"kart_steps", "round"}):
+        if line[name] is not None or name not in drawn:
+            check_number(f"{name} of {place}", line[name], -math.inf)
     if line.get("time_ratio") is not None and line.get("error") is None:
         raise Unreadable(f"{place} has a time_ratio and no error")
 

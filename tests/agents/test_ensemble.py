@@ -277,18 +277,17 @@ def test_the_folder_of_an_ensemble_adds_its_members(files, plan_file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("runs", "place"),
+    ("runs", "problem"),
     [
-        (5, "runs is 5"),
-        ([5], r"runs\[0\] is 5"),
-        ([{"kart_steps": "many", "history": []}], r"runs\[0\].kart_steps is 'many'"),
+        (5, "Expected `array`"),
+        ([{"kart_steps": "many", "history": []}], r"Expected `int .*\.kart_steps`"),
     ],
 )
-def test_a_card_with_damaged_runs_is_refused(runs, place, files, tmp_path):
+def test_a_card_with_damaged_runs_is_refused(runs, problem, files, tmp_path):
     folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
     card = json.loads((folder / "card.json").read_text())
     (folder / "card.json").write_text(json.dumps({**card, "runs": runs}))
-    with pytest.raises(ConfigError, match=f"card.json' is no card of a learned agent .{place}"):
+    with pytest.raises(ConfigError, match=f"card.json' is no card of a learned agent .{problem}"):
         export_policy([folder], "again", tmp_path / "again", ensemble_weight=1.0)
     assert not (tmp_path / "again" / "card.json").exists()
 

@@ -235,13 +235,6 @@ def test_other_names_in_the_replays_are_refused(entry):
         assert re.search(rf"race {number} .*: {re.escape(problem)}", text)
 
 
-def test_an_entry_with_a_repeated_key_is_refused(entry):
-    file = entry / "entry.json"
-    file.write_text('{"score": {"value": 0.99},' + file.read_text().lstrip()[1:])
-    with pytest.raises(ConfigError, match="it has the key 'score' more than once"):
-        verify_entry(entry)
-
-
 @pytest.mark.slow
 def test_an_empty_field_that_entries_do_not_have_is_refused(entry):
     write_entry(entry, {**read_entry(entry), "verified": None})
