@@ -292,7 +292,7 @@ def test_an_invalid_result_is_refused(text):
 
 def test_a_field_of_a_result_with_another_type_is_refused_and_named(result):
     text = result.to_json().replace('"rank": 1', '"rank": "first"')
-    with pytest.raises(ConfigError, match="got `str` - at `.*rank`"):
+    with pytest.raises(ConfigError, match=r"got `str` - at `.*rank`"):
         RaceResult.from_json(text)
 
 
