@@ -6,17 +6,16 @@ import shlex
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-import stkzoo.kernel
 from tests.support.paths import ROOT, copy_checkout
 
 PAGE = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
 #: Each recipe, and text that its commands print.
 RECIPES = {
     "Add a view": "",
+    "Add a reward term": "",
     "Add a driver": "steady",
     "Add a command": "zengarden",
     "Add a game mode": "heuristic",
@@ -26,8 +25,9 @@ RECIPES = {
 @pytest.mark.parametrize("title", RECIPES)
 def test_a_recipe_works_as_it_is_written(title, tmp_path):
     copy = copy_checkout(tmp_path / "copy")
-    for built in Path(stkzoo.kernel.__path__[0]).glob("*.so"):
-        shutil.copy(built, copy / "stkzoo" / "kernel")
+    for name in ("stkzoo/kernel", "stkzoo/engine", "agents/planning"):
+        for built in (ROOT / name).glob("*.so"):
+            shutil.copy(built, copy / name)
     recipe = re.search(rf"^## {title}\n(.*?)^## ", PAGE, re.MULTILINE | re.DOTALL)[1]
     commands = []
     for language, code in re.findall(r"```(\w+)\n(.*?)```", recipe, re.DOTALL):
