@@ -1,18 +1,12 @@
-"""Logs of public servers: clients cannot flood the log, and a slow reader cannot block them."""
+"""Logs of public servers, which clients cannot flood."""
 
 from __future__ import annotations
 
 import logging
-import os
-import queue
 import time
-from contextlib import suppress
-from logging.handlers import QueueHandler, QueueListener
 
-__all__ = ["BackgroundHandler", "RepeatFilter"]
+__all__ = ["RepeatFilter"]
 
-#: Maximum number of waiting lines. Further lines are dropped.
-_MAX_WAITING = 1000
 #: Maximum number of kinds of messages that a filter remembers.
 _MAX_KINDS = 256
 
@@ -47,67 +41,3 @@ class RepeatFilter(logging.Filter):
             return True
         self._kinds[kind] = (end, count + 1)
         return count < self._most
-
-
-class BackgroundHandler(QueueHandler):
-    """A log handler that writes records to a descriptor in a separate thread.
-
-    A program that writes its log directly blocks if the log is a pipe whose reader has stopped.
-    This handler has a queue of limited length instead. It drops lines while the queue is full, and
-    later logs how many it dropped.
-
-    Args:
-        descriptor: the descriptor; 2 is stderr.
-        most: maximum number of lines in the queue.
-    """
-
-    def __init__(self, descriptor: int = 2, most: int = _MAX_WAITING) -> None:
-        self._waiting: queue.Queue[logging.LogRecord] = queue.Queue(most)
-        super().__init__(self._waiting)
-        self._num_dropped = 0
-        self._listener = _DescriptorWriter(self._waiting, descriptor)
-        self._listener.start()  # starts a daemon thread
-
-    def enqueue(self, record: logging.LogRecord) -> None:
-        """Queues a record, or counts it as dropped."""
-        try:
-            if self._num_dropped:
-                self._waiting.put_nowait(_notice(self._num_dropped))
-                self._num_dropped = 0
-            self._waiting.put_nowait(record)
-        except queue.Full:
-            self._num_dropped += 1
-
-    def drain(self) -> None:
-        """Waits until all lines are written, but at most one second."""
-        deadline = time.monotonic() + 1.0
-        while self._waiting.unfinished_tasks and time.monotonic() < deadline:
-            time.sleep(0.005)
-
-    def close(self) -> None:
-        """Ends the thread after it has written the waiting lines, without waiting for this."""
-        with suppress(queue.Full):
-            self._listener.enqueue_sentinel()
-        super().close()
-
-
-def _notice(count: int) -> logging.LogRecord:
-    text = f"{count} lines were dropped, because the reader of this log was too slow"
-    return logging.makeLogRecord({"msg": text, "levelno": logging.WARNING})
-
-
-class _DescriptorWriter(QueueListener):
-    """Writes records to a descriptor without Python's buffers, whose locks could block the exit."""
-
-    def __init__(self, waiting: queue.Queue[logging.LogRecord], descriptor: int) -> None:
-        super().__init__(waiting)
-        self._descriptor = descriptor
-
-    def handle(self, record: logging.LogRecord) -> None:
-        """Writes a record. If the descriptor is closed, the record is lost."""
-        data = f"{record.getMessage()}\n".encode("utf-8", "backslashreplace")
-        try:
-            while data:
-                data = data[os.write(self._descriptor, data) :]
-        except OSError:
-            return

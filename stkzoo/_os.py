@@ -8,7 +8,6 @@ import hashlib
 import ipaddress
 import os
 import secrets
-import signal
 import socket
 import stat
 import struct
@@ -21,30 +20,24 @@ from typing import TYPE_CHECKING
 from stkzoo.errors import ConfigError, StkzooError, reason
 
 try:
-    import fcntl
     import resource
 except ImportError:  # Windows
-    fcntl = resource = None  # type: ignore[assignment]
+    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from asyncio.trsock import TransportSocket
 
 __all__ = [
     "PART_FILES",
-    "OwnDescriptor",
-    "above_standard_streams",
     "atomic_write",
     "bytes_received",
     "check_display",
-    "check_exit_codes",
     "check_writable",
     "cpu_count",
     "file_digest",
-    "file_identity",
     "has_display",
     "ip_address_of",
     "is_loopback",
-    "loses_exit_codes",
     "make_folder",
     "max_descriptors",
     "network_of",
@@ -69,31 +62,6 @@ def cpu_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def loses_exit_codes() -> bool:
-    """Returns whether this program ignores SIGCHLD, so that all exit codes of programs read as 0.
-
-    Programs inherit ignored signals.
-    """
-    number = getattr(signal, "SIGCHLD", None)
-    return number is not None and signal.getsignal(number) is signal.SIG_IGN
-
-
-def check_exit_codes(need: str) -> None:
-    """Checks that this program can see whether other programs fail.
-
-    Args:
-        need: what needs this, for the message, such as ``"a video is written by ffmpeg"``.
-
-    Raises:
-        ConfigError: it ignores SIGCHLD.
-    """
-    if loses_exit_codes():
-        raise ConfigError(
-            f"{need}, but this program ignores SIGCHLD, so it cannot see whether others fail; call "
-            "signal.signal(signal.SIGCHLD, signal.SIG_DFL) first"
-        )
 
 
 def max_descriptors() -> int:
@@ -333,70 +301,6 @@ def _flush(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def file_identity(descriptor: int) -> tuple[int, int] | None:
-    """Returns the device and inode of an open descriptor; ``None`` if it is closed."""
-    try:
-        status = os.fstat(descriptor)
-    except OSError:
-        return None
-    return status.st_dev, status.st_ino
-
-
-def above_standard_streams(descriptor: int) -> int:
-    """Returns a descriptor above those of the standard streams, for the same file.
-
-    If a standard stream is closed, a new file can get its number. A library that writes to stdout
-    or stderr would then write to this file.
-
-    Args:
-        descriptor: an open descriptor. If it is 2 or less, it is duplicated and closed.
-    """
-    if descriptor > 2 or fcntl is None:
-        return descriptor
-    try:
-        return fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
-    finally:
-        os.close(descriptor)
-
-
-class OwnDescriptor:
-    """A descriptor that notices if the program closed it.
-
-    ``os.closerange`` and daemon libraries close all descriptors of a process. Another file can
-    then get the number of the descriptor, and must not be closed.
-
-    Args:
-        descriptor: an open descriptor, which this object closes.
-
-    Attributes:
-        closed: whether :meth:`close` was called.
-    """
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = above_standard_streams(descriptor)
-        self._identity = file_identity(self._descriptor)
-        self.closed = False
-
-    def fileno(self) -> int:
-        """Returns the descriptor."""
-        return self._descriptor
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the descriptor is closed or now refers to another file."""
-        return self.closed or file_identity(self._descriptor) != self._identity
-
-    def close(self) -> None:
-        """Closes the descriptor, unless it now refers to another file. Can be called again."""
-        if not self.is_lost:
-            os.close(self._descriptor)
-        self.closed = True
-
-    def __del__(self) -> None:
-        with contextlib.suppress(Exception):  # the interpreter may be shutting down
-            self.close()
 
 
 def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

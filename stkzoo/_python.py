@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 
@@ -31,18 +30,10 @@ def search_path(*, has_current: bool = True) -> list[str]:
     """Returns this program's module search path, for a process that must find the same modules.
 
     In an interactive session, an empty entry means the current folder; it is replaced by its path.
-    Entries that Python ignores are left out: those that are not strings, and a folder that is gone.
+    Entries that are not strings, which Python ignores, are left out.
 
     Args:
         has_current: whether to include the current folder of an interactive session.
     """
-    paths = []
-    for path in filter(_is_text, sys.path):
-        with contextlib.suppress(FileNotFoundError):
-            if path or has_current:
-                paths.append(path or os.getcwd())
-    return paths
-
-
-def _is_text(entry: object) -> bool:
-    return isinstance(entry, str)
+    texts = (path for path in sys.path if isinstance(path, str))
+    return [path or os.getcwd() for path in texts if path or has_current]

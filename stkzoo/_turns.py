@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import threading
 from collections.abc import Iterator
 
@@ -21,11 +20,11 @@ class CallTurn:
         call: name of the last call that took the turn.
     """
 
-    __slots__ = ("_pid", "call", "lock")
+    __slots__ = ("call", "lock")
 
     def __init__(self) -> None:
         self.call = ""
-        self._renew()
+        self.lock = threading.RLock()
 
     @contextlib.contextmanager
     def of(self, call: str) -> Iterator[None]:
@@ -38,34 +37,24 @@ class CallTurn:
             ApiOrderError: another thread has the turn.
         """
         if not self.lock.acquire(blocking=False):
-            self.claim(call)
+            raise self.conflict(call)
         self.call = call
         try:
             yield
         finally:
             self.lock.release()
 
-    def claim(self, call: str) -> None:
-        """Takes the turn if, because of a fork, its holder is a thread of the parent process.
+    def conflict(self, call: str) -> ApiOrderError:
+        """Returns the error for a call during another thread's call.
 
         Args:
             call: name of the method that is called.
-
-        Raises:
-            ApiOrderError: another thread of this process has the turn.
         """
-        if self._pid == os.getpid():
-            raise ApiOrderError(
-                f"{call}() was called while {self.call}() runs in another thread; wait until that "
-                "returns, or make an environment for each thread"
-            )
-        self._renew()
-        self.lock.acquire()
+        return ApiOrderError(
+            f"{call}() was called while {self.call}() runs in another thread; wait until that "
+            "returns, or make an environment for each thread"
+        )
 
     def __reduce__(self) -> tuple[type[CallTurn], tuple[()]]:
         """Pickles as a new turn, so each copy of an environment has its own turn."""
         return CallTurn, ()
-
-    def _renew(self) -> None:
-        self.lock = threading.RLock()
-        self._pid = os.getpid()

@@ -1,12 +1,11 @@
 """Files are replaced as a whole, and keep their links and permissions."""
 
 import os
-import signal
 import sys
 
 import pytest
 
-from stkzoo._os import check_writable, loses_exit_codes, write_text
+from stkzoo._os import check_writable, write_text
 from stkzoo.errors import ConfigError
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs permissions and links")
@@ -57,15 +56,6 @@ def test_a_link_into_a_missing_folder_is_reported_before_the_work(tmp_path):
     link.symlink_to("missing/result.json")
     with pytest.raises(ConfigError, match=r"there is no folder .*missing"):
         check_writable(link, "the result")
-
-
-@pytest.mark.parametrize(("action", "loses"), [(signal.SIG_DFL, False), (signal.SIG_IGN, True)])
-def test_a_program_that_ignores_its_children_loses_exit_codes(action, loses):
-    before = signal.signal(signal.SIGCHLD, action)
-    try:
-        assert loses_exit_codes() == loses
-    finally:
-        signal.signal(signal.SIGCHLD, before)
 
 
 def test_the_longest_names_of_files_can_be_written(tmp_path):

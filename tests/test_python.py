@@ -38,12 +38,3 @@ def test_the_search_path_can_leave_out_the_current_folder(monkeypatch):
 def test_the_search_path_leaves_out_entries_that_are_no_text(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "path", [tmp_path, "/elsewhere"])
     assert search_path() == ["/elsewhere"]
-
-
-def test_the_search_path_leaves_out_a_current_folder_that_is_gone(monkeypatch, tmp_path):
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    monkeypatch.setattr(sys, "path", ["", "/elsewhere"])
-    assert search_path() == ["/elsewhere"]

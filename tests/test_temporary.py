@@ -1,4 +1,4 @@
-"""Folders are removed whatever an agent left in them."""
+"""Temporary folders are removed: at the end of a program, after a kill, whatever an agent left."""
 
 import os
 import subprocess
@@ -6,55 +6,84 @@ import sys
 
 import pytest
 
-from stkzoo._temporary import LockedTemporaryDirectory, remove_tree
+from stkzoo._temporary import TemporaryFolder, remove_stale_folders, remove_tree
 from tests.support.processes import run_program
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs descriptors of folders")
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs locks of folders")
 
 #: More nested folders than Python recurses into, in a path longer than the system allows.
 DEPTH, NAME = 1200, "nested" * 20
 
+PROGRAM = """
+import os, signal, sys, time
+from stkzoo._temporary import TemporaryFolder
+folder = TemporaryFolder("test")
+(folder.path / "file").write_text("x")
+print(folder.path, flush=True)
+"""
 
-@pytest.fixture
-def home(tmp_path):
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    """Returns the place of temporary folders, of which a test has its own."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
     yield tmp_path
     subprocess.run(["rm", "-rf", tmp_path], check=True)  # pytest cannot remove nested folders
 
 
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
 def nest(folder):
     """Nests folders with a file in each."""
-    place = os.open(folder, os.O_RDONLY)
+    inner = os.open(folder, os.O_RDONLY)
     for _ in range(DEPTH):
-        os.close(os.open("file", os.O_CREAT, dir_fd=place))
-        os.mkdir(NAME, dir_fd=place)
-        outer, place = place, os.open(NAME, os.O_RDONLY, dir_fd=place)
+        os.close(os.open("file", os.O_CREAT, dir_fd=inner))
+        os.mkdir(NAME, dir_fd=inner)
+        outer, inner = inner, os.open(NAME, os.O_RDONLY, dir_fd=inner)
         os.close(outer)
-    os.close(place)
+    os.close(inner)
 
 
-def test_a_folder_with_files_and_folders_is_removed(tmp_path):
-    for name in ("folder/a/b", "folder/a/c", "folder/d"):
-        (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "file").write_text("x")
-    remove_tree(tmp_path / "folder")
-    assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize(
+    "ending",
+    [
+        "pass",
+        "sys.exit() if os.fork() == 0 else os.wait(); assert folder.path.exists()",
+        "import multiprocessing as m; m.get_context('fork').Process(target=TemporaryFolder, "
+        "args=('test',)).start()",
+        "import stkzoo._temporary as t; t.remove_tree = lambda _: signal.raise_signal("
+        "signal.SIGINT) \ntry: folder.close() \nexcept KeyboardInterrupt: print('interrupted')",
+    ],
+    ids=["open", "forked", "multiprocessing", "interrupted"],
+)
+def test_a_program_removes_its_folders_at_its_end(place, ending):
+    done = run_program(PROGRAM + ending, check=True)
+    assert (names(place), done.stderr) == ([], "")
 
 
-def test_deeply_nested_folders_are_removed(home):
-    folder = home / "folder"
-    folder.mkdir()
-    nest(folder)
-    remove_tree(folder)
-    assert not folder.exists()
+def test_the_next_program_removes_the_folders_of_a_killed_one(place):
+    nest_in_killed = PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)"
+    nest(run_program(nest_in_killed).stdout.strip())
+    with TemporaryFolder("next") as folder:
+        assert names(place) == [folder.path.parent.name]
+        assert names(folder.path.parent) == [folder.path.name]
 
 
-def test_a_killed_programs_deeply_nested_folders_do_not_stop_the_next_program(home, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(home))
-    left = LockedTemporaryDirectory("test")
-    nest(left.path)
-    left.release()
-    LockedTemporaryDirectory("next").close()
-    assert list(home.iterdir()) == []
+def test_only_the_folders_of_killed_programs_are_removed(place):
+    running = [sys.executable, "-c", PROGRAM + "time.sleep(60)"]
+    with subprocess.Popen(running, stdout=subprocess.PIPE, text=True) as program:
+        folder = program.stdout.readline().strip()
+        (place / "stkzoo-other").mkdir()
+        (place / "stkzoo-run-file").write_text("mine")
+        (place / "stkzoo-run-link").symlink_to(place / "stkzoo-other")
+        before = names(place)
+        remove_stale_folders()
+        assert names(place) == before
+        assert os.path.isfile(f"{folder}/file")
+        program.kill()
 
 
 def test_the_targets_of_links_are_kept(tmp_path):
@@ -64,9 +93,10 @@ def test_the_targets_of_links_are_kept(tmp_path):
     (tmp_path / "kept").chmod(0o755)
     for link in ("folder/link", "folder/a/link", "link"):
         (tmp_path / link).symlink_to(tmp_path / "kept")
+    nest(tmp_path / "folder" / "a")  # so that programs remove it
     remove_tree(tmp_path / "folder")
     remove_tree(tmp_path / "link")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["kept", "link"]
+    assert names(tmp_path) == ["kept", "link"]
     assert (tmp_path / "kept" / "file").read_text() == "mine"
     assert (tmp_path / "kept").stat().st_mode & 0o777 == 0o755
 

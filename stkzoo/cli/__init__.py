@@ -14,20 +14,17 @@ module ``race_server`` is the command ``race-server``. Private modules contain s
 
 from __future__ import annotations
 
+import io
 import pkgutil
-import signal
 import sys
-import threading
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser
-from stkzoo._os import loses_exit_codes
 from stkzoo._schema import plain_text
 from stkzoo.cli._arguments import INTERRUPTED, add_command
-from stkzoo.cli._signals import EndSignals
-from stkzoo.cli._streams import discard_stdout, prepare_streams, writing_stdout
+from stkzoo.cli._process import EndSignals, discard_stdout, writing_stdout
 from stkzoo.errors import StkzooError
 
 __all__ = ["COMMANDS", "build_parser", "main"]
@@ -92,9 +89,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         after SIGTERM and 129 after SIGHUP. Some commands return further codes.
     """
     words = sys.argv[1:] if argv is None else list(argv)
-    if loses_exit_codes() and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    prepare_streams()
+    if isinstance(sys.stdout, io.TextIOWrapper):  # let it print any text
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with EndSignals() as signals:
             return signals.exit_code(_run(words))
@@ -110,10 +106,7 @@ def _run(words: list[str]) -> int:
     except StkzooError as error:
         print(f"stkzoo: {plain_text(str(error))}", file=sys.stderr)  # it may name strange files
         return 1
-    except (KeyboardInterrupt, RuntimeError) as error:
-        # Python up to 3.11 raises a RuntimeError if an interrupt comes in a __set_name__.
-        if not any(isinstance(one, KeyboardInterrupt) for one in (error, error.__cause__)):
-            raise
+    except KeyboardInterrupt:
         print("stkzoo: interrupted", file=sys.stderr)
         return INTERRUPTED
 

@@ -32,7 +32,7 @@ from stkzoo._installation import (
     pip_install,
 )
 from stkzoo._python import python_command
-from stkzoo._temporary import LockedTemporaryDirectory
+from stkzoo._temporary import TemporaryFolder
 from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.engine.process import engine_environment
@@ -189,7 +189,7 @@ def _race_data() -> str:
 
 def _start(install: str) -> str:
     assets = find_assets()
-    with LockedTemporaryDirectory("doctor") as home:
+    with TemporaryFolder("doctor") as home:
         code, text = _probe(_PROBE, engine_environment(assets.root, str(home.path)))
     lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
     if code != 0 or not lines:

@@ -43,7 +43,7 @@ from stkzoo._arguments import CommandParser, add_options, option, positional, va
 from stkzoo._os import check_writable, write_whole
 from stkzoo.cli import _race_options
 from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED, usage_errors
-from stkzoo.cli._streams import writing_stdout
+from stkzoo.cli._process import writing_stdout
 from stkzoo.drivers.failures import in_words
 from stkzoo.errors import AgentError, ConfigError, StkzooError
 from stkzoo.race import RaceSettings

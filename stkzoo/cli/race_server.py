@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo._logs import BackgroundHandler
 from stkzoo.cli._arguments import usage_errors
 from stkzoo.errors import check_whole
 from stkzoo.race import RaceSettings
@@ -68,23 +67,11 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Serves until it is stopped."""
-    log = BackgroundHandler()  # a log pipe without a reader must not block the server
     logging.basicConfig(
         level=logging.WARNING if arguments.quiet else logging.INFO,
         format="%(asctime)s %(message)s",
         datefmt="%H:%M:%S",
-        handlers=[log],
     )
-    try:
-        _serve(arguments)
-    finally:
-        log.drain()
-        logging.getLogger().removeHandler(log)
-        log.close()
-    return 0
-
-
-def _serve(arguments: argparse.Namespace) -> None:
     with _server(arguments) as server:
         signal.signal(signal.SIGTERM, lambda *_: server.stop())
         print(f"serving {', '.join(arguments.agents)} at {server.address}", flush=True)
@@ -93,6 +80,7 @@ def _serve(arguments: argparse.Namespace) -> None:
             server.serve()
         except KeyboardInterrupt:
             logger.warning("stkzoo: server stopped")
+    return 0
 
 
 def _sandbox_of(arguments: argparse.Namespace) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path, PurePath, PurePosixPath
 
 from stkzoo._reading import Unreadable, is_there, open_zip
 from stkzoo._schema import plain_text
-from stkzoo._temporary import LockedTemporaryDirectory
+from stkzoo._temporary import TemporaryFolder
 from stkzoo.errors import ConfigError
 
 #: Name of the module that contains an agent.
@@ -90,7 +90,7 @@ class AgentFiles:
             return _place_in(self.path, self.source)
         if self.path.suffix == ".py":
             return AgentPlace((self.path.stem,), first=str(self.path.parent))
-        folder = resources.enter_context(LockedTemporaryDirectory("agent"))
+        folder = resources.enter_context(TemporaryFolder("agent"))
         home = folder.path / self.path.stem
         unpack(self.path, home)
         return _place_in_zip(home, self.source)

@@ -20,7 +20,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stkzoo._temporary import LockedTemporaryDirectory
+from stkzoo._temporary import TemporaryFolder
 from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
@@ -48,12 +48,6 @@ _SYSTEM = (
 #: Paths of the kernel that programs need. Bubblewrap mounts its own.
 _KERNEL = ("/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/devices/system", "/dev/urandom")
 _DEVICES = ("/dev/null",)
-#: Runs a command with the default action of SIGCHLD. Bubblewrap waits forever if it inherits an
-#: ignored one.
-_TRIAL = (
-    "import os, signal, sys; signal.signal(signal.SIGCHLD, signal.SIG_DFL); "
-    "os.execv(sys.argv[1], sys.argv[1:])"
-)
 #: Environment variables that agents get. Others may contain secrets.
 _VARIABLES = ("PATH", "LANG", "LC_ALL", "LC_CTYPE", "TZ", "LD_LIBRARY_PATH")
 #: Environment variable that is set in processes that share the machine with other races.
@@ -109,7 +103,7 @@ def enclose(
     changed = own if adapter else []  # an adapter's prepare_module_dir may change them
     home = "/tmp"  # noqa: S108 - inside the sandbox
     if kind == LANDLOCK:
-        home = str(resources.enter_context(LockedTemporaryDirectory("sandbox")).path)
+        home = str(resources.enter_context(TemporaryFolder("sandbox")).path)
     environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
     environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
     if kind == LANDLOCK:
@@ -198,15 +192,17 @@ def bubblewrap_problem() -> str:
         return "sandboxes need Linux"
     if shutil.which("bwrap") is None:
         return "bubblewrap is not installed; install it (Debian, Ubuntu: apt install bubblewrap)"
-    interpreter = [sys.executable, "-I", "-S", "-c"]
-    inside = [*_bubblewrap_command([*_SYSTEM, *_python_paths([])]), *interpreter, "print('inside')"]
+    prefix = _bubblewrap_command([*_SYSTEM, *_python_paths([])])
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter
-            [*interpreter, _TRIAL, *inside], capture_output=True, text=True, timeout=_TRIAL_TIMEOUT
+            [*prefix, sys.executable, "-I", "-S", "-c", ""],
+            capture_output=True,
+            text=True,
+            timeout=_TRIAL_TIMEOUT,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"bubblewrap does not work: {error}"
-    if done.stdout == "inside\n":  # the exit code is lost in a program that ignores SIGCHLD
+    if done.returncode == 0:
         return ""
     said = (done.stderr.strip().splitlines() or ["no message"])[-1]
     return f"bubblewrap does not work here ({said[:100]}); it needs version 0.8 and user namespaces"

@@ -23,12 +23,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from stkzoo._installation import library_remedy
-from stkzoo._os import OwnDescriptor, loses_exit_codes
 from stkzoo._python import python_command, search_path
-from stkzoo._temporary import LockedTemporaryDirectory
+from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
 
@@ -64,20 +63,13 @@ main(int(sys.argv[2]))
 """
 
 
-#: The file with the output of an engine process.
-Log = OwnDescriptor
-
-
-def open_log() -> Log:
+def open_log() -> IO[bytes]:
     """Returns a new unnamed file for the output of an engine process."""
-    with tempfile.TemporaryFile(prefix="stkzoo-log-") as file:
-        return Log(os.dup(file.fileno()))
+    return tempfile.TemporaryFile(prefix="stkzoo-log-", buffering=0)
 
 
-def tail(log: Log) -> str:
-    """Returns the last 4,096 bytes of a log as text; empty if the file is closed."""
-    if log.is_lost:
-        return ""
+def tail(log: IO[bytes]) -> str:
+    """Returns the last 4,096 bytes of a log as text."""
     start = max(0, os.fstat(log.fileno()).st_size - _LOG_TAIL_BYTES)
     # pread does not move the file position, which the writer shares.
     return os.pread(log.fileno(), _LOG_TAIL_BYTES, start).decode(errors="replace").strip()
@@ -94,9 +86,9 @@ class RaceProcess:
         owner: process id of the program that started the process.
     """
 
-    connection: wire.EngineConnection
+    connection: socket.socket
     pid: int
-    log: Log
+    log: IO[bytes]
     owner: int = field(default_factory=os.getpid, init=False)
 
     def end(self) -> str:
@@ -117,9 +109,8 @@ class RaceProcess:
         In a fork of that program, this only closes the handles.
         """
         if self.owner == os.getpid():
-            if not self.connection.is_lost:
-                with contextlib.suppress(OSError):  # wakes a thread that waits for a reply
-                    self.connection.shutdown(socket.SHUT_RDWR)
+            with contextlib.suppress(OSError):  # wakes a thread that waits for a reply
+                self.connection.shutdown(socket.SHUT_RDWR)
             self.drop()
         else:
             self._free()
@@ -161,13 +152,6 @@ class RaceProcess:
     def _free(self) -> None:
         self.connection.close()
         self.log.close()
-
-
-#: Part of the error text when this program has closed one of stkzoo's descriptors.
-LOST_CONNECTION = (
-    "was lost: this program closed a file descriptor of stkzoo, as os.closerange and daemon "
-    "libraries do"
-)
 
 
 #: Remedy in the error text when a process ended while it loaded the game's data.
@@ -221,7 +205,7 @@ def engine_environment(root: Path, home: str) -> dict[str, str]:
 
 
 def spawn_interpreter(
-    module: str, channel: int, environment: Mapping[str, str], log: Log, **options: Any
+    module: str, channel: int, environment: Mapping[str, str], log: IO[bytes], **options: Any
 ) -> subprocess.Popen[bytes]:
     """Starts a new interpreter that runs ``main`` of one of this package's modules.
 
@@ -299,7 +283,7 @@ class SpawnedProcess(RaceProcess):
     """
 
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
-        self._home = LockedTemporaryDirectory("home")
+        self._home = TemporaryFolder("home")
         home = str(self._home.path)
         log = open_log()
         token = secrets.token_bytes(_TOKEN_BYTES)
@@ -318,7 +302,7 @@ class SpawnedProcess(RaceProcess):
                 raise
         super().__init__(connection, self._process.pid, log)
 
-    def _accept(self, listener: socket.socket, token: bytes, log: Log) -> wire.EngineConnection:
+    def _accept(self, listener: socket.socket, token: bytes, log: IO[bytes]) -> socket.socket:
         for _ in range(int(START_TIMEOUT / 0.25)):
             try:
                 connection, _ = listener.accept()
@@ -334,7 +318,7 @@ class SpawnedProcess(RaceProcess):
             with contextlib.suppress(OSError):
                 if hmac.compare_digest(connection.recv(_TOKEN_BYTES, socket.MSG_WAITALL), token):
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    return _own(connection)
+                    return connection
             connection.close()
         raise EngineTimeout(f"the game did not start in {START_TIMEOUT:.0f} s", tail(log))
 
@@ -354,13 +338,6 @@ class SpawnedProcess(RaceProcess):
             stop(self._process, patience)
         finally:
             self._home.close()
-
-
-def _own(connection: socket.socket) -> wire.EngineConnection:
-    timeout = connection.gettimeout()
-    own = wire.EngineConnection(connection.detach())
-    own.settimeout(timeout)
-    return own
 
 
 def stop(process: subprocess.Popen[bytes], patience: float) -> None:
@@ -385,8 +362,6 @@ def describe_end(returncode: int) -> str:
     Args:
         returncode: as in :class:`subprocess.Popen`.
     """
-    if returncode == 0 and loses_exit_codes():
-        return "ended (its exit code is unknown because this program ignores SIGCHLD)"
     if returncode >= 0:
         return f"exited with code {returncode}"
     try:

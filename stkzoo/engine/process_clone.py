@@ -51,37 +51,39 @@ def serve_fork(
 ) -> socket.socket | None:
     """Serves a request of kind :data:`~stkzoo.engine.wire.FORK`.
 
+    This process sends the id of the new process over its connection, so the program knows a new
+    process that never answers.
+
     Args:
         connection: the connection of this process; the new process closes it.
-        files: descriptors of the new process's connection and log. This process closes them, so
-            the program notices if no new process uses that connection.
+        files: descriptors of the new process's connection and log, which this process closes.
         fork: function that forks this process, such as :func:`os.fork`.
         fork_server: process id of the new process's parent.
 
     Returns:
         The connection of the new process, in the new process; ``None`` in this process.
     """
-    with contextlib.ExitStack() as on_exit:
-        for file in files:
-            on_exit.callback(os.close, file)
-        if len(files) != 2:  # this process has reached its limit of open files
-            return None
-        session_fd, log_fd = files
-        try:
-            pid = fork()
-        except OSError as error:
-            with contextlib.suppress(OSError), socket.socket(fileno=os.dup(session_fd)) as session:
-                wire.send_error(session, error)
-            return None
-        if pid:
-            return None
-        die_with(fork_server)
-        for stream in (1, 2):
-            os.dup2(log_fd, stream)
-        connection.close()
-        session = socket.socket(fileno=os.dup(session_fd))
-    wire.send(session, wire.OK, str(os.getpid()).encode())
-    return session
+    session, log = socket.socket(fileno=files[0]), files[1]
+    problem = None
+    try:
+        pid = fork()
+    except OSError as error:
+        problem = error
+    else:
+        if not pid:
+            die_with(fork_server)
+            for stream in (1, 2):
+                os.dup2(log, stream)
+            os.close(log)
+            connection.close()
+            return session
+    os.close(log)
+    with session, contextlib.suppress(OSError):  # the program may have been interrupted
+        if problem is None:
+            wire.send(session, wire.OK, str(pid).encode())
+        else:
+            wire.send_error(session, problem)
+    return None
 
 
 def fork_beside() -> int:

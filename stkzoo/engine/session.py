@@ -13,12 +13,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._os import file_identity
-from stkzoo._temporary import LockedTemporaryDirectory
+from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
 from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (
-    LOST_CONNECTION,
     REPLACE_DATA,
     START_TIMEOUT,
     RaceProcess,
@@ -201,11 +199,9 @@ class ProcessSession:
         if self._asked == wire.BEGIN:
             remedy = f"{remedy}; {REPLACE_DATA}"
         self._process, self._asked = None, None
-        seconds, is_lost = process.connection.gettimeout(), process.connection.is_lost
+        seconds = process.connection.gettimeout()
         how, log = process.end(), tail(process.log)
         process.log.close()
-        if is_lost and isinstance(error, (EOFError, OSError)):
-            raise EngineCrashed(f"{self.what} {LOST_CONNECTION}; {self.remedy}", log) from None
         if isinstance(error, TimeoutError):
             message = (
                 f"{self.what} did not answer within {seconds:g} s and was stopped; {self.remedy}"
@@ -352,7 +348,7 @@ def _quiet_output() -> Iterator[None]:
     """
     log = open_log()
     _flush_c_streams()
-    originals = {stream: _copy_of(stream) for stream in (1, 2)}
+    originals = {stream: os.dup(stream) for stream in (1, 2)}
     try:
         for stream in originals:
             os.dup2(log.fileno(), stream)
@@ -364,17 +360,9 @@ def _quiet_output() -> Iterator[None]:
     finally:
         _flush_c_streams()  # otherwise the game's output appears when this program ends
         for stream, original in originals.items():
-            if original is None:
-                os.close(stream)
-            else:
-                os.dup2(original, stream)
-                os.close(original)
+            os.dup2(original, stream)
+            os.close(original)
         log.close()
-
-
-def _copy_of(stream: int) -> int | None:
-    """Duplicates the descriptor of a standard stream; ``None`` if the stream is closed."""
-    return None if file_identity(stream) is None else os.dup(stream)
 
 
 def _flush_c_streams() -> None:
@@ -389,7 +377,7 @@ def _init_here(root: Path) -> None:
     """
     if engine_is_initialized():
         return
-    home = LockedTemporaryDirectory("home")
+    home = TemporaryFolder("home")
     environment = dict(os.environ)
     os.environ.update(engine_environment(root, str(home.path)))
     try:

@@ -15,16 +15,13 @@ import threading
 import traceback
 from collections.abc import Sequence
 
-from stkzoo._os import above_standard_streams, file_identity
-
 #: Requests to start a race (JSON) and to advance it (array of controls).
 BEGIN, ACT = b"B", b"A"
-#: Request to fork the process, with the descriptors of a connection and a log for the new process,
-#: and to a fork server with a name of the new process. There is no reply: the new process sends its
-#: process id on its own connection.
+#: Request to fork the process, with the descriptors of a connection and a log for the new process.
+#: The reply, the id of the new process, comes over that connection.
 FORK = b"F"
-#: Requests to a fork server, with the process id or the name of a child. END ends the child and
-#: replies with its id or name, and its wait status; DROP ends it without a reply.
+#: Requests to a fork server, with the process id of a child. END ends the child and replies with
+#: its id and its wait status; DROP ends it without a reply.
 END, DROP = b"X", b"D"
 #: Request to the render process (:mod:`stkzoo.engine.render_process`) to move the karts and draw.
 DRAW = b"P"
@@ -41,42 +38,16 @@ _ONE_READ = 1 << 18
 _ONE_WRITE = 1 << 16
 
 
-class EngineConnection(socket.socket):
-    """A socket that notices if the program closed its descriptor.
-
-    It blocks until its timeout is set, whatever :func:`socket.setdefaulttimeout` says: the engine
-    process that inherits an end expects a blocking one.
-
-    See also :class:`stkzoo._os.OwnDescriptor`.
-
-    Args:
-        fileno: open descriptor of the socket.
-    """
-
-    def __init__(self, fileno: int) -> None:
-        super().__init__(fileno=above_standard_streams(fileno))
-        self.setblocking(True)
-        self._identity = file_identity(self.fileno())
-
-    @property
-    def is_lost(self) -> bool:
-        """Whether the descriptor is closed or now refers to another file."""
-        return self.fileno() < 0 or file_identity(self.fileno()) != self._identity
-
-    def close(self) -> None:
-        """Closes the socket, unless its descriptor now refers to another file."""
-        if self.is_lost:
-            self.detach()
-        super().close()
-
-
-def pair() -> tuple[EngineConnection, EngineConnection]:
+def pair() -> tuple[socket.socket, socket.socket]:
     """Returns both ends of a new connection within this machine.
 
-    The connection is a packet socket, which is faster than a stream.
+    The connection is a packet socket, which is faster than a stream. Its ends block, whatever
+    :func:`socket.setdefaulttimeout` says: an engine process expects this of the end that it gets.
     """
-    first, second = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    return EngineConnection(first.detach()), EngineConnection(second.detach())
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in ends:
+        end.setblocking(True)
+    return ends
 
 
 def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence[int] = ()) -> None:
@@ -111,8 +82,7 @@ def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
 def receive_with_files(connection: socket.socket) -> tuple[bytes, list[bytes], list[int]]:
     """Waits for one message and returns its kind, frames and file descriptors.
 
-    At most two descriptors are received, and fewer if this process reaches its limit of open
-    files. The caller must close them.
+    At most two descriptors are received. The caller must close them.
 
     Raises: as :func:`receive`.
     """

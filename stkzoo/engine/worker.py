@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import signal
 import socket
 from collections.abc import Iterator, Sequence
@@ -34,14 +33,11 @@ def connected(port: int, *graphics: str) -> Iterator[socket.socket]:
         *graphics: arguments of :func:`stkzoo.engine.race.init_engine`.
     """
     token = bytes.fromhex(os.environ.pop("STKZOO_TOKEN"))
-    try:
-        init_engine(*graphics)
-        with socket.create_connection(("127.0.0.1", port)) as connection:
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.sendall(token)
-            yield connection
-    finally:  # the program cannot remove the folder if it was killed
-        shutil.rmtree(os.environ["HOME"], ignore_errors=True)
+    init_engine(*graphics)
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.sendall(token)
+        yield connection
     os._exit(0)
 
 

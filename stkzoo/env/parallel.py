@@ -278,7 +278,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         """
         turn = self._turn
         if not turn.lock.acquire(blocking=False):
-            turn.claim("step")
+            raise turn.conflict("step")
         turn.call = "step"
         try:
             self._request_step(actions)

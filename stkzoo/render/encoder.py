@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._installation import install_command
-from stkzoo._os import check_exit_codes, check_writable, write_whole
+from stkzoo._os import check_writable, write_whole
 from stkzoo.engine.process import open_log, tail
 from stkzoo.errors import ConfigError, StkzooError
 
@@ -53,8 +53,7 @@ def check_video_path(path: str | os.PathLike[str]) -> Path:
         path: path of the file; its suffix must be in :data:`FORMATS`.
 
     Raises:
-        ConfigError: the suffix is unknown, the folder is not writable, ffmpeg is missing, or this
-            program ignores SIGCHLD.
+        ConfigError: the suffix is unknown, the folder is not writable, or ffmpeg is missing.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -63,7 +62,6 @@ def check_video_path(path: str | os.PathLike[str]) -> Path:
             f"{', '.join(FORMATS)}"
         )
     check_writable(path, "the video")
-    check_exit_codes("a video is written by ffmpeg")
     _ffmpeg()
     return path
 

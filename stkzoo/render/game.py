@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo._temporary import LockedTemporaryDirectory
+from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine.assets import find_assets, link_without_dial
 from stkzoo.engine.render_session import TICK, Footage, RenderSession, check_graphics_libraries
 from stkzoo.engine.setup import KartSetup, RaceSetup
@@ -67,7 +67,7 @@ class GameView:
         self._karts, self._size = sorted(karts), size
         screen = size if has_window else _screen_for(size, len(karts))
         root = self._assets.root
-        self._data = LockedTemporaryDirectory("window") if has_window else None
+        self._data = TemporaryFolder("window") if has_window else None
         if self._data is not None and os.name == "posix":
             link_without_dial(root, self._data.path)
             root = self._data.path

@@ -276,7 +276,7 @@ class _Run:
         self._program.judge(self._folder / "out")
 
     def _next_program(self) -> None:
-        code = "from stkzoo._temporary import remove_stale_directories as run; run()"
+        code = "from stkzoo._temporary import remove_stale_folders as run; run()"
         variables = {**os.environ, "TMPDIR": str(self._folder / "tmp")}
         subprocess.run([sys.executable, "-c", code], env=variables, check=True, timeout=_LIMIT)
 

@@ -12,11 +12,8 @@ import pytest
 from stkzoo._os import atomic_write, check_writable
 from stkzoo.engine.assets import find, find_assets, install, pack
 from stkzoo.errors import AssetError, ConfigError
-from stkzoo.race import run_race
-from stkzoo.race.replay import ReplayWriter, load_replay
 from tests.chaos.disks import CuttingServer, can_mount, on_disk
 from tests.engine import test_assets as assets
-from tests.support.processes import run_program
 
 mounts = pytest.mark.skipif(not can_mount(), reason="this user may not mount a disk of its own")
 
@@ -204,14 +201,6 @@ def test_a_read_only_cache_can_be_used_but_not_installed_into(archive, tmp_path)
     assert done.stdout.splitlines() == ["headless pack", "True", "headless pack"], done.stderr
 
 
-def test_a_race_needs_no_writable_cache():
-    if not can_mount():
-        pytest.skip("this user may not mount a disk of its own")
-    code = join(RACE, "print(race(steps=5).steps)")
-    done = on_disk("read-only", find.cache_folder(), code)
-    assert done.stdout.splitlines() == ["5"], done.stderr
-
-
 # ---------------------------------------------------------------------- downloads
 
 
@@ -270,37 +259,6 @@ def test_the_next_install_repairs_a_killed_one(archive):
 
 def leftovers(cache):
     return all(name == "headless" or name.startswith(".stkzoo-") for name in assets.visible(cache))
-
-
-# ---------------------------------------------------------------------- limits on files
-
-
-def test_a_file_that_grows_too_large_leaves_the_previous_one(tmp_path):
-    file = tmp_path / "race.stkz"
-    run_race(["heuristic", "ai"], track="olivermath", max_steps=5, listeners=[ReplayWriter(file)])
-    code = f"""
-        import resource
-        from stkzoo.race import run_race
-        from stkzoo.race.replay import ReplayError, ReplayWriter
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1500, 1500))
-        drivers, listeners = ["heuristic", "ai"], [ReplayWriter({str(file)!r})]
-        try:
-            run_race(drivers, track="olivermath", max_steps=200, listeners=listeners)
-        except ReplayError as error:
-            print("File too large" in str(error))
-    """
-    done = run_program(code)
-    assert done.stdout.strip() == "True", done.stderr
-    assert load_replay(file).steps == 5
-    assert [path.name for path in tmp_path.iterdir()] == ["race.stkz"]
-
-
-def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    with pytest.raises(ConfigError, match="not a regular file"):
-        ReplayWriter(pipe)
-    assert [path.is_fifo() for path in tmp_path.iterdir()] == [True]
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.engine.assets import Progress, clean, fetch, find, find_assets, install, pack, survey
+from stkzoo.engine.assets import Progress, clean, find, find_assets, install, pack, survey
 from stkzoo.engine.assets.fetch import unpack_package
 from stkzoo.engine.assets.headless import (
     PLACEHOLDER_JPEG,
@@ -796,9 +796,3 @@ def test_a_relative_cache_without_a_working_directory_is_an_error(monkeypatch, t
     gone.rmdir()
     with pytest.raises(AssetError, match="STKZOO_CACHE is 'cache', relative to a working"):
         find_assets()
-
-
-def test_without_exit_codes_nothing_is_downloaded(tmp_path, monkeypatch):
-    monkeypatch.setattr("stkzoo._os.loses_exit_codes", lambda: True)
-    with pytest.raises(ConfigError, match="this program ignores SIGCHLD"):
-        fetch._run(["true"], folder=tmp_path)

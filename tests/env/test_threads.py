@@ -1,17 +1,29 @@
-"""Calls during another thread's call, and calls from signal handlers."""
+"""Calls from several threads and from signal handlers, and forks of the program."""
 
 import contextlib
 import os
+import random
 import signal
+import subprocess
+import sys
 import threading
+import time
 from contextlib import contextmanager
 
 import pytest
 
 import stkzoo
-from stkzoo import ApiOrderError, race_v0
-from stkzoo.engine import wire
-from tests.support.processes import run_program, wait_until
+from stkzoo import ApiOrderError, EngineError, race_v0
+from stkzoo.engine import fork_client, wire
+from tests.chaos.forms import digest
+from tests.support.paths import ROOT
+from tests.support.processes import (
+    children_of,
+    fork_server_of_races,
+    process_exists,
+    run_program,
+    wait_until,
+)
 
 OPTIONS = {"num_kart": 2, "track": "lighthouse", "view": "flattened_discrete"}
 
@@ -161,10 +173,9 @@ SIGNALS = """
     ("handler", "then", "error"),
     [
         ("env.close(); sys.exit()", "pass", "SystemExit"),
-        ("env.close()", "pass", "ApiOrderError"),
         ("env.reset()", "env.step(actions)", "ApiOrderError"),
     ],
-    ids=["close-and-exit", "close", "reset"],
+    ids=["close-and-exit", "reset"],
 )
 def test_a_signal_handler_can_end_the_step_that_it_interrupts(handler, then, error):
     program = run_program(SIGNALS.format(handler=handler, then=then))
@@ -196,29 +207,98 @@ def test_a_signal_handler_cannot_save_or_copy_the_race_in_the_middle_of_a_step(m
             assert state.race == race.race
 
 
+def in_thread(work):
+    results = []
+    thread = threading.Thread(target=lambda: results.append(work()))
+    thread.start()
+    thread.join()
+    return results.pop()
+
+
+def trace(env):
+    return digest([env.reset(seed=1), *(env.step(dict.fromkeys(env.agents, 0)) for _ in range(20))])
+
+
+def test_an_environment_can_move_between_threads():
+    fork_client._close_all()  # so that the fork server becomes a child of a thread that ends
+    env = in_thread(lambda: race_v0.parallel_env(**OPTIONS))
+    first = in_thread(lambda: trace(env))
+    assert in_thread(lambda: trace(env)) == first
+    assert trace(env) == first
+    pid = env._session.pid
+    in_thread(env.close)
+    assert wait_until(lambda: not process_exists(pid))
+
+
 @pytest.mark.slow
-def test_a_process_forked_during_another_threads_step_can_reset():
-    program = run_program("""
-        import os, signal, threading, time
-        from stkzoo import race_v0
-        env = race_v0.parallel_env(num_kart=2, track="lighthouse", view="flattened_discrete")
-        env.reset(seed=1)
-        actions, game = {agent: 0 for agent in env.agents}, env._session.pid
-        os.kill(game, signal.SIGSTOP)
-        thread = threading.Thread(target=env.step, args=(actions,))
+def test_races_in_threads_recover_when_they_are_killed():
+    with race_v0.parallel_env(**OPTIONS) as env:
+        expected = trace(env)
+    fork_server, stop, lost = fork_server_of_races()._process.pid, threading.Event(), []
+
+    def race():
+        with race_v0.parallel_env(**OPTIONS) as env:
+            while not stop.is_set():
+                try:
+                    if trace(env) != expected:
+                        lost.append("another race")
+                except EngineError:  # noqa: PERF203 - the loop retries after each crash
+                    continue
+                except Exception as error:
+                    lost.append(repr(error))
+                    raise
+
+    threads = [threading.Thread(target=race) for _ in range(3)]
+    for thread in threads:
         thread.start()
-        while env._turn.call != "step":
-            time.sleep(0.01)
-        time.sleep(0.2)
-        child = os.fork()
-        if child == 0:
-            env.reset(seed=1)
-            env.step(actions)
-            os._exit(7)
-        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
-        os.kill(game, signal.SIGCONT)
-        thread.join()
-        env.step(actions)
-        print("goes on")
-    """)
-    assert program.stdout.split("\n")[:2] == ["7", "goes on"], program.stderr
+    chance, kills = random.Random(1), 0
+    while kills < 20 and any(thread.is_alive() for thread in threads):
+        time.sleep(0.05)
+        with contextlib.suppress(ProcessLookupError, IndexError):
+            os.kill(chance.choice(children_of(fork_server)), signal.SIGKILL)
+            kills += 1
+    stop.set()
+    for thread in threads:
+        thread.join(60)
+    assert lost == []
+    assert kills == 20
+    assert fork_server_of_races()._process.pid == fork_server
+    assert wait_until(lambda: not children_of(fork_server))
+
+
+WORKERS = """
+import multiprocessing, sys
+from stkzoo import race_v0
+from tests.env.test_threads import OPTIONS, trace
+
+def work(answers):
+    with race_v0.parallel_env(**OPTIONS) as env:
+        answers.put(trace(env))
+
+if __name__ == "__main__":
+    context = multiprocessing.get_context(sys.argv[1])
+    mine = race_v0.parallel_env(**OPTIONS)
+    expected = trace(mine)
+    mine.reset(seed=2)
+    answers = context.Queue()
+    workers = [context.Process(target=work, args=(answers,), daemon=True) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    mine.step(dict.fromkeys(mine.agents, 0))
+    print([answers.get(timeout=60) == expected for _ in workers], trace(mine) == expected)
+    for worker in workers:
+        worker.join()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_worker_processes_run_the_same_race_and_leave_nothing(tmp_path, method):
+    (tmp_path / "tmp").mkdir()
+    file = tmp_path / "workers.py"
+    file.write_text(WORKERS)
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path / "tmp")}
+    command = [sys.executable, str(file), method]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=variables)
+    assert done.stdout.strip() == "[True, True] True", done.stderr
+    assert list((tmp_path / "tmp").iterdir()) == []

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from stkzoo._temporary import remove_stale_directories
+from stkzoo._temporary import remove_stale_folders
 from stkzoo.drivers import landlock, sandbox, seccomp
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -480,7 +480,7 @@ def test_the_next_race_removes_the_temporary_folder_of_an_agent_whose_race_was_k
 
 
 def _removed(folder):
-    remove_stale_directories()
+    remove_stale_folders()
     return not agent_folders(folder)
 
 

@@ -192,12 +192,6 @@ except VideoError as error:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_program_that_ignores_its_children_cannot_write_videos(tmp_path, monkeypatch):
-    monkeypatch.setattr("stkzoo._os.loses_exit_codes", lambda: True)
-    with pytest.raises(ConfigError, match=r"by ffmpeg, but this program ignores SIGCHLD.*SIG_DFL"):
-        RaceVideo(tmp_path / "race.mp4")
-
-
 @pytest.mark.parametrize(
     ("name", "match"),
     [("race.mp5", "expected one that ends with"), ("no/such/race.mp4", "there is no folder")],

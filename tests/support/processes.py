@@ -34,7 +34,7 @@ def process_exists(pid):
 
 def fork_server_of_races():
     """Returns this program's fork server for the installed game data; tests may start others."""
-    return fork_client._fork_servers[find_assets().root]
+    return fork_client._fork_servers[os.getpid(), find_assets().root]
 
 
 def children_of(pid):

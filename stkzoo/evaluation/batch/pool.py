@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 
 from stkzoo._python import python_command, search_path
-from stkzoo._temporary import remove_stale_directories
+from stkzoo._temporary import remove_stale_folders
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.sandbox import SHARED_CORES
 from stkzoo.errors import StkzooError
@@ -89,7 +89,7 @@ def run_in_parallel(
         for worker in workers:
             worker.close()
         threads.shutdown()
-        remove_stale_directories()  # killed races leave directories
+        remove_stale_folders()  # killed races leave directories
 
 
 class _Worker:

@@ -1,6 +1,5 @@
 """Under floods, a server bounds its connections, memory and logs, and still serves races."""
 
-import contextlib
 import os
 import socket
 import subprocess
@@ -169,25 +168,6 @@ def test_clients_with_the_same_identity_do_not_disturb_a_race():
         assert remote_race(server.address, steps=3) == []
         for twin in twins:
             twin.close()
-
-
-@pytest.mark.slow
-def test_an_unread_log_does_not_block_the_server():
-    source, sink = os.pipe()
-    os.set_blocking(sink, False)
-    with contextlib.suppress(BlockingIOError):
-        while True:
-            os.write(sink, bytes(65536))
-    os.set_blocking(sink, True)
-    try:
-        with limited_server("random", stderr=sink) as (server, address):
-            for _ in range(3):
-                assert remote_race(address, steps=3) == []
-            server.terminate()
-            assert server.wait(20) == 0
-    finally:
-        os.close(source)
-        os.close(sink)
 
 
 def test_only_the_intended_connection_is_cut():

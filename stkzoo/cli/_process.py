@@ -1,0 +1,95 @@
+"""How a command ends early: by a signal, or because stdout is full or its reader has ended."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from stkzoo.cli._arguments import INTERRUPTED
+from stkzoo.errors import StkzooError, reason
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # a dependency of gymnasium
+
+#: ``kill``, job schedulers and time limits send SIGTERM, a closed terminal SIGHUP.
+_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
+class Ended(KeyboardInterrupt):
+    """SIGTERM or SIGHUP came. ``python -m`` reports a plain KeyboardInterrupt as SIGINT."""
+
+
+class EndSignals:
+    """Context manager in which the first SIGTERM or SIGHUP raises :class:`Ended`.
+
+    Later ones are ignored, because ``timeout`` sends each signal twice. Signals that the program
+    ignores stay ignored, as with ``nohup``.
+    """
+
+    def __init__(self) -> None:
+        self._handled = [n for n in _SIGNALS if signal.getsignal(n) is signal.SIG_DFL]
+        self._number = 0
+
+    def __enter__(self) -> Self:
+        for number in self._handled:
+            signal.signal(number, self._end)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number in self._handled:
+            signal.signal(number, signal.SIG_DFL)
+
+    def exit_code(self, code: int) -> int:
+        """Returns 128 + the signal's number if a signal interrupted the command, else ``code``."""
+        return 128 + self._number if self._number and code == INTERRUPTED else code
+
+    def _end(self, number: int, _: FrameType | None) -> None:
+        if not self._number:
+            self._number = number
+            raise Ended
+
+
+@contextmanager
+def writing_stdout() -> Iterator[None]:
+    """Raises a one-line error if stdout is full when the block writes to it.
+
+    Other errors of the block are not changed.
+
+    Raises:
+        StkzooError: stdout cannot be written. Later output to it is discarded.
+        BrokenPipeError: the reader of stdout has ended.
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError:
+        _write("\n")  # also fails if the block's error came from stdout
+        raise
+    _write()
+
+
+def _write(text: str = "") -> None:
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        discard_stdout()
+        raise StkzooError(
+            f"stdout cannot be written: {reason(error)}; send it to another file"
+        ) from error
+
+
+def discard_stdout() -> None:
+    """Discards later output to stdout, and output that has not been flushed yet."""
+    with suppress(OSError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)
