@@ -147,7 +147,7 @@ def test_an_interrupted_closing_ends_the_agents_process_and_removes_its_files(
             track="olivermath",
             max_steps=3,
         )
-    assert not list(temporary.glob("stkzoo-run-agent-*"))
+    assert not list(temporary.glob("*/agent-*"))
     assert wait_until(lambda: "agent" not in kinds(os.getpid()))
 
 

@@ -183,7 +183,7 @@ def test_unpacked_files_are_removed_after_the_race(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", None)
     path = zip_of(AGENTS / "weights", tmp_path / "agent.zip")
     assert not run_race([path], track="lighthouse", max_steps=3).has_errors
-    assert not list(tmp_path.glob("stkzoo-run-agent-*"))
+    assert not list(tmp_path.glob("*/agent-*"))
 
 
 @pytest.mark.parametrize(

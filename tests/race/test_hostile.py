@@ -387,7 +387,7 @@ def own_temporary_folder(tmp_path_factory, monkeypatch):
 
 def agent_folders(folder):
     """Returns the temporary folders of agents; those of the game's processes exist longer."""
-    return [*folder.glob("stkzoo-*sandbox-*"), *folder.glob("stkzoo-*agent-*")]
+    return [*folder.glob("*/sandbox-*"), *folder.glob("*/agent-*")]
 
 
 @needs_landlock
@@ -472,7 +472,7 @@ def test_the_next_race_removes_the_temporary_folder_of_an_agent_whose_race_was_k
         env={**os.environ, "TMPDIR": str(own_temporary_folder)},
     )
     try:
-        assert wait_until(lambda: [*own_temporary_folder.glob("*/races")], 60)
+        assert wait_until(lambda: [*own_temporary_folder.glob("*/*/races")], 60)
     finally:
         program.kill()
         program.wait()

@@ -200,7 +200,7 @@ def test_the_window_follows_the_race(display):
         process = env._rendering._renderer._game._session.pid
         variables = Path(f"/proc/{process}/environ").read_text().split("\0")
     (data,) = (Path(v.partition("=")[2]) for v in variables if v.startswith(DATADIR_VARIABLE))
-    assert (data.name.startswith("stkzoo-run-window-"), data.exists()) == (True, False)
+    assert (data.name.startswith("window-"), data.exists()) == (True, False)
     first, last = display.pictures
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 300
     assert (first != last).any(axis=2).mean() > 0.02
