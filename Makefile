@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Runs on all cores; an idle core takes over tests from a busy one.
-PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
+PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal --durations=25
 # The tests start hundreds of programs, which start faster with cached bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 

@@ -2,34 +2,15 @@
 
 import os
 import signal
-from pathlib import Path
+from collections import Counter
 
 import pytest
-
-TESTS = Path(__file__).parent
-#: Folders and files in which all tests are slow; elsewhere, slow tests are marked individually.
-SLOW = (
-    "benchmarks",
-    "chaos",
-    "compat/test_compat.py",
-    "docs/test_agents_page.py",
-    "docs/test_examples.py",
-    "docs/test_tutorials.py",
-    "env/test_all_tracks.py",
-    "env/test_determinism.py",
-    "packaging/test_packaging.py",
-    "parity",
-    "race/remote/test_hostile.py",
-)
 
 # The test processes share the cores, and small networks are faster on one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # inherited, for example after `make test &`
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-#: Fixtures that run whole races or training, which makes their tests slow.
-SLOW_FIXTURES = {"imitated", "small", "whole"}
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -40,9 +21,13 @@ def pytest_xdist_auto_num_workers():
     return os.cpu_count()
 
 
-def pytest_collection_modifyitems(items):
-    """Marks the tests of slow folders and fixtures, which ``make test-fast`` skips."""
-    for item in items:
-        name = item.path.as_posix().removeprefix(f"{TESTS.as_posix()}/")
-        if name.startswith(SLOW) or SLOW_FIXTURES & {*getattr(item, "fixturenames", ())}:
-            item.add_marker(pytest.mark.slow)
+def pytest_terminal_summary(terminalreporter):
+    """With ``--durations``, prints how long the tests of each folder took."""
+    seconds = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            seconds["/".join(report.nodeid.split("/")[:2])] += getattr(report, "duration", 0)
+    if terminalreporter.config.getoption("durations"):
+        terminalreporter.write_sep("=", "seconds by folder")
+        for folder, total in seconds.most_common():
+            terminalreporter.write_line(f"{total:6.0f} {folder}")

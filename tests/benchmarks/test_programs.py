@@ -9,6 +9,8 @@ import pytest
 
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.slow
+
 PROGRAMS = ("bench_all", "ecosystem", "parity", "suite_baselines", "suite_reference")
 
 
@@ -24,13 +26,11 @@ def run(program, *words):
     return done.stdout
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_program_has_help(program):
     assert f"python -m benchmarks.{program}" in run(program, "--help")
 
 
-@pytest.mark.slow
 def test_a_short_run_of_all_benchmarks_saves_its_measurements(tmp_path):
     run("bench_all", "--quick", "--output", tmp_path)
     reports = {file.stem: json.loads(file.read_text()) for file in tmp_path.glob("*.json")}

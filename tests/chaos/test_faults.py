@@ -19,6 +19,8 @@ from tests.chaos.plan import WEIGHTS, fault_of
 from tests.chaos.programs import PROGRAMS, ProgramTrials
 from tests.chaos.trial import Trials
 
+pytestmark = pytest.mark.slow
+
 #: Number of faults per form.
 INSIDE = {"ParallelEnv": 5, "AEC": 1, "Gymnasium id": 2, "RaceVectorEnv": 2, "run_race": 1}
 

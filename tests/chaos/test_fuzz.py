@@ -29,6 +29,8 @@ from tests.chaos.cost import feed_measured
 from tests.chaos.mutation import mutated
 from tests.chaos.targets import TARGETS, Target
 
+pytestmark = pytest.mark.slow
+
 #: Number of mutated inputs for each reader; fast readers get more.
 _INPUTS = dict.fromkeys(TARGETS, 1000) | dict.fromkeys(("messages", "results", "plans"), 3000)
 

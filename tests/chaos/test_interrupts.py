@@ -20,6 +20,8 @@ from tests.chaos.family import family
 from tests.chaos.forms import digest
 from tests.support.processes import children_of, fork_server_of_races, wait_until
 
+pytestmark = pytest.mark.slow
+
 OPTIONS = {"num_kart": 2, "track": "olivermath", "view": "flattened_discrete"}
 
 

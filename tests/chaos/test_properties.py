@@ -20,6 +20,8 @@ from stkzoo.race import RaceSettings, run_race
 from stkzoo.views import VIEWS
 from tests.support.processes import fork_server_of_races
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = int(os.environ.get("STKZOO_EXAMPLES", "30"))
 QUICK = settings(
     max_examples=EXAMPLES,

@@ -15,6 +15,8 @@ from stkzoo.errors import AssetError, ConfigError
 from tests.chaos.disks import CuttingServer, can_mount, on_disk
 from tests.engine import test_assets as assets
 
+pytestmark = pytest.mark.slow
+
 mounts = pytest.mark.skipif(not can_mount(), reason="this user may not mount a disk of its own")
 
 

@@ -17,6 +17,8 @@ import stkzoo
 from stkzoo.race import RaceResult, run_race
 from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(stkzoo.__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "explanation" / "threat-model.md"
 CODES = "\x1b[2Jgone\x1b]0;title\x07\r"

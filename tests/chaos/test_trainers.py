@@ -10,6 +10,8 @@ import pytest
 from tests.chaos.family import family, marked
 from tests.support.processes import wait_until
 
+pytestmark = pytest.mark.slow
+
 SMALL = ["--track=olivermath", "--n-epochs=1", "--hidden", "16", "16"]
 TRAINERS = {
     "imitation.imitate": ["--teacher=pursuit", "--karts=1", "--jobs=2", *SMALL],

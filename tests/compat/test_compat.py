@@ -10,6 +10,8 @@ import pytest
 
 from tests.support import paths
 
+pytestmark = pytest.mark.slow
+
 TAKE_OVER = "import stkzoo.compat\n"
 
 PRELUDE = """

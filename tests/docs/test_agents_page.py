@@ -2,8 +2,12 @@
 
 import re
 
+import pytest
+
 from stkzoo.race import ERROR_HANDLING, RaceSettings, run_race
 from tests.support.paths import ROOT
+
+pytestmark = pytest.mark.slow
 
 PAGE = (ROOT / "docs" / "reference" / "agents.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

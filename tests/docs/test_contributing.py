@@ -11,6 +11,8 @@ import pytest
 
 from tests.support.paths import ROOT, copy_checkout
 
+pytestmark = pytest.mark.slow
+
 PAGE = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
 #: Each recipe, and text that its commands print.
 RECIPES = {

@@ -12,19 +12,19 @@ import pytest
 from tests.docs.test_extensions import extension
 from tests.support.paths import ROOT
 
+pytestmark = pytest.mark.slow
+
 tutorials = extension("tutorials")
 PAGES, SOURCES, unexecuted = tutorials.PAGES, tutorials.SOURCES, tutorials.unexecuted
 
 NAMES = sorted(path.stem for path in SOURCES.glob("*.py"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "train_a_driver"])
 def test_a_tutorial_runs(name, tmp_path):
     assert pictures(executed(name, tmp_path, "--short")) >= 1
 
 
-@pytest.mark.slow
 def test_the_first_training_gives_a_driver_that_beats_the_easiest_ai(tmp_path, monkeypatch):
     """Runs the whole tutorial with a third of its training steps."""
     monkeypatch.setenv("STKZOO_STEPS", "200000")

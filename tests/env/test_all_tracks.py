@@ -12,6 +12,8 @@ from stkzoo.tracks import SPLITS
 from tests.support.playing import assert_in, play
 from tests.support.views import marked
 
+pytestmark = pytest.mark.slow
+
 NUM_STEPS = 60
 
 

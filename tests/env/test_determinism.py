@@ -14,6 +14,8 @@ from tests.support.playing import fingerprint, play, trace
 from tests.support.processes import run_program
 from tests.support.views import marked
 
+pytestmark = pytest.mark.slow
+
 
 class NoisyDrivers:
     """A heuristic driver for each agent, with noise on the steering and random shots."""

@@ -61,6 +61,7 @@ def test_the_agent_drives_the_planned_races(small):
         assert kept.status in ("awaited_finished", "finished")
 
 
+@pytest.mark.slow
 def test_figures_match_the_races(small):
     folder, result, _ = small
     files = sorted((folder / "races").glob("*.json"))
@@ -74,6 +75,7 @@ def test_figures_match_the_races(small):
     assert result.group("form", "PA").chance == 0.5
 
 
+@pytest.mark.slow
 def test_the_result_follows_its_schema_and_can_be_loaded(small):
     folder, result, _ = small
     written = json.loads((folder / "result.json").read_text())
@@ -84,6 +86,7 @@ def test_the_result_follows_its_schema_and_can_be_loaded(small):
     assert from_file.groups == result.groups
 
 
+@pytest.mark.slow
 def test_a_finished_benchmark_repeats_no_races(small):
     folder, result, _ = small
     stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
@@ -91,6 +94,7 @@ def test_a_finished_benchmark_repeats_no_races(small):
     assert stamps == [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
 
 
+@pytest.mark.slow
 def test_another_benchmark_in_the_folder_is_refused(small):
     folder, _, _ = small
     with pytest.raises(
@@ -101,6 +105,7 @@ def test_another_benchmark_in_the_folder_is_refused(small):
         run_benchmark("heuristic", output=folder, **{**SMALL, "seeds": 3})
 
 
+@pytest.mark.slow
 def test_the_plot_is_saved_as_an_image(small, tmp_path):
     folder, result, _ = small
     assert (folder / "benchmark.png").read_bytes()[:4] == b"\x89PNG"
@@ -236,6 +241,7 @@ def test_new_measurements_reproduce_the_shipped_times(tmp_path):
 # ------------------------------------------------------------------ the command
 
 
+@pytest.mark.slow
 def test_the_command_shows_the_figures_and_compares(small, tmp_path, capsys):
     folder, result, _ = small
     again = str(tmp_path / "again")

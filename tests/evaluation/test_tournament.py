@@ -82,6 +82,7 @@ def test_all_races_have_the_planned_grids(small):
         assert grid == [plan.entrants[number].label for number in race.grid]
 
 
+@pytest.mark.slow
 def test_an_agent_that_fails_loses_only_its_own_races(small):
     _, result, _ = small
     last = result.standings[-1]
@@ -91,6 +92,7 @@ def test_an_agent_that_fails_loses_only_its_own_races(small):
     assert all(race.order[-1] == "exits" for race in result.races if "exits" in race.order)
 
 
+@pytest.mark.slow
 def test_the_result_follows_its_schema(small):
     folder, result, _ = small
     written = json.loads((folder / "result.json").read_text())
@@ -99,6 +101,7 @@ def test_the_result_follows_its_schema(small):
     assert written["is_complete"]
 
 
+@pytest.mark.slow
 def test_the_matrix_counts_meetings(small):
     _, result, _ = small
     labels = [row.label for row in result.standings]
@@ -111,6 +114,7 @@ def test_the_matrix_counts_meetings(small):
     assert result.payoff(0, 0) is None
 
 
+@pytest.mark.slow
 def test_progress_is_reported_after_every_race(small):
     _, _, heard = small
     assert [progress.done for progress in heard] == list(range(9))
@@ -139,6 +143,7 @@ def test_incomplete_files_of_a_killed_program_are_removed(small):
     assert not [part for part in parts if part.exists()]
 
 
+@pytest.mark.slow
 def test_the_plot_is_saved_as_an_image(small, tmp_path):
     folder, result, _ = small
     assert (folder / "tournament.png").read_bytes()[:4] == b"\x89PNG"
@@ -510,6 +515,7 @@ def test_two_programs_cannot_run_the_same_tournament(tmp_path):
     assert len(heard) == 1
 
 
+@pytest.mark.slow
 def test_another_tournament_in_the_folder_is_refused(small):
     folder, result, _ = small
     agents = [entrant.text for entrant in result.plan.entrants]

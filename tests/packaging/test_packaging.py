@@ -13,6 +13,8 @@ import pytest
 
 from tests.support.paths import ROOT, copy_checkout
 
+pytestmark = pytest.mark.slow
+
 CONSUMER = '''\
 """Somebody's package that uses stkzoo, strictly typed."""
 
@@ -76,7 +78,6 @@ def installed(built, tmp_path_factory):
     return folder / "bin" / "python"
 
 
-@pytest.mark.slow
 def test_the_files_pass_the_checks_of_the_index(built):
     files = [str(path) for path in built.iterdir()]
     assert len(files) == 2
@@ -88,7 +89,6 @@ def test_the_files_pass_the_checks_of_the_index(built):
     assert code == 0, said
 
 
-@pytest.mark.slow
 def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
     (source,) = built.glob("*.tar.gz")
     with tarfile.open(source) as archive:
@@ -109,7 +109,6 @@ def test_the_source_distribution_has_the_files_for_tests_and_docs(built):
     assert not [name for name in names if name.endswith((".so", ".pyc"))]
 
 
-@pytest.mark.slow
 def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
     program = """
         import stkzoo
@@ -131,7 +130,6 @@ def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
     assert "wilber" in said
 
 
-@pytest.mark.slow
 def test_type_checkers_see_the_types_of_the_installed_package(installed, tmp_path):
     (tmp_path / "consumer.py").write_text(CONSUMER)
     (tmp_path / "wrong.py").write_text(WRONG)

@@ -9,6 +9,8 @@ from benchmarks.parity import ENV_IDS, MODES, compare_race, jobs_for, record_rac
 from benchmarks.parity_compare import compare
 from benchmarks.parity_reference import Leaf
 
+pytestmark = pytest.mark.slow
+
 STEPS = 60
 
 

@@ -30,6 +30,8 @@ from tests.support.remote_race import (
     write_agent,
 )
 
+pytestmark = pytest.mark.slow
+
 TRACK = {"track": "lighthouse", "seed": 3}
 
 
@@ -258,7 +260,6 @@ def get_actor(module_dir, observation_space, action_space):
 BOMB = "{'steer': [(numpy.zeros(0, 'int8'),) * 8000] * 14}"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("when", "fields", "text"),
     [
@@ -348,7 +349,6 @@ needs_byte_counts = pytest.mark.skipif(
 )
 
 
-@pytest.mark.slow
 @needs_byte_counts
 def test_an_endless_message_from_a_server_is_cut_off():
     with (
@@ -360,7 +360,6 @@ def test_an_endless_message_from_a_server_is_cut_off():
     assert cost["memory"] < 400 << 20
 
 
-@pytest.mark.slow
 @needs_byte_counts
 def test_an_endless_message_affects_only_its_servers_karts():
     """It arrives while the race waits for another agent to load."""
