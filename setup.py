@@ -14,7 +14,6 @@ _PARTS = (
     "event_counter",
     "game_stepper",
     "kart_observer",
-    "messages",
     "mlp",
     "racing_observer",
     "road_tracer",

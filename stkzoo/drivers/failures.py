@@ -14,16 +14,17 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from stkzoo._schema import plain_text
-from stkzoo.errors import AgentError, AgentTimeout, ProtocolError, StkzooError, shortened
+from stkzoo.errors import StkzooError, shortened
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _IMPORTLIB = Path(importlib.__file__).parent
 _LIBRARIES = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 _MAX_FRAMES = 30
-_MAX_TEXT = 4000
+#: Maximum length of an error or a traceback [characters].
+MAX_TEXT = 4000
 #: Maximum length of an agent's value in an error [characters]; typical actions are shorter.
 _MAX_VALUE = 1000
 #: Maximum size in JSON of the note that a text was shortened, and of a character [bytes].
@@ -57,7 +58,7 @@ def _importer(error: ModuleNotFoundError) -> str:
     return f" ({file}, line {line}); install it, or put it into the agent's folder"
 
 
-def bounded(text: str, limit: int = _MAX_TEXT) -> str:
+def bounded(text: str, limit: int = MAX_TEXT) -> str:
     """Shortens a text above ``limit`` characters to its beginning and end."""
     if len(text) <= limit:
         return text
@@ -154,26 +155,6 @@ def _is_ours(file: str) -> bool:
 
 def _is_library(file: str) -> bool:
     return any(Path(file).is_relative_to(folder) for folder in _LIBRARIES)
-
-
-def error_report(error: BaseException) -> list[str]:
-    """Converts an agent's error to message data: its kind, text and traceback."""
-    kind = "timeout" if isinstance(error, AgentTimeout) else "error"
-    trace = error.trace if isinstance(error, AgentError) else agent_trace(error)
-    return [kind, printable(in_words(error), _MAX_TEXT), printable(bounded(str(trace)))]
-
-
-def reported_error(report: Any, agent: str) -> AgentError:
-    """Converts a report of :func:`error_report` to an error of an agent.
-
-    Raises:
-        ProtocolError: the report is invalid.
-    """
-    match report:
-        case [str(kind), str(text), str(trace)]:
-            error = AgentTimeout if kind == "timeout" else AgentError
-            return error(printable(text, _MAX_TEXT), agent, printable(trace, _MAX_TEXT))
-    raise ProtocolError(f"an error {shortened(report, 100)}, expected its kind, text and traceback")
 
 
 class OutputTail:

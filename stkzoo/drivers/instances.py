@@ -161,18 +161,3 @@ class DriverInstance(Protocol):
 
 #: Starts a driver and returns before it is ready, so that all drivers start in parallel.
 DriverStart = Callable[[DriverRequest], DriverInstance]
-
-
-def without_unused_paths(observation: Any, paths_used: int | None) -> Any:
-    """Removes the track segments that a driver does not use from an observation.
-
-    Args:
-        observation: observation of the ``full`` view. An encoded one is returned unchanged.
-        paths_used: number of segments that the driver uses; ``None`` for all.
-    """
-    if paths_used is None or isinstance(observation, bytes):
-        return observation
-    return {
-        key: value[:paths_used] if key.startswith("paths_") else value
-        for key, value in observation.items()
-    }

@@ -7,7 +7,6 @@ An error, an endless loop, a crash or excessive memory use affects only the agen
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import signal
@@ -21,13 +20,22 @@ from typing import Any, NoReturn
 
 from stkzoo._python import python_command, search_path
 from stkzoo.drivers import keeper
-from stkzoo.drivers.failures import OutputTail, reported_error
+from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.files import AgentFiles
-from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
-from stkzoo.drivers.replies import MAX_NAME, ReplyChannel
+from stkzoo.drivers.instances import Decision, DriverRequest
+from stkzoo.drivers.messages import (
+    Decided,
+    Failed,
+    LoadRequest,
+    Ready,
+    Reply,
+    encode,
+    encode_observation,
+)
+from stkzoo.drivers.replies import ReplyChannel
 from stkzoo.drivers.sandbox import Enclosure, enclose
 from stkzoo.engine.process import ONE_THREAD, describe_end
-from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, shortened
+from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError
 from stkzoo.mdp.spaces import extras_of
 
 _CODE = """\
@@ -72,7 +80,6 @@ class IsolatedInstance:
         self._agent, self._limits, self._clock = request.agent, request.limits, request.clock
         self._cores = request.cores
         self._limit: float | None = None  # time limit of the current decision
-        self._number = 0
         self.is_usable = True
         #: Number of track segments that the agent uses; ``None`` for all. Set by :meth:`ready`.
         self.paths_used: int | None = None
@@ -89,20 +96,22 @@ class IsolatedInstance:
         self._output = OutputTail(self._process.stdout, request.output_label)
         self._resources.callback(self._output.close)
         self._resources.callback(self._end)
-        order = {
-            "agent": self._agent,
-            "place": dataclasses.asdict(place),
-            "adapter": adapter,
-            "seed": request.seed,
-            "extras": sorted(extras_of(request.observation_space)),
-            "channel": request.channel and dataclasses.asdict(request.channel),
-            "cpu_time": self._cpu_time(),
-            "is_enclosed": self._is_enclosed,
-            "has_own_users": bool(enclosure.command),
-            "landlock": [*map(list, (enclosure.readable, enclosure.writable, enclosure.listable))],
-        }
+        start = LoadRequest(
+            agent=self._agent,
+            place=place,
+            adapter=adapter,
+            seed=request.seed,
+            extras=sorted(extras_of(request.observation_space)),
+            channel=request.channel,
+            cpu_time=self._cpu_time(),
+            is_enclosed=self._is_enclosed,
+            has_own_users=bool(enclosure.command),
+            readable=[*enclosure.readable],
+            writable=[*enclosure.writable],
+            listable=[*enclosure.listable],
+        )
         try:
-            self._send(order, "start", self._limits.start_timeout)
+            self._send(encode(start), "start", self._limits.start_timeout)
         except AgentError:
             self._resources.close()
             raise
@@ -110,31 +119,24 @@ class IsolatedInstance:
     def ready(self) -> str:
         """Waits until the agent is loaded and returns the name that it declares."""
         reply = self._receive("start")
-        name, paths = reply.get("name"), reply.get("paths_used")
-        is_number = type(paths) is int and paths >= 0
-        if not isinstance(name, str) or not (paths is None or is_number):
-            self._fail(
-                f"its process answered with {shortened(reply, 200)}; expected its name and the "
-                "number of track segments that it uses"
-            )
-        self.paths_used = paths
-        return name[:MAX_NAME]
+        if not isinstance(reply, Ready):
+            self._fail("its process sent another message than its name")
+        self.paths_used = reply.paths_used
+        return reply.name
 
     def ask(self, observation: Any) -> None:
-        """Sends the observation."""
-        self._number += 1
-        seen = without_unused_paths(observation, self.paths_used)
+        """Sends the observation, which may be encoded already."""
         self._limit = self._clock.limit(self._limits.action_timeout)
-        self._send([self._number, seen], "action", self._limit)
+        if not isinstance(observation, bytes):
+            observation = encode_observation(observation, self.paths_used)
+        self._send(observation, "action", self._limit)
 
     def answer(self) -> Decision:
         """Waits for the decision; if it arrives too late, kills the agent's process."""
         reply = self._receive("action")
-        number = reply.get("number")
-        if not isinstance(number, int) or number != self._number:
-            self._fail(f"its process answered with {shortened(reply, 200)}; expected an action")
-        seconds = self._channel.seconds
-        return Decision(reply.get("action"), seconds, reply.get("is_clipped") is True)
+        if not isinstance(reply, Decided):
+            self._fail("its process sent another message than an action")
+        return Decision(reply.action.values(), self._channel.seconds, reply.is_clipped)
 
     def peak_memory(self) -> float | None:
         """Returns the largest peak memory of one of the agent's processes so far [MB].
@@ -157,7 +159,7 @@ class IsolatedInstance:
 
     # ------------------------------------------------------------------ messages
 
-    def _send(self, message: Any, phase: str, timeout: float | None) -> None:
+    def _send(self, message: bytes, phase: str, timeout: float | None) -> None:
         """Sends a message. The time limit covers the reply too."""
         self._channel.deadline = time.monotonic() + (timeout or _SEND_TIMEOUT)
         with self._talking(phase):
@@ -165,22 +167,16 @@ class IsolatedInstance:
         if timeout is None:
             self._channel.deadline = None
 
-    def _receive(self, phase: str) -> dict[str, Any]:
+    def _receive(self, phase: str) -> Reply:
         """Waits for the process's next message and raises the error that it reports."""
         with self._talking(phase):
             reply = self._channel.receive()
-            if not isinstance(reply, dict):
-                raise ProtocolError(f"{shortened(reply, 200)}, expected a dict")
-            if "error" in reply:
-                error = self._with_output(reported_error(reply["error"], self._agent))
-                is_out_of_reach = self._is_enclosed and str(error).startswith(_OUT_OF_REACH)
-                raise type(error)(
-                    f"{error}{_HINT * is_out_of_reach}",
-                    self._agent,
-                    error.trace,
-                    self._channel.seconds,
-                )
-            return reply
+        if isinstance(reply, Failed):
+            error = self._with_output(reply.report.error(self._agent, self._channel.seconds))
+            if self._is_enclosed and str(error).startswith(_OUT_OF_REACH):
+                error.args = (f"{error}{_HINT}", *error.args[1:])
+            raise error
+        return reply
 
     # ------------------------------------------------------------------ failures
 

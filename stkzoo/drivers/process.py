@@ -1,6 +1,6 @@
 """The agent process: loads one agent and replies to observations with actions.
 
-Each message on the socket is a length followed by a message of :mod:`stkzoo.drivers.codec`. The
+Each message on the socket is a length followed by a message of :mod:`stkzoo.drivers.messages`. The
 race's end of the socket is :class:`~stkzoo.drivers.replies.ReplyChannel`. The first message names
 the agent's files; each later message contains an observation. The socket is separate from the
 agent's standard input and output (``docs/reference/agents.md``).
@@ -15,23 +15,37 @@ import sys
 from contextlib import ExitStack
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from stkzoo.drivers import codec, landlock, seccomp
+from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.code import AgentCode, load_agent
-from stkzoo.drivers.failures import error_report
-from stkzoo.drivers.files import AgentPlace
+from stkzoo.drivers.failures import printable
 from stkzoo.drivers.inline import InlineInstance
 from stkzoo.drivers.instances import DriverLimits, DriverRequest
-from stkzoo.drivers.replies import LENGTH, MAX_NAME, length_in
+from stkzoo.drivers.messages import (
+    MAX_NAME,
+    Action,
+    Decided,
+    ErrorReport,
+    Failed,
+    LoadRequest,
+    Ready,
+    Reply,
+    decode,
+    decode_observation,
+    encode,
+)
+from stkzoo.drivers.replies import LENGTH, length_in
 from stkzoo.errors import AgentError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.wrappers.marl import WordChannel
 
 #: Maximum number of threads of all processes of an agent together.
 _MAX_THREADS = 512
 #: Limits of each process in a sandbox: number of open files, and size of a file [bytes].
 _MAX_OPEN_FILES, _MAX_FILE_SIZE = 1024, 64 << 20
+
+_start_decoder = msgspec.msgpack.Decoder(LoadRequest)
 
 
 class Channel:
@@ -44,25 +58,24 @@ class Channel:
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
 
-    def send(self, message: Any) -> None:
+    def send(self, message: Reply) -> None:
         """Sends one message.
 
         Raises:
             OSError: the connection is closed.
-            ProtocolError: the message is not plain data.
         """
-        data = codec.encode(message)
+        data = encode(message)
         self._connection.sendall(LENGTH.pack(len(data)) + data)
 
-    def receive(self) -> Any:
+    def receive(self) -> bytes:
         """Waits for one message.
 
         Raises:
             EOFError: the other end closed the connection.
             OSError: the connection failed.
-            ProtocolError: the bytes are not a valid message.
+            ProtocolError: the message is too long.
         """
-        return codec.decode(self._exactly(length_in(self._exactly(LENGTH.size))))
+        return self._exactly(length_in(self._exactly(LENGTH.size)))
 
     def _exactly(self, size: int) -> bytes:
         data = bytearray()
@@ -86,56 +99,53 @@ def main(connection_fd: int, memory: int) -> None:
     connection.set_inheritable(False)
     channel = Channel(connection)
     try:
-        order = channel.receive()
-        _limit(memory, order["cpu_time"])
-        if order["is_enclosed"]:
-            _enclose(order)
-        instance = _start(channel, order)
-        while instance is not None:
-            number, observation = channel.receive()
-            channel.send({"number": number, **_decide(instance, observation)})
+        start: LoadRequest = decode(_start_decoder, channel.receive())
+        _limit(memory, start.cpu_time)
+        if start.is_enclosed:
+            _enclose(start)
+        agent = _load(channel, start)
+        while agent is not None:
+            channel.send(_decide(agent, decode_observation(channel.receive())))
     except (EOFError, OSError):
         return  # the race is over
 
 
-def _start(channel: Channel, order: dict[str, Any]) -> InlineInstance | None:
+def _load(channel: Channel, start: LoadRequest) -> InlineInstance | None:
     """Loads the agent and reports the outcome to the race."""
 
     def load(_: ExitStack) -> AgentCode:
-        code = load_agent(AgentPlace(**order["place"]), order["adapter"])
+        code = load_agent(start.place, start.adapter)
         code.scope.__enter__()  # never left: this process has no other agent's modules
         return code
 
     no_limits = DriverLimits(action_timeout=None, start_timeout=math.inf)  # the race's task
-    seed: int = order["seed"]
-    words = order["channel"] and WordChannel(**order["channel"])
     request = DriverRequest(
-        order["agent"],
-        kart_observation_space(extras=order["extras"]),
+        start.agent,
+        kart_observation_space(extras=start.extras),
         kart_action_space(),
-        seed,
+        start.seed,
         no_limits,
-        channel=words,
+        channel=start.channel,
     )
-    instance = InlineInstance(request, load)
-    _seed_everything(seed)
+    agent = InlineInstance(request, load)
+    _seed_everything(start.seed)
     try:
-        name = instance.ready()
+        name = agent.ready()
     except AgentError as error:
-        channel.send({"error": error_report(error)})
+        channel.send(Failed(ErrorReport.of(error)))
         return None
-    _seed_everything(seed)
-    channel.send({"name": name[:MAX_NAME], "paths_used": instance.paths_used})
-    return instance
+    _seed_everything(start.seed)
+    channel.send(Ready(printable(name, MAX_NAME), agent.paths_used))
+    return agent
 
 
-def _decide(instance: InlineInstance, observation: Any) -> dict[str, Any]:
-    instance.ask(observation)
+def _decide(agent: InlineInstance, observation: Any) -> Reply:
+    agent.ask(observation)
     try:
-        decision = instance.answer()
+        decision = agent.answer()
     except AgentError as error:
-        return {"error": error_report(error)}
-    return {"action": decision.action, "is_clipped": decision.is_clipped}
+        return Failed(ErrorReport.of(error))
+    return Decided(Action.of(decision.action), decision.is_clipped)
 
 
 def _seed_everything(seed: int) -> None:
@@ -164,15 +174,14 @@ def _limit(memory: int, cpu_time: float | None) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _enclose(order: dict[str, Any]) -> None:
+def _enclose(start: LoadRequest) -> None:
     """Permanently drops the privileges that the process still has inside its sandbox."""
     if sys.platform == "win32":
         return
     import resource
 
     # In a user namespace of its own, the process limit counts only this agent's processes.
-    is_alone: bool = order["has_own_users"]
-    if is_alone:
+    if start.has_own_users:
         resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
     for limit, most in (
         (resource.RLIMIT_NOFILE, _MAX_OPEN_FILES),
@@ -180,6 +189,6 @@ def _enclose(order: dict[str, Any]) -> None:
         (resource.RLIMIT_MSGQUEUE, 0),
     ):
         resource.setrlimit(limit, (most, most))
-    if any(order["landlock"]):
-        landlock.restrict(*order["landlock"])
-    seccomp.restrict(has_own_network=is_alone)
+    if start.readable:
+        landlock.restrict(start.readable, start.writable, start.listable)
+    seccomp.restrict(has_own_network=start.has_own_users)

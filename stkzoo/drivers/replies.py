@@ -14,23 +14,19 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Protocol
 
-from stkzoo.drivers import codec
+import msgspec
+
+from stkzoo.drivers.messages import MAX_BYTES, MAX_REPLY, Reply, check_size, decode
 from stkzoo.errors import ProtocolError
 
 #: Header of a message: its length [bytes].
 LENGTH = struct.Struct("<I")
-#: Limits of an agent's reply, which contains an action in the game's form or a report of an error.
-#: Decoding it takes about 1 ms at most.
-REPLY_LIMITS = codec.Limits(max_bytes=64 << 10, max_length=1000, max_elements=1000)
-#: Maximum length of an agent's name in a reply [characters].
-MAX_NAME = 100
 _BLOCK = 65536
-#: Interval of the checks during a wait [s].
-_CHECK_INTERVAL = 0.1
+
+_replies = msgspec.msgpack.Decoder(Reply)
 
 
 class Receiver(Protocol):
@@ -45,8 +41,8 @@ class Receiver(Protocol):
         ...
 
 
-class PendingReplies(threading.local):
-    """Receivers of one thread that wait for a reply, and checks to run while it waits.
+class _PendingReplies(threading.local):
+    """Receivers of one thread that wait for a reply.
 
     Attributes:
         looked: when the thread last looked for replies (:func:`time.monotonic`).
@@ -54,39 +50,15 @@ class PendingReplies(threading.local):
 
     def __init__(self) -> None:
         self.receivers: set[Receiver] = set()
-        self.checks: set[Callable[[], None]] = set()
         self.looked = -math.inf
 
 
-_pending = PendingReplies()
+_pending = _PendingReplies()
 
 
 def pending_replies() -> set[Receiver]:
     """Returns this thread's receivers that wait for a reply; each adds and removes itself."""
     return _pending.receivers
-
-
-def checks_while_waiting() -> set[Callable[[], None]]:
-    """Returns functions that this thread calls at least every 0.1 s while it waits for replies.
-
-    They never raise. Their owners add and remove them.
-    """
-    return _pending.checks
-
-
-def run_checks(seconds: float) -> int | None:
-    """Runs this thread's checks before it waits.
-
-    Args:
-        seconds: time for which the thread wants to wait; ``math.inf`` for no limit.
-
-    Returns:
-        Time for which it may wait until the next checks [ms]; ``None`` for no limit.
-    """
-    for check in [*_pending.checks]:
-        check()
-    longest = min(seconds, _CHECK_INTERVAL) if _pending.checks else seconds
-    return None if longest == math.inf else math.ceil(1000 * max(longest, 0.0))
 
 
 def receive_pending() -> None:
@@ -140,17 +112,16 @@ class ReplyChannel:
         """Time from the last message to its complete reply, or until now without a reply [s]."""
         return min(self._arrived, time.monotonic()) - self._sent
 
-    def send(self, message: Any) -> None:
-        """Sends one message and starts to wait for its reply.
+    def send(self, message: bytes) -> None:
+        """Sends one encoded message and starts to wait for its reply.
 
         Raises:
             OSError: the connection is closed, or the deadline has passed (``TimeoutError``).
-            ProtocolError: the message is not plain data, or a reply is already there.
+            ProtocolError: a reply is already there.
         """
-        data = codec.encode(message)
         self._sent, self._arrived = time.monotonic(), math.inf
         self._check_for_early_reply()
-        rest = memoryview(LENGTH.pack(len(data)) + data)
+        rest = memoryview(LENGTH.pack(len(message)) + message)
         while rest:
             try:
                 rest = rest[self._connection.send(rest) :]
@@ -160,7 +131,7 @@ class ReplyChannel:
         self._pending.add(self)
         receive_pending()
 
-    def receive(self) -> Any:
+    def receive(self) -> Reply:
         """Waits for the reply.
 
         Raises:
@@ -177,7 +148,8 @@ class ReplyChannel:
             raise self._problem
         data = bytes(memoryview(self._buffer)[LENGTH.size :])
         self._buffer, self._missing = bytearray(), LENGTH.size
-        return codec.decode(data, REPLY_LIMITS)
+        reply: Reply = decode(_replies, data, MAX_REPLY)
+        return reply
 
     def fileno(self) -> int:
         """Returns the socket's file descriptor."""
@@ -202,7 +174,7 @@ class ReplyChannel:
         self._buffer += block
         self._missing -= len(block)
         if len(self._buffer) == LENGTH.size:
-            self._missing = length_in(self._buffer, REPLY_LIMITS)
+            self._missing = length_in(self._buffer, MAX_REPLY)
 
     def _check_for_early_reply(self) -> None:
         """Rejects a reply that was sent before its request, since its time cannot be measured."""
@@ -229,27 +201,25 @@ class ReplyChannel:
         left = math.inf if self.deadline is None else self.deadline - time.monotonic()
         if left <= 0:
             raise TimeoutError
-        milliseconds = run_checks(left)
         poll = select.poll()
         waiting = {receiver.fileno(): receiver for receiver in self._pending}
         for descriptor in waiting:
             poll.register(descriptor, select.POLLIN)
         if event != select.POLLIN:
             poll.register(self._connection, event)
-        ready = poll.poll(milliseconds)
+        ready = poll.poll(None if left == math.inf else math.ceil(1000 * left))
         end_wait()
         for descriptor, _ in ready:
             if descriptor in waiting:
                 waiting[descriptor].receive_available()
 
 
-def length_in(header: bytes | bytearray, limits: codec.Limits = codec.LIMITS) -> int:
+def length_in(header: bytes | bytearray, most: int = MAX_BYTES) -> int:
     """Returns the length of the message after a header [bytes].
 
     Raises:
         ProtocolError: the message is too long.
     """
     (length,) = LENGTH.unpack(header)
-    if length > limits.max_bytes:
-        raise ProtocolError(f"a message of {length} bytes, expected at most {limits.max_bytes}")
+    check_size(length, most)
     return int(length)

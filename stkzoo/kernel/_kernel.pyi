@@ -203,9 +203,6 @@ def reward_term(
     name: str, before: bytes, after: bytes, race_length: float
 ) -> npt.NDArray[np.float64]: ...
 def layouts() -> list[tuple[str, int]]: ...
-def measure_message(
-    data: bytes | bytearray | memoryview, limits: tuple[int, int, int, int]
-) -> int: ...
 def action_mask(
     nitro: npt.NDArray[np.bool_],
     fire: npt.NDArray[np.bool_],

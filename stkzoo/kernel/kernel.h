@@ -95,7 +95,6 @@ void free_object(PyObject *self);
 PyObject *action_mask(PyObject *module, PyObject *args);
 PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *look_along(PyObject *module, PyObject *args);
-PyObject *measure_message(PyObject *module, PyObject *args);
 PyObject *reward_term(PyObject *module, PyObject *args);
 PyObject *stack_vectors(PyObject *module, PyObject *args);
 PyObject *to_polar(PyObject *module, PyObject *points);

@@ -101,7 +101,6 @@ static PyMethodDef methods[] = {
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
     {"layouts", layouts, METH_NOARGS, "Returns the byte offsets of record fields."},
     {"look_along", look_along, METH_VARARGS, "Writes points at distances ahead of karts."},
-    {"measure_message", measure_message, METH_VARARGS, "Returns the peak memory of decoding."},
     {"reward_term", reward_term, METH_VARARGS, "Returns a reward term of all karts."},
     {"stack_vectors", stack_vectors, METH_VARARGS, "Writes the vectors of rows, padded."},
     {"to_polar", to_polar, METH_O, "Returns positions as two angles and a distance."},

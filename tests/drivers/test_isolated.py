@@ -158,14 +158,14 @@ def test_a_memory_bomb_in_a_reply_is_not_decoded():
     with measured() as cost:
         result = race(hostile("bomber"), str(AGENTS / "plain"), max_steps=5)
     rows = by_driver(result)
-    assert "an empty array of a long shape" in rows["bomber"].errors[0].message
+    assert "not a valid message" in rows["bomber"].errors[0].message
     assert not rows["Plain"].num_errors
     assert cost["memory"] < 200 << 20
     assert cost["seconds"] < 20
 
 
 @pytest.mark.slow
-def test_a_long_error_report_is_truncated():
+def test_a_long_error_report_is_refused():
     result = race(hostile("talker"), "ai", max_steps=5)
     row = next(row for row in result.agents if row.num_errors)
     assert row.driver == "y" * 100
@@ -428,20 +428,19 @@ def test_the_memory_limit_covers_all_processes_of_an_agent(monkeypatch, tmp_path
         assert "used more than 400 MB with all its processes" in row.errors[0].message
 
 
-COUNTS = """
+NEGATIVE = """
+from stkzoo.drivers.messages import Ready
 from stkzoo.drivers.process import Channel
 
 send = Channel.send
-Channel.send = lambda self, reply: send(self, {{**reply, "paths_used": {count}}})
+Channel.send = lambda self, reply: send(self, Ready("", -1))
 
 def get_actor(module_dir, observation_space, action_space):
     return lambda state, observation: action_space.sample()
 """
 
 
-@pytest.mark.parametrize("count", ["-1", "True", "2.0", "'all'"])
-def test_an_invalid_number_of_track_segments_is_refused(tmp_path, count):
-    (tmp_path / "pystk_actor.py").write_text(COUNTS.format(count=count))
+def test_an_invalid_number_of_track_segments_is_refused(tmp_path):
+    (tmp_path / "pystk_actor.py").write_text(NEGATIVE)
     row = by_driver(race("ai", f"{tmp_path}@:counts", max_steps=2))["counts"]
-    assert f"'paths_used': {count}" in row.errors[0].message
-    assert "expected its name and the number of track segments" in row.errors[0].message
+    assert "Expected `int` >= 0 - at `$.paths_used`" in row.errors[0].message

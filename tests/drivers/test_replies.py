@@ -1,22 +1,19 @@
 """Decision times of agents, measured with the race's own clock."""
 
-import json
 import math
 import socket
 import threading
 import time
 
-import jsonschema
 import pytest
 
-from stkzoo.drivers.codec import encode
 from stkzoo.drivers.driver import find_driver
+from stkzoo.drivers.messages import Ready, encode
 from stkzoo.drivers.replies import LENGTH, ReplyChannel
 from stkzoo.errors import ProtocolError
 from stkzoo.race import run_race
-from tests.support.paths import AGENTS, ROOT
+from tests.support.paths import AGENTS
 
-SCHEMA = ROOT / "docs" / "schemas" / "race-result.schema.json"
 PLAIN = str(AGENTS / "plain")
 
 
@@ -30,15 +27,6 @@ def race(*drivers, **settings):
 
 def times(result):
     return {row.driver: row.action_time for row in result.agents}
-
-
-@pytest.mark.slow
-def test_the_time_reported_by_an_agent_is_ignored():
-    result = race(hostile("liar"), "ai")
-    found = times(result)["liar"]
-    assert not result.has_errors
-    assert all(0 < time < 60 for time in (found.mean, found.p99, found.max, found.total))
-    jsonschema.validate(json.loads(result.to_json()), json.loads(SCHEMA.read_text()))
 
 
 @pytest.mark.slow
@@ -66,62 +54,53 @@ def channel():
         channel.close()
 
 
-def send_reply(theirs, reply):
-    data = encode(reply)
-    theirs.sendall(LENGTH.pack(len(data)) + data)
+REPLY = Ready("seven", 7)
+DATA = encode(REPLY)
+FRAME = LENGTH.pack(len(DATA)) + DATA
 
 
 def test_an_agent_does_not_pay_for_the_time_in_which_the_race_is_busy(channel):
     """Such as the time to decode another agent's reply, or to end another agent."""
     ours, theirs = channel
-    ours.send("now")
-    send_reply(theirs, 7)
+    ours.send(b"now")
+    theirs.sendall(FRAME)
     time.sleep(0.5)
-    assert ours.receive() == 7
+    assert ours.receive() == REPLY
     assert ours.seconds < 0.4
 
 
 def test_an_agent_pays_for_the_time_in_which_the_race_waits_for_it(channel):
     ours, theirs = channel
-    ours.send("now")
-    replier = threading.Timer(0.2, send_reply, (theirs, 7))
+    ours.send(b"now")
+    replier = threading.Timer(0.2, theirs.sendall, (FRAME,))
     replier.start()
-    assert ours.receive() == 7
+    assert ours.receive() == REPLY
     assert ours.seconds > 0.15
     replier.join()
 
 
-@pytest.mark.parametrize(
-    ("reply", "text"),
-    [
-        ([0] * 1001, "too many elements"),
-        ([[0] * 500] * 2, "too many elements"),
-        (bytes(65536), "bytes, expected at most 65536"),
-    ],
-    ids=["one list", "two lists", "bytes"],
-)
-def test_a_reply_that_is_slow_to_decode_is_refused(channel, reply, text):
+def test_a_long_reply_is_refused_before_it_is_received(channel):
     ours, theirs = channel
-    ours.send("now")
-    send_reply(theirs, reply)
-    with pytest.raises(ProtocolError, match=text):
+    ours.send(b"now")
+    theirs.sendall(LENGTH.pack((64 << 10) + 1))
+    with pytest.raises(ProtocolError, match="of 65537 bytes came, expected at most 65536"):
         ours.receive()
 
 
 def test_a_reply_sent_before_its_request_is_refused(channel):
     ours, theirs = channel
-    theirs.sendall(b"\1\0\0\0\x07")
+    theirs.sendall(FRAME)
     with pytest.raises(ProtocolError, match="a reply came before its request; expected"):
-        ours.send("now")
+        ours.send(b"now")
 
 
 def test_a_second_reply_to_a_request_is_refused(channel):
     ours, theirs = channel
-    ours.send("now")
-    theirs.sendall(b"\1\0\0\0\x07" * 2)
-    assert ours.receive() == 7
+    ours.send(b"now")
+    theirs.sendall(FRAME * 2)
+    assert ours.receive() == REPLY
     with pytest.raises(ProtocolError, match="came before its request"):
-        ours.send("now")
+        ours.send(b"now")
 
 
 @pytest.mark.slow
@@ -144,7 +123,7 @@ def test_an_agent_can_think_between_its_decisions():
 
 def test_a_reply_in_single_bytes_does_not_extend_its_deadline(channel):
     ours, theirs = channel
-    ours.send("now")
+    ours.send(b"now")
     ours.deadline = time.monotonic() + 0.3
 
     over = threading.Event()
@@ -168,10 +147,10 @@ def test_a_process_that_does_not_read_cannot_delay_its_race_past_the_deadline(ch
     ours, _ = channel
     ours.deadline = time.monotonic() + 0.2
     with pytest.raises(TimeoutError):
-        ours.send("x" * (4 << 20))
+        ours.send(b"x" * (4 << 20))
 
 
 def test_time_is_finite_without_a_reply(channel):
     ours, _ = channel
-    ours.send("now")
+    ours.send(b"now")
     assert math.isfinite(ours.seconds)

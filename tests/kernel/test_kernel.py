@@ -25,7 +25,6 @@ from stkzoo.kernel import (
     StepScorer,
     TrackGraph,
     join_rows,
-    measure_message,
 )
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
@@ -41,7 +40,6 @@ from stkzoo.wrappers.racing.road import LOOKS, NUM_POINTS
 from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 from tests import oracle
 from tests.oracle.racing_observer import own_arrays
-from tests.support.bombs import BOMBS, bomb
 
 TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
 #: The ground is slow in NumPy, and most of all on tracks with many triangles. This one has few.
@@ -129,7 +127,7 @@ USERS = {
     "env.episode": ["StepScorer"],
     "mdp.events": ["EventCounter"],
     "mdp.rewards": ["reward_term"],
-    "drivers.codec": ["join_rows", "measure_message"],
+    "drivers.messages": ["join_rows"],
     "mdp.observations": ["KartObserver"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.marl.masks": ["action_mask"],
@@ -841,29 +839,6 @@ def test_the_order_ahead_is_the_same_on_any_graph(successors):
 )
 def test_joined_rows_match_the_reference_implementation(parts):
     assert join_rows(parts) == oracle.join_rows(parts)
-
-
-def measured(measure, data, limits=(16, 8192, 1 << 17, 1 << 21)):
-    try:
-        return measure(data, limits)
-    except ValueError as error:
-        return str(error)
-
-
-@pytest.mark.parametrize("name", BOMBS)
-def test_measured_bombs_match_the_reference_implementation(name):
-    for length in (8, 100, 5000, 70_000):
-        data = bomb(name, length)
-        assert measured(measure_message, data) == measured(oracle.measure_message, data)
-
-
-@settings(deadline=None, max_examples=1000)
-@given(st.sampled_from(list(BOMBS)), st.integers(1, 300), st.data())
-def test_measured_damaged_messages_match_the_reference_implementation(name, length, data):
-    good = bomb(name, length)[:400]
-    place = data.draw(st.integers(0, len(good)))
-    bad = good[:place] + data.draw(st.binary(max_size=6)) + good[place + 1 :]
-    assert measured(measure_message, bad) == measured(oracle.measure_message, bad)
 
 
 def test_both_implementations_refuse_invalid_arguments():

@@ -8,7 +8,6 @@ from tests.oracle.action_reader import ActionReader
 from tests.oracle.car_controller import CarController
 from tests.oracle.event_counter import EventCounter
 from tests.oracle.kart_observer import KartObserver, action_mask
-from tests.oracle.messages import measure_message
 from tests.oracle.mlp import Mlp
 from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import RacingObserver
@@ -29,7 +28,6 @@ __all__ = [
     "action_mask",
     "join_rows",
     "look_along",
-    "measure_message",
     "reward_term",
     "stack_vectors",
     "to_polar",

@@ -106,7 +106,7 @@ ADVERSARIES = {
         "atexit.register(time.sleep, 60); kept.append(Immortal())" + FAIL
     ),
     "replaces modules": Adversary(
-        "sys.modules.update(numpy=None, msgpack=None, traceback=None); sys.meta_path.clear(); "
+        "sys.modules.update(numpy=None, msgspec=None, traceback=None); sys.meta_path.clear(); "
         "sys.path_hooks.clear()" + FAIL,
         "ZeroDivision|exited",
     ),

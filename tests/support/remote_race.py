@@ -7,10 +7,12 @@ import sys
 import threading
 from contextlib import contextmanager
 
+import msgspec
 import zmq
 
+from stkzoo.drivers.messages import encode
 from stkzoo.race.remote import RaceServer
-from stkzoo.race.remote.protocol import VERSION, pack, unpack
+from stkzoo.race.remote.protocol import VERSION, Act, Hello, Offer, Open, Welcome, read_request
 
 #: An agent that drives straight ahead at full throttle.
 GOOD = """\
@@ -71,6 +73,20 @@ def server_thread(drivers, **options):
             thread.join()
 
 
+def open_request(**changes):
+    """Returns the fields of a request for a seat, which may be invalid, as a message."""
+    fields = {
+        "protocol": VERSION,
+        "seat": 0,
+        "driver": 0,
+        "agent": "kart_0",
+        "extras": [],
+        "seed": 1,
+    }
+    fields |= {"type": "open", "action_timeout": 1.0, "start_timeout": 5.0}
+    return msgspec.msgpack.encode({**fields, **changes})
+
+
 @contextmanager
 def raw_client(address):
     """Yields a socket that can send any message to a server."""
@@ -86,11 +102,15 @@ class LyingServer:
     """A server that accepts all clients and sends false replies.
 
     Args:
-        lie: returns the frames of a reply, or a list of several, from a message's kind and fields.
+        lie: returns the frames of the reply to a message that requests a seat or actions; each is
+            a message of its own.
+        welcome: the reply to a hello.
     """
 
-    def __init__(self, lie):
+    def __init__(self, lie, welcome=None):
+        agents = [Offer("liar", "lies", [])]
         self._lie, self._end = lie, threading.Event()
+        self._welcome = welcome or encode(Welcome(VERSION, "0", agents))
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -112,14 +132,11 @@ class LyingServer:
         while not self._end.is_set():
             if not self._socket.poll(50):
                 continue
-            identity, kind, *body = self._socket.recv_multipart()
-            if kind == b"H":
-                fields = {"protocol": VERSION, "stkzoo": "0", "agents": [["liar", "lies", []]]}
-                frames = [b"W", pack(**fields, action_timeout=2.0)]
-            elif kind in (b"C", b"B"):
-                continue
-            else:
-                frames = self._lie(kind, unpack(body[0]))
-            if frames:
-                for reply in frames if isinstance(frames[0], list) else [frames]:
-                    self._socket.send_multipart([identity, *reply])
+            identity, *frames = self._socket.recv_multipart()
+            for reply in self._replies(read_request(frames)):
+                self._socket.send_multipart([identity, reply])
+
+    def _replies(self, message):
+        if isinstance(message, Hello):
+            return [self._welcome]
+        return self._lie(message) if isinstance(message, Open | Act) else []

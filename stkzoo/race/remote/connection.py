@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from stkzoo.drivers.codec import decode, encode
-from stkzoo.drivers.failures import printable, reported_error
+from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision
-from stkzoo.drivers.replies import (
-    REPLY_LIMITS,
-    arrival_time,
-    checks_while_waiting,
-    end_wait,
-    pending_replies,
-    receive_pending,
-    run_checks,
-)
-from stkzoo.errors import AgentError, ProtocolError, RemoteError, shortened
+from stkzoo.drivers.messages import Failed, Message, Ready, encode
+from stkzoo.drivers.replies import arrival_time, end_wait, pending_replies, receive_pending
+from stkzoo.errors import AgentError, ProtocolError, RemoteError
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.sockets import (
-    MAX_UNREAD,
-    QUEUE,
-    UnreadData,
-    client_socket,
-    zmq_module,
-)
+from stkzoo.race.remote.sockets import client_socket, zmq_module
 
 #: Time limit for ZeroMQ to send the last message in the background [ms].
 _GOODBYE = 500
 #: Grace period after a deadline for reading messages that arrived in time [s].
 _READING = 1.0
-#: Maximum number of pings after a message to the server: those before and those after it arrives.
-_MAX_PINGS = 2 * QUEUE
+#: Maximum number of pings after a message to the server. A server sends 120 in its patience.
+_MAX_PINGS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,40 +67,39 @@ class Connection:
     def __init__(self, context: Any, server: Server, keys: KeyPair | None) -> None:
         self._zmq, self.server = zmq_module(), server
         self.failure = ""
-        #: Fields of the server's welcome message; empty until it arrives.
-        self.welcome: dict[str, Any] = {}
+        #: The server's welcome message, once it has arrived.
+        self.welcome: protocol.Welcome | None = None
         self._socket, self._monitor = client_socket(context, server.address, keys, server.key)
         self._next_seat = self._step = self._num_pings = 0
-        self._observations: list[list[Any]] = []
+        self._observations: list[tuple[int, bytes]] = []
+        self._seats: set[int] = set()
         self._starting: set[int] = set()
         self._asked: set[int] = set()
-        self._answers: dict[int, tuple[str, int | None] | Decision | Failure] = {}
-        self._seats: set[int] = set()
+        self._answers: dict[int, Ready | Decision | Failure] = {}
         self._pending = pending_replies()
         self._flushed = time.monotonic()
-        self._unread, self._events = UnreadData(), deque[int]()
-        checks_while_waiting().add(self._check_unread)
-        self._send(protocol.HELLO, protocol=protocol.VERSION, stkzoo=version("stkzoo"))
+        self._send(protocol.Hello(protocol.VERSION, version("stkzoo")))
 
     # ------------------------------------------------------------------ requests
 
-    def wait_welcome(self, deadline: float) -> dict[str, Any]:
-        """Waits for the server's welcome message and returns its fields.
+    def wait_welcome(self, deadline: float) -> protocol.Welcome:
+        """Waits for the server's welcome message.
 
         Args:
             deadline: time limit (:func:`time.monotonic`).
         """
-        self._wait(lambda: bool(self.welcome), deadline, "connect")
+        self._wait(lambda: self.welcome is not None, deadline, "connect")
+        assert self.welcome is not None  # noqa: S101 - it has arrived
         return self.welcome
 
     def open(self, **fields: Any) -> int:
-        """Requests the start of a driver and returns the number of its seat."""
-        number = self._next_seat
+        """Requests a seat for an agent and returns its number."""
+        seat = self._next_seat
         self._next_seat += 1
-        self._seats.add(number)
-        self._starting.add(number)
-        self._send(protocol.OPEN, protocol=protocol.VERSION, seat=number, **fields)
-        return number
+        self._seats.add(seat)
+        self._starting.add(seat)
+        self._send(protocol.Open(protocol=protocol.VERSION, seat=seat, **fields))
+        return seat
 
     def wait_answer(self, seat: int, deadline: float, what: str) -> Any:
         """Waits for the reply to the last request of a seat.
@@ -125,11 +110,10 @@ class Connection:
             what: description of the request, for errors.
 
         Returns:
-            After :meth:`open`, the driver's name and the number of track segments that it uses
-                (``None`` for all); after :meth:`ask`, its decision.
+            After :meth:`open`, the agent's :class:`Ready` message; after :meth:`ask`, its decision.
 
         Raises:
-            Failure: the driver failed.
+            Failure: the agent failed.
             RemoteError: the server did not reply in time, or the connection failed.
         """
         self._wait(lambda: seat in self._answers, deadline, what)
@@ -138,11 +122,11 @@ class Connection:
             raise answer
         return answer
 
-    def ask(self, seat: int, observation: Any) -> None:
+    def ask(self, seat: int, observation: bytes) -> None:
         """Buffers an observation. All are sent when each seat has one, or by :meth:`flush`."""
         self._require()
         self._answers.pop(seat, None)
-        self._observations.append([seat, encode(observation)])
+        self._observations.append((seat, observation))
         if len(self._observations) == len(self._seats):
             self.flush()  # the server begins before the runner has asked the other servers
 
@@ -157,33 +141,26 @@ class Connection:
         self._flushed = time.monotonic()
         self._pending.add(self)
         try:
-            self._send(protocol.ACT, step=self._step, observations=observations)
-        except (ProtocolError, RemoteError) as error:
+            self._send(protocol.Act(self._step, observations))
+        except RemoteError as error:
             self._fail(str(error))
         receive_pending()
 
     def close_seat(self, seat: int) -> None:
-        """Closes a driver instance. Closing the last one closes the connection."""
+        """Releases a seat. Releasing the last one closes the connection."""
         if seat not in self._seats:
             return
         self._seats.discard(seat)
-        if not self.failure and self._seats:
-            self._send(protocol.CLOSE, seats=[seat])
         if not self._seats:
             self.close()
+        elif not self.failure:
+            self._send(protocol.Close(seat))
 
     def close(self) -> None:
         """Notifies the server and closes the connection; may be called more than once."""
-        self._pending.discard(self)
-        checks_while_waiting().discard(self._check_unread)
-        if self._socket.closed:
-            return
         if not self.failure:
-            self._send(protocol.BYE)
-            self.failure = self.failure or "the connection was closed"
-        self._socket.disable_monitor()
-        self._monitor.close(0)
-        self._socket.close(_GOODBYE)
+            self._send(protocol.Bye())
+        self._fail("the connection was closed")
 
     # ------------------------------------------------------------------ sockets
 
@@ -191,12 +168,11 @@ class Connection:
         if self.failure:
             raise RemoteError(self.failure)
 
-    def _send(self, kind: bytes, **fields: Any) -> None:
+    def _send(self, message: Message) -> None:
         self._require()
-        body = protocol.pack(**fields) if fields else b""
         self._num_pings = 0
         try:
-            self._socket.send_multipart([kind, body], self._zmq.NOBLOCK)
+            self._socket.send(encode(message), self._zmq.NOBLOCK)
         except self._zmq.ZMQError as error:
             self._fail(f"{self.server.address} does not accept messages: {error}")
 
@@ -218,27 +194,27 @@ class Connection:
                     "; start it, or check its address and the keys" if what == "connect" else ""
                 )
                 self._fail(f"{self.server.address} did not {what} in time{remedy}")
-            if (self._socket, self._zmq.POLLIN) in events:
+            elif self._has_mail():
                 self._receive()
-            self._read_events()
-            if self._events and not self._has_mail():
-                self._handle_event(self._events.popleft())
+            elif self._monitor in events:
+                self._handle_event()
 
-    def _poll(self, seconds: float) -> list[tuple[Any, int]]:
-        """Waits for events of this connection and receives other drivers' replies meanwhile."""
-        milliseconds = run_checks(seconds)
-        if self._socket.closed:
-            return []
+    def _poll(self, seconds: float) -> list[Any]:
+        """Waits for events of this connection and receives other agents' replies meanwhile.
+
+        Returns:
+            Those of the connection's two sockets that have something to read.
+        """
         others = {other.fileno(): other for other in self._pending - {self}}
         poller = self._zmq.Poller()
         for source in (self._socket, self._monitor, *others):
             poller.register(source, self._zmq.POLLIN)
-        events = list(poller.poll(milliseconds))
+        events = [source for source, _ in poller.poll(math.ceil(1000 * max(seconds, 0.0)))]
         end_wait()
-        for source, _ in events:
+        for source in events:
             if source in others:
                 others[source].receive_available()
-        return [event for event in events if event[0] not in others]
+        return [source for source in events if source not in others]
 
     def fileno(self) -> int:
         """Returns the file descriptor that becomes readable when a message may have arrived."""
@@ -255,18 +231,11 @@ class Connection:
         """Returns whether a message is unread, which is possible even after a disconnect."""
         return bool(self._socket.getsockopt(self._zmq.EVENTS) & self._zmq.POLLIN)
 
-    def _read_events(self) -> None:
-        """Reads ZeroMQ's events, and keeps those that :meth:`_handle_event` handles."""
+    def _handle_event(self) -> None:
+        """Reads an event of ZeroMQ: the connection was lost, or the handshake failed."""
         from zmq.utils.monitor import parse_monitor_message
 
-        while self._monitor.poll(0):
-            message = parse_monitor_message(self._monitor.recv_multipart())
-            if message["event"] == self._zmq.EVENT_CONNECTED:
-                self._unread.connected(message["value"])
-            else:
-                self._events.append(message["event"])
-
-    def _handle_event(self, event: int) -> None:
+        event = parse_monitor_message(self._monitor.recv_multipart())["event"]
         if event == self._zmq.EVENT_DISCONNECTED:
             # Before its welcome, the server may still be starting or checking the key.
             if self.welcome:
@@ -278,98 +247,46 @@ class Connection:
             )
 
     def _receive(self) -> None:
-        """Receives and handles one message; further frames of an invalid one stay unread."""
-        frames = [self._socket.recv()]
-        while self._socket.getsockopt(self._zmq.RCVMORE) and len(frames) < 3:
-            frames.append(self._socket.recv())
-        self._unread.count(frames)
+        frames = self._socket.recv_multipart()
         try:
-            self._handle(frames)
-        except Exception as error:  # noqa: BLE001 - a server must not end the race
-            text = str(error) if isinstance(error, ProtocolError) else shortened(error, 200)
-            self._fail(f"{self.server.address} sent an invalid message: {text}")
-
-    def _check_unread(self) -> None:
-        """Closes the connection if the server sends a message without end."""
-        if self._socket.closed:
-            return
-        self._read_events()
-        if self._unread.is_too_much():
-            self._fail(
-                f"{self.server.address} sent a message of more than {MAX_UNREAD >> 20} MiB, "
-                f"expected at most {protocol.LIMITS.max_bytes >> 20} MiB; use another server"
-            )
-            self.close()
+            self._handle(protocol.read_reply(frames))
+        except ProtocolError as error:
+            self._fail(f"{self.server.address} sent an invalid message: {error}")
 
     def _fail(self, text: str) -> None:
+        """Closes the connection, so that ZeroMQ does not collect further messages."""
         self.failure = self.failure or text
         self._observations = []
         self._pending.discard(self)
+        if not self._socket.closed:
+            self._socket.disable_monitor()
+            self._monitor.close(0)
+            self._socket.close(_GOODBYE)
 
     # ------------------------------------------------------------------ incoming messages
 
-    def _handle(self, frames: list[bytes]) -> None:
-        if len(frames) != 2:
-            raise ProtocolError(f"received {len(frames)} frames, expected 2")
-        kind, body = frames
-        if kind == protocol.ALIVE:
-            self._handle_ping(body)
-            return
-        fields = protocol.unpack(body)
-        protocol.check_fields(kind, fields)
-        if kind == protocol.ERROR:
-            text = printable(protocol.field(fields, "text", str), 4000)
-            self._fail(f"{self.server.address}: {text}")
-        elif kind == protocol.WELCOME:
-            self._handle_welcome(fields)
-        elif kind == protocol.OPENED:
-            self._handle_opened(fields)
-        else:
-            self._handle_acted(fields)
-
-    def _handle_ping(self, body: bytes) -> None:
-        self._num_pings += 1
-        if body or self._num_pings > _MAX_PINGS:
-            raise ProtocolError(
-                f"ping {self._num_pings} of {len(body)} bytes since the last message to it, "
-                f"expected at most {_MAX_PINGS} without content"
-            )
-
-    def _handle_welcome(self, fields: dict[str, Any]) -> None:
-        if self.welcome:
-            raise ProtocolError("a second welcome, expected one")
-        protocol.check_version(fields)
-        agents = protocol.field(fields, "agents", list)
-        for agent in agents:
-            if type(agent) is not list or [*map(type, agent)] != [str, str, list]:
-                raise ProtocolError(
-                    f"an agent {shortened(agent, 100)}, expected its name, its source and a list "
-                    "of what it observes in addition to the full view"
+    def _handle(self, message: protocol.ServerMessage) -> None:
+        match message:
+            case protocol.Alive():
+                self._num_pings += 1
+                if self._num_pings > _MAX_PINGS:
+                    raise ProtocolError(f"more than {_MAX_PINGS} pings since the last message")
+            case protocol.Refused(reason):
+                self._fail(f"{self.server.address}: {printable(reason)}")
+            case protocol.Welcome():
+                if self.welcome:
+                    raise ProtocolError("a second welcome, expected one")
+                self.welcome = message
+            case protocol.Opened(seat, outcome):
+                self._resolve(
+                    self._starting,
+                    seat,
+                    outcome if isinstance(outcome, Ready) else Failure(outcome.report.error()),
                 )
-            protocol.check_extras(agent[2])
-        if not agents:
-            raise ProtocolError("no agents")
-        self.welcome = {
-            "agents": [
-                [printable(name, 100), printable(source, 100), sorted(set(extras))]
-                for name, source, extras in agents
-            ]
-        }
+            case protocol.Acted():
+                self._handle_acted(message)
 
-    def _handle_opened(self, fields: dict[str, Any]) -> None:
-        seat = protocol.field(fields, "seat", int)
-        if seat not in self._starting:
-            raise ProtocolError(f"unexpected start of seat {seat}")
-        self._starting.discard(seat)
-        if "error" in fields:
-            self._answers[seat] = Failure(reported_error(fields["error"], ""))
-            return
-        paths = fields.get("paths_used")
-        if paths is not None and (type(paths) is not int or paths < 0):
-            raise ProtocolError(f"{shortened(paths, 50)} track segments, expected a number")
-        self._answers[seat] = printable(protocol.field(fields, "name", str), 100), paths
-
-    def _handle_acted(self, fields: dict[str, Any]) -> None:
+    def _handle_acted(self, message: protocol.Acted) -> None:
         """Stores the decisions and failures of a step.
 
         The server reports the duration of each decision, so that an agent does not pay for a slower
@@ -377,54 +294,26 @@ class Connection:
         explain is added to each decision. At least one agent is thus charged the whole time: a
         server can shift time between its own agents, but cannot hide it.
         """
-        if protocol.field(fields, "step", int) != self._step:
-            raise ProtocolError(f"an answer to step {fields['step']}, expected {self._step}")
-        if not self._asked:
-            raise ProtocolError(f"an answer to step {self._step} that was not requested")
+        if message.step != self._step or not self._asked:
+            raise ProtocolError(f"an answer to step {message.step} that was not requested")
         elapsed = max(arrival_time() - self._flushed, 0.0)
-        failures = protocol.field(fields, "failures", list)
-        for entry in failures:
-            match entry:
-                case [int(seat), error, bool(is_usable)]:
-                    reported = reported_error(error, "")
-                    reported.seconds = elapsed
-                    self._decide(seat, Failure(reported, is_usable))
-                case _:
-                    raise ProtocolError(f"a failure {shortened(entry, 100)}")
-        decisions = [*map(_decision, protocol.field(fields, "decisions", list))]
-        longest = max((decision.seconds for _, decision in decisions), default=0.0)
-        unexplained = 0.0 if failures else max(elapsed - longest, 0.0)
-        for seat, decision in decisions:
-            seconds = min(decision.seconds + unexplained, elapsed)
-            self._decide(seat, _decoded(replace(decision, seconds=seconds)))
+        has_failures = any(isinstance(answer.outcome, Failed) for answer in message.answers)
+        longest = max((answer.seconds for answer in message.answers), default=0.0)
+        unexplained = 0.0 if has_failures else max(elapsed - longest, 0.0)
+        for answer in message.answers:
+            if isinstance(answer.outcome, Failed):
+                error = answer.outcome.report.error(seconds=elapsed)
+                self._resolve(self._asked, answer.seat, Failure(error, answer.is_usable))
+            else:
+                action, is_clipped = answer.outcome.action.values(), answer.outcome.is_clipped
+                seconds = min(answer.seconds + unexplained, elapsed)
+                self._resolve(self._asked, answer.seat, Decision(action, seconds, is_clipped))
         if self._asked:
             raise ProtocolError(f"no answer for seats {sorted(self._asked)}")
         self._pending.discard(self)
 
-    def _decide(self, seat: int, outcome: Decision | Failure) -> None:
-        if seat not in self._asked:
+    def _resolve(self, awaited: set[int], seat: int, answer: Ready | Decision | Failure) -> None:
+        if seat not in awaited:
             raise ProtocolError(f"an answer for seat {seat}, which was not requested")
-        self._asked.discard(seat)
-        self._answers[seat] = outcome
-
-
-def _decision(entry: Any) -> tuple[int, Decision]:
-    """Reads a seat and its decision: an encoded action and the duration that the server reports.
-
-    Raises:
-        ProtocolError: the entry is invalid.
-    """
-    match entry:
-        case [int(seat), bytes(action), float(seconds), bool(is_clipped)] if 0 <= seconds < 1e9:
-            return seat, Decision(action, seconds, is_clipped)
-    raise ProtocolError(f"a decision {shortened(entry, 100)}")
-
-
-def _decoded(decision: Decision) -> Decision | Failure:
-    """Decodes a decision's action; an agent may send one that is invalid, so only it fails."""
-    try:
-        return replace(decision, action=decode(decision.action, REPLY_LIMITS))
-    except ProtocolError as error:
-        return Failure(
-            AgentError(f"its action is invalid: {error}", seconds=decision.seconds), True
-        )
+        awaited.discard(seat)
+        self._answers[seat] = answer

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -12,15 +12,16 @@ from typing import Any
 
 from stkzoo._schema import Count
 from stkzoo.drivers.driver import Driver
-from stkzoo.drivers.instances import Decision, DriverRequest, without_unused_paths
+from stkzoo.drivers.failures import printable
+from stkzoo.drivers.instances import Decision, DriverRequest
+from stkzoo.drivers.messages import MAX_NAME, encode_observation
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.race.remote.connection import Connection, Failure, Server
 from stkzoo.race.remote.keys import KeyPair, new_keys
+from stkzoo.race.remote.protocol import Welcome
 from stkzoo.race.remote.sockets import full_address, zmq_module
 
-#: Connection time limit for a server that did not reply the last time [s].
-_SECOND_CHANCE = 1.0
 #: Additional time for a server to report that an agent exceeded its time limit [s].
 _MARGIN = 5.0
 #: Time limit for a server's reply if its agents have no time limit [s].
@@ -46,11 +47,17 @@ class ServedAgent:
     extras: tuple[str, ...] = ()
 
     @classmethod
-    def all_of(cls, server: Server, welcome: Mapping[str, Any]) -> list[ServedAgent]:
+    def all_of(cls, server: Server, welcome: Welcome) -> list[ServedAgent]:
         """Returns the agents that a server lists in its welcome message."""
         return [
-            cls(server, number, name, source, tuple(extras))
-            for number, (name, source, extras) in enumerate(welcome["agents"])
+            cls(
+                server,
+                number,
+                printable(offer.name),
+                printable(offer.source, MAX_NAME),
+                tuple(sorted(set(offer.extras))),
+            )
+            for number, offer in enumerate(welcome.agents)
         ]
 
     @property
@@ -105,7 +112,7 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
             if seconds is not None and not 0 < seconds < 1e9:
                 raise ConfigError(f"{name} is {seconds!r}, expected seconds above 0")
         self._keys = keys or (new_keys() if server_keys else None)
-        self.timeout, self._patience = timeout, connect_timeout
+        self.timeout, self.connect_timeout = timeout, connect_timeout
         one_for_each = [*server_keys] * (len(servers) if len(server_keys) == 1 else 1)
         self._servers = [
             Server(full_address(address), key)
@@ -113,7 +120,6 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
         ]
         self._context = zmq_module().Context()
         self._connections: dict[Server, Connection] = {}
-        self._failed: set[Server] = set()
         try:
             #: The known agents, then the agents of each server, in order.
             self.agents: list[ServedAgent] = [*agents, *self._find_agents()]
@@ -143,21 +149,13 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
             self._connections[server] = connection
         return connection
 
-    def patience(self, server: Server) -> float:
-        """Returns the time limit for the connection to a server [s]."""
-        return _SECOND_CHANCE if server in self._failed else self._patience
-
-    def record(self, server: Server, is_there: bool) -> None:
-        """Records whether a server replied, for :meth:`patience`."""
-        (self._failed.discard if is_there else self._failed.add)(server)
-
     def flush(self) -> None:
         """Sends the buffered observations to all servers. Call it before you wait for a reply."""
         for connection in self._connections.values():
             connection.flush()
 
     def _find_agents(self) -> list[ServedAgent]:
-        deadline = time.monotonic() + self._patience
+        deadline = time.monotonic() + self.connect_timeout
         for server in self._servers:
             self.connection(server)
         agents = []
@@ -209,21 +207,20 @@ class RemoteInstance:
         """Waits until the agent is ready and returns the name that it declares."""
         start_timeout = self._limits.start_timeout
         with self._failures():
-            patience = min(self._group.patience(self._server), start_timeout)
+            patience = min(self._group.connect_timeout, start_timeout)
             welcome = self._connection.wait_welcome(self._begin + patience)
             if self._served not in ServedAgent.all_of(self._server, welcome):
                 raise ProtocolError(f"the agents of {self._server.address} have changed")
             deadline = self._begin + start_timeout + _MARGIN
-            answer = self._connection.wait_answer(self._seat, deadline, "start an agent")
-        self._group.record(self._server, is_there=True)
-        name, self._paths = answer
-        return str(name)
+            ready = self._connection.wait_answer(self._seat, deadline, "start an agent")
+        self._paths = ready.paths_used
+        return printable(ready.name)
 
     def ask(self, observation: Any) -> None:
         """Buffers the observation until each agent of the server has one."""
         self._begin = time.monotonic()
         with self._failures():
-            self._connection.ask(self._seat, without_unused_paths(observation, self._paths))
+            self._connection.ask(self._seat, encode_observation(observation, self._paths))
 
     def answer(self) -> Decision:
         """Sends all buffered observations and waits for the decision."""
@@ -256,7 +253,6 @@ class RemoteInstance:
             raise failure.error from None
         except RemoteError as error:
             self.is_usable = False
-            self._group.record(self._server, is_there=False)
             is_late = "in time" in str(error)
             kind = AgentTimeout if is_late else AgentError
             seconds = time.monotonic() - self._begin

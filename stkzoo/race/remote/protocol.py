@@ -1,111 +1,179 @@
 """Messages between client and server of a networked race (``docs/reference/protocol.md``).
 
-A message consists of two ZeroMQ frames: its kind, which is one byte, and its body, which is a dict
-encoded with :mod:`stkzoo.drivers.codec`. A *seat* is the number of a driver instance on one
-connection.
+Each message is one ZeroMQ frame with a struct of :mod:`stkzoo.drivers.messages`. A *seat* is the
+number of an agent on one connection.
 """
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Annotated, TypeAlias
 
-from stkzoo.drivers.codec import Limits, decode, encode
-from stkzoo.errors import ProtocolError, shortened
+import msgspec
+from msgspec import Meta, Struct
+
+from stkzoo.drivers.messages import (
+    Count,
+    Decided,
+    Failed,
+    LongText,
+    Message,
+    Name,
+    Ready,
+    decode,
+)
+from stkzoo.errors import ProtocolError
 from stkzoo.mdp.spaces import EXTRAS
 
 #: Version of the protocol; both ends must have the same one.
-VERSION = 3
+VERSION = 4
 
-# From client to server.
-HELLO, OPEN, ACT, CLOSE, BYE = b"H", b"O", b"A", b"C", b"B"
-# From server to client.
-WELCOME, OPENED, ACTED, ALIVE, ERROR = b"W", b"P", b"D", b"L", b"E"
-
-#: Fields of the server's messages with a body.
-_FIELDS = {
-    WELCOME: {"protocol", "stkzoo", "agents", "action_timeout"},
-    OPENED: {"seat", "name", "paths_used", "error"},
-    ACTED: {"step", "decisions", "failures"},
-    ERROR: {"text"},
-}
-
-#: Limits of a message. Twenty observations of the longest track need half of ``max_bytes``.
-LIMITS = Limits(max_bytes=4 << 20)
-
-#: Maximum number of driver instances of one client on one server.
+#: Maximum number of agents of one client on one server.
 MAX_SEATS = 32
+_MAX_AGENTS = 1000
 
-Field = TypeVar("Field")
+Extra: TypeAlias = Annotated[str, Meta(pattern=rf"^({'|'.join(EXTRAS)})\Z")]
+Extras: TypeAlias = Annotated[list[Extra], Meta(max_length=len(EXTRAS))]
+Seconds: TypeAlias = Annotated[float, Meta(gt=0, lt=1e9)]
+Duration: TypeAlias = Annotated[float, Meta(ge=0, lt=1e9)]
+
+# ---------------------------------------------------------------------- from the client
 
 
-def pack(**fields: Any) -> bytes:
-    """Encodes the body of a message.
+class Hello(Message):
+    """The first message."""
+
+    protocol: int
+    stkzoo: Name
+
+
+class Open(Message):
+    """Requests a seat for an agent. A client never reuses the number of a seat."""
+
+    protocol: int
+    seat: Count
+    driver: Count
+    agent: Name
+    extras: Extras
+    seed: int
+    action_timeout: Seconds | None
+    start_timeout: Seconds
+
+
+class Act(Message):
+    """The observations of one step, encoded, by seat."""
+
+    step: Count
+    observations: Annotated[list[tuple[Count, bytes]], Meta(max_length=MAX_SEATS)]
+
+
+class Close(Message):
+    """Releases a seat."""
+
+    seat: Count
+
+
+class Bye(Message):
+    """Releases all seats."""
+
+
+ClientMessage: TypeAlias = Hello | Open | Act | Close | Bye
+
+# ---------------------------------------------------------------------- from the server
+
+
+class Offer(Struct, frozen=True, forbid_unknown_fields=True):
+    """An agent of the server: its name, its source and its additional observation entries."""
+
+    name: Name
+    source: LongText
+    extras: Extras
+
+
+class Welcome(Message):
+    """The reply to a hello."""
+
+    protocol: int
+    stkzoo: Name
+    agents: Annotated[list[Offer], Meta(min_length=1, max_length=_MAX_AGENTS)]
+
+
+class Opened(Message):
+    """The agent of a seat is ready, or has failed to start."""
+
+    seat: Count
+    outcome: Ready | Failed
+
+
+class Answer(Struct, frozen=True, forbid_unknown_fields=True):
+    """The outcome of a step for one seat.
+
+    Attributes:
+        seat: the seat.
+        outcome: the decision, or why there is none.
+        seconds: duration of the decision, as the server measured it [s].
+        is_usable: whether the agent accepts further observations.
+    """
+
+    seat: Count
+    outcome: Decided | Failed
+    seconds: Duration
+    is_usable: bool
+
+
+class Acted(Message):
+    """The reply to the observations of a step, with one answer for each seat."""
+
+    step: Count
+    answers: Annotated[list[Answer], Meta(max_length=MAX_SEATS)]
+
+
+class Alive(Message):
+    """Checks whether the client is still connected."""
+
+
+class Refused(Message):
+    """The session ends."""
+
+    reason: LongText
+
+
+ServerMessage: TypeAlias = Welcome | Opened | Acted | Alive | Refused
+
+_from_client = msgspec.msgpack.Decoder(ClientMessage)
+_from_server = msgspec.msgpack.Decoder(ServerMessage)
+
+
+def read_request(frames: list[bytes]) -> ClientMessage:
+    """Decodes a client's message.
 
     Raises:
-        ProtocolError: the fields are not plain data, or are too large.
+        ProtocolError: the frames are not such a message, or it has another version.
     """
-    return encode(fields, LIMITS)
+    message: ClientMessage = decode(_from_client, _only(frames))
+    if isinstance(message, Hello | Open):
+        _check_version(message.protocol)
+    return message
 
 
-def unpack(body: bytes, *, limits: Limits = LIMITS) -> dict[str, Any]:
-    """Decodes the body of a message to its fields.
+def read_reply(frames: list[bytes]) -> ServerMessage:
+    """Decodes a server's message.
 
     Raises:
-        ProtocolError: the bytes are not a valid body.
+        ProtocolError: the frames are not such a message, or it has another version.
     """
-    fields = decode(body, limits)
-    if type(fields) is not dict:
-        raise ProtocolError(f"got {type(fields).__name__}, expected dict")
-    return fields
+    message: ServerMessage = decode(_from_server, _only(frames))
+    if isinstance(message, Welcome):
+        _check_version(message.protocol)
+    return message
 
 
-def field(fields: dict[str, Any], name: str, kind: type[Field]) -> Field:
-    """Returns a required field and checks that it has exactly this type.
-
-    Raises:
-        ProtocolError: the field is missing or has another type.
-    """
-    value = fields.get(name)
-    if type(value) is not kind:
-        raise ProtocolError(f"{name} is {shortened(value, 100)}, expected {kind.__name__}")
-    return value
+def _only(frames: list[bytes]) -> bytes:
+    if len(frames) != 1:
+        raise ProtocolError("a message of several frames came, expected one frame")
+    return frames[0]
 
 
-def check_fields(kind: bytes, fields: dict[str, Any]) -> None:
-    """Checks the kind of a server's message, and that it has no unknown fields.
-
-    Raises:
-        ProtocolError: the kind or a field is unknown.
-    """
-    if kind not in _FIELDS:
-        raise ProtocolError(f"message kind {shortened(kind, 20)} came")
-    if unknown := fields.keys() - _FIELDS[kind]:
-        raise ProtocolError(
-            f"unknown fields {shortened(sorted(unknown), 100)}, expected some of "
-            f"{', '.join(sorted(_FIELDS[kind]))}"
-        )
-
-
-def check_extras(extras: list[Any]) -> list[str]:
-    """Checks the names of the entries that an agent observes beyond the ``full`` view.
-
-    Raises:
-        ProtocolError: a name is unknown.
-    """
-    if not all(isinstance(extra, str) and extra in EXTRAS for extra in extras):
-        raise ProtocolError(
-            f"extras is {shortened(extras, 100)}, expected some of {', '.join(EXTRAS)}"
-        )
-    return extras
-
-
-def check_version(fields: dict[str, Any]) -> None:
-    """Checks that the other end has the same protocol version.
-
-    Raises:
-        ProtocolError: the version differs or is missing.
-    """
-    protocol = field(fields, "protocol", int)
+def _check_version(protocol: int) -> None:
     if protocol != VERSION:
         raise ProtocolError(
             f"the other end speaks protocol {protocol}, this one {VERSION}; "

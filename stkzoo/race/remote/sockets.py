@@ -6,13 +6,13 @@ import os
 import re
 import socket
 from collections.abc import Collection
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from stkzoo._os import bytes_received, is_loopback
-from stkzoo.errors import ConfigError, RemoteError, StkzooError, import_extra
-from stkzoo.race.remote.protocol import LIMITS
+from stkzoo._os import is_loopback, max_descriptors
+from stkzoo.drivers.messages import MAX_BYTES
+from stkzoo.errors import ConfigError, RemoteError, import_extra
 
 if TYPE_CHECKING:
     import zmq
@@ -65,15 +65,14 @@ def is_local(address: str) -> bool:
     return address.startswith("ipc://") or is_loopback(host)
 
 
-#: Length of the receive queue of a connection [messages]; the send queue is four times as long.
-QUEUE = 16
-#: Options of all sockets; times in ms. A connection without messages and heartbeats for
-#: ``HEARTBEAT_TIMEOUT`` is closed.
+#: Options of all sockets; times in ms, lengths of a connection's queues in messages. A connection
+#: without messages and heartbeats for ``HEARTBEAT_TIMEOUT`` is closed. The send queue has room for
+#: the pings to a paused race.
 _LIMITS = {
     "LINGER": 0,
-    "MAXMSGSIZE": LIMITS.max_bytes,
-    "RCVHWM": QUEUE,
-    "SNDHWM": QUEUE * 4,
+    "MAXMSGSIZE": MAX_BYTES,
+    "RCVHWM": 4,
+    "SNDHWM": 200,
     "HEARTBEAT_IVL": 1000,
     "HEARTBEAT_TIMEOUT": 4000,
     "HEARTBEAT_TTL": 4000,
@@ -81,13 +80,9 @@ _LIMITS = {
 #: Time limit for the handshake, in which a client proves that it has its keys [ms].
 _HANDSHAKE = 5000
 _DOMAIN = b"stkzoo"
-#: Number of file descriptors that ZeroMQ may need for a server's or a client's sockets.
-_DESCRIPTORS = 24
-#: Maximum unread data of a connection that carries a race [bytes]: four messages. As empty frames,
-#: it takes up to 0.5 GB of memory.
-MAX_UNREAD = 4 * LIMITS.max_bytes
-#: Maximum data that a message takes besides its body [bytes]: headers, encryption and heartbeats.
-OVERHEAD = 128
+#: Connections use at most 1/4 of the process's file descriptors; agents need the others.
+_SHARE = 4
+_MOST, _LEAST = 1024, 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,26 +115,6 @@ class ServerKeys:
                 f"other machines can reach {address}; give the server a key of its own (--secret) "
                 "and those of its clients (--allow), or use --insecure"
             )
-
-
-def check_descriptors(error_type: type[StkzooError]) -> None:
-    """Checks that ZeroMQ can get file descriptors. If it gets none, it ends the program.
-
-    Args:
-        error_type: class of the error.
-
-    Raises:
-        StkzooError: there are too few; the error is an ``error_type``.
-    """
-    with ExitStack() as opened:
-        try:
-            for _ in range(_DESCRIPTORS):
-                opened.callback(os.close, os.open(os.devnull, os.O_RDONLY))
-        except OSError as error:
-            raise error_type(
-                f"a networked race needs {_DESCRIPTORS} more open files: {error.strerror}; close "
-                "files and environments that are no longer needed, or raise the limit (ulimit -n)"
-            ) from error
 
 
 def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> zmq.Socket[Any]:
@@ -181,7 +156,6 @@ def client_socket(
     Raises:
         RemoteError: a connection to the address is impossible.
     """
-    check_descriptors(RemoteError)
     options: dict[str, Any] = {"RECONNECT_IVL": 50, "RECONNECT_IVL_MAX": 500}
     if server_key is not None:
         assert keys is not None  # noqa: S101 - RemoteDriverGroup generates them
@@ -190,8 +164,7 @@ def client_socket(
         options["CURVE_SECRETKEY"] = keys.secret.encode()
     lib, dealer = zmq_module(), _new_socket(context, "DEALER", address, options)
     monitor: zmq.Socket[Any] = dealer.get_monitor_socket(
-        lib.EVENT_CONNECTED
-        | lib.EVENT_DISCONNECTED
+        lib.EVENT_DISCONNECTED
         | lib.EVENT_HANDSHAKE_FAILED_NO_DETAIL
         | lib.EVENT_HANDSHAKE_FAILED_PROTOCOL
         | lib.EVENT_HANDSHAKE_FAILED_AUTH
@@ -221,51 +194,55 @@ def _why(error: Exception) -> str:
     return str(error).partition(" (addr=")[0]
 
 
-class UnreadData:
-    """Measures the data that a client's connection has received and the program has not read.
+class ConnectionLimit:
+    """Refuses further connections while a server has too many.
 
-    ZeroMQ limits the size of a frame, but not the number of frames in a message, and it returns a
-    message only when it is complete.
+    ZeroMQ accepts connections until the process has no file descriptors left, and has no call that
+    closes one. It closes connections that do not complete their handshake in time.
+
+    Args:
+        router: the server's socket, which listens already.
+
+    Attributes:
+        socket: socket with ZeroMQ's events. Call :meth:`update` when it is readable.
     """
 
-    def __init__(self) -> None:
-        self._descriptor = -1
-        self._ends: tuple[Any, Any] | None = None
-        self._num_read = 0
+    def __init__(self, router: zmq.Socket[Any]) -> None:
+        self._zmq, self._router = zmq_module(), router
+        self._most = max(_LEAST, min(_MOST, max_descriptors() // _SHARE))
+        self._open: set[int] = set()
+        self.socket: zmq.Socket[Any] = router.get_monitor_socket(
+            self._zmq.EVENT_ACCEPTED | self._zmq.EVENT_DISCONNECTED
+        )
 
-    def connected(self, descriptor: int) -> None:
-        """Begins to measure a new connection.
+    def update(self) -> bool:
+        """Counts connections and returns whether one was refused."""
+        from zmq.utils.monitor import parse_monitor_message
 
-        Args:
-            descriptor: ZeroMQ's file descriptor of the connection.
-        """
-        self._descriptor, self._num_read = descriptor, 0
-        self._ends = self._look()[0]
+        is_refused = False
+        while self.socket.poll(0):
+            message = parse_monitor_message(self.socket.recv_multipart())
+            if message["event"] == self._zmq.EVENT_DISCONNECTED:
+                self._open.discard(message["value"])
+                continue
+            self._open.add(message["value"])
+            if len(self._open) > self._most:
+                self._shut(message["value"])
+                is_refused = True
+        return is_refused
 
-    def count(self, frames: list[bytes]) -> None:
-        """Records that the program has read a message."""
-        self._num_read += sum(map(len, frames)) + OVERHEAD
+    def _shut(self, descriptor: int) -> None:
+        """Shuts a new connection down, unless its descriptor belongs to something else by now."""
+        address = self._router.getsockopt_string(self._zmq.LAST_ENDPOINT)
+        with suppress(OSError), socket.socket(fileno=os.dup(descriptor)) as connection:
+            name = connection.getsockname()
+            if address.endswith(f":{name[1]}" if isinstance(name, tuple) else f"//{name}"):
+                connection.shutdown(socket.SHUT_RDWR)
 
-    def is_too_much(self) -> bool:
-        """Returns whether there is more unread data than any server needs to send."""
-        ends, received = self._look()
-        self._num_read = min(self._num_read, received)  # the overhead is an estimate
-        return ends == self._ends and received > self._num_read + MAX_UNREAD
-
-    def _look(self) -> tuple[tuple[Any, Any] | None, int]:
-        """Returns both addresses of the connection, and how many bytes it has received."""
-        with suppress(OSError):  # the connection is closed
-            # ZeroMQ can close its descriptor at any time, so this uses a duplicate.
-            own = os.dup(self._descriptor)
-            try:
-                connection = socket.socket(fileno=own)
-            except OSError:  # the descriptor now belongs to something else
-                os.close(own)
-                raise
-            with connection:
-                ends = connection.getsockname(), connection.getpeername()
-                return ends, bytes_received(connection)
-        return None, 0
+    def close(self) -> None:
+        """Stops counting. Call it before you close the router."""
+        self._router.disable_monitor()
+        self.socket.close(0)
 
 
 class ClientAuthenticator:

@@ -61,7 +61,6 @@ def request(path="/", more=""):
 
 @pytest.mark.slow
 def test_a_flood_of_incomplete_requests_does_not_affect_a_race(tmp_path, held):
-    """For the full test with 5,000 requests: ``python -m benchmarks.floods``."""
     files = [tmp_path / name for name in ("race.json", "race.stkz", "race.mp4")]
     json_file, replay, video = map(str, files)
     words = f"heuristic ai --track lighthouse --max-steps 20 --seed 1 --output {json_file} "

@@ -1,6 +1,6 @@
 """Sends its answer to the next request together with the current one."""
 
-from stkzoo.drivers.codec import encode
+from stkzoo.drivers.messages import Decided, encode
 from stkzoo.drivers.process import Channel
 from stkzoo.drivers.replies import LENGTH
 
@@ -8,11 +8,11 @@ send = Channel.send
 
 
 def send_ahead(channel, message):
-    if "number" not in message:
+    if not isinstance(message, Decided):
         send(channel, message)
         return
-    answers = [encode({**message, "number": message["number"] + more}) for more in (0, 1)]
-    channel._connection.sendall(b"".join(LENGTH.pack(len(data)) + data for data in answers))
+    data = encode(message)
+    channel._connection.sendall(2 * (LENGTH.pack(len(data)) + data))
 
 
 Channel.send = send_ahead

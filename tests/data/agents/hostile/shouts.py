@@ -4,17 +4,13 @@ import os
 import socket
 import stat
 
-import numpy as np
-
-from stkzoo.drivers.codec import encode
+from stkzoo.drivers.messages import Action, Decided, encode
 from stkzoo.drivers.replies import LENGTH
 
 env_name = "stkzoo-suite/talk-2v2-v1"
 
 BUTTONS = dict.fromkeys(("brake", "drift", "fire", "nitro", "rescue"), 0)
-HALF = np.array([0.5], np.float32)
-WORD = {"acceleration": HALF, "steer": HALF, **BUTTONS, "message": 200}
-REPLY = encode({"number": 1, "action": WORD, "is_clipped": False})
+REPLY = encode(Decided(Action(acceleration=0.5, steer=0.5, **BUTTONS, message=200), False))
 
 
 def get_actor(module_dir, observation_space, action_space):

@@ -5,10 +5,11 @@ import socket
 import stat
 import struct
 
-import msgpack
+import msgspec
 
 LONG = "y" * 2_000_000
-BOMB = msgpack.packb({"error": ["error", LONG, LONG + "\x1b[2J"]})
+REPORT = {"kind": "error", "text": LONG, "trace": LONG + "\x1b[2J"}
+BOMB = msgspec.msgpack.encode({"type": "failed", "report": REPORT})
 player_name = LONG
 
 

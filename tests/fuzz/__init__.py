@@ -1,1 +1,0 @@
-"""Generators of invalid messages, and fuzzers to run by hand."""
