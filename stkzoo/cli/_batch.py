@@ -6,25 +6,27 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 
+from stkzoo._locks import LOCK
 from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED
 from stkzoo.cli._console import QuietLines, make_bars, say
 from stkzoo.cli._race_report import show_errors
 from stkzoo.evaluation import BatchError, BatchProgress, RunOptions
-from stkzoo.evaluation.batch import run as batch
-from stkzoo.evaluation.batch.order import RACES, RaceOrder
-from stkzoo.evaluation.batch.plan import BatchPlan
+from stkzoo.evaluation.batch.order import RACES
+from stkzoo.evaluation.batch.plan import PLAN_FILE
+from stkzoo.race.document import Document
+from stkzoo.race.result import RaceResult
 
 #: Leading dots, and characters that separate folders or are invalid in names on some systems.
 _UNSAFE = re.compile(r"^\.+|[/\\<>\"|?*]")
 
 Result = TypeVar("Result")
+AnyDocument = TypeVar("AnyDocument", bound=Document)
 
 
 def run_batch(
@@ -103,18 +105,18 @@ def file_name(label: str) -> str:
     return _UNSAFE.sub("_", label).replace(":", "-")
 
 
-def run_plan(
+def run_and_show(
     arguments: argparse.Namespace,
-    plan: BatchPlan[batch.AnyDocument],
+    run: Callable[[RunOptions], AnyDocument],
     folder: Path,
-    show: Callable[[batch.AnyDocument], object],
+    show: Callable[[AnyDocument], object],
     agent: str = "",
 ) -> int:
-    """Runs a planned batch and shows its result.
+    """Runs a batch and shows its result.
 
     Args:
         arguments: arguments of the command, with ``jobs``, ``race_timeout`` and ``json``.
-        plan: plan of the batch.
+        run: function that runs the batch.
         folder: folder of the batch.
         show: function that prints the result.
         agent: name of the agent whose first failure is shown; empty for none.
@@ -122,7 +124,7 @@ def run_plan(
     Returns:
         The exit code.
     """
-    result, code = run_batch(arguments, partial(batch.run_batch, plan, folder))
+    result, code = run_batch(arguments, run)
     if result is None:
         return code
     has_failed = bool(getattr(result, "errors", 0))
@@ -131,18 +133,17 @@ def run_plan(
     else:
         show(result)
         if agent and has_failed:
-            _show_first_failure(plan.orders(), folder, agent)
-        names = (plan.result_file, f"{plan.noun}.png", "report.html", RACES)
-        kept = ", ".join(name for name in names if (folder / name).exists())
-        say(f"More in {folder}{os.sep}: {kept}")
+            _show_first_failure(folder, agent)
+        files = sorted({path.name for path in folder.iterdir()} - {PLAN_FILE, LOCK})
+        say(f"More in {folder}{os.sep}: {', '.join(files)}")
     return code or (AGENT_FAILED if has_failed else 0)
 
 
-def _show_first_failure(orders: Iterable[RaceOrder], folder: Path, agent: str) -> None:
+def _show_first_failure(folder: Path, agent: str) -> None:
     """Prints why an agent failed in the first race in which it did."""
-    for order in orders:
-        result = order.load(folder)
-        for row in result.agents if result else ():
+    for file in sorted((folder / RACES).glob("*.json")):
+        race = RaceResult.load(file)
+        for row in race.agents:
             if row.driver == agent and row.errors:
-                show_errors(row, f" in race {order.number} on {order.settings.track}")
+                show_errors(row, f" in race {int(file.stem)} on {race.track}")
                 return

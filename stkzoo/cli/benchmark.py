@@ -34,6 +34,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -148,21 +149,25 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _benchmark(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import file_name, run_plan
+    from stkzoo.cli._batch import file_name, run_and_show
+    from stkzoo.evaluation.benchmark.run import run_planned_benchmark
 
     plan = _plan(arguments)
-    folder = Path(arguments.output or Path("benchmark", file_name(plan.agent.label)))
     label = plan.agent.label
-    return run_plan(arguments, plan, folder, lambda result: show_results([result]), label)
+    folder = Path(arguments.output or Path("benchmark", file_name(label)))
+    run = partial(run_planned_benchmark, plan, folder)
+    return run_and_show(arguments, run, folder, lambda result: show_results([result]), label)
 
 
 def _time_trial(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import file_name, run_plan
+    from stkzoo.cli._batch import file_name, run_and_show
+    from stkzoo.evaluation.benchmark.time_trial import run_planned_time_trial
 
     plan = _time_trial_plan(arguments)
-    name = f"{file_name(plan.agent.label)}-time-trial"
-    folder = Path(arguments.output or Path("benchmark", name))
-    return run_plan(arguments, plan, folder, _show_time_trial, plan.agent.label)
+    label = plan.agent.label
+    folder = Path(arguments.output or Path("benchmark", f"{file_name(label)}-time-trial"))
+    run = partial(run_planned_time_trial, plan, folder)
+    return run_and_show(arguments, run, folder, _show_time_trial, label)
 
 
 def _time_trial_plan(arguments: argparse.Namespace) -> TimeTrialPlan:
@@ -210,9 +215,9 @@ def _seeds(arguments: argparse.Namespace, default: int = _SEEDS) -> int:
 
 
 def _baseline(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import run_plan
+    from stkzoo.cli._batch import run_and_show
     from stkzoo.cli._console import say
-    from stkzoo.evaluation.benchmark.ai_times import plan_ai_times
+    from stkzoo.evaluation.benchmark.ai_times import plan_ai_times, run_planned_ai_times
 
     refuse_options(
         "--baseline has races of its own",
@@ -221,8 +226,9 @@ def _baseline(arguments: argparse.Namespace) -> int:
     )
     plan = plan_ai_times(tracks=arguments.split or "all", seeds=_seeds(arguments))
     folder = Path(arguments.output or "ai-times")
-    return run_plan(
-        arguments, plan, folder, lambda times: say(f"{len(times.by_race)} times of the game's AI")
+    run = partial(run_planned_ai_times, plan, folder)
+    return run_and_show(
+        arguments, run, folder, lambda times: say(f"{len(times.by_race)} times of the game's AI")
     )
 
 
@@ -390,11 +396,11 @@ def _cells(figures: Mapping[str, Estimate | None], is_wide: bool, sign: str = ""
     ]
 
 
-def _cell(estimate: Estimate | None, scale: float, form: str, is_wide: bool) -> str:
+def _cell(estimate: Estimate | None, scale: float, spec: str, is_wide: bool) -> str:
     if estimate is None:
         return "-"
-    value = format(scale * estimate.value, form)
+    value = format(scale * estimate.value, spec)
     if estimate.low is None or estimate.high is None:
         return value
-    low, high = (format(scale * end, form) for end in estimate.interval)
+    low, high = (format(scale * end, spec) for end in estimate.interval)
     return f"{value} ({low}..{high})" if is_wide else f"{value}\n{low}..{high}"

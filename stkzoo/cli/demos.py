@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Records demonstrations, and checks them on request."""
     from stkzoo.cli._batch import file_name, run_batch
     from stkzoo.evaluation.demonstrations.minari import check_dataset_id
-    from stkzoo.evaluation.demonstrations.plan import record_plan
+    from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
 
     plan = _plan(arguments)
     file = Path(arguments.output or "demos.npz")
@@ -106,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.output = arguments.output or f"supertuxkart/{label}-v0"
         check_dataset_id(arguments.output)
         file = Path(f"{arguments.output.replace('/', '-')}.minari.npz")  # deleted after the import
-    demos, code = run_batch(arguments, partial(record_plan, plan, file))
+    demos, code = run_batch(arguments, partial(run_planned_demonstrations, plan, file))
     return code if demos is None else _finish(arguments, demos, file)
 
 

@@ -22,16 +22,12 @@ import json
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
 from stkzoo.cli._suite_tables import print_tasks, show_conduct, show_entry, show_task, show_tasks
 from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
-
-if TYPE_CHECKING:
-    from stkzoo.suite import Entry
 
 #: Options that are also fields of ``About``.
 _ABOUT = ("authors", "description", "kart_steps")
@@ -286,8 +282,9 @@ def _evaluate(arguments: argparse.Namespace) -> int:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
       failed in some race, 130 interrupted
     """
-    from stkzoo.cli._batch import file_name, run_plan
+    from stkzoo.cli._batch import file_name, run_and_show
     from stkzoo.suite import About, EntryPlan, plan_entry
+    from stkzoo.suite.entry import run_planned_entry
 
     about = About(**values_of(arguments, EvaluateArguments, only=_ABOUT))
     settings = values_of(arguments, RaceSettings, without=EntryPlan.decided)
@@ -296,8 +293,8 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     name = f"{plan.task}-{file_name(plan.agent.label)}"
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
-    label = plan.agent.label
-    return run_plan(arguments, plan, folder, lambda entry: show_entry(cast("Entry", entry)), label)
+    run = partial(run_planned_entry, plan, folder)
+    return run_and_show(arguments, run, folder, show_entry, plan.agent.label)
 
 
 @usage_errors

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,15 +95,17 @@ def add_arguments(parser: CommandParser) -> None:
 @usage_errors
 def run(arguments: argparse.Namespace) -> int:
     """Runs or resumes a tournament."""
-    from stkzoo.cli._batch import run_plan
+    from stkzoo.cli._batch import run_and_show
+    from stkzoo.evaluation.tournament.run import run_planned_tournament
 
     folder = Path(arguments.resume or arguments.output)
-    return run_plan(arguments, _plan(arguments, folder), folder, _show)
+    run = partial(run_planned_tournament, _plan(arguments, folder), folder)
+    return run_and_show(arguments, run, folder, _show)
 
 
 def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
     from stkzoo.evaluation import TournamentPlan, plan_tournament
-    from stkzoo.evaluation.tournament.run import resumed_plan, with_stored_per_race
+    from stkzoo.evaluation.tournament.plan import resumed_plan
 
     servers = server_access(arguments)
     if arguments.resume:
@@ -110,12 +113,11 @@ def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
         plan = resumed_plan(folder, arguments.agents, servers)
         settings = replace(plan.settings, show_output=arguments.show_output)
         return replace(plan, settings=settings)
-    plan = plan_tournament(
+    return plan_tournament(
         servers=servers,
         **values_of(arguments, TournamentArguments, only=_PLANNED),
         **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
     )
-    return with_stored_per_race(plan, folder) if arguments.per_race is None else plan
 
 
 def _refuse_other_arguments(arguments: argparse.Namespace) -> None:
@@ -154,6 +156,6 @@ def _show(result: TournamentResult) -> None:
             say(f"{row.label} failed in {row.failed} of {row.races} races: {row.reason}")
     plan = result.plan
     say(
-        f"{len(result.races)} of {plan.num_races} races of {plan.per_race} on "
+        f"{len(result.races)} of {plan.num_races} races of {plan.grid_size} on "
         f"{', '.join(plan.tracks)}; Plackett-Luce ratings, intervals by bootstrap over races."
     )

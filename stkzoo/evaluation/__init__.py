@@ -17,18 +17,12 @@ folder as soon as its race ends, so the same call resumes after an interruption.
 """
 
 from stkzoo.evaluation.agent_check import AgentReport, ThinkingTime, check_agent
-from stkzoo.evaluation.batch.entrants import Entrant
+from stkzoo.evaluation.batch.agents import BatchAgent
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
 from stkzoo.evaluation.benchmark.comparison import Comparison, compare
-from stkzoo.evaluation.benchmark.plan import (
-    BenchmarkPlan,
-    BenchmarkResult,
-    load_benchmark,
-    plan_benchmark,
-    run_benchmark,
-)
-from stkzoo.evaluation.benchmark.plot import plot_benchmark, plot_time_trial
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult, plan_benchmark
+from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
     BenchmarkForm,
@@ -37,6 +31,7 @@ from stkzoo.evaluation.benchmark.races import (
     RaceGroup,
     RaceOutcome,
 )
+from stkzoo.evaluation.benchmark.run import load_benchmark, run_benchmark
 from stkzoo.evaluation.benchmark.time_trial import (
     TimeTrialPlan,
     TimeTrialRace,
@@ -44,6 +39,7 @@ from stkzoo.evaluation.benchmark.time_trial import (
     TrackTrial,
     load_time_trial,
     plan_time_trial,
+    plot_time_trial,
     run_time_trial,
 )
 from stkzoo.evaluation.demonstrations.check import DemoCheck, check_demonstrations
@@ -64,12 +60,16 @@ from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.plotting import GRAY, INK, new_figure, save_figure, style_axes
 from stkzoo.evaluation.ratings import Rating, rate, require_openskill
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
-from stkzoo.evaluation.tournament.plan import TournamentPlan, TournamentResult, plan_tournament
+from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.evaluation.tournament.plot import plot_tournament
-from stkzoo.evaluation.tournament.report import write_report
-from stkzoo.evaluation.tournament.run import load_tournament, resume_tournament, run_tournament
+from stkzoo.evaluation.tournament.run import (
+    load_tournament,
+    resume_tournament,
+    run_tournament,
+    write_report,
+)
 from stkzoo.evaluation.tournament.schedule import ScheduledRace
-from stkzoo.evaluation.tournament.standings import Standing
+from stkzoo.evaluation.tournament.standings import Standing, TournamentResult
 
 __all__ = [
     "FORMS",
@@ -78,6 +78,7 @@ __all__ = [
     "AgentReport",
     "AiTime",
     "AiTimes",
+    "BatchAgent",
     "BatchError",
     "BatchProgress",
     "BenchmarkForm",
@@ -91,7 +92,6 @@ __all__ = [
     "DemoRecorder",
     "DemoView",
     "Demonstrations",
-    "Entrant",
     "EpisodeFacts",
     "Estimate",
     "KartOutcome",

@@ -244,10 +244,6 @@ class ConductOrder(RaceOrder):
         """
         return race_conduct(folder / self.replay)
 
-    def suspects(self) -> tuple[int, ...]:
-        """See :meth:`RaceOrder.suspects`. No code of agents runs."""
-        return ()
-
 
 def find_replays(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     """Returns the replays of entries and other folders, and single replays, each once.

@@ -8,22 +8,30 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from stkzoo._os import file_digest
+from stkzoo._os import file_digest, write_text
 from stkzoo._schema import Count, matching, plain_text
 from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError, check_whole, shortened, unknown_name
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
-from stkzoo.evaluation.batch.plan import BatchPlan
-from stkzoo.evaluation.batch.run import RunOptions, run_batch
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult, plan_benchmark
+from stkzoo.evaluation.batch.plan import batch_settings, keep_plan
+from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.benchmark.plan import (
+    BenchmarkPlan,
+    BenchmarkResult,
+    benchmark_order,
+    plan_benchmark,
+)
+from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind
+from stkzoo.evaluation.benchmark.run import race_outcomes
+from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
-from stkzoo.race.result import RaceResult
+from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
 from stkzoo.suite.population import draw_rivals, population_digests
 from stkzoo.suite.scores import load_baselines, normalized
@@ -52,7 +60,7 @@ class EntryOrder(RaceOrder):
         Args:
             folder: folder of the entry.
         """
-        replay = self.replay_file(folder)
+        replay = replay_file(folder, self.number)
         replay.parent.mkdir(exist_ok=True)
         return self.race(self.drivers, [ReplayWriter(replay)])
 
@@ -105,7 +113,7 @@ class EntryPlan(BenchmarkPlan):
     noun: ClassVar[str] = "entry"
     resume_command: ClassVar[str] = "stkzoo suite evaluate TASK AGENT --output {folder}"
     decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
-    result_file: ClassVar[str] = ENTRY_FILE
+    changeable: ClassVar[tuple[str, ...]] = (*BenchmarkPlan.changeable, "about")
     has_population: ClassVar[bool] = True
 
     task: str
@@ -118,41 +126,20 @@ class EntryPlan(BenchmarkPlan):
         """Whether this is an evaluation on the training tracks, which is not an entry."""
         return self.split == TRAIN
 
-    def orders(self) -> list[RaceOrder]:
-        """Returns the orders of all races."""
-        races = self.races()
-        rivals = draw_rivals(races)
-        return [self._entry_order(race, rivals.get(race.number, ())) for race in races]
 
-    def _entry_order(self, race: BenchmarkRace, rivals: tuple[str, ...]) -> RaceOrder:
-        order, others = BenchmarkPlan._order(self, race), iter(rivals)
-        drivers = tuple(next(others, "ai") if text == "ai" else text for text in order.drivers)
-        level = next((GAME_AI[text] for text in drivers if GAME_AI.get(text) is not None), None)
-        settings = order.settings if level is None else replace(order.settings, difficulty=level)
-        return EntryOrder(order.number, drivers, settings, order.wait_for)
+def entry_orders(plan: EntryPlan) -> list[RaceOrder]:
+    """Returns the orders of all races of an entry."""
+    races = plan.races()
+    rivals = draw_rivals(races)
+    return [_order(plan, race, rivals.get(race.number, ())) for race in races]
 
-    def summarize(self, results: Mapping[int, RaceResult], folder: Path) -> Entry:
-        """Returns the entry with the races that have been run.
 
-        Args:
-            results: results of races by number.
-            folder: folder of the entry.
-
-        Raises:
-            ConfigError: a replay is missing.
-        """
-        found = BenchmarkPlan.summarize(self, results, folder)
-        replays = tuple(replay_digest(folder, race.number) for race in found.races)
-        return Entry(self, found.races, found.sandboxes, found.protections, replays)
-
-    def shown_like(self, other: EntryPlan) -> EntryPlan:
-        """Returns this plan with what another plan says about the agent."""
-        return replace(BatchPlan.shown_like(self, other), about=other.about)
-
-    def _comparable(self) -> dict[str, Any]:
-        values = BenchmarkPlan._comparable(self)
-        del values["about"]
-        return values
+def _order(plan: EntryPlan, race: BenchmarkRace, rivals: tuple[str, ...]) -> RaceOrder:
+    order, others = benchmark_order(plan, race), iter(rivals)
+    drivers = tuple(next(others, "ai") if text == "ai" else text for text in order.drivers)
+    level = next((GAME_AI[text] for text in drivers if GAME_AI.get(text) is not None), None)
+    settings = order.settings if level is None else replace(order.settings, difficulty=level)
+    return EntryOrder(order.number, drivers, settings, order.wait_for)
 
 
 def replay_digest(folder: Path, number: int) -> str:
@@ -270,10 +257,10 @@ def plan_entry(
         difficulty=DIFFICULTY,
         forms=("P",),
         seeds=task.seeds if is_test else 1,
-        settings=replace(EntryPlan.choose_settings(settings, changes), max_paths=None),
+        settings=replace(batch_settings(settings, changes, EntryPlan.decided), max_paths=None),
     )
     _check_words(task, base.agent.source)
-    values = {own.name: getattr(base, own.name) for own in fields(base)}
+    values = {entry.name: getattr(base, entry.name) for entry in fields(base)}
     return EntryPlan(
         **{**values, "forms": task.forms} | ({} if is_test else {"split": TRAIN}),
         task=task.name,
@@ -322,4 +309,26 @@ def evaluate(
         BatchError: some races could not be run.
     """
     run, plan = RunOptions.split(options)
-    return cast("Entry", run_batch(plan_entry(task, agent, **plan), output, run))
+    return run_planned_entry(plan_entry(task, agent, **plan), Path(output), run)
+
+
+def run_planned_entry(plan: EntryPlan, folder: Path, options: RunOptions) -> Entry:
+    """Runs or resumes a planned evaluation; see :func:`evaluate`."""
+    require_plot(options.plot)
+    with open_batch(folder, plan.noun):
+        plan = keep_plan(plan, folder)
+
+        def summarize(results: Mapping[int, RaceResult]) -> Entry:
+            entry = _entry(plan, results, folder)
+            write_text(folder / ENTRY_FILE, entry.to_json() + "\n")
+            if options.plot and results:
+                plot_benchmark(entry, folder / "entry.png")
+            return entry
+
+        return run_batch(entry_orders(plan), folder, summarize, options)
+
+
+def _entry(plan: EntryPlan, results: Mapping[int, RaceResult], folder: Path) -> Entry:
+    races = race_outcomes(plan, results)
+    replays = tuple(replay_digest(folder, race.number) for race in races)
+    return Entry(plan, races, *shared_protections(results.values()), replays)

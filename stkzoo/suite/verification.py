@@ -16,17 +16,24 @@ from stkzoo._reading import read_json, read_text, reading
 from stkzoo._schema import plain_text
 from stkzoo.drivers.driver import GAME_AI
 from stkzoo.errors import StkzooError, shortened
-from stkzoo.evaluation.batch.entrants import NAME_MARK
-from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
+from stkzoo.evaluation.batch.agents import NAME_MARK
+from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder, replay_file
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.batch.run import BatchProgress, RunOptions
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
 from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
+from stkzoo.evaluation.benchmark.run import race_outcomes
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import Replay, load_replay, other_versions, play_replay
 from stkzoo.race.replay.file import controls_of
 from stkzoo.race.result import AgentResult, RaceResult
-from stkzoo.suite.entry import ENTRY_FILE, Entry, EntryPlan, plan_entry, replay_digest
+from stkzoo.suite.entry import (
+    ENTRY_FILE,
+    Entry,
+    EntryPlan,
+    entry_orders,
+    plan_entry,
+    replay_digest,
+)
 from stkzoo.suite.tasks import SUITE, find_task
 
 _MAX_SHOWN = 10
@@ -75,7 +82,7 @@ class VerifyOrder(RaceOrder):
         Raises:
             StkzooError: the replay is of another race, or differs from the new race.
         """
-        replay = load_replay(self.replay_file(folder))
+        replay = load_replay(replay_file(folder, self.number))
         self._check_facts(replay)
         own = tuple(self.wait_for or ())
         live = {n: text for n, text in enumerate(self.drivers) if n not in own}
@@ -129,10 +136,6 @@ class VerifyOrder(RaceOrder):
                 raise EntryRefused(
                     f"step {replay.steps}: {name} is {shortened(found)}, expected {expected!r}"
                 )
-
-    def suspects(self) -> tuple[int, ...]:
-        """See :meth:`RaceOrder.suspects`. No code of agents runs."""
-        return ()
 
     def _check_facts(self, replay: Replay) -> None:
         """Checks that a replay is of this race."""
@@ -331,7 +334,7 @@ def verify_entry(
     text = _read(place / ENTRY_FILE)
     entry = Entry.from_json(text, str(place / ENTRY_FILE))
     _check_conditions(entry, place)
-    pairs = zip(entry.plan.orders(), entry.replays, strict=True)
+    pairs = zip(entry_orders(entry.plan), entry.replays, strict=True)
     orders = [VerifyOrder.of(order, digest) for order, digest in pairs]
     report = on_race or (lambda _: None)
     results: dict[int, RaceResult] = {}
@@ -378,7 +381,7 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
     conditions = {name: getattr(expected.settings, name) for name in EntryPlan.decided}
     expected = replace(
         expected,
-        agent=plan.agent,
+        agents=plan.agents,
         about=plan.about,
         versions=plan.versions,
         settings=replace(plan.settings, **conditions),
@@ -389,7 +392,7 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
             problems.append(f"{entry_field.name} of the plan is not that of {task.name} in {SUITE}")
     if not entry.is_complete:
         problems.append(f"it has {len(entry.races)} of {len(expected.races())} races")
-    names = {order.replay_file(folder).name for order in expected.orders()}
+    names = {replay_file(folder, race.number).name for race in expected.races()}
     if strange := names ^ {file.name for file in (folder / REPLAYS).glob("*")}:
         shown = plain_text(", ".join(sorted(strange)[:_MAX_SHOWN]))
         problems.append(f"{REPLAYS} does not have exactly one replay per race; see {shown}")
@@ -399,7 +402,7 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
 def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceResult]) -> None:
     """Compares all numbers of an entry with those of the races that were run again."""
     plan = entry.plan
-    measured = BenchmarkPlan.summarize(plan, results, Path()).races
+    measured = race_outcomes(plan, results)
     problems = [
         f"race {race.number} ({race.track} {direction_name(race.reverse)}), step "
         f"{results[race.number].steps}: {difference}"

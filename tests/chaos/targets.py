@@ -250,7 +250,7 @@ def _feed_plans(data: bytes) -> None:
 def _plan_seeds() -> list[bytes]:
     tournament = plan_tournament(["heuristic", "ai"], tracks=["lighthouse"], races=2)
     benchmark = plan_benchmark("heuristic", split=["lighthouse"], forms=["PA"], seeds=1)
-    forms = (tournament, benchmark, benchmark.summarize({}, Path()))
+    forms = (tournament, benchmark, BenchmarkResult(benchmark, ()))
     return [form.to_json().encode() for form in forms]
 
 

@@ -91,6 +91,6 @@ def test_an_agent_does_not_choose_the_output_folder(words, folder, tmp_path, mon
     agent = tmp_path / "pystk_actor.py"
     agent.write_text('player_name = ".."\n\n\ndef get_actor(*_):\n    return None\n')
     folders = []
-    monkeypatch.setattr(_batch, "run_plan", lambda *given: folders.append(given[2]) or 0)
+    monkeypatch.setattr(_batch, "run_and_show", lambda *values: folders.append(values[2]) or 0)
     assert main([*words, str(agent)]) == 0
     assert [place.as_posix() for place in folders] == [folder]

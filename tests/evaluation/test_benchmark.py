@@ -18,6 +18,7 @@ from stkzoo.evaluation import (
     plan_benchmark,
     plot_benchmark,
 )
+from stkzoo.evaluation.benchmark.plan import benchmark_orders
 from stkzoo.evaluation.benchmark.races import make_races, race_seed
 from stkzoo.evaluation.statistics import estimate_clustered, estimate_mean
 from stkzoo.race import AgentResult, RaceResult
@@ -66,7 +67,7 @@ def test_the_first_races_include_each_kind_once():
 )
 def test_both_ends_of_the_grid(name, ends):
     form = BenchmarkForm.of(name)
-    assert {end: form.places(end) for end in form.ends} == ends
+    assert {end: form.agent_karts(end) for end in form.ends} == ends
 
 
 @pytest.mark.parametrize("name", ["", "A", "AP", "PAP", "pa", "P" * 21, 3])
@@ -77,7 +78,7 @@ def test_invalid_race_forms_are_refused(name):
 
 def test_orders_follow_the_race_form():
     plan = plan_benchmark("random@:dice", split="lighthouse", seeds=1, reverse=[True])
-    by_race = dict(zip(plan.races(), plan.orders(), strict=True))
+    by_race = dict(zip(plan.races(), benchmark_orders(plan), strict=True))
     found = {(race.form, race.end): order for race, order in by_race.items()}
     dice = "random@:dice"
     assert found["PPAAA", "back"].drivers == ("ai", "ai", "ai", dice, dice)

@@ -4,7 +4,7 @@ import warnings
 from types import SimpleNamespace
 
 from stkzoo.evaluation import new_figure, plotting, save_figure
-from stkzoo.evaluation.benchmark.plot import plot_time_trial
+from stkzoo.evaluation.benchmark.time_trial import plot_time_trial
 from stkzoo.evaluation.plotting import draw_intervals
 from stkzoo.evaluation.statistics import Estimate
 

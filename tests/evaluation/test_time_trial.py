@@ -15,6 +15,7 @@ from stkzoo.evaluation import (
     plan_time_trial,
     run_time_trial,
 )
+from stkzoo.evaluation.benchmark.time_trial import summarize_time_trial, time_trial_orders
 from stkzoo.race import RaceResult
 from stkzoo.race.result import AgentResult
 from stkzoo.records import HUMAN_RECORDS
@@ -29,7 +30,7 @@ SHIPPED = ROOT / "benchmarks" / "results" / "benchmark" / "ace-time-trial.json"
 
 def test_the_races_have_the_conditions_of_the_records():
     plan = plan_time_trial("heuristic", seeds=2)
-    orders = plan.orders()
+    orders = time_trial_orders(plan)
     assert [order.settings.track for order in orders] == [*HUMAN_RECORDS] * 2
     assert {order.drivers for order in orders} == {("heuristic@:heuristic",)}
     for order in orders:
@@ -42,8 +43,8 @@ def test_the_races_have_the_conditions_of_the_records():
 
 def test_seeds_do_not_depend_on_the_agent():
     one, other = plan_time_trial("heuristic", seeds=2), plan_time_trial("random", seeds=2)
-    seeds = [order.settings.seed for order in one.orders()]
-    assert seeds == [order.settings.seed for order in other.orders()]
+    seeds = [order.settings.seed for order in time_trial_orders(one)]
+    assert seeds == [order.settings.seed for order in time_trial_orders(other)]
     assert len(set(seeds)) == len(seeds)
 
 
@@ -110,10 +111,10 @@ def outcome(multiples, **options):
     """Makes a result with times in multiples of the record; ``None`` for unfinished races."""
     plan = plan_time_trial("heuristic", **options)
     results = {}
-    for order, multiple in zip(plan.orders(), multiples, strict=False):
+    for order, multiple in zip(time_trial_orders(plan), multiples, strict=False):
         record = HUMAN_RECORDS[order.settings.track].seconds
         results[order.number] = result_of(order, None if multiple is None else multiple * record)
-    return plan.summarize(results, None)
+    return summarize_time_trial(plan, results)
 
 
 def test_the_figures_are_multiples_of_the_records():

@@ -170,7 +170,7 @@ def test_the_public_report_never_replaces_the_tables_of_the_tournament(cup):
 @pytest.mark.slow
 def test_a_file_as_the_folder_to_publish_is_refused(cup):
     (cup / "page.txt").touch()
-    with pytest.raises(ConfigError, match=r"page.txt cannot be used: .*; choose another folder"):
+    with pytest.raises(ConfigError, match=r"page.txt cannot be used: .*; choose another"):
         write_report(cup / "cup", publish=cup / "page.txt")
 
 

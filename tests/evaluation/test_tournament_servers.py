@@ -70,8 +70,8 @@ def test_the_same_command_with_more_agents_at_its_end_adds_them(tmp_path):
     assert main(["tournament", *agents, "random@:dice", *words]) == 0
     settings = {"races": 2, "max_steps": 12, "tracks": ["lighthouse"], "plot": False, "jobs": 1}
     plan = run_tournament([*agents, "random@:dice", "ai@:rival"], output=tmp_path, **settings).plan
-    assert (plan.per_race, plan.additions) == (3, (1, 1))
-    with pytest.raises(ConfigError, match="per_race is 4 and was 3"):
+    assert (plan.grid_size, plan.additions) == (3, (1, 1))
+    with pytest.raises(ConfigError, match="per_race is 4 and was None"):
         run_tournament([*agents, "random@:dice"], output=tmp_path, per_race=4, **settings)
 
 
@@ -106,4 +106,4 @@ def test_agents_are_labeled_by_player_name_and_number(tmp_path):
     (tmp_path / "two").mkdir()
     paths = [write_agent(tmp_path, "Ada"), write_agent(tmp_path / "two", "Ada")]
     plan = plan_tournament([*paths, "heuristic"])
-    assert [entrant.label for entrant in plan.entrants] == ["Ada", "Ada-2", "heuristic"]
+    assert [agent.label for agent in plan.agents] == ["Ada", "Ada-2", "heuristic"]

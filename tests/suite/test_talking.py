@@ -10,6 +10,7 @@ from stkzoo.config import AgentSpec
 from stkzoo.errors import ConfigError
 from stkzoo.race import Driver, RaceListener, find_driver, run_race
 from stkzoo.suite import TASKS, Task, evaluate, find_task, id_of, plan_entry, verify_entry, view_of
+from stkzoo.suite.entry import entry_orders
 from tests.support.paths import AGENTS, ROOT
 
 TASK = find_task("talk-2v2")
@@ -137,7 +138,7 @@ def test_agents_that_do_not_talk_can_race_in_the_task():
     assert find_driver(EXAMPLE).words == find_driver(EXAMPLE, inline=True).words == 8
     assert find_driver("heuristic").words == find_driver(str(AGENTS / "plain")).words == 0
     for agent in (EXAMPLE, "heuristic", str(AGENTS / "plain")):
-        orders = plan_entry("talk-2v2", agent).orders()
+        orders = entry_orders(plan_entry("talk-2v2", agent))
         assert len(orders) == TASK.num_races
 
 

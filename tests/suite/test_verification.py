@@ -10,6 +10,7 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race.replay import load_replay, play_replay
 from stkzoo.suite import TASKS, EntryRefused, evaluate, plan_entry, verify_entry
+from stkzoo.suite.entry import entry_orders
 from stkzoo.suite.verification import _expected_status
 from tests.support.entries import (
     SMALL,
@@ -199,7 +200,7 @@ def test_controls_that_a_rival_did_not_choose_are_refused(entry):
         controls[100, 0, 2] = 1 - controls[100, 0, 2]
         return controls
 
-    assert plan_entry(SMALL, "random").orders()[WITH_DRIVER].drivers[0] == "heuristic"
+    assert entry_orders(plan_entry(SMALL, "random"))[WITH_DRIVER].drivers[0] == "heuristic"
     change_controls(entry, WITH_DRIVER, brake)
     name_replays(entry)
     expected = f"race {WITH_DRIVER} (lighthouse forward): step 101 has other controls of kart_0"
@@ -266,7 +267,7 @@ def test_facts_of_the_replays_that_no_score_depends_on_are_also_verified(entry):
 
     failure = {"step": 3, "kind": "error", "message": "x", "trace": ""}
     failed = change_row("kart_1", num_errors=1, errors=[failure])
-    assert plan_entry(SMALL, "random").orders()[1].drivers[1] == "ai:3"
+    assert entry_orders(plan_entry(SMALL, "random"))[1].drivers[1] == "ai:3"
     change_controls(entry, 1, steer)
     for number, change in (
         (0, lambda header: header["result"].update(status="max_steps")),

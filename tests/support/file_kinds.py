@@ -42,16 +42,20 @@ from stkzoo.evaluation import (
 )
 from stkzoo.evaluation.benchmark.ai_times import AiTimes, AiTimesPlan, load_ai_times, plan_ai_times
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult
+from stkzoo.evaluation.benchmark.run import race_outcomes
 from stkzoo.evaluation.benchmark.time_trial import (
     TimeTrialPlan,
     TimeTrialRace,
     TimeTrialResult,
+    time_trial_orders,
 )
 from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
 from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.tournament.film import FilmRecorder, MapFilm, draw_film
-from stkzoo.evaluation.tournament.plan import TournamentPlan, TournamentResult
+from stkzoo.evaluation.tournament.plan import TournamentPlan
+from stkzoo.evaluation.tournament.run import tournament_orders
+from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
 from stkzoo.race import RaceResult, run_race
 from stkzoo.race.document import Document
 from stkzoo.race.remote.access import read_servers
@@ -131,7 +135,7 @@ def _document(kind: type[Document], valid: Callable[[], Document]) -> FileKind:
         if isinstance(found, MapFilm):
             draw_film(found, "film")
         elif isinstance(found, TournamentPlan) and found.num_races < _SMALL:
-            found.orders()
+            tournament_orders(found)
 
     return FileKind(kind.kind, text, _as("file.json"), read)
 
@@ -170,14 +174,14 @@ def _results(races: int) -> dict[int, RaceResult]:
 
 def _tournament_result() -> TournamentResult:
     plan = _tournament()
-    labels = {entrant.label for entrant in plan.entrants}
+    labels = {agent.label for agent in plan.agents}
     result = _race()[0]
     assert labels == {row.driver for row in result.agents}
-    return plan.summarize(_results(3), Path())
+    return summarize_tournament(plan, _results(3))
 
 
 def _benchmark_result() -> BenchmarkResult:
-    return _benchmark().summarize(_results(4), Path())
+    return BenchmarkResult(_benchmark(), race_outcomes(_benchmark(), _results(4)))
 
 
 def _entry_plan() -> EntryPlan:
@@ -186,7 +190,7 @@ def _entry_plan() -> EntryPlan:
 
 def _entry() -> Entry:
     plan = _entry_plan()
-    races = BenchmarkPlan.summarize(plan, _results(len(plan.races())), Path()).races
+    races = race_outcomes(plan, _results(len(plan.races())))
     return Entry(plan, races, replays=("0" * 64,) * len(races))
 
 
@@ -196,7 +200,7 @@ def _time_trial() -> TimeTrialPlan:
 
 def _time_trial_result() -> TimeTrialResult:
     plan = _time_trial()
-    (order,) = plan.orders()
+    (order,) = time_trial_orders(plan)
     race = TimeTrialRace(
         number=0,
         track=_TRACK,

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePath
-from typing import NoReturn
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from stkzoo._os import write_text
-from stkzoo.drivers.driver import Driver, find_driver
-from stkzoo.drivers.instances import DriverRequest
-from stkzoo.errors import AgentError, ConfigError
-from stkzoo.evaluation.batch.entrants import NAME_MARK
+from stkzoo.drivers.driver import Driver
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.result import RaceResult
@@ -31,14 +29,12 @@ class RaceOrder:
         drivers: texts for :func:`~stkzoo.race.find_driver`, one per kart.
         settings: settings of the race, with its track and seed.
         wait_for: see :func:`~stkzoo.race.run_race`.
-        absent: indices of drivers that do not start. They fail, and their karts stand still.
     """
 
     number: int
     drivers: tuple[str, ...]
     settings: RaceSettings
     wait_for: tuple[int, ...] | None = None
-    absent: tuple[int, ...] = field(default=(), kw_only=True)
 
     def run(self, folder: Path) -> Document:  # noqa: ARG002 - orders may write more files
         """Runs the race. A worker process calls this.
@@ -54,57 +50,29 @@ class RaceOrder:
         """Runs the race with drivers and listeners.
 
         Args:
-            drivers: the order's drivers, perhaps in another form; those that are absent fail.
+            drivers: the order's drivers, perhaps already found.
             listeners: listeners of the race.
         """
         return run_race(
-            self.without_absent(drivers),
+            drivers,
             listeners=listeners,
             start_positions=range(1, len(drivers) + 1),
             wait_for=self.wait_for,
             settings=self.settings,
         )
 
-    def suspects(self) -> tuple[int, ...]:
-        """Returns the indices of drivers whose code may have ended the process of the race.
-
-        These are the drivers from files.
-        """
-        return tuple(
-            number for number, text in enumerate(self.drivers) if find_driver(text).is_from_files
-        )
-
-    def isolated(self) -> RaceOrder:
-        """Returns the same race with each agent in its own process, sandboxed if possible.
-
-        If the settings require a sandbox, the race still requires it.
-        """
-        sandbox = "on" if self.settings.sandbox == "on" else "auto"
-        return replace(self, settings=replace(self.settings, inline=False, sandbox=sandbox))
-
     def hurried(self, race_timeout: float) -> RaceOrder:
-        """Returns the isolated race with a time budget, so that slow agents cannot make it late.
+        """Returns the race with a time budget, so that slow agents cannot make it late.
 
-        Each agent gets the same share of the time limit, and the game gets one too.
+        Each agent gets the same share of the time limit, and the game gets one too. All agents run
+        in processes of their own, which can be stopped.
 
         Args:
             race_timeout: time limit of the race [s].
         """
-        isolated = self.isolated()
         share = race_timeout / (len(self.drivers) + 1)
         budget = min(share, self.settings.time_budget or share)
-        return replace(isolated, settings=replace(isolated.settings, time_budget=budget))
-
-    def without_absent(self, drivers: Sequence[str | Driver]) -> list[str | Driver]:
-        """Returns the drivers; those that are absent fail when they start.
-
-        Args:
-            drivers: the drivers of the race.
-        """
-        return [
-            _absent(driver) if number in self.absent else driver
-            for number, driver in enumerate(drivers)
-        ]
+        return replace(self, settings=replace(self.settings, inline=False, time_budget=budget))
 
     def load(self, folder: Path) -> RaceResult | None:
         """Returns the stored result; ``None`` if the race has not been run.
@@ -154,49 +122,26 @@ class RaceOrder:
         """
         return folder / RACES / f"{self.number:05d}{ending}"
 
-    def replay_file(self, folder: Path) -> Path:
-        """Returns the file of the race's replay, which some batches store.
-
-        Args:
-            folder: folder of the batch.
-        """
-        return replay_file(folder, self.number)
-
     def _matches(self, result: RaceResult) -> bool:
         rows = sorted(result.agents, key=lambda row: (len(row.agent), row.agent))
-        found = [
+        drivers = [
             f"{row.source}{NAME_MARK}{row.driver}" if NAME_MARK in text else row.source
             for row, text in zip(rows, self.drivers, strict=False)
         ]
-        # An agent keeps its name when its folder is moved.
-        return [*map(_last_part, found)] == [*map(_last_part, self.drivers)] and all(
-            getattr(result, name) == getattr(self.settings, name)
-            for name in ("seed", "track", "reverse", "mode", "laps", "difficulty")
+        names = ("seed", "track", "reverse", "mode", "laps", "difficulty")
+        return drivers == [*self.drivers] and all(
+            getattr(result, name) == getattr(self.settings, name) for name in names
         )
 
 
-def _last_part(driver: str) -> str:
-    source, mark, label = driver.partition(NAME_MARK)
-    return f"{PurePath(source).name}{mark}{label}"
-
-
 def replay_file(folder: Path, number: int) -> Path:
-    """Returns the file of the replay of a batch's race.
+    """Returns the file of the replay of a batch's race, which some batches store.
 
     Args:
         folder: folder of the batch.
         number: number of the race.
     """
     return folder / REPLAYS / f"{number:05d}.stkz"
-
-
-def _absent(driver: str | Driver) -> Driver:
-    known = find_driver(driver) if isinstance(driver, str) else driver
-    return replace(known, start=_refuse)
-
-
-def _refuse(request: DriverRequest) -> NoReturn:
-    raise AgentError("its code ended the race's process", request.agent)
 
 
 def load_orders(orders: Sequence[RaceOrder], folder: Path) -> dict[int, RaceResult]:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
-import logging
 import os
 import subprocess
 import sys
 import threading
 import traceback
 from collections.abc import Generator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -28,11 +26,7 @@ from stkzoo.drivers.sandbox import SHARED_CORES
 from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RaceOrder
 
-#: Maximum number of trial races without some agents, to find agents that end the process of a race.
-_MAX_TRIALS = 32
 _END_TIMEOUT = 5.0  # [s]
-_WAIT_INTERVAL = 0.5  # [s]
-logger = logging.getLogger(__name__)
 _WORKER = "from stkzoo.evaluation.batch.pool import serve; serve()"
 
 
@@ -62,7 +56,8 @@ def run_in_parallel(
         orders: the races.
         folder: folder of the batch.
         jobs: maximum number of races at the same time.
-        race_timeout: time limit of a race [s], after which its process is killed.
+        race_timeout: time limit of a race [s], after which its process is killed. The race is
+            repeated once with a time budget for each agent.
     """
     count = min(jobs, len(orders))
     workers = [_Worker(folder, race_timeout, is_alone=count == 1) for _ in range(count)]
@@ -71,19 +66,16 @@ def run_in_parallel(
         idle.put(worker)
 
     def run(order: RaceOrder) -> OrderOutcome:
-        own = idle.get()  # does not wait, because each running thread has a worker
+        worker = idle.get()  # does not wait, because each running thread has a worker
         try:
-            return own.run(order)
+            return worker.run(order)
         finally:
-            idle.put(own)
+            idle.put(worker)
 
-    threads = ThreadPoolExecutor(jobs)
+    threads = ThreadPoolExecutor(max(count, 1))
     try:
-        waiting = {threads.submit(run, order) for order in orders}
-        while waiting:  # the timeout lets Ctrl-C interrupt the wait
-            done, waiting = wait(waiting, _WAIT_INTERVAL, FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
+        for future in as_completed([threads.submit(run, order) for order in orders]):
+            yield future.result()
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
@@ -100,80 +92,27 @@ class _Worker:
         self._folder, self._timeout = str(folder.absolute()), race_timeout
         self._lock = threading.Lock()
         self._running: tuple[subprocess.Popen[bytes], OutputTail] | None = None
-        self._is_closed = self._was_late = False
+        self._is_closed = False
 
     def run(self, order: RaceOrder) -> OrderOutcome:
-        """Runs a race. If its process ends, repeats the race to find the agents that ended it.
+        """Runs a race. If its process ends, the outcome is an error.
 
-        The first repetition isolates each agent as far as possible. After a timeout, it also has a
-        time budget, and counts if it ends in time. If some agents may have ended the process, the
-        race is then repeated without some of them. Agents whose absence lets the race finish count
-        as failed. Without this rule, an agent could void a race that it is about to lose. If the
-        race finishes with isolated agents, and also in the absence of any one of several agents, an
-        agent may have tried to put the blame on another. In this case, the race with isolated
-        agents counts.
+        A race that takes too long is repeated with a time budget for each agent, so that no agent
+        voids a race that it is about to lose.
         """
-        outcome, is_over = self._run_once(order)
-        if is_over or self._is_closed:  # close() ended the process, not an agent
-            return outcome
-        suspects, was_late = order.suspects(), self._was_late
-        self._report(order, outcome, suspects)
-        isolated = order.hurried(self._timeout) if was_late else order.isolated()
-        again, is_over = self._run_once(isolated)
-        if is_over and (was_late or isolated == order or not suspects):
-            return replace(again, order=order)
-        chosen = isolated if is_over else None
-        sizes = range(1, 2) if was_late else range(len(suspects) + 1)
-        absent = self._culprits(order, suspects, sizes, is_unique=chosen is not None)
-        if absent is not None:
-            chosen = replace(order, absent=absent)
-        if chosen is None:
-            return outcome
-        final, is_over = self._run_once(chosen)  # the last run must write the race's other files
-        return replace(final, order=order) if is_over else outcome
-
-    def _culprits(
-        self, order: RaceOrder, suspects: tuple[int, ...], sizes: range, *, is_unique: bool
-    ) -> tuple[int, ...] | None:
-        """Returns the smallest group of agents whose absence lets a race finish.
-
-        Args:
-            order: the race.
-            suspects: indices of the agents that may have ended the process.
-            sizes: sizes of the groups to try.
-            is_unique: whether the group must be the only one of its size, and not empty.
-
-        Returns:
-            Indices of the agents; ``None`` if there is no such group.
-        """
-        left = _MAX_TRIALS
-        for size in sizes:
-            groups = [*itertools.combinations(suspects, size)][:left]
-            left -= len(groups)
-            found = []
-            for absent in groups:
-                _, is_over = self._run_once(replace(order, absent=absent))
-                if is_over and not is_unique:
-                    return absent
-                found += [absent] if is_over else []
-            if found:
-                return found[0] if len(found) == 1 and found[0] else None
-        return None
-
-    def _report(self, order: RaceOrder, outcome: OrderOutcome, suspects: Sequence[int]) -> None:
-        names = ", ".join(order.drivers[number] for number in suspects) or "none"
-        reason = outcome.error.partition("\n")[0]
-        logger.warning("race %d: %s; it is repeated; suspects: %s", order.number, reason, names)
+        outcome, was_late = self._run_once(order)
+        if was_late:
+            outcome, _ = self._run_once(order.hurried(self._timeout))
+        return replace(outcome, order=order)
 
     def _run_once(self, order: RaceOrder) -> tuple[OrderOutcome, bool]:
-        """Runs a race once, and returns its outcome and whether its process is still running."""
-        self._was_late = False
-        kind = type(order)
-        line = {"module": kind.__module__, "class": kind.__name__, "order": asdict(order)}
-        text = json.dumps({**line, "folder": self._folder}).encode()
+        """Runs a race once, and returns its outcome and whether it took too long."""
+        order_type = type(order)
+        line = {"module": order_type.__module__, "class": order_type.__name__}
+        text = json.dumps({**line, "order": asdict(order), "folder": self._folder}).encode()
         with self._lock:
             if self._is_closed:
-                return OrderOutcome(order, error="the batch was ended"), True
+                return OrderOutcome(order, error="the batch was ended"), False
             process, said = self._running = self._running or _start(is_alone=self._is_alone)
         assert process.stdin is not None  # noqa: S101 - opened as pipes
         assert process.stdout is not None  # noqa: S101 - opened as pipes
@@ -182,16 +121,17 @@ class _Worker:
         try:
             process.stdin.write(text + b"\n")
             process.stdin.flush()
-            return OrderOutcome(order, **json.loads(process.stdout.readline())), True
+            return OrderOutcome(order, **json.loads(process.stdout.readline())), False
         except (OSError, ValueError):  # the output is closed or incomplete
-            self._was_late = watch.finished.is_set()
+            was_late = watch.finished.is_set()
         finally:
             watch.cancel()
         self._running = None
         error = _end(process, said, _END_TIMEOUT)
-        if self._was_late:
+        if was_late:
             error = f"it was not over after {self._timeout:g} s"
-        return OrderOutcome(order, error=error), False
+            return OrderOutcome(order, error=error), True
+        return OrderOutcome(order, error=error + _remedy(order)), False
 
     def close(self) -> None:
         """Ends the process, even during a race."""
@@ -199,6 +139,13 @@ class _Worker:
             self._is_closed = True
         if running := self._running:
             _end(*running)
+
+
+def _remedy(order: RaceOrder) -> str:
+    """Returns how to keep an agent from ending the process of a race; empty if it cannot."""
+    if not order.settings.inline and order.settings.sandbox != "off":
+        return ""
+    return "; if an agent ended it, run agents in a sandbox: without --inline or --sandbox off"
 
 
 def _start(*, is_alone: bool) -> tuple[subprocess.Popen[bytes], OutputTail]:
@@ -265,8 +212,9 @@ def _read(lines: SimpleQueue[dict[str, Any]]) -> None:
 
 def _run(line: dict[str, Any]) -> dict[str, str]:
     try:
-        kind = getattr(import_module(line["module"]), line["class"])
-        return {"result": msgspec.convert(line["order"], kind).run(Path(line["folder"])).to_json()}
+        order_type = getattr(import_module(line["module"]), line["class"])
+        result = msgspec.convert(line["order"], order_type).run(Path(line["folder"]))
+        return {"result": result.to_json()}
     except StkzooError as error:
         return {"error": str(error)}
     except Exception:  # noqa: BLE001 - the program reports it to the user

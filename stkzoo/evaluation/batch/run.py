@@ -6,25 +6,22 @@ place atomically, so a race is stored completely or not at all, even if the prog
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from stkzoo._locks import locked_folder
-from stkzoo._os import cpu_count, make_folder, write_text
-from stkzoo.errors import ConfigError, StkzooError, check_number, check_whole
+from stkzoo._os import cpu_count, make_folder
+from stkzoo.errors import StkzooError, check_number, check_whole
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
-from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, BatchPlan, Plan, Result
 from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult
 
 _MAX_ERRORS_SHOWN = 3
 
-AnyDocument = TypeVar("AnyDocument", bound=Document)
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +71,9 @@ class RunOptions:
         Args:
             options: the keyword arguments.
         """
-        own = {entry.name for entry in fields(cls)} & set(options)
-        others = {name: value for name, value in options.items() if name not in own}
-        return cls(**{name: options[name] for name in own}), others
+        names = {entry.name for entry in fields(cls)} & set(options)
+        others = {name: value for name, value in options.items() if name not in names}
+        return cls(**{name: options[name] for name in names}), others
 
 
 class BatchError(StkzooError, Generic[Result]):
@@ -109,62 +106,49 @@ class BatchError(StkzooError, Generic[Result]):
         )
 
 
-def run_batch(
-    plan: BatchPlan[Result], output: str | os.PathLike[str], options: RunOptions
-) -> Result:
-    """Runs the races of a batch that are not stored yet, and writes the result and its plot.
+@contextmanager
+def open_batch(folder: Path, noun: str) -> Iterator[None]:
+    """Creates the folder of a batch if needed, and locks it while the block runs.
 
     Args:
-        plan: plan of the batch.
-        output: folder of the batch, which is created if needed. It is locked during the run.
-        options: options of the run.
+        folder: the folder.
+        noun: name of this kind of batch.
 
     Raises:
-        ConfigError: the folder cannot be used, another program runs a batch in it, it contains
-            another batch or a damaged race, or a library is missing.
+        ConfigError: the folder cannot be used, or another program runs a batch in it.
+    """
+    with locked_folder(folder, noun):
+        make_folder(folder / RACES, noun)
+        yield
+
+
+def run_batch(
+    orders: Sequence[RaceOrder],
+    folder: Path,
+    summarize: Callable[[Mapping[int, RaceResult]], Result],
+    options: RunOptions,
+    *,
+    is_partial: bool = True,
+) -> Result:
+    """Runs the races of a batch that are not stored yet, and returns the result of all races.
+
+    Args:
+        orders: all races of the batch.
+        folder: folder of the batch, which is open (:func:`open_batch`).
+        summarize: function that makes the result of the races that have been run, by number. It
+            may also write the result and plots.
+        options: options of the run.
+        is_partial: whether a part of the races has a result.
+
+    Raises:
+        ConfigError: the folder contains a damaged race.
         BatchError: some races could not be run; the error has the result of the others.
     """
-    folder = Path(output)
-    plan.require_libraries(options.plot)
-    result = None
-    with locked_folder(folder, plan.noun):
-        make_folder(folder / RACES, plan.noun)
-        plan = _keep_plan(plan, folder)
-        orders = plan.orders()
-        results, errors = _run_orders(orders, folder, options)
-        if plan.is_gradual or not errors:
-            result = plan.summarize(results, folder)
-            if isinstance(result, Document):
-                write_text(folder / plan.result_file, result.to_json() + "\n")
-            if plan.is_gradual and options.plot and results:
-                plan.draw(result, folder / f"{plan.noun}.png")
-            if results:
-                plan.report(result, results, folder)
+    results, errors = _run_orders(orders, folder, options)
+    result = summarize(results) if is_partial or not errors else None
     if errors or result is None:
         raise BatchError.of(errors, len(orders), result)
     return result
-
-
-def load_batch(
-    plan_type: type[BatchPlan[AnyDocument]],
-    result_type: type[AnyDocument],
-    path: str | os.PathLike[str],
-) -> AnyDocument:
-    """Returns the current result of a batch without running any race.
-
-    Args:
-        plan_type: type of the plan.
-        result_type: type of the result.
-        path: folder of the batch, or its result file.
-
-    Raises:
-        ConfigError: there is no result, a file is damaged, or a library is missing.
-    """
-    place = Path(path)
-    if (place / PLAN_FILE).exists():
-        plan = plan_type.load(place / PLAN_FILE)
-        return plan.summarize(load_orders(plan.orders(), place), place)
-    return result_type.load(place / RESULT_FILE if place.is_dir() else place)
 
 
 def _run_orders(
@@ -189,26 +173,3 @@ def _run_orders(
                 last = results[number] = outcome.order.store(folder, outcome.result)
             report(BatchProgress(len(results), len(orders), last, outcome.error))
     return results, errors
-
-
-def _keep_plan(plan: Plan, folder: Path) -> Plan:
-    """Returns the plan to run, and stores it in the folder if it is not stored yet.
-
-    Args:
-        plan: the requested plan.
-        folder: folder of the batch.
-
-    Raises:
-        ConfigError: the folder contains a plan for other races.
-    """
-    file = folder / PLAN_FILE
-    started = type(plan).load(file) if file.exists() else None
-    kept = started.moved(folder).continued(plan).shown_like(plan) if started else plan
-    if differences := kept.differences(plan):
-        raise ConfigError(
-            f"{folder} has another {plan.noun}: {'; '.join(differences)}. Choose another output, "
-            f"or undo the change and resume: {plan.resume_command.format(folder=folder)}"
-        )
-    if kept != started:
-        write_text(file, kept.to_json() + "\n")
-    return kept

@@ -14,11 +14,12 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
+from stkzoo._os import write_text
 from stkzoo._schema import Level, Positive, Whole, one_of
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
-from stkzoo.evaluation.batch.run import RunOptions, run_batch
+from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks, keep_plan
+from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
 from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, versions_now
@@ -80,18 +81,18 @@ class AiTime:
         check_race_times(self.races)
 
     @classmethod
-    def of(cls, race: RaceKey, races: Sequence[Sequence[float | None]]) -> AiTime | None:
+    def of(cls, key: RaceKey, races: Sequence[Sequence[float | None]]) -> AiTime | None:
         """Returns the statistics of finish times.
 
         Args:
-            race: track, ``reverse`` and difficulty.
+            key: track, ``reverse`` and difficulty.
             races: finish times of the karts of each race [s]; ``None`` for a kart that did not
                 finish.
 
         Returns:
             The statistics; ``None`` if the median is unknown because too few karts finished.
         """
-        track, reverse, difficulty = race
+        track, reverse, difficulty = key
         times = list(itertools.chain(*races))
         finished = [time for time in times if time is not None]
         median = statistics.median([math.inf if time is None else time for time in times])
@@ -107,7 +108,7 @@ class AiTime:
             karts=len(times),
             finished=len(finished),
             races=tuple(
-                tuple(None if time is None else round(time, 3) for time in own) for own in races
+                tuple(None if time is None else round(time, 3) for time in race) for race in races
             ),
         )
 
@@ -162,8 +163,8 @@ class AiTimes(Document):
         for result in results:
             of_race = times.setdefault((result.track, result.reverse, result.difficulty), [])
             of_race.append([row.finish_time for row in result.agents])
-        found = (AiTime.of(race, times[race]) for race in sorted(times))
-        return cls(versions_now(), tuple(time for time in found if time is not None))
+        known = (AiTime.of(race, times[race]) for race in sorted(times))
+        return cls(versions_now(), tuple(time for time in known if time is not None))
 
 
 def load_ai_times(path: str | os.PathLike[str] | None = None) -> AiTimes:
@@ -185,7 +186,7 @@ def _shipped_times() -> AiTimes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AiTimesPlan(BatchPlan[AiTimes]):
+class AiTimesPlan(BatchPlan):
     """The plan of races in which the game's AI drives all karts, in both directions.
 
     Attributes:
@@ -196,8 +197,6 @@ class AiTimesPlan(BatchPlan[AiTimes]):
     kind: ClassVar[str] = "ai-times-plan"
     noun: ClassVar[str] = "measurement"
     resume_command: ClassVar[str] = "stkzoo benchmark --baseline --output {folder}"
-    result_file: ClassVar[str] = AI_TIMES_FILE
-    is_gradual: ClassVar[bool] = False
 
     seeds: int
     difficulties: tuple[int, ...]
@@ -207,27 +206,24 @@ class AiTimesPlan(BatchPlan[AiTimes]):
         for difficulty in self.difficulties:
             check_whole("difficulty", difficulty, 0, 3)
 
-    def orders(self) -> list[RaceOrder]:
-        """Returns the orders of all races."""
-        kinds = itertools.product(self.difficulties, self.tracks, (False, True), range(self.seeds))
-        return [
-            RaceOrder(
-                number,
-                ("ai",) * _KARTS,
-                RaceSettings(
-                    track=track,
-                    reverse=reverse,
-                    difficulty=difficulty,
-                    seed=race_seed(track, reverse, "A" * _KARTS, FRONT, index),
-                    max_paths=1,  # the AI does not use observations
-                ),
-            )
-            for number, (difficulty, track, reverse, index) in enumerate(kinds)
-        ]
 
-    def summarize(self, results: Mapping[int, RaceResult], _: Path) -> AiTimes:
-        """Returns the times of the races that have been run."""
-        return AiTimes.from_races(results[number] for number in sorted(results))
+def ai_times_orders(plan: AiTimesPlan) -> list[RaceOrder]:
+    """Returns the orders of all races in which the AI's times are measured."""
+    races = itertools.product(plan.difficulties, plan.tracks, (False, True), range(plan.seeds))
+    return [
+        RaceOrder(
+            number,
+            ("ai",) * _KARTS,
+            RaceSettings(
+                track=track,
+                reverse=reverse,
+                difficulty=difficulty,
+                seed=race_seed(track, reverse, "A" * _KARTS, FRONT, index),
+                max_paths=1,  # the AI does not use observations
+            ),
+        )
+        for number, (difficulty, track, reverse, index) in enumerate(races)
+    ]
 
 
 def plan_ai_times(
@@ -237,8 +233,8 @@ def plan_ai_times(
     difficulties: Sequence[int] = (3, 2, 1, 0),
 ) -> AiTimesPlan:
     """Plans the races of :func:`measure_ai_times`, which describes the arguments."""
-    found = find_tracks(tracks, RaceSettings())
-    return AiTimesPlan(tracks=found, seeds=seeds, difficulties=tuple(difficulties))
+    names = find_tracks(tracks, RaceSettings())
+    return AiTimesPlan(tracks=names, seeds=seeds, difficulties=tuple(difficulties))
 
 
 def measure_ai_times(output: str | os.PathLike[str], **options: Any) -> AiTimes:
@@ -257,4 +253,17 @@ def measure_ai_times(output: str | os.PathLike[str], **options: Any) -> AiTimes:
         BatchError: some races could not be run.
     """
     run, plan = RunOptions.split(options)
-    return run_batch(plan_ai_times(**plan), output, run)
+    return run_planned_ai_times(plan_ai_times(**plan), Path(output), run)
+
+
+def run_planned_ai_times(plan: AiTimesPlan, folder: Path, options: RunOptions) -> AiTimes:
+    """Runs or resumes a planned measurement; see :func:`measure_ai_times`."""
+    with open_batch(folder, plan.noun):
+        plan = keep_plan(plan, folder)
+
+        def summarize(results: Mapping[int, RaceResult]) -> AiTimes:
+            times = AiTimes.from_races(results[number] for number in sorted(results))
+            write_text(folder / AI_TIMES_FILE, times.to_json() + "\n")
+            return times
+
+        return run_batch(ai_times_orders(plan), folder, summarize, options, is_partial=False)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.benchmark.plan import BenchmarkResult
+from stkzoo.evaluation.batch.plan import describe_differences
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult
 from stkzoo.evaluation.benchmark.races import (
     FigureKind,
     FloatArray,
@@ -68,8 +69,7 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
     Raises:
         ConfigError: the agents raced under different conditions, or have no race in common.
     """
-    differing = first.plan.differing_conditions(second.plan)
-    if differing:
+    if differing := _differing_conditions(first.plan, second.plan):
         raise ConfigError(
             f"{first.label} and {second.label} raced under different conditions: "
             f"{'; '.join(differing)}. Run the benchmark again for one of them"
@@ -83,13 +83,13 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
         )
 
     def minus(kind: FigureKind) -> FigureKind:
-        def difference(mine: RaceOutcome) -> float | None:
-            one, two = kind.of(mine), kind.of(others[mine.key])
+        def difference(race: RaceOutcome) -> float | None:
+            one, two = kind.of(race), kind.of(others[race.key])
             return None if one is None or two is None else one - two
 
-        def redrawn_difference(mine: RaceOutcome) -> FloatArray:
+        def redrawn_difference(race: RaceOutcome) -> FloatArray:
             assert kind.redrawn is not None  # noqa: S101 - only called if it is not
-            return kind.redrawn(mine) - kind.redrawn(others[mine.key])
+            return kind.redrawn(race) - kind.redrawn(others[race.key])
 
         return FigureKind(
             kind.name,
@@ -100,3 +100,25 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
 
     groups = group_races(shared, [minus(kind) for kind in first.figure_kinds()])
     return Comparison(first.label, second.label, groups)
+
+
+def _differing_conditions(first: BenchmarkPlan, second: BenchmarkPlan) -> list[str]:
+    """Describes the conditions whose difference makes two results incomparable."""
+    one, two = _conditions(first), _conditions(second)
+    shared = one.keys() & two.keys()  # of the AI's times, those on tracks of both
+    return describe_differences(
+        {name: one[name] for name in shared}, {name: two[name] for name in shared}
+    )
+
+
+def _conditions(plan: BenchmarkPlan) -> dict[str, Any]:
+    times = {
+        f"the AI's time on {track} ({direction})": time
+        for track, of_track in plan.ai_times.items()
+        for direction, time in of_track.items()
+    }
+    return times | {
+        "engine": plan.versions.get("pystk2"),
+        "difficulty": plan.settings.difficulty,
+        "limit": plan.limit,
+    }

@@ -7,7 +7,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -15,19 +14,17 @@ from msgspec import Meta
 
 from stkzoo.config import NORMAL
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
+from stkzoo.evaluation.batch.agents import BatchAgent, find_agents
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
     MAX_RESULT_BYTES,
     BatchPlan,
+    batch_settings,
     check_directions,
     check_num_races,
-    describe_differences,
     find_tracks,
 )
-from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
 from stkzoo.evaluation.benchmark.ai_times import RaceTimes, check_race_times, load_ai_times
-from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import (
     DECIDED_SETTINGS,
     FIGURES,
@@ -46,7 +43,6 @@ from stkzoo.evaluation.benchmark.races import (
 )
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS, resampled_medians
 from stkzoo.race.document import Document
-from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
 
 #: Time limit of a race, as a multiple of the AI's median time.
@@ -55,11 +51,11 @@ _MAX_SEEDS = 10_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
+class BenchmarkPlan(BatchPlan):
     """The plan of a benchmark. It determines the races.
 
     Attributes:
-        agent: the agent to measure.
+        agents: the agent to measure.
         split: the tracks as the user named them.
         directions: ``False`` for forward, ``True`` for reversed.
         forms: names of race forms (:class:`~stkzoo.evaluation.BenchmarkForm`).
@@ -74,10 +70,11 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
     noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
     decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
+    changeable: ClassVar[tuple[str, ...]] = ("split", "ai_races")
     #: Whether rivals can be drivers of a population.
     has_population: ClassVar[bool] = False
 
-    agent: Entrant
+    agents: Annotated[tuple[BatchAgent, ...], Meta(min_length=1, max_length=1)]
     split: str
     directions: Annotated[tuple[bool, ...], Meta(min_length=1, max_length=2)]
     forms: Annotated[tuple[str, ...], Meta(min_length=1, max_length=400)]
@@ -99,13 +96,8 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
         for track, reverse in itertools.product(self.tracks, self.directions):
             if direction_name(reverse) not in self.ai_times.get(track, {}):
                 raise ConfigError(f"ai_times has no {track} ({direction_name(reverse)})")
-        for times in itertools.chain(*(own.values() for own in self.ai_races.values())):
-            check_race_times(times)
-
-    @property
-    def agents(self) -> tuple[Entrant, ...]:
-        """The agent to measure."""
-        return (self.agent,)
+        for races in itertools.chain(*(ways.values() for ways in self.ai_races.values())):
+            check_race_times(races)
 
     def races(self) -> tuple[BenchmarkRace, ...]:
         """Returns all races of the benchmark."""
@@ -123,87 +115,34 @@ class BenchmarkPlan(BatchPlan["BenchmarkResult"]):
 
         Where the finish times are unknown, all draws are the median.
         """
-        generator, found = np.random.default_rng(0), {}
+        generator, times = np.random.default_rng(0), {}
         for track, reverse in itertools.product(self.tracks, self.directions):
             races = self.ai_races.get(track, {}).get(direction_name(reverse), ())
-            found[track, reverse] = (
+            times[track, reverse] = (
                 resampled_medians(races, generator)
                 if races
                 else np.full(DRAWS, self.ai_time(track, reverse))
             )
-        return found
+        return times
 
-    def orders(self) -> list[RaceOrder]:
-        """Returns the orders of all races."""
-        return [self._order(race) for race in self.races()]
 
-    def _order(self, race: BenchmarkRace) -> RaceOrder:
-        places = race.lineup.places(race.end)
-        longest = self.limit * self.ai_time(race.track, race.reverse)
-        return RaceOrder(
-            race.number,
-            tuple(self.agent.text if place in places else "ai" for place in range(len(race.form))),
-            replace(
-                self.settings,
-                track=race.track,
-                reverse=race.reverse,
-                seed=race.seed,
-                max_steps=steps_within(longest),
-            ),
-            places,
-        )
+def benchmark_orders(plan: BenchmarkPlan) -> list[RaceOrder]:
+    """Returns the orders of all races of a benchmark."""
+    return [benchmark_order(plan, race) for race in plan.races()]
 
-    def summarize(self, results: Mapping[int, RaceResult], _: Path) -> BenchmarkResult:
-        """Returns the result of the races that have been run.
 
-        Args:
-            results: results of races by number.
-        """
-        outcomes = (
-            RaceOutcome.of(
-                race, results[race.number], self.ai_time(race.track, race.reverse), self.limit
-            )
-            for race in self.races()
-            if race.number in results
-        )
-        return BenchmarkResult(self, tuple(outcomes), *shared_protections(results.values()))
-
-    def draw(self, result: BenchmarkResult, path: Path) -> None:
-        """Plots the result to a file."""
-        plot_benchmark(result, path)
-
-    def _comparable(self) -> dict[str, Any]:
-        values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
-        del values["split"], values["ai_times"], values["ai_races"]
-        directions = [direction_name(reverse) for reverse in self.directions]
-        return values | self._conditions() | {"directions": directions}
-
-    def differing_conditions(self, other: BenchmarkPlan) -> list[str]:
-        """Describes the conditions whose difference makes two results incomparable.
-
-        Args:
-            other: the plan of the other result.
-
-        Returns:
-            One sentence per difference.
-        """
-        mine, theirs = self._conditions(), other._conditions()
-        shared = set(mine) & set(theirs)
-        return describe_differences(
-            {name: mine[name] for name in shared}, {name: theirs[name] for name in shared}
-        )
-
-    def _conditions(self) -> dict[str, Any]:
-        times = {
-            f"the AI's time on {track} ({direction})": time
-            for track, of_track in self.ai_times.items()
-            for direction, time in of_track.items()
-        }
-        return times | {
-            "engine": self.versions.get("pystk2"),
-            "difficulty": self.settings.difficulty,
-            "limit": self.limit,
-        }
+def benchmark_order(plan: BenchmarkPlan, race: BenchmarkRace) -> RaceOrder:
+    """Returns the order of a race of a benchmark."""
+    karts = race.lineup.agent_karts(race.end)
+    settings = replace(
+        plan.settings,
+        track=race.track,
+        reverse=race.reverse,
+        seed=race.seed,
+        max_steps=steps_within(plan.limit * plan.ai_time(race.track, race.reverse)),
+    )
+    drivers = (plan.agent.text if kart in karts else "ai" for kart in range(len(race.form)))
+    return RaceOrder(race.number, tuple(drivers), settings, karts)
 
 
 def plan_benchmark(
@@ -239,7 +178,7 @@ def plan_benchmark(
         AssetError: the game's data is missing.
     """
     chosen = replace(
-        BenchmarkPlan.choose_settings(settings, changes),
+        batch_settings(settings, changes, BenchmarkPlan.decided),
         track=None,
         laps=1,
         mode=NORMAL,
@@ -256,13 +195,12 @@ def plan_benchmark(
             f"forms is {names}, expected different race forms, such as {', '.join(FORMS)}"
         )
     times = load_ai_times(ai_times)
-    found = {
+    measured = {
         track: {direction_name(way): times.of(track, way, difficulty) for way in directions}
         for track in tracks
     }
-    (entrant,) = find_entrants([agent], chosen)
     return BenchmarkPlan(
-        agent=entrant,
+        agents=find_agents([agent], chosen),
         split=split if isinstance(split, str) else " ".join(split),
         tracks=tracks,
         directions=directions,
@@ -270,11 +208,11 @@ def plan_benchmark(
         seeds=seeds,
         ai_times={
             track: {way: time.median for way, time in of_track.items()}
-            for track, of_track in found.items()
+            for track, of_track in measured.items()
         },
         ai_races={
             track: {way: time.races for way, time in of_track.items()}
-            for track, of_track in found.items()
+            for track, of_track in measured.items()
         },
         settings=chosen,
     )
@@ -366,35 +304,3 @@ class BenchmarkResult(Document):
             "groups": [asdict(group) for group in self.groups],
             **Document.to_dict(self),
         }
-
-
-def run_benchmark(agent: str, *, output: str | os.PathLike[str], **options: Any) -> BenchmarkResult:
-    """Runs a benchmark of an agent, or resumes it if it was started in ``output``.
-
-    Args:
-        agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_benchmark`.
-        output: folder for the result of each race, ``result.json`` and ``benchmark.png``.
-        options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
-            :class:`~stkzoo.evaluation.RunOptions`; all others as for
-            :func:`~stkzoo.evaluation.plan_benchmark`.
-
-    Raises:
-        ConfigError: an argument is invalid, a library is missing, or ``output`` contains another
-            benchmark.
-        AssetError: the game's data is missing.
-        BatchError: some races could not be run.
-    """
-    run, plan = RunOptions.split(options)
-    return run_batch(plan_benchmark(agent, **plan), output, run)
-
-
-def load_benchmark(path: str | os.PathLike[str]) -> BenchmarkResult:
-    """Returns the current result of a benchmark without running any race.
-
-    Args:
-        path: folder of the benchmark, or a ``result.json``.
-
-    Raises:
-        ConfigError: there is no result, or a file is damaged.
-    """
-    return load_batch(BenchmarkPlan, BenchmarkResult, path)

@@ -1,27 +1,20 @@
-"""Plots of benchmarks: the time ratio on every track, and the win rates."""
+"""The plot of benchmarks: the time ratio on every track, and the win rates."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stkzoo.evaluation.benchmark.plan import BenchmarkResult
 from stkzoo.evaluation.plotting import (
-    BLUE,
     GRAY,
-    INK,
     PALETTE,
     draw_intervals,
-    new_figure,
-    save_figure,
     shorten,
     style_axes,
     two_panels,
 )
-
-if TYPE_CHECKING:
-    from stkzoo.evaluation.benchmark.plan import BenchmarkResult
-    from stkzoo.evaluation.benchmark.time_trial import TimeTrialResult
 
 #: Fraction of a row's height over which the agents are spread.
 _SPREAD = 0.5
@@ -91,28 +84,3 @@ def _title(results: Sequence[BenchmarkResult]) -> str:
     who = results[0].label if len(results) == 1 else f"{len(results)} agents"
     races = max(len(result.races) for result in results)
     return f"{who}: {races} races on {plan.split}, AI difficulty {plan.settings.difficulty}"
-
-
-def plot_time_trial(result: TimeTrialResult, path: str | os.PathLike[str]) -> None:
-    """Plots an agent's times as multiples of the human records to a file.
-
-    Args:
-        result: result of the agent.
-        path: the file, which is written atomically; its suffix selects the format.
-
-    Raises:
-        ConfigError: matplotlib is not installed, or the file cannot be written.
-    """
-    tracks = sorted(result.tracks, key=lambda track: track.ratio)
-    figure = new_figure(7, 1.4 + 0.24 * len(tracks))
-    axes = figure.subplots()
-    colors = [BLUE if track.finished == track.races else GRAY for track in tracks]
-    bars = axes.barh(range(len(tracks)), [track.ratio for track in tracks], color=colors)
-    labels = [f"{track.ratio:.2f}" for track in tracks]
-    axes.bar_label(bars, labels, padding=3, fontsize=8, color=INK)
-    axes.axvline(1.0, color=INK, linewidth=1)
-    axes.set_yticks(range(len(tracks)), [track.track for track in tracks])
-    axes.set_ylim(len(tracks) - 0.4, -0.6)
-    who = shorten(result.label)
-    style_axes(axes, f"{who}: time as a multiple of the human record; gray: unfinished")
-    save_figure(figure, path)

@@ -66,13 +66,13 @@ class BenchmarkForm:
         Raises:
             ConfigError: the name is invalid.
         """
-        found = _FORM.fullmatch(name) if isinstance(name, str) else None
-        if found is None or len(name) > _MAX_KARTS:
+        match = _FORM.fullmatch(name) if isinstance(name, str) else None
+        if match is None or len(name) > _MAX_KARTS:
             raise ConfigError(
                 f"race form {name!r} is unknown; expected P for each kart of the agent, then A for "
                 f"each of the game's AI, such as PAAAA, at most {_MAX_KARTS} together"
             )
-        return cls(name, len(found[1]), len(found[2]))
+        return cls(name, len(match[1]), len(match[2]))
 
     @property
     def ends(self) -> tuple[str, ...]:
@@ -89,8 +89,8 @@ class BenchmarkForm:
         """Fraction of races that the agent would win if all drivers were equally good."""
         return self.agents / (self.agents + self.rivals)
 
-    def places(self, end: str) -> tuple[int, ...]:
-        """Returns the agent's places on the grid; 0 is the front.
+    def agent_karts(self, end: str) -> tuple[int, ...]:
+        """Returns the numbers of the agent's karts in grid order; 0 is in front.
 
         Args:
             end: the end of the grid from which the agent starts.
@@ -235,12 +235,12 @@ class RaceOutcome(BenchmarkRace):
             ai_time: the AI's median time on the track [s].
             limit: time limit of the race, as a multiple of ``ai_time``.
         """
-        places = race.lineup.places(race.end)
-        own = [row for row in result.agents if row.start_position - 1 in places]
-        lost = [row.agent for row in own if row.finish_time is None]
+        numbers = race.lineup.agent_karts(race.end)
+        rows = [row for row in result.agents if row.start_position - 1 in numbers]
+        lost = [row.agent for row in rows if row.finish_time is None]
         last = dict(zip(reversed(lost), range(len(result.agents), 0, -1), strict=False))
-        own.sort(key=lambda row: row.start_position)
-        karts = tuple(_kart(row, last.get(row.agent, row.rank)) for row in own)
+        rows.sort(key=lambda row: row.start_position)
+        karts = tuple(_kart(row, last.get(row.agent, row.rank)) for row in rows)
         ratios = [limit if k.time is None else min(k.time / ai_time, limit) for k in karts]
         return cls(**asdict(race), status=result.status, time_ratio=_mean(ratios), karts=karts)
 

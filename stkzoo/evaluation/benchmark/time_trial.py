@@ -13,15 +13,35 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
+from stkzoo._os import write_text
 from stkzoo._schema import Count, Positive, Whole
 from stkzoo.config import TIME_TRIAL
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.entrants import Entrant, find_entrants
-from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES, BatchPlan, check_num_races, find_tracks
-from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
-from stkzoo.evaluation.benchmark.plot import plot_time_trial
+from stkzoo.evaluation.batch.agents import BatchAgent, find_agents
+from stkzoo.evaluation.batch.order import RaceOrder, load_orders
+from stkzoo.evaluation.batch.plan import (
+    MAX_RESULT_BYTES,
+    RESULT_FILE,
+    BatchPlan,
+    batch_settings,
+    check_num_races,
+    find_plan,
+    find_tracks,
+    keep_plan,
+    result_file,
+)
+from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
 from stkzoo.evaluation.benchmark.races import DECIDED_SETTINGS, FRONT, race_seed, steps_within
+from stkzoo.evaluation.plotting import (
+    BLUE,
+    GRAY,
+    INK,
+    new_figure,
+    require_plot,
+    save_figure,
+    shorten,
+    style_axes,
+)
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
@@ -97,11 +117,11 @@ class TrackTrial:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
+class TimeTrialPlan(BatchPlan):
     """The plan of time trials. The agent drives alone, forward, over the distance of the record.
 
     Attributes:
-        agent: the agent to measure.
+        agents: the agent to measure.
         split: the tracks as the user named them.
         seeds: number of races on each track.
         records: the human world record of each track.
@@ -112,8 +132,9 @@ class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
     noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --time-trial --output {folder}"
     decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
+    changeable: ClassVar[tuple[str, ...]] = ("split",)
 
-    agent: Entrant
+    agents: Annotated[tuple[BatchAgent, ...], Meta(min_length=1, max_length=1)]
     split: str
     seeds: int
     records: Mapping[str, HumanRecord]
@@ -122,77 +143,60 @@ class TimeTrialPlan(BatchPlan["TimeTrialResult"]):
     def __post_init__(self) -> None:
         check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
         for name, expected in _CONDITIONS.items():
-            found = getattr(self.settings, name)
-            if found != expected:
-                raise ConfigError(f"{name} is {found!r}, expected {expected!r} as in the records")
+            value = getattr(self.settings, name)
+            if value != expected:
+                raise ConfigError(f"{name} is {value!r}, expected {expected!r} as in the records")
         check_num_races("benchmark", len(self.tracks) * self.seeds)
         for track in self.tracks:
             if track not in self.records:
                 raise ConfigError(f"{track} has no human record; leave it out of --track")
 
-    @property
-    def agents(self) -> tuple[Entrant, ...]:
-        """The agent to measure."""
-        return (self.agent,)
 
-    def orders(self) -> list[RaceOrder]:
-        """Returns the orders of all races, ordered by index first."""
-        return [
-            self._order(number, track, index)
-            for number, (index, track) in enumerate(
-                itertools.product(range(self.seeds), self.tracks)
-            )
-        ]
+def time_trial_orders(plan: TimeTrialPlan) -> list[RaceOrder]:
+    """Returns the orders of all races, ordered by index first."""
+    races = itertools.product(range(plan.seeds), plan.tracks)
+    return [_order(plan, number, track, index) for number, (index, track) in enumerate(races)]
 
-    def _order(self, number: int, track: str, index: int) -> RaceOrder:
-        record = self.records[track]
-        settings = replace(
-            self.settings,
-            track=track,
-            laps=record.laps,
-            seed=race_seed(track, False, _ALONE, FRONT, index),
-            max_steps=steps_within(self.limit * record.seconds),
-        )
-        return RaceOrder(number, (self.agent.text,), settings, (0,))
 
-    def summarize(self, results: Mapping[int, RaceResult], _: Path) -> TimeTrialResult:
-        """Returns the result of the races that have been run.
+def _order(plan: TimeTrialPlan, number: int, track: str, index: int) -> RaceOrder:
+    record = plan.records[track]
+    settings = replace(
+        plan.settings,
+        track=track,
+        laps=record.laps,
+        seed=race_seed(track, False, _ALONE, FRONT, index),
+        max_steps=steps_within(plan.limit * record.seconds),
+    )
+    return RaceOrder(number, (plan.agent.text,), settings, (0,))
 
-        Args:
-            results: results of races by number.
-        """
-        races = tuple(
-            self._outcome(number, results[number])
-            for number in range(len(self.tracks) * self.seeds)
-            if number in results
-        )
-        return TimeTrialResult(self, races, *shared_protections(results.values()))
 
-    def _outcome(self, number: int, result: RaceResult) -> TimeTrialRace:
-        (row,) = result.agents
-        time = None if row.finish_time is None else round(row.finish_time, 4)
-        ratio = self.limit if time is None else time / self.records[result.track].seconds
-        return TimeTrialRace(
-            number=number,
-            track=result.track,
-            index=number // len(self.tracks),
-            seed=result.seed,
-            status=result.status,
-            time=time,
-            ratio=round(min(ratio, self.limit), 5),
-            laps=max(row.laps, 0),
-            rescues=row.rescues,
-            errors=row.num_errors,
-        )
+def summarize_time_trial(plan: TimeTrialPlan, results: Mapping[int, RaceResult]) -> TimeTrialResult:
+    """Returns the result of the races that have been run.
 
-    def draw(self, result: TimeTrialResult, path: Path) -> None:
-        """Plots the result to a file."""
-        plot_time_trial(result, path)
+    Args:
+        plan: the time trials.
+        results: results of races by number.
+    """
+    races = tuple(_outcome(plan, number, results[number]) for number in sorted(results))
+    return TimeTrialResult(plan, races, *shared_protections(results.values()))
 
-    def _comparable(self) -> dict[str, Any]:
-        values = BatchPlan._comparable(self)  # super() fails in slotted dataclasses
-        del values["split"]
-        return values
+
+def _outcome(plan: TimeTrialPlan, number: int, result: RaceResult) -> TimeTrialRace:
+    (row,) = result.agents
+    time = None if row.finish_time is None else round(row.finish_time, 4)
+    ratio = plan.limit if time is None else time / plan.records[result.track].seconds
+    return TimeTrialRace(
+        number=number,
+        track=result.track,
+        index=number // len(plan.tracks),
+        seed=result.seed,
+        status=result.status,
+        time=time,
+        ratio=round(min(ratio, plan.limit), 5),
+        laps=max(row.laps, 0),
+        rescues=row.rescues,
+        errors=row.num_errors,
+    )
 
 
 def plan_time_trial(
@@ -221,7 +225,7 @@ def plan_time_trial(
         AssetError: the game's data is missing.
     """
     chosen = replace(
-        TimeTrialPlan.choose_settings(settings, changes),
+        batch_settings(settings, changes, TimeTrialPlan.decided),
         track=None,
         laps=1,  # each race has the laps of its record
         **_CONDITIONS,
@@ -230,9 +234,8 @@ def plan_time_trial(
         karts_finished=None,
     )
     tracks = find_tracks(split, chosen)
-    (entrant,) = find_entrants([agent], chosen)
     return TimeTrialPlan(
-        agent=entrant,
+        agents=find_agents([agent], chosen),
         split=split if isinstance(split, str) else " ".join(split),
         tracks=tracks,
         seeds=seeds,
@@ -267,7 +270,7 @@ class TimeTrialResult(Document):
     def __post_init__(self) -> None:
         planned = {
             order.number: (order.settings.track, order.settings.seed)
-            for order in self.plan.orders()
+            for order in time_trial_orders(self.plan)
         }
         for race in self.races:
             found, expected = (race.track, race.seed), planned.get(race.number)
@@ -360,7 +363,25 @@ def run_time_trial(
         BatchError: some races could not be run.
     """
     run, plan = RunOptions.split(options)
-    return run_batch(plan_time_trial(agent, **plan), output, run)
+    return run_planned_time_trial(plan_time_trial(agent, **plan), Path(output), run)
+
+
+def run_planned_time_trial(
+    plan: TimeTrialPlan, folder: Path, options: RunOptions
+) -> TimeTrialResult:
+    """Runs or resumes planned time trials; see :func:`run_time_trial`."""
+    require_plot(options.plot)
+    with open_batch(folder, plan.noun):
+        plan = keep_plan(plan, folder)
+
+        def summarize(results: Mapping[int, RaceResult]) -> TimeTrialResult:
+            result = summarize_time_trial(plan, results)
+            write_text(folder / RESULT_FILE, result.to_json() + "\n")
+            if options.plot and results:
+                plot_time_trial(result, folder / "benchmark.png")
+            return result
+
+        return run_batch(time_trial_orders(plan), folder, summarize, options)
 
 
 def load_time_trial(path: str | os.PathLike[str]) -> TimeTrialResult:
@@ -372,4 +393,31 @@ def load_time_trial(path: str | os.PathLike[str]) -> TimeTrialResult:
     Raises:
         ConfigError: there is no result, or a file is damaged.
     """
-    return load_batch(TimeTrialPlan, TimeTrialResult, path)
+    if plan := find_plan(TimeTrialPlan, path):
+        return summarize_time_trial(plan, load_orders(time_trial_orders(plan), Path(path)))
+    return TimeTrialResult.load(result_file(path))
+
+
+def plot_time_trial(result: TimeTrialResult, path: str | os.PathLike[str]) -> None:
+    """Plots an agent's times as multiples of the human records to a file.
+
+    Args:
+        result: result of the agent.
+        path: the file, which is written atomically; its suffix selects the format.
+
+    Raises:
+        ConfigError: matplotlib is not installed, or the file cannot be written.
+    """
+    tracks = sorted(result.tracks, key=lambda track: track.ratio)
+    figure = new_figure(7, 1.4 + 0.24 * len(tracks))
+    axes = figure.subplots()
+    colors = [BLUE if track.finished == track.races else GRAY for track in tracks]
+    bars = axes.barh(range(len(tracks)), [track.ratio for track in tracks], color=colors)
+    labels = [f"{track.ratio:.2f}" for track in tracks]
+    axes.bar_label(bars, labels, padding=3, fontsize=8, color=INK)
+    axes.axvline(1.0, color=INK, linewidth=1)
+    axes.set_yticks(range(len(tracks)), [track.track for track in tracks])
+    axes.set_ylim(len(tracks) - 0.4, -0.6)
+    who = shorten(result.label)
+    style_axes(axes, f"{who}: time as a multiple of the human record; gray: unfinished")
+    save_figure(figure, path)

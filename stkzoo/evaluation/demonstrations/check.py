@@ -9,7 +9,7 @@ import numpy as np
 from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError, shortened
 from stkzoo.evaluation.demonstrations.dataset import Columns, Demonstrations, is_by_step
-from stkzoo.evaluation.demonstrations.plan import DemoPlan
+from stkzoo.evaluation.demonstrations.plan import DemoPlan, demo_orders
 from stkzoo.evaluation.demonstrations.recorder import Controls, DemoRecorder, DemoView
 from stkzoo.race.replay import recorded_driver
 from stkzoo.race.runner import run_race
@@ -54,16 +54,16 @@ def check_demonstrations(
     """
     plan = DemoPlan.from_dict(demos.plan)
     numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
-    orders = [order for order in plan.orders() if order.number == race]
-    if not numbers or not orders:
-        raise ConfigError(f"the dataset has no race {race}; it has {len(plan.orders())} races")
+    orders = demo_orders(plan)
+    if not numbers or race >= len(orders):
+        raise ConfigError(f"the dataset has no race {race}; it has {len(orders)} races")
     if plan.agent.source in GAME_AI:
         raise ConfigError(
             "races of the game's AI cannot be driven again by its actions; check demonstrations of "
             "another driver"
         )
-    settings = orders[0].settings
-    if not _has_rival_from_files(plan):
+    settings = orders[race].settings
+    if not any(find_driver(rival).is_from_files for rival in plan.rivals):
         settings = replace(settings, adapter=None)
     elif not trust_rivals:
         raise ConfigError(
@@ -84,18 +84,13 @@ def check_demonstrations(
     )
     again = recorder.episodes(demos.plan)
     firsts = [
-        _first_difference(demos.episode_columns(number), again.episode_columns(place))
-        if again is not None and place < len(again)
+        _first_difference(demos.episode_columns(number), again.episode_columns(index))
+        if again is not None and index < len(again)
         else 0
-        for place, number in enumerate(numbers)
+        for index, number in enumerate(numbers)
     ]
-    found = [first for first in firsts if first is not None]
     steps = sum(int(demos.lengths[number]) for number in numbers)
-    return DemoCheck(race, steps, min(found) if found else None)
-
-
-def _has_rival_from_files(plan: DemoPlan) -> bool:
-    return any(find_driver(rival).is_from_files for rival in plan.rivals)
+    return DemoCheck(race, steps, min((n for n in firsts if n is not None), default=None))
 
 
 def _padded(controls: Controls, steps: int) -> Controls:
@@ -106,14 +101,14 @@ def _padded(controls: Controls, steps: int) -> Controls:
     return np.pad(controls, ((0, steps - len(controls)), (0, 0)))
 
 
-def _first_difference(mine: Columns, theirs: Columns) -> int | None:
+def _first_difference(one: Columns, other: Columns) -> int | None:
     """Returns the index of the first observation in which two episodes differ, or ``None``."""
-    names = [name for name in mine if not is_by_step(name)]
-    lengths = len(mine[names[0]]), len(theirs[names[0]])
+    names = [name for name in one if not is_by_step(name)]
+    lengths = len(one[names[0]]), len(other[names[0]])
     count = min(lengths)
     differs = np.zeros(count, np.bool_)
     for name in names:
-        differs |= (mine[name][:count] != theirs[name][:count]).reshape(count, -1).any(axis=1)
+        differs |= (one[name][:count] != other[name][:count]).reshape(count, -1).any(axis=1)
     if differs.any():
         return int(differs.argmax())
     return None if lengths[0] == lengths[1] else count

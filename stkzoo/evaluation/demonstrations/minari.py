@@ -67,7 +67,7 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
     minari = require_minari()
     view = DemoView(demos.view)
     buffers = [_buffer(minari, number, demos[number]) for number in range(len(demos))]
-    agent = demos.plan["agent"]["label"]
+    agent = demos.plan["agents"][0]["label"]
     about = {
         "algorithm_name": agent,
         "author": "stkzoo",

@@ -20,10 +20,18 @@ from msgspec import Meta
 from stkzoo._schema import Count
 from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError, check_whole
-from stkzoo.evaluation.batch.entrants import Entrant, check_level, find_entrants
+from stkzoo.evaluation.batch.agents import BatchAgent, check_level, find_agents
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import BatchPlan, check_directions, check_num_races, find_tracks
-from stkzoo.evaluation.batch.run import RunOptions, run_batch
+from stkzoo.evaluation.batch.plan import (
+    BatchPlan,
+    batch_settings,
+    check_directions,
+    check_num_races,
+    find_tracks,
+    keep_plan,
+    plan_differences,
+)
+from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
 from stkzoo.evaluation.demonstrations.dataset import (
     Demonstrations,
     join,
@@ -74,10 +82,6 @@ class DemoOrder(RaceOrder):
         save_demonstrations(episodes, self.file(folder, _ENDING))
         return result
 
-    def suspects(self) -> tuple[int, ...]:
-        """Returns no suspects, because a race without one of its agents is not worth recording."""
-        return ()
-
     def load(self, folder: Path) -> RaceResult | None:
         """Returns the stored result; ``None`` if the race has not been recorded.
 
@@ -95,11 +99,11 @@ class DemoOrder(RaceOrder):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DemoPlan(BatchPlan[Demonstrations]):
+class DemoPlan(BatchPlan):
     """The plan of a dataset. It determines the races to record.
 
     Attributes:
-        agent: the driver to record.
+        agents: the driver to record.
         karts: number of karts that the driver drives in each race.
         rivals: drivers of the other karts.
         view: name of the view to record in.
@@ -117,9 +121,8 @@ class DemoPlan(BatchPlan[Demonstrations]):
         *("track", "reverse", "seed"),
         *("error_handling", "max_restarts", "show_output"),
     )
-    is_gradual: ClassVar[bool] = False
 
-    agent: Entrant
+    agents: Annotated[tuple[BatchAgent, ...], Meta(min_length=1, max_length=1)]
     karts: Annotated[int, Meta(ge=1, le=_MAX_KARTS)]
     rivals: Annotated[tuple[str, ...], Meta(max_length=255)]
     view: str
@@ -130,38 +133,22 @@ class DemoPlan(BatchPlan[Demonstrations]):
     def __post_init__(self) -> None:
         check_num_races("dataset", len(self.tracks) * len(self.directions) * len(self.seeds))
 
-    @property
-    def agents(self) -> tuple[Entrant, ...]:
-        """The driver to record."""
-        return (self.agent,)
 
-    def orders(self) -> list[DemoOrder]:
-        """Returns the orders of all races."""
-        drivers = (self.agent.source,) * self.karts + self.rivals
-        races = itertools.product(self.tracks, self.directions, self.seeds)
-        return [
-            DemoOrder(
-                number,
-                drivers,
-                replace(self.settings, track=track, reverse=reverse, seed=seed),
-                tuple(range(self.karts)),
-                self.view,
-                self.substeps,
-            )
-            for number, (track, reverse, seed) in enumerate(races)
-        ]
-
-    def summarize(self, results: Mapping[int, RaceResult], folder: Path) -> Demonstrations:  # noqa: ARG002
-        """Joins the episodes of all races, and writes the dataset beside the batch's folder.
-
-        Args:
-            results: results of all races by number.
-            folder: folder of the batch.
-        """
-        parts = [load_demonstrations(order.file(folder, _ENDING)) for order in self.orders()]
-        demos = replace(join(parts), plan=json.loads(json.dumps(self.to_dict())))
-        save_demonstrations(demos, str(folder).removesuffix(_PARTS))
-        return demos
+def demo_orders(plan: DemoPlan) -> list[DemoOrder]:
+    """Returns the orders of all races of a dataset."""
+    drivers = (plan.agent.source,) * plan.karts + plan.rivals
+    races = itertools.product(plan.tracks, plan.directions, plan.seeds)
+    return [
+        DemoOrder(
+            number,
+            drivers,
+            replace(plan.settings, track=track, reverse=reverse, seed=seed),
+            tuple(range(plan.karts)),
+            plan.view,
+            plan.substeps,
+        )
+        for number, (track, reverse, seed) in enumerate(races)
+    ]
 
 
 def plan_demonstrations(
@@ -201,17 +188,17 @@ def plan_demonstrations(
         ConfigError: an argument is invalid, or the agent or a track does not exist.
         AssetError: the game's data is missing.
     """
-    chosen = replace(DemoPlan.choose_settings(settings, changes), error_handling="raise")
+    chosen = replace(batch_settings(settings, changes, DemoPlan.decided), error_handling="raise")
     check_whole("karts", karts, 1, _MAX_KARTS)
     if isinstance(rivals, str):
         raise ConfigError(f"rivals is {rivals!r}, expected a list of drivers")
     DemoView(view)
-    (entrant,) = find_entrants([agent], chosen)
-    drivers = [find_driver(text, inline=chosen.inline) for text in (entrant.source, *rivals)]
+    (found,) = find_agents([agent], chosen)
+    drivers = [find_driver(text, inline=chosen.inline) for text in (found.source, *rivals)]
     for driver in drivers:
         check_level(driver, chosen)
     return DemoPlan(
-        agent=entrant,
+        agents=(found,),
         karts=karts,
         rivals=tuple(rivals),
         view=view,
@@ -227,12 +214,12 @@ def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
     if isinstance(seeds, int):
         check_whole("seeds", seeds, 1)
         return tuple(range(seeds))
-    found = tuple(seeds)
-    for seed in found:
+    numbers = tuple(seeds)
+    for seed in numbers:
         check_whole("a seed", seed, 0)
-    if not found or len(set(found)) < len(found):
+    if not numbers or len(set(numbers)) < len(numbers):
         raise ConfigError(f"seeds is {seeds!r}, expected different whole numbers, or how many")
-    return found
+    return numbers
 
 
 def _substeps(substeps: int | None, are_game_ai: Sequence[bool]) -> int:
@@ -269,10 +256,10 @@ def record_demonstrations(
         BatchError: some races could not be recorded.
     """
     run, plan = RunOptions.split(options)
-    return record_plan(plan_demonstrations(agent, **plan), output, run)
+    return run_planned_demonstrations(plan_demonstrations(agent, **plan), output, run)
 
 
-def record_plan(
+def run_planned_demonstrations(
     plan: DemoPlan, output: str | os.PathLike[str], options: RunOptions
 ) -> Demonstrations:
     """Records a planned dataset; see :func:`record_demonstrations`.
@@ -287,13 +274,23 @@ def record_plan(
         raise ConfigError(f"the dataset is {str(output)!r}, expected a path that ends in {_ENDING}")
     if target.exists():
         demos = load_demonstrations(target)
-        if differences := DemoPlan.from_dict(demos.plan).differences(plan):
+        if differences := plan_differences(DemoPlan.from_dict(demos.plan), plan):
             raise ConfigError(
                 f"{target} has other demonstrations: {'; '.join(differences)}. Choose another "
                 "file, or delete it"
             )
         return demos
     parts = target.with_name(target.name + _PARTS)
-    demos = run_batch(plan, parts, options)
+    with open_batch(parts, plan.noun):
+        plan = keep_plan(plan, parts)
+        orders = demo_orders(plan)
+
+        def summarize(_: Mapping[int, RaceResult]) -> Demonstrations:
+            episodes = [load_demonstrations(order.file(parts, _ENDING)) for order in orders]
+            demos = replace(join(episodes), plan=json.loads(json.dumps(plan.to_dict())))
+            save_demonstrations(demos, target)
+            return demos
+
+        demos = run_batch(orders, parts, summarize, options, is_partial=False)
     shutil.rmtree(parts, ignore_errors=True)
     return demos

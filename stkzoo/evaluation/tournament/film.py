@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -172,3 +173,8 @@ def _moving(way: npt.NDArray[np.int64], color: str, timing: str, interval: float
         f'<circle cx="{x}" cy="{y}" r="{_SIZE // 50}" fill="{color}" stroke="black">'
         f"{moves}</circle>"
     )
+
+
+def film_file(folder: Path, number: int) -> Path:
+    """Returns the file of a race's film in the tournament's folder."""
+    return folder / "films" / f"{number:05d}.json"

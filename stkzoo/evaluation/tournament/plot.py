@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stkzoo.evaluation.plotting import (
     INK,
@@ -14,9 +14,7 @@ from stkzoo.evaluation.plotting import (
     two_panels,
 )
 from stkzoo.evaluation.ratings import Rating
-
-if TYPE_CHECKING:
-    from stkzoo.evaluation.tournament.plan import TournamentResult
+from stkzoo.evaluation.tournament.standings import TournamentResult
 
 
 def plot_tournament(result: TournamentResult, path: str | os.PathLike[str]) -> None:
@@ -31,7 +29,7 @@ def plot_tournament(result: TournamentResult, path: str | os.PathLike[str]) -> N
     """
     count, tracks = len(result.standings), result.plan.tracks
     places = ", ".join(tracks) if len(tracks) <= 4 else f"{len(tracks)} tracks"
-    title = f"{count} agents, {len(result.races)} races of {result.plan.per_race} on {places}"
+    title = f"{count} agents, {len(result.races)} races of {result.plan.grid_size} on {places}"
     size, ratios = (5.6 + 0.55 * count + 3, 2.2 + 0.42 * count), (5.2, 2.4 + 0.62 * count)
     labels = [shorten(standing.label) for standing in result.standings]
     with two_panels(path, title, *size, ratios) as (ratings, matrix):

@@ -8,23 +8,17 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING
 
 from stkzoo._os import write_text
 from stkzoo.evaluation.batch.order import replay_file
-from stkzoo.evaluation.tournament.film import MapFilm, draw_film
-from stkzoo.evaluation.tournament.order import film_file
+from stkzoo.evaluation.tournament.film import MapFilm, draw_film, film_file
+from stkzoo.evaluation.tournament.standings import RaceSummary, Standing, TournamentResult
 from stkzoo.race.result import AgentResult, RaceResult
-
-if TYPE_CHECKING:
-    from stkzoo.evaluation.tournament.plan import TournamentResult
-    from stkzoo.evaluation.tournament.standings import RaceSummary, Standing
 
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _FILMS = 6
@@ -60,19 +54,18 @@ class TournamentReport:
         self._places.update({row.label: row.place for row in self.result.standings})
         self._summaries.update({race.number: race for race in self.result.races})
 
-    def write(self, place: Path, page: str = "report.html") -> None:
-        """Writes the page, ``standings.csv`` and ``races.csv`` to a folder.
+    def write(self, page: Path) -> None:
+        """Writes the page, and ``standings.csv`` and ``races.csv`` beside it.
 
         Args:
-            place: the folder.
-            page: file name of the page.
+            page: file of the page.
 
         Raises:
             ConfigError: a file cannot be written.
         """
-        write_text(place / page, self.page())
-        write_text(place / "standings.csv", self.standings_csv())
-        write_text(place / "races.csv", self.races_csv())
+        write_text(page, self.page())
+        write_text(page.with_name("standings.csv"), self.standings_csv())
+        write_text(page.with_name("races.csv"), self.races_csv())
 
     # ------------------------------------------------------------------ tables
 
@@ -123,7 +116,7 @@ class TournamentReport:
         laps = "1 lap" if plan.settings.laps == 1 else f"{plan.settings.laps} laps"
         facts = (
             f"{len(result.standings)} agents",
-            f"{len(result.races)} of {plan.num_races} races of {plan.per_race}, {laps}",
+            f"{len(result.races)} of {plan.num_races} races of {plan.grid_size}, {laps}",
             ", ".join(plan.tracks),
             f"stkzoo {plan.versions.get('stkzoo', '')}",
         )
@@ -311,54 +304,3 @@ def _csv(rows: Iterable[Sequence[object]]) -> str:
 def _cells(row: Sequence[object]) -> list[object]:
     """Returns a row in which a quote precedes texts that a spreadsheet would run as formulas."""
     return [f"'{v}" if isinstance(v, str) and v.startswith(_FORMULA) else v for v in row]
-
-
-def write_report(
-    folder: str | os.PathLike[str],
-    *,
-    publish: str | os.PathLike[str] | None = None,
-    title: str = "Tournament",
-    films: Sequence[int] | None = None,
-) -> Path:
-    """Writes the report of a tournament, which may still be running.
-
-    Args:
-        folder: folder of the tournament.
-        publish: a folder for a public report: ``index.html`` and the tables, without error
-            messages, tracebacks, addresses, paths and replays. With ``None``, the full report is
-            written to ``report.html`` and the tables in the tournament's folder.
-        title: heading of the page.
-        films: numbers of the races with a film; by default, races of the best agents.
-
-    Returns:
-        The path of the page.
-
-    Raises:
-        ConfigError: there is no tournament, no race has ended, the file of a race is damaged, a
-            file cannot be written, or ``publish`` is the tournament's folder.
-    """
-    from stkzoo.errors import ConfigError, reason
-    from stkzoo.evaluation.tournament.run import load_races
-
-    home = Path(folder)
-    result, races = load_races(home)
-    if not races:
-        raise ConfigError(f"no race in {home} has ended yet; start or resume the tournament first")
-    for number in films or ():
-        if number not in races:
-            raise ConfigError(f"race {number} has not been run; choose numbers of races.csv")
-    report = TournamentReport(home, result, races, publish is not None, title, films)
-    place, page = (home, "report.html") if publish is None else (Path(publish), "index.html")
-    if publish is not None and place.resolve() == home.resolve():
-        raise ConfigError(
-            f"the public report would replace the tables of the tournament in {home}; choose "
-            "another folder to publish"
-        )
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(
-            f"the report's folder {place} cannot be used: {reason(error)}; choose another folder"
-        ) from error
-    report.write(place, page)
-    return place / page

@@ -1,26 +1,100 @@
-"""Runs and resumes tournaments, and reads them from their folders."""
+"""Runs and resumes tournaments, reads them from their folders, and writes their reports."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import using_folder
-from stkzoo.evaluation.batch.entrants import find_entrants, is_entered
-from stkzoo.evaluation.batch.order import load_orders
-from stkzoo.evaluation.batch.plan import PLAN_FILE
-from stkzoo.evaluation.batch.run import RunOptions, load_batch, run_batch
+from stkzoo._os import make_folder, write_text
+from stkzoo.drivers.driver import Driver
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.agents import NAME_MARK
+from stkzoo.evaluation.batch.order import RaceOrder, load_orders, replay_file
+from stkzoo.evaluation.batch.plan import (
+    PLAN_FILE,
+    RESULT_FILE,
+    find_plan,
+    keep_plan,
+    result_file,
+)
+from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.plotting import require_plot
+from stkzoo.evaluation.ratings import require_openskill
+from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
 from stkzoo.evaluation.tournament.plan import (
     TournamentPlan,
-    TournamentResult,
-    ask_servers,
+    joined_plan,
     plan_tournament,
+    resumed_plan,
 )
-from stkzoo.race.remote import ServerAccess
-from stkzoo.race.result import RaceResult, versions_now
+from stkzoo.evaluation.tournament.plot import plot_tournament
+from stkzoo.evaluation.tournament.report import TournamentReport
+from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
+from stkzoo.race.remote import ServedAgent, ServerAccess
+from stkzoo.race.replay import ReplayWriter
+from stkzoo.race.result import RaceResult
+
+REPORT_FILE = "report.html"
+
+
+@dataclass(frozen=True, slots=True)
+class TournamentOrder(RaceOrder):
+    """One race of a tournament, which can include agents on servers, with its replay and film.
+
+    Attributes:
+        served: for each driver, its agent on a server; ``None`` for a driver that runs here.
+        access: how to connect to the servers.
+    """
+
+    served: tuple[ServedAgent | None, ...] = ()
+    access: ServerAccess | None = None
+
+    def run(self, folder: Path) -> RaceResult:
+        """Runs the race in a worker process, and stores its replay and film.
+
+        Args:
+            folder: folder of the tournament.
+        """
+        replay, film = replay_file(folder, self.number), film_file(folder, self.number)
+        for file in (replay, film):
+            file.parent.mkdir(exist_ok=True)
+        recorder = FilmRecorder()
+        with ExitStack() as resources:
+            drivers = self._all_drivers(resources)
+            result = self.race(drivers, [recorder, ReplayWriter(replay)])
+        write_text(film, recorder.film().to_json())
+        return result
+
+    def _all_drivers(self, resources: ExitStack) -> list[str | Driver]:
+        """Returns the drivers. Connections to servers are closed with ``resources``."""
+        remote = [agent for agent in self.served if agent]
+        if not remote:
+            return [*self.drivers]
+        group = resources.enter_context((self.access or ServerAccess()).connect(remote))
+        connected = iter(group.drivers)
+        return [
+            replace(next(connected), name=text.rpartition(NAME_MARK)[2]) if agent else text
+            for text, agent in zip(self.drivers, self.served, strict=True)
+        ]
+
+
+def tournament_orders(plan: TournamentPlan) -> list[TournamentOrder]:
+    """Returns the orders of all races of a tournament."""
+    return [
+        TournamentOrder(
+            race.number,
+            tuple(agent.text for agent in grid),
+            replace(plan.settings, track=race.track, seed=race.seed),
+            served=tuple(agent.served for agent in grid),
+            access=plan.access,
+        )
+        for race in plan.schedule()
+        for grid in [[plan.agents[number] for number in race.grid]]
+    ]
 
 
 def run_tournament(
@@ -46,31 +120,7 @@ def run_tournament(
         BatchError: some races could not be run.
     """
     run, chosen = RunOptions.split(options)
-    plan = plan_tournament(agents, **chosen)
-    if chosen.get("per_race") is None:
-        plan = with_stored_per_race(plan, output)
-    return run_batch(plan, output, run)
-
-
-def with_stored_per_race(plan: TournamentPlan, folder: str | os.PathLike[str]) -> TournamentPlan:
-    """Returns a plan with as many agents per race as the tournament in a folder, if there is one.
-
-    The default of a new tournament depends on the number of its agents, which may since have grown.
-
-    Args:
-        plan: the plan.
-        folder: folder of the tournament.
-
-    Raises:
-        ConfigError: the folder or its plan cannot be read.
-    """
-    file = Path(folder) / PLAN_FILE
-    with using_folder(Path(folder), plan.noun):
-        is_new = not file.exists()
-    if is_new:
-        return plan
-    stored = TournamentPlan.load(file).per_race
-    return replace(plan, per_race=min(stored, len(plan.entrants)))
+    return run_planned_tournament(plan_tournament(agents, **chosen), Path(output), run)
 
 
 def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> TournamentResult:
@@ -82,36 +132,28 @@ def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> Tournam
 
     Raises: as :func:`run_tournament`.
     """
-    return run_batch(resumed_plan(folder), folder, RunOptions(**options))
+    return run_planned_tournament(resumed_plan(folder), Path(folder), RunOptions(**options))
 
 
-def resumed_plan(
-    folder: str | os.PathLike[str],
-    agents: Sequence[str] = (),
-    servers: ServerAccess | None = None,
-) -> TournamentPlan:
-    """Returns the plan of a tournament with the current versions of software and agents' files.
+def run_planned_tournament(
+    plan: TournamentPlan, folder: Path, options: RunOptions
+) -> TournamentResult:
+    """Runs or resumes a planned tournament; see :func:`run_tournament`."""
+    require_openskill()
+    require_plot(options.plot, "tournament")
+    with open_batch(folder, plan.noun):
+        plan = keep_plan(joined_plan(plan, folder), folder)
 
-    Args:
-        folder: folder of the tournament.
-        agents: agents that join the tournament, unless they have already joined it.
-        servers: servers whose agents join the tournament, unless they have already joined it.
+        def summarize(results: Mapping[int, RaceResult]) -> TournamentResult:
+            result = summarize_tournament(plan, results)
+            write_text(folder / RESULT_FILE, result.to_json() + "\n")
+            if results:
+                TournamentReport(folder, result, results).write(folder / REPORT_FILE)
+            if options.plot and results:
+                plot_tournament(result, folder / "tournament.png")
+            return result
 
-    Raises:
-        ConfigError: there is no plan, or an agent is invalid.
-        RemoteError: a server does not answer.
-    """
-    plan = TournamentPlan.load(Path(folder) / PLAN_FILE).moved(Path(folder))
-    entrants = tuple(entry.now() for entry in plan.entrants)
-    served, access = ask_servers(servers)
-    known = {entry.served for entry in entrants}
-    joining = [agent for agent in served if agent not in known]
-    labels = [entry.label for entry in entrants]
-    others = [text for text in agents if not is_entered(text, entrants)]
-    new = find_entrants(others, plan.settings, joining, labels)
-    return replace(
-        plan, entrants=(*entrants, *new), access=access or plan.access, versions=versions_now()
-    )
+        return run_batch(tournament_orders(plan), folder, summarize, options)
 
 
 def load_races(folder: Path) -> tuple[TournamentResult, dict[int, RaceResult]]:
@@ -124,8 +166,8 @@ def load_races(folder: Path) -> tuple[TournamentResult, dict[int, RaceResult]]:
         ConfigError: there is no tournament, or the file of a race is damaged.
     """
     plan = TournamentPlan.load(folder / PLAN_FILE)
-    races = load_orders(plan.orders(), folder)
-    return plan.summarize(races, folder), races
+    races = load_orders(tournament_orders(plan), folder)
+    return summarize_tournament(plan, races), races
 
 
 def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:
@@ -137,4 +179,48 @@ def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:
     Raises:
         ConfigError: there is no result, a file is damaged, or a library is missing.
     """
-    return load_batch(TournamentPlan, TournamentResult, path)
+    if find_plan(TournamentPlan, path):
+        return load_races(Path(path))[0]
+    return TournamentResult.load(result_file(path))
+
+
+def write_report(
+    folder: str | os.PathLike[str],
+    *,
+    publish: str | os.PathLike[str] | None = None,
+    title: str = "Tournament",
+    films: Sequence[int] | None = None,
+) -> Path:
+    """Writes the report of a tournament, which may still be running.
+
+    Args:
+        folder: folder of the tournament.
+        publish: a folder for a public report: ``index.html`` and the tables, without error
+            messages, tracebacks, addresses, paths and replays. With ``None``, the full report is
+            written to ``report.html`` and the tables in the tournament's folder.
+        title: heading of the page.
+        films: numbers of the races with a film; by default, races of the best agents.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        ConfigError: there is no tournament, no race has ended, the file of a race is damaged, a
+            file cannot be written, or ``publish`` is the tournament's folder.
+    """
+    home = Path(folder)
+    result, races = load_races(home)
+    if not races:
+        raise ConfigError(f"no race in {home} has ended yet; start or resume the tournament first")
+    for number in films or ():
+        if number not in races:
+            raise ConfigError(f"race {number} has not been run; choose numbers of races.csv")
+    page = home / REPORT_FILE if publish is None else Path(publish, "index.html")
+    if publish is not None and page.parent.resolve() == home.resolve():
+        raise ConfigError(
+            f"the public report would replace the tables of the tournament in {home}; choose "
+            "another folder to publish"
+        )
+    make_folder(page.parent, "report")
+    TournamentReport(home, result, races, publish is not None, title, films).write(page)
+    return page

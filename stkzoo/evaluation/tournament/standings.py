@@ -1,19 +1,24 @@
-"""The standings of a tournament: summaries of its races and the results of each agent."""
+"""The result of a tournament: its standings, and summaries of its races."""
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import fmean
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
 from stkzoo._schema import Count, Positive, Whole
-from stkzoo.evaluation.batch.entrants import Entrant
-from stkzoo.evaluation.ratings import Rating
-from stkzoo.race.result import AgentResult, RaceResult
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.agents import BatchAgent
+from stkzoo.evaluation.batch.plan import MAX_RESULT_BYTES
+from stkzoo.evaluation.ratings import Rating, rate
+from stkzoo.evaluation.statistics import CONFIDENCE
+from stkzoo.evaluation.tournament.plan import TournamentPlan
+from stkzoo.race.document import Document
+from stkzoo.race.result import AgentResult, RaceResult, shared_protections
 
 _MAX_REASON = 200
 
@@ -100,7 +105,7 @@ class Standing:
     @classmethod
     def of(
         cls,
-        entrant: Entrant,
+        agent: BatchAgent,
         place: int,
         rating: Rating,
         races: Sequence[RaceSummary],
@@ -109,24 +114,24 @@ class Standing:
         """Returns the results of an agent.
 
         Args:
-            entrant: the agent.
+            agent: the agent.
             place: place by rating.
             rating: rating of the agent.
             races: all races.
             results: results of all races by number.
         """
-        own = [race for race in races if entrant.label in race.order]
-        ranks = [race.place_of(entrant.label) for race in own]
-        agents = [row for race in own for row in results[race.number].agents]
-        rows = [row for row in agents if row.driver == entrant.label]
+        driven = [race for race in races if agent.label in race.order]
+        ranks = [race.place_of(agent.label) for race in driven]
+        everybody = [row for race in driven for row in results[race.number].agents]
+        rows = [row for row in everybody if row.driver == agent.label]
         times = [row.finish_time for row in rows if row.finish_time is not None]
         track_ranks: dict[str, list[int]] = defaultdict(list)
-        for race, rank in zip(own, ranks, strict=True):
+        for race, rank in zip(driven, ranks, strict=True):
             track_ranks[race.track].append(rank)
         return cls(
             place=place,
-            label=entrant.label,
-            source=entrant.source,
+            label=agent.label,
+            source=agent.source,
             rating=rating,
             races=len(rows),
             wins=ranks.count(1),
@@ -150,3 +155,115 @@ def _reason(rows: Sequence[AgentResult]) -> str:
 
 def _mean(values: Sequence[float]) -> float | None:
     return sum(values) / len(values) if values else None
+
+
+@dataclass(frozen=True, slots=True)
+class TournamentResult(Document):
+    """The result of a tournament.
+
+    Attributes:
+        plan: the tournament.
+        standings: standings of the agents, best first.
+        ahead: ``ahead[i][j]`` is the number of races in which the agent of ``standings[i]``
+            finished ahead of the agent of ``standings[j]``. Two retired agents are tied.
+        races: the races that have been run.
+        sandboxes: sandboxes of the agents from files in these races.
+        protections: protections that applied in all races with agents from files
+            (:func:`stkzoo.drivers.sandbox.protections`).
+    """
+
+    # docs/schemas/tournament-result.schema.json
+    kind: ClassVar[str] = "tournament-result"
+    origin: ClassVar[str] = "the --output of `stkzoo tournament`, or its result.json"
+    max_bytes: ClassVar[int] = MAX_RESULT_BYTES
+
+    plan: TournamentPlan
+    standings: tuple[Standing, ...]
+    ahead: tuple[tuple[Count, ...], ...]
+    races: tuple[RaceSummary, ...]
+    sandboxes: tuple[str, ...] = field(compare=False, default=())
+    protections: tuple[str, ...] = field(compare=False, default=())
+
+    def __post_init__(self) -> None:
+        count = len(self.plan.agents)
+        if [len(self.standings), *map(len, self.ahead)] != [count] * (1 + count):
+            raise ConfigError(
+                f"standings and ahead have {len(self.standings)} and {len(self.ahead)} agents, "
+                f"expected {count} each"
+            )
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all races have been run."""
+        return len(self.races) == self.plan.num_races
+
+    @property
+    def errors(self) -> int:
+        """Total number of failures of agents."""
+        return sum(row.errors for row in self.standings)
+
+    def payoff(self, one: int, two: int) -> float | None:
+        """Returns the fraction of their shared races in which one agent beat another.
+
+        Args:
+            one: index of the first agent in ``standings``.
+            two: index of the second agent in ``standings``.
+
+        Returns:
+            The fraction of races that the first agent won; ``None`` if neither was ahead in any.
+        """
+        won, lost = self.ahead[one][two], self.ahead[two][one]
+        return won / (won + lost) if won + lost else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns the result as JSON values."""
+        everybody = range(len(self.standings))
+        rating_model = {
+            "name": "plackett-luce",
+            "interval": "bootstrap over races",
+            "confidence": CONFIDENCE,
+        }
+        return {
+            "is_complete": self.is_complete,
+            "rating_model": rating_model,
+            **Document.to_dict(self),
+            "payoff": [[self.payoff(one, two) for two in everybody] for one in everybody],
+        }
+
+
+def summarize_tournament(
+    plan: TournamentPlan, results: Mapping[int, RaceResult]
+) -> TournamentResult:
+    """Returns the result after the races that have been run.
+
+    Args:
+        plan: the tournament.
+        results: results of races by number.
+    """
+    races = tuple(RaceSummary.of(number, results[number]) for number in sorted(results))
+    number_of = {agent.label: number for number, agent in enumerate(plan.agents)}
+    orders = [[number_of[label] for label in race.order] for race in races]
+    places = [[race.place_of(label) for label in race.order] for race in races]
+    ratings = rate(orders, len(plan.agents), plan.seed, places)
+    place_in = [dict(zip(*race, strict=True)) for race in zip(orders, places, strict=True)]
+    best_first = sorted(number_of.values(), key=lambda number: -ratings[number].value)
+    sandboxes, protections = shared_protections(results.values())
+    return TournamentResult(
+        plan=plan,
+        standings=tuple(
+            Standing.of(plan.agents[number], place, ratings[number], races, results)
+            for place, number in enumerate(best_first, 1)
+        ),
+        ahead=tuple(
+            tuple(_times_ahead(one, two, place_in) for two in best_first) for one in best_first
+        ),
+        races=races,
+        sandboxes=sandboxes,
+        protections=protections,
+    )
+
+
+def _times_ahead(one: int, two: int, place_in: Sequence[Mapping[int, int]]) -> int:
+    """Returns in how many races one agent was ahead of another one."""
+    shared = (places for places in place_in if one in places and two in places)
+    return sum(places[one] < places[two] for places in shared)

@@ -7,8 +7,7 @@ import itertools
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +40,7 @@ _IGNORED_ENDING = ".log"
 
 
 @dataclass(frozen=True, slots=True)
-class Entrant:
+class BatchAgent:
     """An agent of a batch.
 
     Attributes:
@@ -57,37 +56,20 @@ class Entrant:
     served: ServedAgent | None = None
 
     @classmethod
-    def of(cls, label: str, source: str) -> Entrant:
+    def of(cls, label: str, source: str) -> BatchAgent:
         """Returns an agent with digests of its current files."""
         return cls(label, source, fingerprint(source))
 
-    def now(self) -> Entrant:
+    def now(self) -> BatchAgent:
         """Returns the agent with digests of its current files."""
-        return self if self.served else Entrant.of(self.label, self.source)
-
-    def moved(self, folder: Path) -> Entrant:
-        """Returns the agent at its new place if it was moved together with a folder.
-
-        Args:
-            folder: the folder, near which an agent with the same files is searched.
-        """
-        place = Path(self.source)
-        if not self.files or not place.is_absolute() or place.exists():
-            return self
-        home = folder.resolve()
-        for near, start in itertools.product((home, *home.parents), range(1, len(place.parts))):
-            found = near.joinpath(*place.parts[start:])
-            with suppress(ConfigError):  # another kind of file
-                if found.exists() and fingerprint(str(found)) == self.files:
-                    return replace(self, source=str(found))
-        return self
+        return self if self.served else BatchAgent.of(self.label, self.source)
 
     @property
     def text(self) -> str:
         """The driver's text for a race: source and label."""
         return f"{self.source}{NAME_MARK}{self.label}"
 
-    def changed_files(self, now: Entrant) -> list[str]:
+    def changed_files(self, now: BatchAgent) -> list[str]:
         """Returns the paths of files that have changed or are missing now; ignores new files.
 
         Args:
@@ -98,12 +80,12 @@ class Entrant:
         return [name for name, digest in self.files.items() if now.files.get(name) != digest]
 
 
-def find_entrants(
+def find_agents(
     agents: Sequence[str],
     settings: RaceSettings,
     served: Sequence[ServedAgent] = (),
     taken: Collection[str] = (),
-) -> tuple[Entrant, ...]:
+) -> tuple[BatchAgent, ...]:
     """Finds agents and gives each a unique label.
 
     The label is the name after ``@:``. Without one, it is the agent's ``player_name``; without
@@ -120,7 +102,7 @@ def find_entrants(
             two agents were given the same name, or the sandbox is not available.
     """
     labels = [*taken]
-    entrants = []
+    found = []
     for text in agents:
         driver = find_driver(text, inline=settings.inline, adapter=settings.adapter)
         check_level(driver, settings)
@@ -128,19 +110,19 @@ def find_entrants(
             say_what_is_missing(settings.sandbox)
         is_fixed = NAME_MARK in text or driver.is_game_ai
         labels.append(_unique(_name_of(text, driver), labels, is_fixed=is_fixed, text=text))
-        entrants.append(Entrant.of(labels[-1], _lasting(driver.source)))
+        found.append(BatchAgent.of(labels[-1], _lasting(driver.source)))
     for agent in served:
         labels.append(_unique(agent.name or _short(agent.source), labels))
-        entrants.append(Entrant(labels[-1], agent.place, served=agent))
-    return tuple(entrants)
+        found.append(BatchAgent(labels[-1], agent.place, served=agent))
+    return tuple(found)
 
 
-def is_entered(text: str, entrants: Sequence[Entrant]) -> bool:
-    """Returns whether :func:`find_entrants` has already found an agent for a text.
+def is_among(text: str, agents: Sequence[BatchAgent]) -> bool:
+    """Returns whether :func:`find_agents` has already found an agent for a text.
 
     Args:
         text: text for :func:`~stkzoo.race.find_driver`.
-        entrants: the agents found so far.
+        agents: the agents found so far.
 
     Raises:
         ConfigError: the agent does not exist.
@@ -150,7 +132,7 @@ def is_entered(text: str, entrants: Sequence[Entrant]) -> bool:
     number = "" if NAME_MARK in text else r"(-\d+)?"
     return any(
         entry.source == source and re.fullmatch(re.escape(name) + number, entry.label)
-        for entry in entrants
+        for entry in agents
     )
 
 
