@@ -8,9 +8,7 @@ import hashlib
 import ipaddress
 import os
 import secrets
-import socket
 import stat
-import struct
 import sys
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -25,12 +23,11 @@ except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
-    from asyncio.trsock import TransportSocket
+    pass
 
 __all__ = [
     "PART_FILES",
     "atomic_write",
-    "bytes_received",
     "check_display",
     "check_writable",
     "cpu_count",
@@ -40,7 +37,6 @@ __all__ = [
     "is_loopback",
     "make_folder",
     "max_descriptors",
-    "network_of",
     "read_blocks",
     "using_folder",
     "write_text",
@@ -53,8 +49,6 @@ __all__ = [
 PART_FILES = ".*.part"
 #: Size of a read of a large file [bytes].
 _BLOCK = 1 << 20
-#: Position of the number of received bytes in Linux's ``struct tcp_info``.
-_BYTES_RECEIVED = struct.Struct("@128xQ")
 
 
 def cpu_count() -> int:
@@ -311,34 +305,7 @@ def ip_address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | 
         return None
 
 
-def network_of(host: str) -> str:
-    """Returns the network of an address that counts as one client.
-
-    Args:
-        host: an address or name.
-
-    Returns:
-        The /64 network of an IPv6 address; otherwise ``host`` itself.
-    """
-    address = ip_address_of(host.partition("%")[0])
-    if isinstance(address, ipaddress.IPv6Address) and not address.ipv4_mapped:
-        return str(ipaddress.ip_network((address, 64), strict=False))
-    return host
-
-
 def is_loopback(host: str) -> bool:
     """Returns whether an address or name can only be reached from this machine."""
     address = ip_address_of(host)
     return host.lower() == "localhost" or (address is not None and address.is_loopback)
-
-
-def bytes_received(connection: socket.socket | TransportSocket) -> int:
-    """Returns how many bytes a TCP connection has received; 0 if the system does not report it."""
-    if not hasattr(socket, "TCP_INFO"):
-        return 0
-    try:
-        info = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _BYTES_RECEIVED.size)
-        received: int = _BYTES_RECEIVED.unpack(info)[0]
-    except (OSError, struct.error):  # the connection is closed, or does not use TCP
-        return 0
-    return received

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 
-from stkzoo._os import max_descriptors, network_of
+from stkzoo._os import max_descriptors
 
-#: Maximum numbers of visitors (connections without a viewer), viewers, and viewers per network.
-MOST_VISITORS, MOST_VIEWERS, MOST_VIEWERS_OF_ONE = 64, 64, 32
-#: Visitors and viewers may each use 1/16 of the process's file descriptors; the race needs the
-#: others.
-_SHARE = 16
-_LEAST = 8
+#: Maximum numbers of visitors (connections without a viewer) and of viewers. Each may use 1/16 of
+#: the process's file descriptors; the race needs the others.
+_MOST, _LEAST, _SHARE = 64, 8, 16
 #: Time after which a visitor's connection is closed [s].
 _LIFETIME = 10.0
 #: Pause after each connection, so that a flood of them does not slow the race, and pause when no
@@ -27,22 +23,21 @@ class ConnectionGate:
     """Accepts connections one by one and closes those that take too long.
 
     A connection belongs to a visitor until :meth:`promote` makes it a viewer's. At the limit, each
-    new visitor replaces the oldest visitor of the network with the most visitors. A client that
-    sends its request immediately therefore gets a response, even if many others hold connections
-    open.
+    new visitor replaces the oldest one.
 
     Args:
         listener: listening socket.
+
+    Attributes:
+        most: maximum number of visitors, and of viewers.
     """
 
     def __init__(self, listener: socket.socket) -> None:
         self._listener = listener
         listener.setblocking(False)
-        share = max(_LEAST, max_descriptors() // _SHARE)
-        self._most_visitors = min(MOST_VISITORS, share)
-        self._most_viewers = min(MOST_VIEWERS, share)
-        self._visitors: dict[asyncio.BaseTransport, str] = {}  # with their networks, oldest first
-        self._viewers: dict[asyncio.BaseTransport, str] = {}
+        self.most = min(_MOST, max(_LEAST, max_descriptors() // _SHARE))
+        self._visitors: dict[asyncio.WriteTransport, None] = {}  # oldest first
+        self._viewers: set[asyncio.BaseTransport] = set()
 
     async def run(self, make_protocol: Callable[[], asyncio.Protocol]) -> None:
         """Accepts connections until the task is canceled.
@@ -57,69 +52,32 @@ class ConnectionGate:
             except OSError:  # no file descriptors are left
                 await asyncio.sleep(_LONG_PAUSE)
                 continue
-            self._make_room()
+            if len(self._visitors) >= self.most:
+                self._expire(next(iter(self._visitors)))
             with suppress(OSError):  # the connection is already closed
-                await self._admit(connection, make_protocol)
+                transport, _ = await loop.connect_accepted_socket(make_protocol, connection)
+                self._add(transport)
             await asyncio.sleep(_PAUSE)
 
-    def promote(self, transport: asyncio.BaseTransport) -> str:
-        """Makes a visitor a viewer.
+    def promote(self, transport: asyncio.WriteTransport) -> bool:
+        """Makes a visitor a viewer and returns whether there was room for one."""
+        if len(self._viewers) >= self.most or transport not in self._visitors:
+            return False
+        del self._visitors[transport]
+        self._viewers.add(transport)
+        return True
 
-        Returns:
-            The reason for a refusal; an empty string if the visitor is now a viewer.
-        """
-        self._viewers = _open_ones(self._viewers)
-        network = self._visitors.get(transport)
-        if network is None:
-            return "the connection is closed"
-        if len(self._viewers) >= self._most_viewers:
-            return f"{self._most_viewers} viewers are connected already"
-        if Counter(self._viewers.values())[network] >= MOST_VIEWERS_OF_ONE:
-            return f"{MOST_VIEWERS_OF_ONE} viewers of your network are connected already"
-        self._viewers[transport] = self._visitors.pop(transport)
-        return ""
-
-    def demote(self, transport: asyncio.BaseTransport) -> None:
+    def demote(self, transport: asyncio.WriteTransport) -> None:
         """Makes a leaving viewer a visitor, so that its connection is closed in bounded time."""
-        network = self._viewers.pop(transport, None)
-        if network is not None:
-            self._add(transport, network)
+        self._viewers.discard(transport)
+        self._add(transport)
 
-    async def _admit(
-        self, connection: socket.socket, make_protocol: Callable[[], asyncio.Protocol]
-    ) -> None:
-        try:
-            network = network_of(connection.getpeername()[0])
-            loop = asyncio.get_running_loop()
-            transport, _ = await loop.connect_accepted_socket(make_protocol, connection)
-        except BaseException:
-            connection.close()
-            raise
-        self._add(transport, network)
-
-    def _add(self, transport: asyncio.BaseTransport, network: str) -> None:
-        self._visitors[transport] = network
+    def _add(self, transport: asyncio.WriteTransport) -> None:
+        self._visitors[transport] = None
         asyncio.get_running_loop().call_later(_LIFETIME, self._expire, transport)
 
-    def _make_room(self) -> None:
-        self._visitors = _open_ones(self._visitors)
-        if len(self._visitors) >= self._most_visitors:
-            (largest, _), *_ = Counter(self._visitors.values()).most_common(1)
-            self._expire(next(one for one, network in self._visitors.items() if network == largest))
-
-    def _expire(self, transport: asyncio.BaseTransport) -> None:
+    def _expire(self, transport: asyncio.WriteTransport) -> None:
         """Aborts a visitor's connection, even if its response has not been read."""
-        if self._visitors.pop(transport, None) is not None:
-            assert isinstance(transport, asyncio.WriteTransport)  # noqa: S101 - of a stream socket
+        if transport in self._visitors:
+            del self._visitors[transport]
             transport.abort()
-
-
-def _open_ones(
-    transports: dict[asyncio.BaseTransport, str],
-) -> dict[asyncio.BaseTransport, str]:
-    """Returns the transports whose sockets are still open."""
-    return {
-        transport: network
-        for transport, network in transports.items()
-        if transport.get_extra_info("socket").fileno() >= 0
-    }

@@ -10,14 +10,14 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from aiohttp import web
 
 from stkzoo._logs import RepeatFilter
-from stkzoo._os import bytes_received, ip_address_of, is_loopback
+from stkzoo._os import ip_address_of, is_loopback
 from stkzoo.errors import ConfigError, reason
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import RaceNews
@@ -231,32 +231,21 @@ class LiveServer:
         if not connection.can_prepare(request):
             raise web.HTTPBadRequest(text="this address is for WebSockets; the race is at /\n")
         transport = request.transport
-        if transport is None:
-            raise ConnectionResetError
-        if refusal := self._gate.promote(transport):
-            raise web.HTTPServiceUnavailable(text=f"{refusal}; try again later\n")
+        assert isinstance(transport, asyncio.WriteTransport)  # noqa: S101 - of a stream socket
+        if not self._gate.promote(transport):
+            reason = f"{self._gate.most} viewers are connected already; try again later\n"
+            raise web.HTTPServiceUnavailable(text=reason)
         try:
-            sent = partial(bytes_received, transport.get_extra_info("socket"))
-            await self._serve_viewer(request, connection, sent)
+            await self._serve_viewer(request, connection)
         finally:
             self._gate.demote(transport)
         return connection
 
-    async def _serve_viewer(
-        self,
-        request: web.Request,
-        connection: web.WebSocketResponse,
-        count_bytes: Callable[[], int],
-    ) -> None:
+    async def _serve_viewer(self, request: web.Request, connection: web.WebSocketResponse) -> None:
         await connection.prepare(request)
         may_steer = self._guard.may_steer(request.query.get("key", ""))
         viewer = Viewer(
-            connection,
-            lambda: self.news,
-            self._control,
-            self._closing,
-            count_bytes,
-            may_steer=may_steer,
+            connection, lambda: self.news, self._control, self._closing, may_steer=may_steer
         )
         self.num_viewers += 1
         try:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from stkzoo.errors import ConfigError, ProtocolError, shortened
@@ -27,12 +27,24 @@ _MOMENT_PAUSE, _OBSERVATION_PAUSE = 1 / 30, 1 / 5
 _PATIENCE = 20.0
 #: Maximum number of messages from a viewer per second; a person sends fewer.
 _MOST_MESSAGES = 50
-#: Maximum data from a viewer per second [bytes], twice that of these messages. A message in endless
-#: parts never counts as a message.
-_MOST_BYTES = 100_000
 
-#: Methods of :class:`RaceControl` that a viewer may call.
-_COMMANDS = ("run", "pause", "step", "stop", "speed")
+
+class Command(msgspec.Struct, forbid_unknown_fields=True):
+    """A message from a viewer.
+
+    Attributes:
+        type: ``"watch"`` selects an agent, ``"speed"`` sets the speed, and the others are methods
+            of :class:`RaceControl`.
+        agent: agent whose observations the viewer gets; ``None`` for none.
+        value: speed of the race; ``None`` for no limit.
+    """
+
+    type: Literal["watch", "run", "pause", "step", "stop", "speed"]
+    agent: str | None = None
+    value: float | None = None
+
+
+_commands = msgspec.json.Decoder(Command)
 
 
 class Viewer:
@@ -46,7 +58,6 @@ class Viewer:
         read_news: returns the current content of the page.
         control: control of the race.
         closing: event that is set when the page closes.
-        count_bytes: returns how many bytes the viewer has sent; 0 if unknown.
         may_steer: whether the viewer may control the race.
     """
 
@@ -56,19 +67,16 @@ class Viewer:
         read_news: Callable[[], RaceNews],
         control: RaceControl,
         closing: asyncio.Event,
-        count_bytes: Callable[[], int],
         *,
         may_steer: bool,
     ) -> None:
         self._socket, self._read_news, self._control = socket, read_news, control
         self._closing, self._may_steer = closing, may_steer
-        self._count_bytes = count_bytes
         self._sent: dict[str, Any] = {}  # last message of each kind
         self._step = -1  # last step of the traces that the viewer has
         self._watched: str | None = None
         self._next_observation = 0.0
         self._second, self._num_messages = 0, 0  # messages from the viewer in this second
-        self._data_second, self._num_before = 0, 0  # bytes from the viewer before this second
 
     async def serve(self) -> None:
         """Sends and receives until the viewer disconnects or the page closes."""
@@ -88,7 +96,6 @@ class Viewer:
         try:
             await self._put(encoded(hello))
             while not self._closing.is_set():
-                self._check_data()
                 await self._put_news()
                 await asyncio.sleep(_MOMENT_PAUSE)
             await self._put_news()
@@ -159,47 +166,29 @@ class Viewer:
         if self._num_messages > _MOST_MESSAGES:
             raise ProtocolError(f"too many messages, expected at most {_MOST_MESSAGES} in a second")
 
-    def _check_data(self) -> None:
-        second, received = int(asyncio.get_running_loop().time()), self._count_bytes()
-        if second != self._data_second:
-            self._data_second, self._num_before = second, received
-        if received - self._num_before > _MOST_BYTES:
-            raise ConnectionAbortedError(f"too much data, expected {_MOST_BYTES} bytes per second")
-
     def _execute(self, message: Any) -> None:
-        command = _parsed(message)
-        kind = command.get("type")
-        if kind == "watch":
-            self._watch(command.get("agent"))
-        elif kind not in _COMMANDS:
-            known = ", ".join(["watch", *_COMMANDS])
-            raise ProtocolError(f"a message of type {shortened(kind, 50)}, expected one of {known}")
+        if message.type != WSMsgType.TEXT:
+            raise ProtocolError("a binary message came, expected JSON text")
+        try:
+            command = _commands.decode(message.data)
+        except (msgspec.MsgspecError, RecursionError) as error:
+            raise ProtocolError(f"an invalid message came, expected a command: {error}") from error
+        if command.type == "watch":
+            self._watch(command.agent)
         elif not self._may_steer:
             raise ProtocolError(
-                "this viewer may only watch; to control the race, open the address with the key "
+                "this viewer may only watch, expected the key in its address; open the address "
                 "that was shown where the race was started"
             )
-        elif kind == "speed":
-            self._control.set_speed(command.get("value"))
+        elif command.type == "speed":
+            self._control.set_speed(command.value)
         else:
-            getattr(self._control, kind)()
+            getattr(self._control, command.type)()
 
-    def _watch(self, agent: object) -> None:
+    def _watch(self, agent: str | None) -> None:
         if agent is not None and agent not in self._read_news().agents:
             raise ProtocolError(
                 f"agent is {shortened(agent, 50)}, expected an agent of this race or null"
             )
-        self._watched = None if agent is None else str(agent)
+        self._watched = agent
         self._next_observation = 0.0
-
-
-def _parsed(message: Any) -> dict[str, Any]:
-    if message.type != WSMsgType.TEXT:
-        raise ProtocolError("a binary message, expected JSON text")
-    try:
-        command = json.loads(message.data)
-    except (ValueError, RecursionError) as error:
-        raise ProtocolError("a message that is not JSON, expected an object") from error
-    if not isinstance(command, dict):
-        raise ProtocolError(f"a message that is a {type(command).__name__}, expected an object")
-    return command
