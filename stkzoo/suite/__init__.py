@@ -20,7 +20,6 @@ from stkzoo.suite.conduct import (
     race_conduct,
 )
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
-from stkzoo.suite.flat import FlatTask
 from stkzoo.suite.ids import id_of, register_tasks, view_of
 from stkzoo.suite.population import POPULATION, Member, behavior
 from stkzoo.suite.report import (
@@ -50,7 +49,6 @@ __all__ = [
     "Entry",
     "EntryPlan",
     "EntryRefused",
-    "FlatTask",
     "KartConduct",
     "LearningCurve",
     "MeanConduct",

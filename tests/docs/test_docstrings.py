@@ -7,9 +7,6 @@ import pytest
 
 from tests.support.paths import ROOT
 
-#: Modules that need libraries which conflict with this environment.
-NOT_IMPORTED = ("stkzoo.suite.torchrl", "stkzoo.suite.benchmarl")
-
 
 def modules():
     """Yields the names of the modules with examples."""
@@ -20,7 +17,7 @@ def modules():
                 yield package + ".".join(part for part in parts if part != "__init__")
 
 
-@pytest.mark.parametrize("name", [name for name in modules() if name not in NOT_IMPORTED])
+@pytest.mark.parametrize("name", list(modules()))
 def test_the_examples_of_a_module_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     outcome = doctest.testmod(importlib.import_module(name))

@@ -56,4 +56,4 @@ def test_all_includes_every_extra_for_users():
     (everything,) = extras["all"]
     named = set(re.search(r"\[(.*)\]", everything)[1].split(","))
     # Libraries that conflict with others, and extras that only stkzoo's developers need.
-    assert set(extras) - named == {"all", "benchmarl", "dev", "docs", "rllib"}
+    assert set(extras) - named == {"all", "dev", "docs", "rllib"}

@@ -88,17 +88,6 @@ NOT_RUN = [
         "ray.rllib",
         "RLlib wants an older Gymnasium: benchmarks/ecosystem.py",
     ),
-    ("docs/how-to/torchrl.md", "torchrl", "not installed for tests: benchmarks/ecosystem.py"),
-    (
-        "docs/how-to/benchmarl.md",
-        "benchmarl",
-        "not installed for tests: tests/suite/test_benchmarl.py",
-    ),
-    (
-        "docs/reference/suite.md",
-        "benchmarl",
-        "not installed for tests: tests/suite/test_benchmarl.py",
-    ),
     ("docs/how-to/play.md", "play_race", "opens a window: tests/play/test_play.py"),
     ("docs/how-to/play.md", "play(env", "opens a window: tests/play/test_play.py"),
     (
