@@ -1,5 +1,6 @@
 # The commands of this project. `make race` and `make test` need only Python 3.10 or newer, make
-# and, for the game's data, apt (Debian, Ubuntu) or a network connection.
+# and, for the game's data, apt (Debian, Ubuntu) or a network connection. A compiler is installed
+# by root on Debian and Ubuntu.
 
 PYTHON ?= python3
 VENV := .venv
@@ -10,6 +11,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal --durations=25
 # The tests start hundreds of programs, which start faster with cached bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
+C_SOURCES := setup.py $(wildcard stkzoo/kernel/*.[ch] agents/planning/*.[ch])
 GRAPHICS_PACKAGES := libegl1 libgl1 libgl1-mesa-dri xvfb
 BROWSER_PACKAGES := chromium chromium-driver
 # $(call apt_install,PACKAGES): updates the package lists only if the first attempt fails.
@@ -19,7 +21,7 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures wheel clean
+.PHONY: browser compiler engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -104,9 +106,24 @@ docs: $(VENV)/.docs
 	@echo "open site/index.html"
 
 # Builds from the source distribution, so that the wheel contains no files of earlier builds.
-wheel: $(VENV)/.made
+wheel: $(VENV)/.made | compiler
 	$(PIP) install --quiet build
 	$(BIN)/python -m build --outdir dist .
+
+# The extensions need a C compiler and the headers of Python, which minimal systems do not have.
+compiler:
+	@include=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("include"))'); \
+	packages="gcc libc6-dev"; \
+	[ -e "$$include/Python.h" ] || packages="$$packages $$($(PYTHON) -c \
+		'import sys; print("python%d.%d-dev" % sys.version_info[:2])')"; \
+	if echo '#include <Python.h>' | $(CC) -fsyntax-only -I"$$include" -x c - 2>/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		$(call apt_install,--no-install-recommends $$packages); \
+	else \
+		echo "stkzoo needs a C compiler and Python's headers: sudo apt install $$packages" \
+			"(Fedora: sudo dnf install gcc python3-devel)"; \
+		exit 1; \
+	fi
 
 # The engine needs glib 2 (libglib-2.0.so.0), which minimal systems do not have.
 engine: $(VENV)/.core
@@ -189,7 +206,8 @@ wheel=$$(echo usr/share/python-wheels/pip-*.whl) && \
 	echo "pip is not available. On Debian and Ubuntu: sudo apt install python3-venv"; exit 1; }
 endef
 
-$(VENV)/.core: $(VENV)/.made pyproject.toml
+# Builds the extensions again if their sources have changed.
+$(VENV)/.core: $(VENV)/.made pyproject.toml $(C_SOURCES) | compiler
 	$(PIP) install --quiet --editable .
 	@touch $@
 

@@ -1,9 +1,40 @@
-"""Builds the C kernel, and the functions of the C library that races use."""
+"""Builds the C kernel, the planner's C, and the functions of the C library that races use."""
 
+import os
+import shlex
+import subprocess
 import sys
+import sysconfig
+from pathlib import Path
 
 import numpy
 from setuptools import Extension, setup
+
+#: Commands that compile. pip runs others before them, such as egg_info.
+_COMPILING = {"build", "build_ext", "bdist_wheel", "editable_wheel", "install", "develop"}
+
+
+def _check_compiler() -> None:
+    """Ends the program with one sentence if it cannot compile; Linux only."""
+    compiler = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "cc")
+    include = sysconfig.get_path("include")
+    words = [*compiler, "-fsyntax-only", f"-I{include}", "-x", "c", "-"]
+    try:
+        subprocess.run(  # noqa: S603 - the compiler that setuptools uses
+            words, input=b"#include <Python.h>\n", capture_output=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        packages = "gcc libc6-dev"
+        if not Path(include, "Python.h").exists():
+            packages += f" python{sys.version_info.major}.{sys.version_info.minor}-dev"
+        sys.exit(
+            "stkzoo is partly written in C, so its installation needs a C compiler and Python's "
+            f"headers: sudo apt install {packages} (Fedora: sudo dnf install gcc python3-devel)"
+        )
+
+
+if sys.platform == "linux" and _COMPILING & set(sys.argv):
+    _check_compiler()
 
 _IS_LINUX = sys.platform == "linux"
 _PARTS = (

@@ -46,8 +46,7 @@ def run(command, folder, python, **variables):
     settings = {k: v for k, v in os.environ.items() if k.startswith(("PIP_", "SSL_", "REQUESTS_"))}
     programs = os.pathsep.join([str(python.parent), "/usr/bin", "/bin"])
     home = str(folder.parent / "home")
-    # Only metadata is needed. A failing compiler makes a fast build without the kernel.
-    quick = {"PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "CC": "false"}
+    quick = {"PIP_NO_BUILD_ISOLATION": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "CFLAGS": "-O0"}
     done = subprocess.run(
         ["bash", "-c", command],
         cwd=folder,
@@ -155,4 +154,16 @@ def test_the_install_command_in_messages_works(place, source):
     assert str(checkout) in command
     assert BRACKETS.findall(command) == ["web"]
     code, said = run(command, checkout, python, PIP_DRY_RUN="1", PIP_NO_DEPS="1")
+    assert code == 0, said
+
+
+@pytest.mark.slow
+def test_an_installation_without_a_compiler_ends_with_one_sentence(place):
+    checkout, python = place
+    code, said = run("pip install --no-deps .", checkout, python, CC="no-compiler")
+    assert code != 0
+    assert "[1 lines of output]" in said
+    assert "needs a C compiler and Python's headers: sudo apt install gcc libc6-dev" in said
+    # Only metadata is needed to resolve the requirements.
+    code, said = run("pip install --no-deps --dry-run .", checkout, python, CC="no-compiler")
     assert code == 0, said
