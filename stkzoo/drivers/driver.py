@@ -23,9 +23,9 @@ from stkzoo.drivers.code import (
     read_module,
 )
 from stkzoo.drivers.files import AgentFiles, declared, find_files, is_zip
-from stkzoo.drivers.inline import InlineInstance
+from stkzoo.drivers.inline import InlineAgent
 from stkzoo.drivers.instances import DriverStart
-from stkzoo.drivers.isolated import IsolatedInstance
+from stkzoo.drivers.isolated import IsolatedAgent
 from stkzoo.drivers.policy import PolicyActor, act_together, plain_policy
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory, extras_for, find_view, words_for
@@ -117,7 +117,7 @@ class Driver:
     @classmethod
     def _here(cls, name: str, load: CodeLoader, source: str, view: ViewFactory) -> Driver:
         """Returns a driver whose code runs in this process."""
-        start = partial(InlineInstance, load=load)
+        start = partial(InlineAgent, load=load)
         words = words_for(view)
         return cls(name, start, source, extras=extras_for(view), load=load, words=words)
 
@@ -207,7 +207,7 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         raise _unknown(source)
     driver = Driver._here("", partial(_load_files, files, adapter), source, declared_view(files))
     if not inline:
-        start = partial(IsolatedInstance, files=files, adapter=adapter)
+        start = partial(IsolatedAgent, files=files, adapter=adapter)
         driver = replace(driver, start=start, load=None)
     return replace(driver, is_from_files=True)
 

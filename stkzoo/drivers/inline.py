@@ -25,8 +25,8 @@ from stkzoo.views.agent_chain import AgentChain
 _AGAIN = 0.5
 
 
-class InlineInstance:
-    """An instance of a driver whose code, view and wrappers run in this process.
+class InlineAgent:
+    """An agent whose code, view and wrappers run in this process.
 
     It is fast, but a failure of the driver can affect the whole program. A signal interrupts a call
     that exceeds its time limit. This works only in the main thread, and only between two Python

@@ -1,8 +1,8 @@
-"""Driver instances: one driver in one race, independent of where the driver's code runs.
+"""Agents in a race, independent of where their code runs.
 
-The runner sends observations to all instances before it waits for the first decision. Drivers in
-other processes and on other machines therefore decide in parallel. Each instance gets the ``full``
-view of its kart and returns the game's action (:func:`~stkzoo.mdp.spaces.kart_observation_space`,
+The runner sends observations to all agents before it waits for the first decision. Agents in other
+processes and on other machines therefore decide in parallel. Each agent gets the ``full`` view of
+its kart and returns the game's action (:func:`~stkzoo.mdp.spaces.kart_observation_space`,
 :func:`~stkzoo.mdp.spaces.kart_action_space`). The driver's view and wrappers run where its code
 runs.
 """

@@ -59,8 +59,8 @@ _OUT_OF_REACH = ("FileNotFoundError", "PermissionError", "OSError: [Errno 30]")
 _HINT = " (the sandbox hides other files; --sandbox off disables it)"
 
 
-class IsolatedInstance:
-    """An instance of an agent in its own process.
+class IsolatedAgent:
+    """An agent in its own process.
 
     Args:
         request: the runner's request; its spaces are those of the ``full`` view.

@@ -21,7 +21,7 @@ import numpy as np
 from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.code import AgentCode, load_agent
 from stkzoo.drivers.failures import printable
-from stkzoo.drivers.inline import InlineInstance
+from stkzoo.drivers.inline import InlineAgent
 from stkzoo.drivers.instances import DriverLimits, DriverRequest
 from stkzoo.drivers.messages import (
     MAX_NAME,
@@ -110,7 +110,7 @@ def main(connection_fd: int, memory: int) -> None:
         return  # the race is over
 
 
-def _load(channel: Channel, start: LoadRequest) -> InlineInstance | None:
+def _load(channel: Channel, start: LoadRequest) -> InlineAgent | None:
     """Loads the agent and reports the outcome to the race."""
 
     def load(_: ExitStack) -> AgentCode:
@@ -127,7 +127,7 @@ def _load(channel: Channel, start: LoadRequest) -> InlineInstance | None:
         no_limits,
         channel=start.channel,
     )
-    agent = InlineInstance(request, load)
+    agent = InlineAgent(request, load)
     _seed_everything(start.seed)
     try:
         name = agent.ready()
@@ -139,7 +139,7 @@ def _load(channel: Channel, start: LoadRequest) -> InlineInstance | None:
     return agent
 
 
-def _decide(agent: InlineInstance, observation: Any) -> Reply:
+def _decide(agent: InlineAgent, observation: Any) -> Reply:
     agent.ask(observation)
     try:
         decision = agent.answer()

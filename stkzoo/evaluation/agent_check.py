@@ -16,7 +16,7 @@ from stkzoo.drivers.driver import find_driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.files import MAX_BYTES, MAX_FILES, AgentFiles, find_files, is_zip
 from stkzoo.drivers.instances import Decision, DriverRequest
-from stkzoo.drivers.isolated import IsolatedInstance
+from stkzoo.drivers.isolated import IsolatedAgent
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 
@@ -154,7 +154,7 @@ class _Meter:
     seconds: list[float] = field(default_factory=list)
 
 
-class _MeasuredAgent(IsolatedInstance):
+class _MeasuredAgent(IsolatedAgent):
     """An agent in a separate process, whose time and memory are measured."""
 
     def __init__(

@@ -368,7 +368,7 @@ def test_a_zip_with_a_long_directory_is_refused_with_little_memory(tmp_path):
     end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, count * len(entry), 0, 0)
     (tmp_path / "a.zip").write_bytes(count * entry + end)
     tracemalloc.start()
-    with pytest.raises(ConfigError, match="its list of files has 9,200,000 bytes"):
+    with pytest.raises(ConfigError, match="more than 10000 files"):
         find_driver(str(tmp_path / "a.zip"))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -166,12 +166,12 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
         return agents
 
     def _driver(self, agent: ServedAgent) -> Driver:
-        start = partial(RemoteInstance, group=self, served=agent)
+        start = partial(RemoteAgent, group=self, served=agent)
         return Driver(agent.name, start, agent.place, extras=frozenset(agent.extras))
 
 
-class RemoteInstance:
-    """An instance of an agent that runs on a server.
+class RemoteAgent:
+    """An agent that runs on a server.
 
     Args:
         request: the runner's request.
