@@ -4,31 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import encodings.cp437  # noqa: F401 - zipfile imports it when it reads the first name of a file
-import math
 import os
-import re
 import stat
 import zipfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TypeVar
 
 import msgspec
-import numpy as np
-import numpy.typing as npt
 
 from stkzoo._os import read_blocks
 from stkzoo._schema import plain_json
-from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason, shortened
+from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason
 
 __all__ = [
     "MAX_BYTES",
     "Unreadable",
+    "check_file",
     "is_there",
     "load_json",
     "open_zip",
-    "read_arrays",
     "read_file",
     "read_json",
     "read_lines",
@@ -44,16 +40,7 @@ MAX_BYTES = 8 << 20
 
 _MAX_REASON = 300
 _MAX_ZIP = 64 << 20  # maximum size of a zip for :func:`read_zip` [bytes]
-_MAX_ARRAYS = 1000
 _MEMBER = b"PK\1\2"  # start of a member's entry in a zip's list of files
-_KINDS = "biufU"  # valid kinds of array types
-#: Header of an array, as numpy writes it. Python's parser, which numpy uses to read it, needs much
-#: memory for some texts and warns about others.
-_HEADER = re.compile(
-    rb"{'descr': '([<>|=]?)([A-Za-z])(\d{0,9})', 'fortran_order': (True|False), "
-    rb"'shape': \(((?:-?\d{1,18}, ?)*(?:-?\d{1,18})?)\),? ?}\s*"
-)
-_BLOCK = 1 << 20
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # other methods unpack without a bound
 #: Maximum ratio of unpacked to packed size with deflate, if the members of a zip do not overlap;
 #: and a size that is always allowed [bytes].
@@ -111,12 +98,11 @@ def read_file(path: str | os.PathLike[str], max_bytes: int = MAX_BYTES) -> bytes
         max_bytes: maximum size [bytes].
 
     Raises:
-        Unreadable: the file is larger than ``max_bytes``, or not a regular file. A pipe, for
-            example, would block.
+        Unreadable: see :func:`check_file`.
         OSError: the file is missing or cannot be read.
     """
     file = Path(path)
-    size = _checked_size(file, max_bytes)
+    size = check_file(file, max_bytes)
     with file.open("rb") as stream:
         data = stream.read(size + 1)  # Python allocates as much memory as it is asked to read
         if len(data) > size:  # the file has grown, or its file system reports no size
@@ -134,8 +120,19 @@ def is_there(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-def _checked_size(file: Path, max_bytes: int) -> int:
-    about = file.stat()
+def check_file(path: str | os.PathLike[str], max_bytes: int) -> int:
+    """Checks the kind and size of a file before it is read, and returns its size [bytes].
+
+    Args:
+        path: the file.
+        max_bytes: maximum size [bytes].
+
+    Raises:
+        Unreadable: the file is larger than ``max_bytes``, or not a regular file. A pipe, for
+            example, would block.
+        OSError: the file is missing.
+    """
+    about = Path(path).stat()
     if not stat.S_ISREG(about.st_mode):
         raise Unreadable("it is not a regular file")
     if about.st_size > max_bytes:
@@ -227,7 +224,7 @@ def _read_line(number: int, line: bytes, kind: type[T]) -> T:
         raise Unreadable(f"in line {number}: {error}") from None
 
 
-# ---------------------------------------------------------------------- zips and arrays
+# ---------------------------------------------------------------------- zips
 
 
 @contextlib.contextmanager
@@ -250,7 +247,7 @@ def open_zip(
         Exception: the zip is damaged; zipfile and zlib raise errors of many classes.
     """
     file = Path(path)
-    _checked_size(file, max_unpacked if max_bytes is None else max_bytes)
+    check_file(file, max_unpacked if max_bytes is None else max_bytes)
     # A list of files takes memory as soon as the zip is opened.
     if sum(block.count(_MEMBER) for block in read_blocks(file)) > max_files:
         raise Unreadable(f"it has more than {max_files} files")
@@ -293,62 +290,3 @@ def read_zip(path: str | os.PathLike[str], limits: Mapping[str, int]) -> dict[st
                 raise Unreadable(f"{name} has more than {limit:,} bytes")
             members[name] = archive.read(name)
     return members
-
-
-def read_arrays(path: str | os.PathLike[str], max_unpacked: int) -> dict[str, npt.NDArray[Any]]:
-    """Returns the arrays of an ``.npz`` file by name, without unpickling.
-
-    Args:
-        path: the file.
-        max_unpacked: maximum total size of the arrays [bytes].
-
-    Raises: as :func:`open_zip`.
-    """
-    with open_zip(path, _MAX_ARRAYS, max_unpacked) as archive:
-        return {
-            member.filename.removesuffix(".npy"): _array(archive, member)
-            for member in archive.infolist()
-        }
-
-
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
-    """Returns an array, after checking that its header matches the size of its member.
-
-    Raises:
-        Unreadable: the header is invalid or does not match.
-    """
-    name = repr(member.filename[:60])
-    with archive.open(member) as stream:
-        version = np.lib.format.read_magic(stream)
-        if version != (1, 0):  # headers of other versions have no limit on their length
-            raise Unreadable(f"{name} has version {version}, expected (1, 0)")
-        header = stream.read(int.from_bytes(stream.read(2), "little"))
-        shape, axes, dtype = _layout(header, name)
-        size = math.prod(shape) * dtype.itemsize
-        if min(shape, default=0) < 0 or size != member.file_size - stream.tell():
-            raise Unreadable(f"{name} has another size than its shape {shortened(shape, 60)}")
-        data = bytearray(size)  # unlike bytes, makes the array writable
-        for start in range(0, size, _BLOCK):
-            block = stream.read(min(_BLOCK, size - start))
-            data[start : start + len(block)] = block
-    return np.frombuffer(data, dtype).reshape(shape, order=axes)
-
-
-def _layout(header: bytes, name: str) -> tuple[tuple[int, ...], Literal["C", "F"], np.dtype[Any]]:
-    """Returns the shape, the order of the axes and the type in an array's header.
-
-    Args:
-        header: the header.
-        name: name of the array, for errors.
-
-    Raises:
-        Unreadable: the header is invalid.
-        TypeError: numpy has no such type.
-    """
-    if not (found := _HEADER.fullmatch(header)):
-        raise Unreadable(f"{name} has an invalid header: {header[:60]!r}")
-    order, kind, size, is_fortran, shape = (part.decode() for part in found.groups())
-    if kind not in _KINDS or not int(size or 0):
-        raise Unreadable(f"{name} has the type {kind + size}, expected numbers")
-    sizes = tuple(int(number) for number in shape.split(",") if number.strip())
-    return sizes, "F" if is_fortran == "True" else "C", np.dtype(order + kind + size)

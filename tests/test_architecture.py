@@ -27,6 +27,7 @@ LAYERS = [
             "stkzoo.tracks",
             "stkzoo.records",
             "stkzoo._arguments",
+            "stkzoo._arrays",
             "stkzoo._installation",
             "stkzoo._lazy",
             "stkzoo._locks",
@@ -57,6 +58,7 @@ LAYERS = [
 #: Modules with names that agents import although no package exports them, and the reason.
 NOT_EXPORTED = {
     "stkzoo._arguments": "training declares its options in the same way as the commands",
+    "stkzoo._arrays": "training stores its lessons as datasets are stored",
     "stkzoo._locks": "training locks the folders of its runs, as batches do",
     "stkzoo._os": "training writes its files whole, as the rest of the package does",
     "stkzoo._reading": "training reads its files in bounds, as the rest of the package does",

@@ -9,7 +9,6 @@ import zipfile
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import numpy as np
 import pytest
 from msgspec import Meta
 
@@ -17,7 +16,6 @@ from stkzoo._reading import (
     Unreadable,
     load_json,
     open_zip,
-    read_arrays,
     read_file,
     read_json,
     read_lines,
@@ -194,49 +192,6 @@ def test_members_that_share_their_bytes_are_refused(tmp_path):
         open_zip(tmp_path / "a.zip", 1000, 1 << 40).__enter__()
 
 
-# ---------------------------------------------------------------------- arrays
-
-
-def npy(header, data=b"", version=b"\1\0"):
-    text = header.ljust(118).encode()
-    return b"\x93NUMPY" + version + struct.pack("<H", len(text)) + text + data
-
-
-def test_arrays_survive_a_round_trip(tmp_path):
-    arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.array("text"), "c": np.zeros((0, 3))}
-    arrays["d"] = np.asfortranarray(arrays["a"])
-    np.savez_compressed(tmp_path / "a.npz", **arrays)
-    found = read_arrays(tmp_path / "a.npz", MEGABYTE)
-    assert found.keys() == arrays.keys()
-    for name, array in arrays.items():
-        np.testing.assert_array_equal(found[name], array)
-        assert found[name].flags.writeable
-
-
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (
-            npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"),
-            "another size than its shape",
-        ),
-        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }"), "another size"),
-        (npy("{'descr': '|O', 'fortran_order': False, 'shape': (0,), }"), "expected numbers"),
-        (npy("{'descr': '|V0', 'fortran_order': False, 'shape': (9,), }"), "expected numbers"),
-        (npy("", version=b"\3\0"), r"has version \(3, 0\)"),
-        (npy("-" * 9000 + "1"), "an invalid header"),
-        (npy(f"{{'descr': '<f8', 'shape': ({'1or 2,' * 100}), }}"), "an invalid header"),
-        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }")[:60], "invalid header"),
-        (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (" + "9" * 5000), "invalid header"),
-        (npy("{'descr': '|a5', 'fortran_order': False, 'shape': (1,), }"), "expected numbers"),
-    ],
-)
-def test_an_array_that_does_not_match_its_header_is_refused(tmp_path, content, problem):
-    file = zip_of(tmp_path / "a.npz", {"a.npy": content})
-    with pytest.raises(Unreadable, match=problem):
-        read_arrays(file, MEGABYTE)
-
-
 # ---------------------------------------------------------------------- the error
 
 
@@ -267,12 +222,3 @@ def test_a_zip_with_a_repeated_name_is_refused(tmp_path):
             archive.writestr("a", b"2")
     with pytest.raises(Unreadable, match="it has the file 'a' more than once"):
         read_zip(file, {"a": 10})
-
-
-def test_the_name_of_an_array_cannot_control_the_terminal(tmp_path):
-    file = tmp_path / "a.npz"
-    with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("\x1b]0;gone\x07.npy", b"\x93NUMPY\x02\x00")
-    with pytest.raises(Unreadable, match="gone") as caught:
-        read_arrays(file, MEGABYTE)
-    assert str(caught.value).isprintable()

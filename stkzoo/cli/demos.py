@@ -11,8 +11,8 @@ resumes.
 Read the file with stkzoo.evaluation.load_demonstrations(path), or with numpy.load (no pickles).
 
 Examples:
-  stkzoo demos heuristic                 15 training tracks, in demos.npz
-  stkzoo demos ai --difficulty 3 --seeds 5 --output ai.npz
+  stkzoo demos heuristic                 15 training tracks, in demos.safetensors
+  stkzoo demos ai --difficulty 3 --seeds 5 --output ai.safetensors
   stkzoo demos heuristic --rivals ai ai --karts 1 --view flattened_discrete
   stkzoo demos planner --karts 1         plans with the game; slow
   stkzoo demos my_agent/ --track lighthouse hacienda --check
@@ -63,8 +63,8 @@ class DemosArguments:
         rivals: drivers of the other karts
         substeps: how often to read the AI's controls per step: 1, 2, 3, 4, 6 or 12; more is
             slower (default: 4; for agents 1)
-        output: file of the dataset (default: demos.npz); with --format minari, its name there
-            (default: supertuxkart/AGENT-v0)
+        output: file of the dataset (default: demos.safetensors); with --format minari, its name
+            there (default: supertuxkart/AGENT-v0)
         format: format of the dataset
         check: drive the first race again with the recorded actions, and compare the observations
             (not for ai, which has boosts that agents do not get)
@@ -80,7 +80,7 @@ class DemosArguments:
     rivals: tuple[str, ...] = option((), metavar="DRIVER")
     substeps: int | None = None
     output: str | None = option(metavar="FILE", group="output")
-    format: str = option("npz", choices=("npz", "minari"), group="output")
+    format: str = option("safetensors", choices=("safetensors", "minari"), group="output")
     check: bool = option(False, group="output")
 
 
@@ -100,12 +100,13 @@ def run(arguments: argparse.Namespace) -> int:
     from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
 
     plan = _plan(arguments)
-    file = Path(arguments.output or "demos.npz")
+    file = Path(arguments.output or "demos.safetensors")
     if arguments.format == "minari":
         label = file_name(plan.agent.label)
         arguments.output = arguments.output or f"supertuxkart/{label}-v0"
         check_dataset_id(arguments.output)
-        file = Path(f"{arguments.output.replace('/', '-')}.minari.npz")  # deleted after the import
+        # The file is deleted after the import.
+        file = Path(f"{arguments.output.replace('/', '-')}.minari.safetensors")
     demos, code = run_batch(arguments, partial(run_planned_demonstrations, plan, file))
     return code if demos is None else _finish(arguments, demos, file)
 

@@ -13,7 +13,7 @@ Examples:
   stkzoo play                             against three karts of the game's AI
   stkzoo play heuristic my_agent/ --track hacienda
   stkzoo play --map --track lighthouse    a map, where 3D is slow
-  stkzoo play --dataset me.npz            record your observations and actions
+  stkzoo play --dataset me.safetensors    record your observations and actions
   stkzoo play --replay me.stkz            record the race
 """
 
@@ -76,7 +76,7 @@ class PlayDatasetArguments:
     """Options of the dataset to record.
 
     Attributes:
-        dataset: record your observations and actions to FILE (.npz)
+        dataset: record your observations and actions to FILE (.safetensors)
         view: view of the dataset, of fixed size, such as simple or racing (default:
             flattened_discrete)
     """

@@ -9,23 +9,24 @@ from typing import Any
 import numpy as np
 
 import stkzoo
-from stkzoo._os import check_writable, write_whole
+from stkzoo._arrays import write_arrays
+from stkzoo._os import check_writable
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import columns_of, kart_action_space
 from stkzoo.race import RaceListener, RaceProgress, RaceResult
 from stkzoo.views import VIEWS, base_space
 from stkzoo.views.agent_chain import AgentChain
 
-_AGENT = "kart_0"
+_AGENT, _ENDING = "kart_0", ".safetensors"
 
 
 class DatasetWriter(RaceListener):
-    """Writes one driver's episode to an ``.npz`` file when the race is over.
+    """Writes one driver's episode to a ``.safetensors`` file when the race is over.
 
     For ``T`` steps the file contains ``observations`` ``(T + 1, ...)``, ``actions`` ``(T, ...)``,
-    ``rewards`` ``(T,)`` float64, ``terminations`` and ``truncations`` ``(T,)`` bool, and ``about``,
-    a JSON string with view, track, seed and other facts. Dictionary observations and actions become
-    one array per entry, such as ``observations/continuous``. The file contains no pickles.
+    ``rewards`` ``(T,)`` float64, and ``terminations`` and ``truncations`` ``(T,)`` bool. Its
+    metadata has ``about``, a JSON text with view, track, seed and other facts. Dictionary
+    observations and actions become one array per entry, such as ``observations/continuous``.
 
     Args:
         path: path of the file.
@@ -37,8 +38,8 @@ class DatasetWriter(RaceListener):
 
     def __init__(self, path: str, view: str) -> None:
         self._path = Path(path)
-        if self._path.suffix != ".npz":
-            raise ConfigError(f"the dataset is {path!r}, expected a path that ends in .npz")
+        if self._path.suffix != _ENDING:
+            raise ConfigError(f"the dataset is {path!r}, expected a path that ends in {_ENDING}")
         check_writable(path, "the dataset")
         if self._path.exists():  # a recording cannot be repeated
             raise ConfigError(f"the dataset {path!r} exists; choose another name, or delete it")
@@ -108,7 +109,5 @@ class DatasetWriter(RaceListener):
             "rewards": np.array(self._rewards),
             "terminations": ends if self._is_finished else never,
             "truncations": never if self._is_finished else ends,
-            "about": np.array(json.dumps(self._about)),
         }
-        with write_whole(self._path, "the dataset") as part, part.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+        write_arrays(self._path, arrays, "the dataset", json.dumps(self._about))

@@ -50,7 +50,7 @@ def play_race(
         rate: number of steps and frames per second, one of 10, 12, 15, 20, 30 and 60.
         view: view of the recorded observations and actions. Keys that have no action in the view do
             nothing.
-        dataset: path of an ``.npz`` file to which the driving is recorded
+        dataset: path of an ``.safetensors`` file to which the driving is recorded
             (:class:`DatasetWriter`); ``None`` to record nothing.
         listeners: further listeners of the race.
         settings: settings of the race; see :func:`stkzoo.race.run_race`.

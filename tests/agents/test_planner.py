@@ -144,7 +144,7 @@ def test_use_as_an_opponent_in_an_environment_logs_an_error(caplog):
 def test_its_demonstrations_are_repeatable(tmp_path):
     demos = record_demonstrations(
         "planner",
-        output=tmp_path / "demos.npz",
+        output=tmp_path / "demos.safetensors",
         tracks="olivermath",
         karts=1,
         max_steps=GRID + 12,

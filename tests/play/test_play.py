@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import stkzoo
+from stkzoo._arrays import read_arrays
 from stkzoo._installation import install_command
 from stkzoo.cli import main
 from stkzoo.env.keyboard import KEYS, base_action
@@ -287,7 +288,7 @@ def test_keys_are_released_when_the_window_loses_the_focus():
 
 @pytest.mark.slow
 def test_a_recorded_dataset_repeats_the_same_race(tmp_path):
-    path = tmp_path / "me.npz"
+    path = tmp_path / "me.safetensors"
     play_race(
         [],
         rate=10,
@@ -297,12 +298,11 @@ def test_a_recorded_dataset_repeats_the_same_race(tmp_path):
         listeners=[Driving()],
         **WINDOW,
     )
-    with np.load(path) as data:
-        data = dict(data)
-    about = json.loads(str(data["about"]))
+    data, about = read_arrays(path, 1 << 20)
+    about = json.loads(about)
     assert set(data) == {
         *("observations/continuous", "observations/discrete"),
-        *("actions", "rewards", "terminations", "truncations", "about"),
+        *("actions", "rewards", "terminations", "truncations"),
     }
     env = gym.make(
         about["env_id"],
@@ -327,13 +327,13 @@ def test_a_recorded_dataset_repeats_the_same_race(tmp_path):
 
 
 def test_dict_actions_are_recorded_as_one_array_per_entry(tmp_path):
-    path = tmp_path / "me.npz"
+    path = tmp_path / "me.safetensors"
     play_race([], rate=60, view="simple", dataset=str(path), max_steps=5, **WINDOW)
-    with np.load(path) as data:
-        assert data["actions/acceleration"].shape == (5, 1)
-        assert data["actions/brake"].dtype == np.int64
-        assert data["observations/paths_end"].shape == (6, 5, 3)
-        assert data["observations/kart_type"].shape == (6,)
+    data, _ = read_arrays(path, 1 << 20)
+    assert data["actions/acceleration"].shape == (5, 1)
+    assert data["actions/brake"].dtype == np.int64
+    assert data["observations/paths_end"].shape == (6, 5, 3)
+    assert data["observations/kart_type"].shape == (6,)
 
 
 @pytest.mark.parametrize(
@@ -343,9 +343,9 @@ def test_dict_actions_are_recorded_as_one_array_per_entry(tmp_path):
         ({"backend": "mapp"}, "backend 'mapp'.*map"),
         ({"view": "flat"}, "view 'flat'"),
         ({"size": (1, 2)}, "size is"),
-        ({"dataset": "me.csv"}, "ends in .npz"),
-        ({"dataset": "nowhere/me.npz"}, "there is no folder"),
-        ({"dataset": "me.npz", "view": "full"}, "differ in size"),
+        ({"dataset": "me.csv"}, "ends in .safetensors"),
+        ({"dataset": "nowhere/me.safetensors"}, "there is no folder"),
+        ({"dataset": "me.safetensors", "view": "full"}, "differ in size"),
     ],
 )
 def test_invalid_options_are_refused(options, match):
@@ -371,9 +371,11 @@ def test_a_display_that_does_not_answer_is_refused(monkeypatch):
 
 
 def test_a_recording_is_not_replaced_by_the_next_one(tmp_path):
-    path = tmp_path / "me.npz"
+    path = tmp_path / "me.safetensors"
     path.write_bytes(b"a recording")
-    with pytest.raises(ConfigError, match=r"me\.npz' exists; choose another name, or delete it"):
+    with pytest.raises(
+        ConfigError, match=r"me\.safetensors' exists; choose another name, or delete it"
+    ):
         play_race([], dataset=str(path), view="simple", max_steps=1, **WINDOW)
     assert path.read_bytes() == b"a recording"
 
@@ -403,10 +405,10 @@ def test_the_package_does_not_load_pygame():
 def test_the_command_plays_and_records(tmp_path, capsys):
     arguments = ["play", "ai", "--track", "lighthouse", "--seed", "1", "--map", "--max-steps", "8"]
     window = ["--width", "160", "--height", "120"]
-    files = ["--dataset", str(tmp_path / "me.npz"), "--replay", str(tmp_path / "me.stkz")]
+    files = ["--dataset", str(tmp_path / "me.safetensors"), "--replay", str(tmp_path / "me.stkz")]
     assert main([*arguments, *window, *files]) == 0
     assert "Ended after 8 steps, in 0.8 s of game time" in capsys.readouterr().out
-    assert sorted(os.listdir(tmp_path)) == ["me.npz", "me.stkz"]
+    assert sorted(os.listdir(tmp_path)) == ["me.safetensors", "me.stkz"]
     assert main(["replay", str(tmp_path / "me.stkz")]) == 0
 
 

@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import random
+import tempfile
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -13,9 +14,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from stkzoo import race_v0
+from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, new_state, read_policy
 from stkzoo.agents.training.common.matches import MatchRecord
@@ -153,8 +153,11 @@ def _race() -> tuple[RaceResult, MapFilm, bytes, bytes]:
         result = run_race(drivers, track=_TRACK, max_steps=20, seed=1, listeners=listeners)
         episodes = demos.episodes({"view": "racing"})
         assert episodes is not None
-        save_demonstrations(episodes, folder / "demos.npz")
-        replay, data = (folder / "race.stkz").read_bytes(), (folder / "demos.npz").read_bytes()
+        save_demonstrations(episodes, folder / "demos.safetensors")
+        replay, data = (
+            (folder / "race.stkz").read_bytes(),
+            (folder / "demos.safetensors").read_bytes(),
+        )
         return result, film.film(), replay, data
 
 
@@ -244,8 +247,6 @@ def _in_zip(whole: Callable[[], bytes], member: str, ending: str) -> Callable[[P
 
 @cache
 def _scenario() -> bytes:
-    import tempfile
-
     with (
         tempfile.TemporaryDirectory() as folder,
         race_v0.parallel_env(num_kart=2, track=_TRACK) as env,
@@ -258,16 +259,18 @@ def _scenario() -> bytes:
 
 def _store_demos(folder: Path, data: bytes) -> Path:
     """Writes a text as the entry ``about`` of a valid demonstration file."""
-    with np.load(io.BytesIO(_race()[3])) as found:
-        arrays = dict(found)
-    file = folder / "demos.npz"
-    np.savez(file, **arrays | {"about": np.array(data.decode(errors="replace"))})
+    file = folder / "demos.safetensors"
+    file.write_bytes(_race()[3])
+    arrays, _ = read_arrays(file, 1 << 20)
+    write_arrays(file, arrays, "the demonstrations", data.decode(errors="replace"))
     return file
 
 
 def _demos_text() -> str:
-    with np.load(io.BytesIO(_race()[3])) as found:
-        return str(found["about"])
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "demos.safetensors")
+        file.write_bytes(_race()[3])
+        return read_arrays(file, 1 << 20)[1]
 
 
 def _read_demos(file: Path) -> None:
@@ -284,8 +287,6 @@ def _read_demos(file: Path) -> None:
 @cache
 def _agent() -> dict[str, bytes]:
     """Returns the files of an agent that chooses among plans, by name."""
-    import tempfile
-
     from stkzoo.agents.pretrained.policy import RacingPolicy
     from stkzoo.agents.pretrained.weights import save_weights
 

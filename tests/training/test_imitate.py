@@ -50,7 +50,7 @@ def test_a_teacher_that_plans_with_its_own_races_is_refused_before_any_work(tmp_
     folder = tmp_path / "run"
     assert main(["--output", str(folder), "--teacher", "planner"]) == 1
     assert "planner cannot label what a learner sees" in capsys.readouterr().err
-    assert not (folder / "demos.npz").exists()
+    assert not (folder / "demos.safetensors").exists()
 
 
 @pytest.mark.slow
@@ -178,7 +178,7 @@ def test_the_clone_drives_in_the_rounds_as_its_agent_does(tmp_path, monkeypatch)
 @pytest.mark.slow
 def test_repeating_a_finished_run_drives_no_races(imitated):
     folder, log = imitated
-    lessons = sorted(folder.glob("lessons-*.npz"))
+    lessons = sorted(folder.glob("lessons-*.safetensors"))
     assert len(lessons) == 3
     before = [path.stat().st_mtime_ns for path in lessons]
     assert run(SMALL, folder) == log
@@ -217,7 +217,7 @@ def test_other_arguments_are_refused_in_the_folder_of_a_run(imitated, capsys):
         (["--teacher", "ai"], "cannot be asked"),
         (["--teacher", "nobody"], "unknown driver"),
         (["--karts", "0"], "karts is 0"),
-        (["--demos", "none.npz"], "there are no demonstrations"),
+        (["--demos", "none.safetensors"], "there are no demonstrations"),
     ],
 )
 def test_invalid_arguments_are_reported(words, text, tmp_path, capsys):
@@ -227,7 +227,7 @@ def test_invalid_arguments_are_reported(words, text, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
-    file = tmp_path / "d.npz"
+    file = tmp_path / "d.safetensors"
     record_demonstrations(
         "pursuit", output=file, tracks="lighthouse", karts=1, view="simple", max_steps=3, jobs=1
     )
@@ -237,7 +237,7 @@ def test_demonstrations_of_another_view_are_refused(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_demonstrations_of_another_difficulty_are_refused(tmp_path, capsys):
-    file = tmp_path / "d.npz"
+    file = tmp_path / "d.safetensors"
     record_demonstrations(
         "pursuit",
         output=file,

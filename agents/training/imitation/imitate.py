@@ -1,8 +1,8 @@
 r"""Imitates a driver: behavior cloning, followed by DAgger.
 
     python -m stkzoo.agents.training.imitation.imitate --output runs/imitate
-    python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.npz --rounds 0 \
-        --difficulty 2
+    python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.safetensors \
+        --rounds 0 --difficulty 2
     python -m stkzoo.agents.training.sb3.selfplay --output runs/play \
         --init runs/imitate/policy.safetensors
 
@@ -138,7 +138,7 @@ def _demonstrations(arguments: TeacherArguments, folder: Path, report: Report) -
     else:
         demos = record_demonstrations(
             arguments.teacher,
-            output=folder / "demos.npz",
+            output=folder / "demos.safetensors",
             tracks=arguments.tracks,
             seeds=range(first, first + arguments.races),
             karts=arguments.karts,

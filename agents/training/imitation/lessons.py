@@ -18,9 +18,10 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo._locks import locked_folder
 from stkzoo._os import atomic_write
-from stkzoo._reading import Unreadable, read_arrays, reading
+from stkzoo._reading import Unreadable, reading
 from stkzoo._schema import Count
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.wrappers.racing import CHOICES, SIZE
@@ -92,9 +93,13 @@ class Lesson:
 
     def save(self, path: Path) -> None:
         """Writes the lesson to a file atomically."""
-        arrays = {**asdict(self), "actions": self.actions.astype(np.int8)}
-        with atomic_write(path) as part, part.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+        arrays = {
+            "observations": self.observations,
+            "actions": self.actions.astype(np.int8),
+            "ratios": np.array(self.ratios),
+            "finished": np.array(self.finished),
+        }
+        write_arrays(path, arrays, "the lesson")
 
     @classmethod
     def load(cls, path: Path) -> Lesson:
@@ -104,7 +109,7 @@ class Lesson:
             ConfigError: the file is damaged.
         """
         with reading(f"{path} is unreadable", "a round's lessons; delete it to drive it again"):
-            found = read_arrays(path, _MAX_BYTES)
+            found, _ = read_arrays(path, _MAX_BYTES)
             for entry in fields(cls):
                 if entry.name not in found:
                     raise Unreadable(f"it has no {entry.name}")
@@ -113,8 +118,10 @@ class Lesson:
                 raise Unreadable(
                     f"actions has the shape {actions.shape}, expected {len(seen)} rows"
                 )
-            if seen.ndim != 2 or seen.dtype != np.float32 or not np.isfinite(seen).all():
-                raise Unreadable("observations are not finite numbers")
+            if seen.ndim != 2 or seen.dtype != np.float32:
+                raise Unreadable("observations are not rows of float32")
+            if not np.isfinite(seen).all() or not np.isfinite(found["ratios"]).all():
+                raise Unreadable("observations or ratios are not finite numbers")
             if (actions < 0).any() or (actions >= CHOICES).any():
                 raise Unreadable("actions are not valid choices")
             ratios = msgspec.convert(found["ratios"].tolist(), tuple[float, ...])
@@ -196,7 +203,7 @@ def _lesson(folder: Path, number: int, drive: Callable[[int, Path | None], Lesso
 
 
 def _file(folder: Path, number: int) -> Path:
-    return folder / f"lessons-{number:02d}.npz"
+    return folder / f"lessons-{number:02d}.safetensors"
 
 
 def _policy(folder: Path, number: int) -> Path:

@@ -13,12 +13,13 @@ import base64
 import hashlib
 import lzma
 import os
+import shutil
 import tarfile
 from collections.abc import Callable, Iterator
-from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from pathlib import Path
+from typing import IO, BinaryIO, cast
 
-from stkzoo._os import write_whole
+from stkzoo._os import file_digest, write_whole
 from stkzoo.engine.assets.scenes import SCENES_VERSION, thin_scenes
 from stkzoo.engine.assets.staging import Progress, check_space, link_or_copy
 from stkzoo.engine.assets.tree import MARKER, check_files, read_marker, write_marker
@@ -108,16 +109,14 @@ def _kind(path: Path) -> str:
     return _KINDS.get(path.suffix.lower(), "keep")
 
 
-#: Limits of an archive; the pack of the whole game has 5,300 files of 144 MB: its largest size,
-#: number of files, size of one, and how much it grows when it is unpacked [bytes].
-_LARGEST, _MAX_MEMBERS, _MAX_SIZE = 2_000_000_000, 20_000, 64 << 20
-#: The size of a description [bytes]: a byte of XML takes up to 40 of memory.
-_MAX_XML = 1 << 20
+#: Limits of an archive; the pack of the whole game has 5,300 files of 144 MB: the unpacked size,
+#: the number of files, and the size of a description [bytes]. A byte of XML takes up to 40 of
+#: memory.
+_LARGEST, _MAX_MEMBERS, _MAX_XML = 2_000_000_000, 20_000, 1 << 20
+#: Limit of an unpacked archive: a factor of its size, and a size that is always allowed [bytes].
 _MAX_RATIO, _SMALL = 30, 4 << 20
-#: Long names are in headers of this size; paths have so many parts.
-_MAX_HEADER, _MAX_DEPTH = 1024, 16
-#: Memory of the decompressor, and of what is read at a time [bytes]. ``write_archive`` needs 9 MB.
-_XZ_MEMORY, _BLOCK, _PACKED_BLOCK = 36 << 20, 1 << 20, 1 << 16
+#: Maximum size of a read from an archive [bytes]. Only headers that no pack has need more.
+_MAX_READ = 1 << 20
 
 
 def write_archive(root: Path, file: Path, progress: Progress) -> None:
@@ -165,10 +164,14 @@ def read_archive(file: Path, target: Path, progress: Progress) -> None:
         size = file.stat().st_size
         check_space(target, 4 * size, "the headless pack")
         progress.begin(f"unpacking {file.name}", size)
-        _unpack(file, target, _SMALL + _MAX_RATIO * size, progress)
+        with file.open("rb") as raw, _UnpackedFile(raw, _SMALL + _MAX_RATIO * size) as stream:
+            with tarfile.open(fileobj=stream, mode="r:") as archive:
+                _write_members(archive, target, lambda: progress.reach(raw.tell()))
+            while stream.read(_MAX_READ):  # the checksum is at the end
+                pass
         check_files(target)
         marker = read_marker(target)
-    except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError) as error:
+    except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError, RecursionError) as error:
         raise AssetError(
             f"{file} is damaged, or not written by `stkzoo assets pack --output`: {error}. "
             f"Copy it again, or make a new one."
@@ -179,149 +182,61 @@ def read_archive(file: Path, target: Path, progress: Progress) -> None:
         raise AssetError(f"{file} does not contain a headless pack.")
 
 
-class _XzReader:
-    """Unpacks a file of ``.xz`` in bounded memory, whatever the file asks for."""
+class _UnpackedFile(lzma.LZMAFile):
+    """The tar file in an archive, of bounded size, which is read in pieces of bounded size."""
 
-    def __init__(self, raw: BinaryIO) -> None:
-        self._raw = raw
-        self._unpacker = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_XZ_MEMORY)
+    def __init__(self, raw: BinaryIO, most: int) -> None:
+        super().__init__(raw)
+        self._most = min(most, _LARGEST)
 
-    def read(self, count: int) -> bytes:
-        """Exactly ``count`` bytes.
-
-        Raises:
-            EOFError: there are fewer.
-        """
-        blocks = []
-        while count:
-            block = self._next(count)
-            if not block and self._unpacker.eof:
-                raise EOFError("it is cut off")
-            blocks.append(block)
-            count -= len(block)
-        return b"".join(blocks)
-
-    def check_end(self) -> None:
-        """Reads to the end, where the checksum is.
+    def read(self, size: int | None = -1) -> bytes:
+        """See :meth:`lzma.LZMAFile.read`.
 
         Raises:
-            EOFError: the end is missing.
+            ReadError: the size, or the position in the file, is above its limit.
         """
-        while not self._unpacker.eof:
-            self._next(_BLOCK)
-
-    def _next(self, count: int) -> bytes:
-        """Up to ``count`` bytes; may be empty before the end."""
-        data = self._raw.read(_PACKED_BLOCK) if self._unpacker.needs_input else b""
-        if not data and self._unpacker.needs_input:
-            raise EOFError("it is cut off")
-        return self._unpacker.decompress(data, count)
+        if size is None or not 0 <= size <= _MAX_READ:
+            raise tarfile.ReadError(f"it has a header of {size:,} bytes, expected a small one")
+        if self.tell() > self._most:
+            raise tarfile.ReadError("it unpacks to more than a headless pack of its size")
+        return super().read(size)
 
 
-def _unpack(archive: Path, target: Path, most: int, progress: Progress) -> None:
-    """Writes all members, at most ``most`` bytes; the checksum is at the archive's end."""
-    with archive.open("rb") as raw:
-        stream = _XzReader(raw)
-        _write_members(stream, target, most, lambda: progress.reach(raw.tell()))
-        stream.check_end()
-
-
-def _write_members(stream: _XzReader, target: Path, most: int, report: Callable[[], None]) -> None:
+def _write_members(archive: tarfile.TarFile, target: Path, report: Callable[[], None]) -> None:
     """Writes all members; equal ones become links to one file.
 
     Args:
-        stream: the unpacked archive.
+        archive: the unpacked archive.
         target: the folder of the pack.
-        most: the largest size of all members together [bytes].
         report: called after each member.
     """
-    left = min(most, _LARGEST)
-    first: dict[bytes, Path] = {}
-    for number, member in enumerate(_members(stream)):
+    first: dict[str, Path] = {}
+    for number, member in enumerate(archive):
         if number >= _MAX_MEMBERS:
-            raise AssetError(f"the archive has more than {_MAX_MEMBERS:,} members.")
-        left -= member.size
-        _check_member(member, target, left)
-        goal = target / member.name
+            raise tarfile.ReadError(f"it has more than {_MAX_MEMBERS:,} files")
+        goal = _goal_of(member, target.resolve())
         goal.parent.mkdir(parents=True, exist_ok=True)
-        digest = _write_member(stream, goal, member.size)
-        same = first.setdefault(digest, goal)
+        with goal.open("xb") as file:
+            shutil.copyfileobj(cast("IO[bytes]", archive.extractfile(member)), file)
+        same = first.setdefault(file_digest(goal, hashlib.sha256()), goal)
         if same != goal:
             goal.unlink()
             link_or_copy(same, goal)
         report()
 
 
-def _members(stream: _XzReader) -> Iterator[tarfile.TarInfo]:
-    """The members' headers. The content of each is read before the next header.
-
-    Of all forms of tar only plain files and long names are known, which :func:`write_archive`
-    makes: the others take memory that no header declares.
-    """
-    name = ""
-    while any(block := stream.read(tarfile.BLOCKSIZE)):
-        member = tarfile.TarInfo.frombuf(block, "utf-8", "strict")
-        if member.type == tarfile.XHDTYPE:
-            if not 0 < member.size <= _MAX_HEADER:
-                raise AssetError(
-                    f"the archive has a header of {member.size:,} bytes, expected at most "
-                    f"{_MAX_HEADER:,}. Make a new archive with `stkzoo assets pack --output`."
-                )
-            name = _long_name(stream.read(member.size + _padding(member.size))[: member.size])
-            continue
-        member.name, name = name or member.name, ""
-        yield member
-        stream.read(_padding(member.size))
-
-
-def _padding(size: int) -> int:
-    return -size % tarfile.BLOCKSIZE
-
-
-def _long_name(header: bytes) -> str:
-    """The path in a pax header: lines of ``LENGTH NAME=VALUE``.
+def _goal_of(member: tarfile.TarInfo, root: Path) -> Path:
+    """Returns where to write a member.
 
     Raises:
-        AssetError: it has something else.
+        ReadError: it is outside the pack, a link, a device or a folder, or too large.
     """
-    length, _, entry = header.partition(b" ")
-    if length != str(len(header)).encode() or not entry.startswith(b"path="):
-        raise AssetError(f"the archive has the header {header[:60]!r}, expected a long name only.")
-    return entry.removeprefix(b"path=").removesuffix(b"\n").decode()
-
-
-def _write_member(stream: _XzReader, goal: Path, size: int) -> bytes:
-    """Writes the content of a member; returns its digest."""
-    digest = hashlib.sha256()
-    with goal.open("xb") as file:
-        for start in range(0, size, _BLOCK):
-            block = stream.read(min(_BLOCK, size - start))
-            digest.update(block)
-            file.write(block)
-    return digest.digest()
-
-
-def _check_member(member: tarfile.TarInfo, target: Path, left: int) -> None:
-    name, path = member.name, PurePosixPath(member.name)
-    outside = path.is_absolute() or ".." in path.parts or any(sign in name for sign in "\\:\0")
-    if outside or not path.parts or path.parts[0] not in ("data", MARKER):
-        raise AssetError(
-            f"the archive's member {name[:100]!r} would lie outside the pack. Make a new archive "
-            "with `stkzoo assets pack --output`."
-        )
-    if not member.isreg() or len(path.parts) > _MAX_DEPTH or (target / name).exists():
-        raise AssetError(
-            f"the archive's member {name[:100]!r} is not a regular file, is nested too "
-            "deep, or occurs twice."
-        )
-    most = _MAX_XML if path.suffix in (".xml", ".json") else _MAX_SIZE
+    goal, name = (root / member.name).resolve(), repr(member.name[:100])
+    if goal != root / MARKER and root / "data" not in goal.parents:
+        raise tarfile.ReadError(f"its file {name} would lie outside the pack")
+    if not member.isreg() or member.issparse():
+        raise tarfile.ReadError(f"its member {name} is not a regular file")
+    most = _MAX_XML if goal.suffix in (".xml", ".json") else _LARGEST
     if not 0 <= member.size <= most:
-        raise AssetError(
-            f"the archive's member {name[:100]!r} has {member.size:,} bytes, expected at most "
-            f"{most:,}."
-        )
-    if left < 0:
-        raise AssetError(
-            "the archive unpacks to more than a headless pack of its size. Make a new archive "
-            "with `stkzoo assets pack --output`."
-        )
+        raise tarfile.ReadError(f"its file {name} has {member.size:,} bytes, expected <= {most:,}")
+    return goal

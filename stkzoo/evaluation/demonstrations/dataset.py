@@ -1,6 +1,6 @@
 """Datasets of demonstrations and their files.
 
-The file is an ``.npz`` file without pickles. An episode is the drive of one kart in one race. For
+The file has the safetensors format. An episode is the drive of one kart in one race. For
 ``E`` episodes with ``N`` steps in total, the file contains these arrays:
 
 - ``observations`` ``(N + E, ...)``: observations, including the last one of each episode;
@@ -8,7 +8,8 @@ The file is an ``.npz`` file without pickles. An episode is the drive of one kar
 - ``controls`` ``(N, 7)`` float32: the same actions as controls of the game;
 - ``rewards`` ``(N,)`` float64;
 - ``lengths`` ``(E,)``: number of steps of each episode;
-- ``about``: JSON text with agent, view, tracks, seeds, versions, and facts about each episode.
+- ``about`` in the metadata: JSON text with agent, view, tracks, seeds, versions, and facts about
+  each episode.
 
 Dict observations and actions have one array per entry, such as ``observations/continuous``.
 """
@@ -26,8 +27,8 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
-from stkzoo._os import write_whole
-from stkzoo._reading import Unreadable, read_arrays, read_json, reading
+from stkzoo._arrays import read_arrays, write_arrays
+from stkzoo._reading import Unreadable, read_json, reading
 from stkzoo._schema import Count, Place, Positive
 from stkzoo.config import NORMAL
 from stkzoo.engine.snapshot import CONTROLS
@@ -213,18 +214,13 @@ def save_demonstrations(demos: Demonstrations, path: str | os.PathLike[str]) -> 
 
     Args:
         demos: the dataset.
-        path: the ``.npz`` file.
+        path: the ``.safetensors`` file.
 
     Raises:
         ConfigError: the file cannot be written.
     """
-    arrays: dict[str, Any] = {
-        **demos.columns,
-        "lengths": demos.lengths,
-        "about": np.array(json.dumps(demos.to_dict())),
-    }
-    with write_whole(path, "the demonstrations") as part, part.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    arrays = {**demos.columns, "lengths": demos.lengths}
+    write_arrays(path, arrays, "the demonstrations", json.dumps(demos.to_dict()))
 
 
 def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
@@ -242,7 +238,7 @@ def load_demonstrations(path: str | os.PathLike[str]) -> Demonstrations:
             f"stkzoo demos heuristic --output {path}"
         )
     with reading(f"{str(path)!r} cannot be read as demonstrations", "a file of stkzoo demos"):
-        return _read(read_arrays(path, _MAX_BYTES))
+        return _read(*read_arrays(path, _MAX_BYTES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,11 +249,9 @@ class _About:
     episodes: tuple[EpisodeFacts, ...]
 
 
-def _read(arrays: Columns) -> Demonstrations:
-    for name in ("about", "lengths"):
-        if name not in arrays:
-            raise Unreadable(f"it has no {name}")
-    text = str(arrays.pop("about"))
+def _read(arrays: Columns, text: str) -> Demonstrations:
+    if not text or "lengths" not in arrays:
+        raise Unreadable("it has no about or no lengths")
     check_document(text, _KIND, _VERSION, _MAX_ABOUT)
     facts = read_json(text, _About, _MAX_ABOUT).episodes
     values = read_json(text, dict[str, Any], _MAX_ABOUT)

@@ -21,7 +21,7 @@ def require_minari() -> Any:
     Raises:
         ConfigError: Minari is not installed.
     """
-    return import_extra("minari", "this format needs", "demos", "or write --format npz")
+    return import_extra("minari", "this format needs", "demos", "or write --format safetensors")
 
 
 def check_dataset_id(dataset_id: str) -> None:

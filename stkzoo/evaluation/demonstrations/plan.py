@@ -43,7 +43,7 @@ from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
-_ENDING, _PARTS = ".npz", ".parts"
+_ENDING, _PARTS = ".safetensors", ".parts"
 #: Default number of times per step that the AI's controls are read. The AI decides 12 times.
 _SUBSTEPS_OF_AI = 4
 _SUBSTEPS = (1, 2, 3, 4, 6, 12)
@@ -243,8 +243,8 @@ def record_demonstrations(
 
     Args:
         agent: the driver; see :func:`~stkzoo.evaluation.plan_demonstrations`.
-        output: file of the dataset, whose name ends in ``.npz``. During recording, races are
-            stored in a folder beside it, whose name has the additional suffix ``.parts``. The
+        output: file of the dataset, whose name ends in ``.safetensors``. During recording, races
+            are stored in a folder beside it, whose name has the additional suffix ``.parts``. The
             same call resumes after an interruption.
         options: ``jobs``, ``race_timeout`` and ``on_race``, as in
             :class:`~stkzoo.evaluation.RunOptions`; all others as for
