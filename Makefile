@@ -90,7 +90,8 @@ check: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/stkzoo assets install
-	$(BIN)/python -m benchmarks.bench_all $(ARGS)
+	$(BIN)/python -m benchmarks.steps $(ARGS)
+	$(BIN)/python -m benchmarks.learners $(ARGS)
 
 # The pictures are in the repository; draw them again after a change to the map or the results.
 pictures: $(VENV)/.dev

@@ -29,7 +29,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.bench_common import RESULTS, progress_bar, read_rows
+from benchmarks.common import RESULTS, progress_bar, read_rows
 from stkzoo._arguments import CommandParser
 from tests.chaos.family import marked
 from tests.chaos.forms import FORMS
@@ -111,7 +111,7 @@ def _run_batch(numbers: Sequence[int], seed: int, output: Path) -> None:
     mark = uuid.uuid4().hex
     command = [sys.executable, "-X", "faulthandler", "-m", "benchmarks.chaos"]
     how = ["--seed", str(seed), "--output", str(output), "--batch", *map(str, numbers)]
-    program = subprocess.Popen(  # noqa: S603 - this module itself
+    program = subprocess.Popen(
         [*command, *how],
         env={**os.environ, "STKZOO_CHAOS_BATCH": mark},
         stdout=subprocess.DEVNULL,

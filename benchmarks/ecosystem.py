@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from stkzoo._arguments import CommandParser
+from benchmarks.common import parser
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples" / "ecosystem"
@@ -48,7 +48,7 @@ _PLACES = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = CommandParser(prog="python -m benchmarks.ecosystem", description=__doc__)
+    words = parser("ecosystem", __doc__)
     names = sorted(path.stem for path in EXAMPLES.glob("*.py"))
     words.add_argument("--only", nargs="+", metavar="NAME", help="parts of the examples' names")
     words.add_argument("--folder", type=Path, default=Path(".ecosystem"), help="environments")

@@ -148,7 +148,7 @@ def _run_chunk(
     (corpus / "found" / _WORST).unlink(missing_ok=True)
     words = [*(["--plain"] if plain else []), "--feed", name, str(count), str(seed), str(corpus)]
     command = [sys.executable, "-m", "benchmarks.fuzz", *words]
-    done = subprocess.run(  # noqa: S603 - this module itself
+    done = subprocess.run(
         command, capture_output=True, text=True, errors="replace", check=False, env=_quiet()
     )
     if (corpus / "found" / _WORST).exists():

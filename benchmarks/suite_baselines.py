@@ -16,7 +16,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from stkzoo._arguments import CommandParser
+from benchmarks.common import parser
 from stkzoo._os import write_text
 from stkzoo.suite import SUITE, TASKS, evaluate
 from stkzoo.suite.population import population_digests
@@ -28,7 +28,7 @@ DRIVERS = ("ai", "pursuit", "heuristic", "pretrained:scout", "pretrained:ace", "
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = CommandParser(prog="python -m benchmarks.suite_baselines", description=__doc__)
+    words = parser("suite_baselines", __doc__)
     known = [name for name, task in TASKS.items() if not task.words]
     words.add_argument("--tasks", nargs="+", choices=known, default=known)
     words.add_argument(

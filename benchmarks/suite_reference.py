@@ -27,8 +27,7 @@ import numpy as np
 from msgspec import Meta
 from rich.console import Console
 
-from benchmarks.bench_common import RESULTS
-from stkzoo._arguments import CommandParser
+from benchmarks.common import RESULTS, parser
 from stkzoo._os import write_text
 from stkzoo._schema import Count, Whole
 from stkzoo.agents.training.common.run_folder import ARGUMENTS, read_run_file, require_log
@@ -82,7 +81,7 @@ _Chapters: Any = Annotated[tuple[_Chapter, ...], Meta(min_length=1)]
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    words = CommandParser(prog="python -m benchmarks.suite_reference", description=__doc__)
+    words = parser("suite_reference", __doc__)
     known = [name for name, task in TASKS.items() if not task.words]
     words.add_argument("--tasks", nargs="+", choices=known, default=REFERENCE_TASKS)
     words.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=[*ALGORITHMS])

@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.bench_common import RESULTS, Table, host_facts, print_tables, progress_bar
+from benchmarks.common import RESULTS, Table, host_facts, print_tables, progress_bar
 from stkzoo._arguments import CommandParser
 from stkzoo._os import write_text
 from stkzoo.errors import StkzooError

@@ -1,4 +1,4 @@
-"""The benchmark programs run, save their measurements, and show their help."""
+"""The benchmark programs run, save their measurements, and continue interrupted runs."""
 
 import json
 import os
@@ -11,10 +11,10 @@ from tests.support.paths import ROOT
 
 pytestmark = pytest.mark.slow
 
-PROGRAMS = ("bench_all", "ecosystem", "parity", "suite_baselines", "suite_reference")
+PROGRAMS = ("steps", "learners", "parity", "ecosystem", "suite_baselines", "suite_reference")
 
 
-def run(program, *words):
+def run(program, *words, expected=0):
     """Runs a program; returns its output."""
     command = [sys.executable, "-m", f"benchmarks.{program}", *map(str, words)]
     # The reference compiles its rotations in each process; short runs are faster without.
@@ -22,8 +22,17 @@ def run(program, *words):
     done = subprocess.run(
         command, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=500, check=False
     )
-    assert done.returncode == 0, done.stderr[-3000:]
+    assert done.returncode == expected, done.stderr[-3000:]
     return done.stdout
+
+
+def report_of(file):
+    """Returns a saved report after checking its parts."""
+    report = json.loads(file.read_text())
+    assert report["host"]["packages"]["PySuperTuxKart2"]
+    assert report["tables"][0]["rows"]
+    assert str(ROOT.parent) not in file.read_text()
+    return report
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
@@ -31,12 +40,58 @@ def test_a_program_has_help(program):
     assert f"python -m benchmarks.{program}" in run(program, "--help")
 
 
-def test_a_short_run_of_all_benchmarks_saves_its_measurements(tmp_path):
-    run("bench_all", "--quick", "--output", tmp_path)
-    reports = {file.stem: json.loads(file.read_text()) for file in tmp_path.glob("*.json")}
-    assert {"steps", "transport", "resets", "memory", "vector", "states", "learners"} < {*reports}
-    for report in reports.values():
-        assert report["host"]["packages"]["PySuperTuxKart2"]
-        assert report["results"]
-        assert report["tables"][0]["rows"]
-        assert "/" not in report["command"] + json.dumps(report["settings"])
+def test_contenders_drive_the_same_race_and_an_interrupted_run_continues(tmp_path):
+    words = ["--section", "steps", "--quick", "--output", tmp_path]
+    run("steps", *words)
+    report = report_of(tmp_path / "steps.json")
+    parallel, multi, single = report["results"]
+    ours = {"engine", "stkzoo, in process", "stkzoo, worker"}
+    theirs = {"reference, in process", "reference, subprocess"}
+    assert set(parallel["contenders"]) == ours | {"stkzoo, events"}
+    assert set(multi["contenders"]) == set(single["contenders"]) == ours | theirs
+    for result in report["results"]:
+        assert result["same_race"]
+        for times in result["contenders"].values():
+            assert 0 < times["engine"]["median"] < times["step"]["p90"]
+    report["results"] = [{**parallel, "kept": True}, multi]
+    (tmp_path / "steps.json").write_text(json.dumps(report))
+    run("steps", *words)
+    again = report_of(tmp_path / "steps.json")
+    assert [result.get("kept") for result in again["results"]] == [True, None, None]
+    assert again["command"] == report["command"]
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        "vector",
+        *(
+            pytest.param(name, marks=pytest.mark.matrix)
+            for name in ("transport", "scaling", "resets", "states", "memory")
+        ),
+    ],
+)
+def test_a_section_saves_its_measurements(section, tmp_path):
+    run("steps", "--section", section, "--quick", "--output", tmp_path)
+    assert report_of(tmp_path / f"{section}.json")["results"]
+
+
+def test_the_rates_of_learners_are_compared_with_the_engines(tmp_path):
+    run("learners", "--only", "engine", "ppo", "--quick", "--output", tmp_path)
+    report = report_of(tmp_path / "learners.json")
+    engine, ppo = report["results"]
+    assert engine["rate"] > ppo["rate"] > 0
+    assert ppo["engine"] + ppo["learning"] < 1
+
+
+def test_nothing_is_installed_without_consent(tmp_path):
+    folder = tmp_path / "environments"
+    words = ["--only", "torchrl", "--folder", folder]
+    assert "installs up to 3 GB" in run("ecosystem", *words, expected=1)
+    assert not folder.exists()
+
+
+def test_reference_runs_that_are_not_trained_are_not_evaluated(tmp_path):
+    words = ["--tasks", "versus", "--algorithms", "ippo", "--seeds", "0", "--only-evaluate"]
+    run("suite_reference", *words, "--runs", tmp_path / "runs", "--output", tmp_path / "results")
+    assert not list((tmp_path / "results").iterdir())

@@ -1,20 +1,19 @@
-"""Compares two recordings of one race entry by entry; see :mod:`benchmarks.parity_intended`."""
+"""Compares two recordings of one race entry by entry; see :mod:`benchmarks.parity.intended`."""
 
 from __future__ import annotations
 
 import heapq
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.parity_intended import INTENDED, Difference, RaceContext
-from benchmarks.parity_reference import Leaf, Recording
+from benchmarks.parity.intended import INTENDED, Difference, Intended, RaceContext
+from benchmarks.parity.reference import Leaf, Recording
 from stkzoo.engine.track import TrackMap
-
-__all__ = ["TOLERANCE", "Comparison", "compare"]
 
 #: Maximum error, relative to the number's magnitude or to 1 (m, rad, s), whichever is larger.
 #: Smaller tolerances fail: tracks extend 1 km from the world's origin, where adjacent float32
@@ -44,9 +43,14 @@ class Comparison:
     undocumented: list[str] = field(default_factory=list)
 
 
-def compare(ours: Recording, theirs: Recording, context: RaceContext) -> Comparison:
+def compare(
+    ours: Recording,
+    theirs: Recording,
+    context: RaceContext,
+    intended: Sequence[Intended] = INTENDED,
+) -> Comparison:
     """Compares two recordings of a race with the same actions."""
-    comparer = _Comparer(context, theirs.layout)
+    comparer = _Comparer(context, theirs.layout, intended)
     comparer.compare_spaces("observation_space", ours.observation_space, theirs.observation_space)
     comparer.compare_spaces("action_space", ours.action_space, theirs.action_space)
     comparer.compare_moments(ours, theirs)
@@ -55,9 +59,13 @@ def compare(ours: Recording, theirs: Recording, context: RaceContext) -> Compari
 
 class _Comparer:
     def __init__(
-        self, context: RaceContext, layout: dict[str, list[tuple[str, tuple[int, ...]]]]
+        self,
+        context: RaceContext,
+        layout: dict[str, list[tuple[str, tuple[int, ...]]]],
+        intended: Sequence[Intended],
     ) -> None:
         self.result = Comparison()
+        self._intended = intended
         self._context = context
         self._layout = layout
         self._orders: dict[int, tuple[list[int], list[int]]] = {}
@@ -202,7 +210,7 @@ class _Comparer:
         return Difference(aspect, path, step, text, *sides)
 
     def _note(self, difference: Difference) -> None:
-        for intended in INTENDED:
+        for intended in self._intended:
             if intended.covers(difference, self._context):
                 self.result.intended[intended.code] += 1
                 return

@@ -14,32 +14,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from benchmarks.bench_controls import PHYSICAL, driving_style
+from benchmarks.common import Times
+from benchmarks.contenders.controls import PHYSICAL, driving_style
 from stkzoo.engine.assets import find_assets
 
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = [
-    "WARMUP",
-    "Contender",
-    "Interpreter",
-    "Spec",
-    "Times",
-    "answer_of",
-    "contenders",
-    "engine_variables",
-    "race_together",
-    "record_controls",
-]
-
+_ROOT = Path(__file__).parents[2]
 #: Steps before the measured ones, for the start of the race and the reference's compilation.
 WARMUP = 40
-_SEED = 1  # of the race and of the controls
-
-#: Duration of each measured step of a contender [s]: ``total`` for the caller, ``engine`` inside
-#: ``pystk2.Race.step`` (``None`` if not measured).
-Times = dict[str, list[Any]]
+#: Consecutive steps of a contender in its turn.
+_BLOCK = 20
+_SEED = 1  # of the race
 
 
 @dataclass(frozen=True)
@@ -67,30 +54,29 @@ class Spec:
     events: bool = False
 
 
-class Interpreter:
-    """A separate interpreter that answers requests, one line of JSON each.
+class Contender:
+    """A separate interpreter that answers requests: the methods in ``contenders.process``.
 
     Args:
-        name: name in error messages.
-        words: arguments of the interpreter.
-        env: environment variables.
+        spec: definition of the contender.
 
     Raises:
         RuntimeError: a request failed; the message ends with the output of the process.
     """
 
-    def __init__(self, name: str, words: Sequence[str], env: Mapping[str, str]) -> None:
-        self._name = name
+    def __init__(self, spec: Spec) -> None:
+        self.spec = spec
         self._log: IO[bytes] = tempfile.TemporaryFile(prefix="stkzoo-bench-")  # noqa: SIM115
-        self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and words
-            [sys.executable, *words],
-            cwd=Path(__file__).parents[1],
+        self._process = subprocess.Popen(
+            [sys.executable, "-W", "ignore", "-m", "benchmarks.contenders.process"],
+            cwd=_ROOT,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
-            env=env,
+            env=os.environ | (engine_variables() if spec.kind != "stkzoo" else {}),
         )
+        self._send(asdict(spec))
 
     @property
     def pid(self) -> int:
@@ -103,7 +89,9 @@ class Interpreter:
         line = self._process.stdout.readline() if self._process.stdout else ""
         if not line:
             self._process.wait()
-            raise RuntimeError(f"{self._name} failed at {what!r}:\n{self._tail()}")
+            self._log.seek(0)
+            said = self._log.read().decode(errors="replace")[-3000:]
+            raise RuntimeError(f"{self.spec} failed at {what!r}:\n{said}")
         return json.loads(line)
 
     def close(self) -> None:
@@ -124,61 +112,27 @@ class Interpreter:
     def _send(self, message: Mapping[str, Any]) -> None:
         if self._process.stdin is None:
             raise RuntimeError("the interpreter was closed; make a new one")
-        try:
-            self._process.stdin.write(json.dumps(message) + "\n")
-            self._process.stdin.flush()
-        except BrokenPipeError:
-            raise RuntimeError(f"{self._name} is gone:\n{self._tail()}") from None
-
-    def _tail(self) -> str:
-        self._log.seek(0)
-        return self._log.read().decode(errors="replace")[-3000:]
+        self._process.stdin.write(json.dumps(message) + "\n")
+        self._process.stdin.flush()
 
 
-class Contender(Interpreter):
-    """A contender; its requests are the methods of the server in ``bench_contenders``.
-
-    Args:
-        spec: definition of the contender.
-
-    Raises:
-        RuntimeError: a request failed; the message ends with the output of the process.
-    """
-
-    def __init__(self, spec: Spec) -> None:
-        self.spec = spec
-        env = os.environ | (engine_variables() if spec.kind != "stkzoo" else {})
-        super().__init__(str(spec), ["-W", "ignore", "-m", "benchmarks.bench_contenders"], env)
-        self._send(asdict(spec))
-
-
-def answer_of(
-    module: str,
-    spec: Mapping[str, Any],
-    words: Sequence[str],
-    variables: Mapping[str, str],
-    python: str = sys.executable,
-) -> Any:
-    """Runs a command of this folder for one ``--contender``; returns the JSON that it prints.
-
-    Args:
-        module: module of the command, which runs in a separate interpreter.
-        spec: the contender.
-        words: further arguments.
-        variables: further environment variables.
-        python: path of the interpreter.
-    """
-    command = [python, "-m", f"benchmarks.{module}", "--contender", json.dumps(spec)]
-    answer = subprocess.run(  # noqa: S603 - our own interpreter and words
-        [*command, *words],
-        cwd=Path(__file__).parents[1],
-        env={**os.environ, **variables},
+def answer_of(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Calls a function of a module in a new interpreter; arguments and result are JSON."""
+    code = (
+        "import json, sys\n"
+        f"from {function.__module__} import {function.__name__} as function\n"
+        "print(json.dumps(function(*json.loads(sys.argv[1]))))"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code, json.dumps(arguments)],
+        cwd=_ROOT,
+        env={**os.environ, **engine_variables()},
         capture_output=True,
         check=False,
         text=True,
     )
     if answer.returncode:
-        raise SystemExit(f"{spec} failed:\n{answer.stderr[-3000:]}")
+        raise SystemExit(f"{function.__name__}{arguments} failed:\n{answer.stderr[-3000:]}")
     return json.loads(answer.stdout.splitlines()[-1])
 
 
@@ -203,13 +157,7 @@ def contenders(specs: Mapping[str, Spec]) -> Iterator[dict[str, Contender]]:
 
 
 def race_together(
-    started: Mapping[str, Contender],
-    *,
-    track: str,
-    steps: int,
-    block: int = 20,
-    driving: str = "heuristic",
-    advance: Callable[[int], None] | None = None,
+    started: Mapping[str, Contender], track: str, steps: int
 ) -> tuple[dict[str, Times], bool]:
     """Runs the same race in all contenders, a few steps of each in turn.
 
@@ -217,20 +165,14 @@ def race_together(
         started: contenders by name; if one is of stkzoo, it draws the race for all.
         track: name of the track.
         steps: measured steps of each contender.
-        block: consecutive steps of a contender in its turn.
-        driving: ``heuristic`` repeats the recorded controls of a driver; ``random`` is random.
-        advance: called with the number of measured steps after each turn.
 
     Returns:
         Times by contender, and whether all ran the same race, bit for bit.
     """
     some = next(iter(started.values())).spec
-    controls = None
-    if driving == "heuristic":
-        style = driving_style(some.view)
-        controls = record_controls(
-            track, some.num_kart, some.num_agents, _SEED, WARMUP + steps, style
-        )
+    controls = record_controls(
+        track, some.num_kart, some.num_agents, WARMUP + steps, driving_style(some.view)
+    )
     names = sorted(started, key=lambda name: started[name].spec.kind != "stkzoo")
     race = None
     for name in names:
@@ -239,49 +181,40 @@ def race_together(
     times: dict[str, Times] = {name: {"total": [], "engine": []} for name in names}
     for name in names:
         started[name].ask("steps", count=WARMUP)
-    for turn, count in enumerate(_blocks(steps, block)):
+    for turn, start in enumerate(range(0, steps, _BLOCK)):
         first = turn % len(names)
         for name in names[first:] + names[:first]:
-            for part, values in started[name].ask("steps", count=count).items():
+            answer = started[name].ask("steps", count=min(_BLOCK, steps - start))
+            for part, values in answer.items():
                 times[name][part].extend(values)
-            if advance is not None:
-                advance(count)
     ends = [started[name].ask("distances") for name in names]
     return times, all(end == ends[0] for end in ends)
 
 
 @functools.cache
 def record_controls(
-    track: str, num_kart: int, num_agents: int, seed: int, count: int, style: str = "grid"
-) -> list[list[list[float]]]:
+    track: str, num_kart: int, num_agents: int, count: int, style: str = "grid"
+) -> Sequence[Any]:
     """Records a driver's controls of a race, which all contenders then repeat.
 
-    The driver is the heuristic, or ``pursuit`` if the style is physical.
-
-    Moving karts cost the engine less than karts that are stuck at a wall. With random controls,
-    the ratios to the engine's time would look too good.
+    The driver is the heuristic, or ``pursuit`` if the style is physical. Moving karts cost the
+    engine less than karts that are stuck at a wall, so with random controls, the ratios to the
+    engine's time would look too good.
 
     Args:
         track: name of the track.
         num_kart: number of karts.
         num_agents: number of karts to record; the game drives the others.
-        seed: seed of the race.
         count: number of steps N.
-        style: see :func:`benchmarks.bench_controls.driving_style`.
+        style: see :func:`benchmarks.contenders.controls.driving_style`.
 
     Returns:
-        ``(N, K, 7)``, rows as in :meth:`benchmarks.bench_controls.Controls.next`.
+        ``(N, K, 7)``, a row of controls for each step and kart.
     """
     view = "control of full" if style == PHYSICAL else "full"
     spec = Spec("stkzoo", "parallel", view, num_kart, num_agents, subprocess=True)
-    with Contender(spec) as recorder:
-        recorder.ask("load")
-        recorder.ask("make")
-        rows: list[list[list[float]]] = recorder.ask(
-            "record", track=track, seed=seed, count=count, style=style
+    with contenders({"recorder": spec}) as started:
+        rows: Sequence[Any] = started["recorder"].ask(
+            "record", track=track, seed=_SEED, count=count, style=style
         )
     return rows
-
-
-def _blocks(steps: int, block: int) -> Sequence[int]:
-    return [min(block, steps - start) for start in range(0, steps, block)]

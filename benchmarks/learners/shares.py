@@ -1,4 +1,4 @@
-"""Measures how the CPU time of a learner and its races is spent, for bench_learners."""
+"""Measures how the CPU time of a learner and its races is spent."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from typing import Any
 from stkzoo._os import cpu_count
 
 SHARES = ("engine", "observing", "networks", "learning", "rest", "waiting")
-#: Iterations before the measured ones.
-WARM_UP = 3
 _TICKS = os.sysconf("SC_CLK_TCK") if hasattr(os, "sysconf") else 100
 
 

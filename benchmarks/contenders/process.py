@@ -1,7 +1,7 @@
 """The process of one contender: it answers requests and measures their time.
 
-:class:`benchmarks.bench_driver.Contender` starts this module and sends requests as lines of JSON.
-Heavy imports happen on request, so that they can be timed.
+:class:`benchmarks.contenders.driver.Contender` starts this module and sends requests as lines of
+JSON. Heavy imports happen on request, so that they can be timed.
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
-from benchmarks.bench_runners import runner_for
-from benchmarks.bench_timing import CLOCK_VARIABLE, Clock, time_the_engine
-
-__all__ = ["serve"]
+from benchmarks.contenders.runners import runner_for
+from benchmarks.contenders.timing import CLOCK_VARIABLE, Clock, time_the_engine
 
 #: Time limit of a request [s]. It ends the process, because its parent may be gone.
 _MAX_REQUEST_SECONDS = 900
@@ -33,7 +31,7 @@ class _Server:
         os.environ[CLOCK_VARIABLE] = self._clock.path
         time_the_engine(self._clock)
         self._runner = runner_for(spec)
-        self._num_kart, self._view = spec["num_kart"], spec["view"]
+        self._num_kart = spec["num_kart"]
 
     def load(self) -> float:
         """Imports the library; returns the duration [s]."""
@@ -44,26 +42,21 @@ class _Server:
         return _seconds(self._runner.make)
 
     def reset(
-        self,
-        track: str,
-        seed: int,
-        race: dict[str, Any] | None = None,
-        controls: list[list[list[float]]] | None = None,
+        self, track: str, seed: int, race: dict[str, Any] | None = None, controls: Any = None
     ) -> float:
-        """Resets; returns the duration [s]. Later steps use ``controls``, or random ones."""
+        """Resets; returns the duration [s]. Later steps repeat ``controls``, or full throttle."""
         seconds = _seconds(self._runner.reset, track, seed, race)
-        from benchmarks.bench_controls import RandomControls, RecordedControls
+        import numpy as np
 
-        self._controls = (
-            RecordedControls(controls)
-            if controls
-            else RandomControls(self._num_kart, self._view, seed)
-        )
+        from benchmarks.contenders.controls import FULL_THROTTLE
+
+        self._controls = np.array(controls or [[FULL_THROTTLE] * self._num_kart])
+        self._step = 0
         return seconds
 
     def record(self, track: str, seed: int, count: int, style: str) -> list[list[list[float]]]:
         """Returns a driver's controls for the agents of a race; the game's karts have zeros."""
-        from benchmarks.bench_controls import PHYSICAL, controls_of, to_action
+        from benchmarks.contenders.controls import PHYSICAL, controls_of, to_action
 
         if style == PHYSICAL:
             from stkzoo.agents.pursuit import create_state, get_actor
@@ -93,7 +86,8 @@ class _Server:
         runner, clock = self._runner, self._clock
         times: dict[str, list[float | None]] = {"total": [], "engine": []}
         for _ in range(count):
-            action = runner.action(self._controls.next())
+            action = runner.action(self._controls[self._step % len(self._controls)])
+            self._step += 1
             start = time.perf_counter()
             self.last = runner.step(action)
             times["total"].append(time.perf_counter() - start)
@@ -103,48 +97,6 @@ class _Server:
     def distances(self) -> list[float]:
         """Returns the overall distance of each kart [m]."""
         return self._runner.distances()
-
-    def sizes(self) -> dict[str, int]:
-        """Returns the numbers of path nodes and items."""
-        return self._runner.sizes()
-
-    def profile(self, count: int, top: int) -> str:
-        """Makes steps under cProfile; returns a table of the most expensive functions."""
-        import cProfile
-        import io
-        import pstats
-
-        profile = cProfile.Profile()
-        for _ in range(count):
-            action = self._runner.action(self._controls.next())
-            profile.enable()
-            self.last = self._runner.step(action)
-            profile.disable()
-        text = io.StringIO()
-        pstats.Stats(profile, stream=text).strip_dirs().sort_stats("tottime").print_stats(top)
-        return text.getvalue()
-
-    def fork_reset(self, track: str, seed: int) -> float:
-        """Resets in a fork of this process; returns the duration [s]."""
-        reader, writer = os.pipe()
-        child = os.fork()
-        if child == 0:
-            status = 1
-            try:
-                seconds = _seconds(self._runner.reset, track, seed, None)
-                os.write(writer, json.dumps(seconds).encode())
-                status = 0
-            finally:
-                os._exit(status)
-        os.close(writer)
-        with os.fdopen(reader) as answer:
-            text = answer.read()
-        os.waitpid(child, 0)
-        return float(json.loads(text))
-
-    def close(self) -> float:
-        """Closes the environment; returns the duration [s]."""
-        return _seconds(self._runner.close)
 
 
 def _seconds(function: Callable[..., Any], *arguments: Any) -> float:
@@ -174,7 +126,7 @@ def serve() -> None:
         os.sched_setaffinity(0, spec["cores"])
     with tempfile.TemporaryDirectory(prefix="stkzoo-bench-") as home:
         if spec["kind"] == "stkzoo":
-            folder = str(Path(__file__).parent / "bench_instrument")
+            folder = str(Path(__file__).parent / "instrument")
             paths = [folder, *filter(None, [os.environ.get("PYTHONPATH")])]
             os.environ["PYTHONPATH"] = os.pathsep.join(paths)
         else:
@@ -188,10 +140,7 @@ def _answer_all(server: _Server, replies: TextIO) -> None:
             signal.alarm(_MAX_REQUEST_SECONDS)  # ends this process if the game hangs
         request = json.loads(line)
         answer = getattr(server, request.pop("do"))(**request)
-        try:
-            replies.write(json.dumps(answer) + "\n")
-        except BrokenPipeError:
-            break
+        replies.write(json.dumps(answer) + "\n")
         if hasattr(signal, "alarm"):
             signal.alarm(0)
 

@@ -22,17 +22,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "Job",
-    "Leaf",
-    "Moment",
-    "Recording",
-    "ReferenceProcess",
-    "flatten",
-    "inner_spaces",
-    "serve",
-]
-
 #: Probabilities of accepting a random action with low throttle, brake or rescue. With all such
 #: actions, karts would hardly move.
 _KEEP_SLOW, _KEEP_BRAKE, _KEEP_RESCUE = 0.2, 0.1, 0.01
@@ -163,9 +152,9 @@ class ReferenceProcess:
             "OMP_NUM_THREADS": "1",
         }
         with self._log.open("wb") as log:
-            self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and words
+            self._process = subprocess.Popen(
                 [sys.executable, "-W", "ignore", "-c", f"from {__name__} import serve; serve()"],
-                cwd=Path(__file__).parents[1],
+                cwd=Path(__file__).parents[2],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,

@@ -1,31 +1,30 @@
 """Runs the same races in stkzoo and in pystk2-gymnasium 0.10.0 and compares every step.
 
-    python -m benchmarks.parity --steps 300
+    python -m benchmarks.parity
+    python -m benchmarks.parity --track lighthouse --steps 60
+    python -m benchmarks.parity --show D31      # also list the intended differences with this code
 
 stkzoo draws each race (seed, grid positions), and both run it with the same actions. Keys, types,
 shapes, values, rewards, ends and infos are compared at every step.
-``benchmarks.parity_intended.INTENDED`` lists the intended differences; with any other difference,
+``benchmarks.parity.intended.INTENDED`` lists the intended differences; with any other difference,
 the command returns 1.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import gymnasium
-from rich.console import Console
-from rich.progress import track as progress_bar
-from rich.table import Table
 
-from benchmarks.parity_compare import TOLERANCE, Comparison, compare
-from benchmarks.parity_intended import INTENDED, RaceContext
-from benchmarks.parity_reference import (
+from benchmarks.common import RESULTS, Result, Table, measure_all, parser, positive
+from benchmarks.parity.compare import TOLERANCE, compare
+from benchmarks.parity.intended import INTENDED, RaceContext
+from benchmarks.parity.reference import (
     Job,
     Moment,
     Recording,
@@ -34,19 +33,8 @@ from benchmarks.parity_reference import (
     inner_spaces,
 )
 from stkzoo import AgentSpec
-from stkzoo._arguments import CommandParser
 from stkzoo.engine.assets import find_assets
-
-__all__ = [
-    "ENV_IDS",
-    "MODES",
-    "TRACKS",
-    "compare_race",
-    "jobs_for",
-    "main",
-    "record_race",
-    "reference_process",
-]
+from stkzoo.tracks import SPLITS
 
 ENV_IDS = (
     "supertuxkart/full-v0",
@@ -62,13 +50,7 @@ MODES = ("direct", "process")
 #: Tracks to compare; the last three have forks.
 TRACKS = ("lighthouse", "hacienda", "cocoa_temple", "olivermath", "stk_enterprise")
 
-_RESULTS = Path(__file__).parent / "results" / "parity.json"
 _NUM_KART = 4
-
-
-def reference_process() -> ReferenceProcess:
-    """Starts the reference with the game data that stkzoo uses."""
-    return ReferenceProcess(find_assets().root)
 
 
 def jobs_for(
@@ -94,12 +76,6 @@ def jobs_for(
                 for mode in modes:
                     is_process = mode == "process"
                     yield Job(env_id, track, steps, _NUM_KART, use_ai, use_subprocess=is_process)
-
-
-def compare_race(job: Job, reference: ReferenceProcess) -> tuple[Job, Comparison]:
-    """Runs a race on both sides; returns the job with the drawn values, and the comparison."""
-    ours, theirs, context = record_race(job, reference)
-    return context.job, compare(ours, theirs, context)
 
 
 def record_race(job: Job, reference: ReferenceProcess) -> tuple[Recording, Recording, RaceContext]:
@@ -160,85 +136,64 @@ def _record(
     return recording, RaceContext(job, core.track_map, nodes, finished)
 
 
-# ------------------------------------------------------------------------- the command
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     options = _parser().parse_args(arguments)
-    console = Console(width=None if sys.stdout.isatty() else 150)
-    jobs = list(jobs_for(options.ids, options.tracks, options.steps, options.modes))
-    results = []
-    with reference_process() as reference:
-        for job in progress_bar(jobs, "races in both", console=console):
-            results.append(compare_race(job, reference))  # noqa: PERF401 - with progress
-    console.print(_table(results))
-    _print_legend(console, results)
-    _save(options.output, results)
-    undocumented = [(job, text) for job, result in results for text in result.undocumented]
-    for job, text in undocumented:
-        console.print(f"undocumented: {_title(job)}: {text}", soft_wrap=True, markup=False)
-    return 1 if undocumented else 0
+    jobs = [*map(asdict, jobs_for(options.ids, options.track, options.steps, options.modes))]
+    intended = [entry for entry in INTENDED if entry.code not in options.show]
+    with ReferenceProcess(find_assets().root) as reference:
+
+        def measure(job: Mapping[str, Any]) -> Mapping[str, Any]:
+            ours, theirs, context = record_race(Job(**job), reference)
+            return vars(compare(ours, theirs, context, intended))
+
+        results = measure_all(options.output, options, jobs, measure, _tables)
+    _print_legend(results)
+    for result in results:
+        for text in result["undocumented"]:
+            print(f"undocumented: {result['env_id']} {result['track']}: {text}")
+    return int(any(result["undocumented"] for result in results))
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(prog="python -m benchmarks.parity", description=__doc__)
-    parser.add_argument("--ids", nargs="+", choices=ENV_IDS, default=ENV_IDS, metavar="ID")
-    parser.add_argument("--track", dest="tracks", nargs="+", default=TRACKS, metavar="TRACK")
-    parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES, metavar="MODE")
-    parser.add_argument("--steps", type=int, default=300, help="steps per race (default 300)")
-    parser.add_argument("--output", type=Path, default=_RESULTS, help="JSON file to write")
-    return parser
+    words = parser("parity", __doc__)
+    words.add_argument("--ids", nargs="+", choices=ENV_IDS, default=ENV_IDS, metavar="ID")
+    words.add_argument("--track", nargs="+", choices=SPLITS["all"], default=TRACKS, metavar="NAME")
+    words.add_argument("--modes", nargs="+", choices=MODES, default=MODES, metavar="MODE")
+    words.add_argument("--steps", type=positive, default=300, help="of each race (default: 300)")
+    words.add_argument("--show", nargs="+", default=[], metavar="CODE", help="such as D31")
+    words.add_argument("--output", type=Path, default=RESULTS / "parity.json", help="JSON file")
+    return words
 
 
-def _title(job: Job) -> str:
-    return f"{job.env_id} {job.track} {_drivers(job)} {_mode(job)}"
-
-
-def _mode(job: Job) -> str:
-    return MODES[job.use_subprocess]
-
-
-def _drivers(job: Job) -> str:
-    names = ("action", "AI")
-    return " ".join(names[is_ai] for is_ai in job.use_ai)
-
-
-def _table(results: Sequence[tuple[Job, Comparison]]) -> Table:
-    table = Table(title="stkzoo and pystk2-gymnasium 0.10.0, step by step")
-    for name in ("id", "track", "agents driven by", "mode"):
-        table.add_column(name, no_wrap=True)
-    for name in ("steps", "largest error"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("intended differences")
-    table.add_column("others", justify="right")
-    for job, result in results:
-        table.add_row(
-            job.env_id.removeprefix("supertuxkart/"),
-            job.track,
-            _drivers(job),
-            _mode(job),
-            str(result.steps),
-            f"{result.max_error:.1e}",
-            " ".join(sorted(result.intended)),
-            f"[red]{len(result.undocumented)}[/]" if result.undocumented else "0",
+def _tables(results: Sequence[Result]) -> list[Table]:
+    columns = (
+        *("id", "track", "agents driven by", "mode", "steps", "largest error"),
+        *("intended differences", "others"),
+    )
+    rows = [
+        (
+            result["env_id"].removeprefix("supertuxkart/"),
+            result["track"],
+            " ".join(("action", "AI")[is_ai] for is_ai in result["use_ai"]),
+            MODES[result["use_subprocess"]],
+            str(result["steps"]),
+            f"{result['max_error']:.1e}",
+            " ".join(sorted(result["intended"])),
+            str(len(result["undocumented"])),
         )
-    return table
+        for result in results
+    ]
+    return [Table("stkzoo and pystk2-gymnasium 0.10.0, step by step", columns, rows)]
 
 
-def _print_legend(console: Console, results: Sequence[tuple[Job, Comparison]]) -> None:
-    met = {code for _, result in results for code in result.intended}
+def _print_legend(results: Sequence[Result]) -> None:
+    met = {code for result in results for code in result["intended"]}
     for entry in INTENDED:
         if entry.code in met:
-            console.print(f"  [bold]{entry.code}[/]: {entry.why}", highlight=False)
-    worst = max((result for _, result in results), key=lambda result: result.max_error)
-    console.print(f"Largest error {worst.max_error:.1e} ({worst.worst}), allowed {TOLERANCE:.0e}.")
-
-
-def _save(path: Path, results: Sequence[tuple[Job, Comparison]]) -> None:
-    rows = [{**asdict(job), **vars(result)} for job, result in results]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"tolerance": TOLERANCE, "races": rows}, indent=1) + "\n")
+            print(f"  {entry.code}: {entry.why}")
+    worst = max(results, key=lambda result: result["max_error"])
+    print(f"Largest error {worst['max_error']:.1e} ({worst['worst']}), allowed {TOLERANCE:.0e}.")
 
 
 if __name__ == "__main__":

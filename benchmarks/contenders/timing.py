@@ -19,9 +19,7 @@ from collections.abc import Callable, Sequence
 from types import ModuleType
 from typing import Any
 
-__all__ = ["CLOCK_VARIABLE", "Clock", "time_the_engine"]
-
-#: Environment variable with the clock's file; ``bench_instrument/sitecustomize.py`` reads it.
+#: Environment variable with the clock's file; ``instrument/sitecustomize.py`` reads it.
 CLOCK_VARIABLE = "STKZOO_BENCH_CLOCK"
 
 _SECONDS = struct.Struct("<d")

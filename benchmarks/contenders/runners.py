@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["Runner", "runner_for"]
-
 #: Enough laps that no kart finishes during the measurement.
 _LAPS = 20
 
@@ -17,7 +15,7 @@ class Runner:
     """Base class of the contenders' runners.
 
     Args:
-        spec: fields of :class:`benchmarks.bench_driver.Spec`.
+        spec: fields of :class:`benchmarks.contenders.driver.Spec`.
     """
 
     def __init__(self, spec: dict[str, Any]) -> None:
@@ -49,10 +47,6 @@ class Runner:
     def distances(self) -> list[float]:
         """Returns the overall distance of all karts; equal if all contenders ran the same race."""
         raise NotImplementedError
-
-    def sizes(self) -> dict[str, int]:
-        """Returns the numbers of path nodes and items of the current race."""
-        return {}
 
     def close(self) -> None:
         """Ends the race."""
@@ -97,7 +91,7 @@ class _Bare(Runner):
         return self._known
 
     def action(self, controls: Any) -> Any:
-        from benchmarks.bench_controls import to_action
+        from benchmarks.contenders.controls import to_action
 
         make = self._pystk2.Action
         rows = [to_action("full", controls[kart]) for kart in sorted(self._known["karts"])]
@@ -149,7 +143,7 @@ class _Gym(Runner):
         return list(inner.kart_indices) if self.spec["api"] == "multi" else [inner.kart_ix]
 
     def action(self, controls: Any) -> Any:
-        from benchmarks.bench_controls import to_action
+        from benchmarks.contenders.controls import to_action
 
         if self.spec["api"] == "multi":
             return {str(i): to_action("full", controls[k]) for i, k in enumerate(self._karts())}
@@ -187,10 +181,6 @@ class _StkzooGym(_Gym):
     def distances(self) -> list[float]:
         return [float(d) for d in self._core.snapshot.karts["overall_distance"]]
 
-    def sizes(self) -> dict[str, int]:
-        core = self._core
-        return {"path_nodes": len(core.track_map.path_nodes), "items": len(core.snapshot.items)}
-
 
 class _StkzooParallel(_StkzooGym):
     def make(self) -> None:
@@ -214,7 +204,7 @@ class _StkzooParallel(_StkzooGym):
         return self.env
 
     def action(self, controls: Any) -> Any:
-        from benchmarks.bench_controls import to_action
+        from benchmarks.contenders.controls import to_action
 
         karts = zip(self.env.agents, self.env.race.kart_indices, strict=True)
         return {agent: to_action(self.spec["view"], controls[kart]) for agent, kart in karts}
@@ -274,7 +264,7 @@ class _Reference(_Gym):
 
 
 def runner_for(spec: dict[str, Any]) -> Runner:
-    """Returns the runner for the fields of a :class:`benchmarks.bench_driver.Spec`."""
+    """Returns the runner for the fields of a :class:`benchmarks.contenders.driver.Spec`."""
     if spec["kind"] == "bare":
         return _Bare(spec)
     if spec["kind"] == "reference":

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.parity_reference import Job
+from benchmarks.parity.reference import Job
 from stkzoo.engine.track import TrackMap
-
-__all__ = ["INTENDED", "Difference", "Intended", "RaceContext"]
 
 
 @dataclass(frozen=True)
