@@ -1,9 +1,8 @@
-"""Readers of untrusted input, each as a function of bytes.
+"""Readers of untrusted input for fuzzing, with initial inputs.
 
-Each function accepts any bytes and processes them as a user's program would. It must succeed or
-raise the reader's documented error; any other exception is a defect. Some inputs are used as
-given. Others become part of an otherwise valid file, because its checksum would reject most of
-them.
+Each target processes bytes: input must be read, or raise the reader's own error. Any other
+exception is a defect. Besides all kinds of files in :mod:`tests.support.file_kinds`, there are
+messages, and archives, whose files must stay inside their folder.
 """
 
 from __future__ import annotations
@@ -19,13 +18,10 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import msgspec
 
-from stkzoo.agents import pretrained
-from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_numbers, read_policy
 from stkzoo.drivers.files import find_files, unpack
 from stkzoo.drivers.messages import (
     Action,
@@ -38,29 +34,16 @@ from stkzoo.drivers.messages import (
 )
 from stkzoo.engine.assets.headless import read_archive
 from stkzoo.engine.assets.staging import Progress
-from stkzoo.env.scenario import Scenario
-from stkzoo.errors import AssetError, ConfigError, ProtocolError
-from stkzoo.evaluation import (
-    BenchmarkPlan,
-    BenchmarkResult,
-    TournamentPlan,
-    TournamentResult,
-    load_demonstrations,
-    plan_benchmark,
-    plan_tournament,
-    record_demonstrations,
-)
-from stkzoo.race import RaceResult, run_race
-from stkzoo.race.remote.access import read_servers
-from stkzoo.race.remote.keys import new_key_files, read_public, read_secret
+from stkzoo.errors import AssetError, ConfigError, ProtocolError, StkzooError
 from stkzoo.race.remote.protocol import Act, Acted, Answer, ClientMessage, ServerMessage
-from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, save_replay
+from tests.support.file_kinds import KINDS, FileKind
 
 __all__ = ["TARGETS", "Target"]
 
 _DECODERS = [msgspec.msgpack.Decoder(kind) for kind in (Reply, ClientMessage, ServerMessage)]
 _MEMORY = Path("/dev/shm")
-_SCOUT = Path(pretrained.__file__).parent / "scout"
+#: Kinds of files with several parts; their text targets damage one part.
+_BINARY_FILES = ("replay", "scenario", "demonstrations")
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,63 +104,6 @@ def _message_seeds() -> list[bytes]:
     ]
 
 
-# ---------------------------------------------------------------------- replays
-
-
-def _feed_replay(data: bytes) -> None:
-    """Checks that a replay that can be read survives a round trip."""
-    with _folder() as folder:
-        file, again = folder / "race.stkz", folder / "again.stkz"
-        file.write_bytes(_with_member(_a_replay(), data))
-        with suppress(ReplayError):
-            replay = load_replay(file)
-            save_replay(replay, again)
-            assert load_replay(again).controls.tobytes() == replay.controls.tobytes()
-
-
-@cache
-def _a_replay() -> bytes:
-    with _folder() as folder:
-        file = folder / "race.stkz"
-        run_race(
-            ["heuristic", "ai"], track="lighthouse", max_steps=5, listeners=[ReplayWriter(file)]
-        )
-        return file.read_bytes()
-
-
-def _replay_seeds() -> list[bytes]:
-    return [b"\0" + _a_replay(), *_member_seeds(_a_replay())]
-
-
-# ---------------------------------------------------------------------- scenarios
-
-
-def _feed_scenario(data: bytes) -> None:
-    """Checks that a scenario that can be read survives a round trip."""
-    with _folder() as folder:
-        file, again = folder / "a.scenario", folder / "b.scenario"
-        file.write_bytes(_with_member(_a_scenario(), data))
-        with suppress(ConfigError):
-            scenario = Scenario.load(file)
-            scenario.save(again)
-            assert Scenario.load(again).digest == scenario.digest
-
-
-@cache
-def _a_scenario() -> bytes:
-    from stkzoo import race_v0
-
-    with _folder() as folder, race_v0.parallel_env(num_kart=2, track="lighthouse") as env:
-        env.reset(seed=1)
-        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
-        env.scenario().save(folder / "a.scenario")
-        return (folder / "a.scenario").read_bytes()
-
-
-def _scenario_seeds() -> list[bytes]:
-    return [b"\0" + _a_scenario(), *_member_seeds(_a_scenario())]
-
-
 # ---------------------------------------------------------------------- agents' zips
 
 
@@ -217,101 +143,6 @@ def _agent_zip_seeds() -> list[bytes]:
         b"\x81pystk_actor.py=import os\n\x81stk_actor/a.py=x\n\x81../out=y\n\xa1link=/etc/passwd"
     )
     return [b"\x01" + words, b"\x02" + words, b"\x00" + _zip_of(b"\x01" + words), b"\xfd" + words]
-
-
-# ---------------------------------------------------------------------- results and plans
-
-
-def _feed_result(data: bytes) -> None:
-    """Checks that a result that can be read survives a round trip."""
-    text = data.decode(errors="replace")
-    with suppress(ConfigError):
-        result = RaceResult.from_json(text)
-        assert RaceResult.from_json(result.to_json()) == result
-
-
-@cache
-def _a_result() -> RaceResult:
-    return run_race(["heuristic", "ai"], track="lighthouse", max_steps=5)
-
-
-def _result_seeds() -> list[bytes]:
-    return [_a_result().to_json().encode()]
-
-
-def _feed_plans(data: bytes) -> None:
-    """Checks that plans and results of tournaments and benchmarks are read or refused."""
-    text = data.decode(errors="replace")
-    for kind in (TournamentPlan, TournamentResult, BenchmarkPlan, BenchmarkResult):
-        with suppress(ConfigError):
-            kind.from_json(text).to_json()
-
-
-def _plan_seeds() -> list[bytes]:
-    tournament = plan_tournament(["heuristic", "ai"], tracks=["lighthouse"], races=2)
-    benchmark = plan_benchmark("heuristic", split=["lighthouse"], forms=["PA"], seeds=1)
-    forms = (tournament, benchmark, BenchmarkResult(benchmark, ()))
-    return [form.to_json().encode() for form in forms]
-
-
-# ---------------------------------------------------------------------- keys and lists of servers
-
-
-def _feed_keys(data: bytes) -> None:
-    """Checks that a file of keys or servers is read or refused."""
-    with _folder() as folder:
-        file = folder / "a.secret"
-        file.write_bytes(data)
-        file.chmod(0o600)
-        for read in (read_secret, read_public, read_servers):
-            with suppress(ConfigError):
-                read(file)
-
-
-def _key_seeds() -> list[bytes]:
-    with _folder() as folder:
-        files = new_key_files("ada", folder)
-        key = files[1].read_text().split()[1]
-        servers = f"# mine\ntcp://127.0.0.1:5555 {key}\n127.0.0.1:* ada.public\n"
-        return [*(file.read_bytes() for file in files), servers.encode()]
-
-
-# ---------------------------------------------------------------------- demonstrations and cards
-
-
-def _feed_demonstrations(data: bytes) -> None:
-    """Checks that a dataset is read or refused."""
-    with _folder() as folder:
-        (folder / "a.safetensors").write_bytes(data)
-        with suppress(ConfigError):
-            load_demonstrations(folder / "a.safetensors")
-
-
-@cache
-def _demonstrations() -> bytes:
-    with _folder() as folder:
-        short = {"tracks": "lighthouse", "karts": 1, "max_steps": 5, "jobs": 1, "seeds": (1,)}
-        record_demonstrations("heuristic", output=folder / "a.safetensors", **short)
-        return (folder / "a.safetensors").read_bytes()
-
-
-def _demonstration_seeds() -> list[bytes]:
-    return [_demonstrations()]
-
-
-def _feed_card(data: bytes) -> None:
-    """Checks that the card or the weights of a learned agent are read or refused."""
-    with _folder() as folder:
-        name = WEIGHTS if data[:1] == b"\1" else CARD
-        shutil.copytree(_SCOUT, folder / "scout")
-        (folder / "scout" / name).write_bytes(data[1:])
-        for read in (read_policy, read_numbers):
-            with suppress(ConfigError):
-                read(folder / "scout")
-
-
-def _card_seeds() -> list[bytes]:
-    return [b"\0" + (_SCOUT / CARD).read_bytes(), b"\1" + b"\x08" + bytes(7) + b"{}      "]
 
 
 # ---------------------------------------------------------------------- archives of game data
@@ -360,7 +191,33 @@ def _archive_seeds() -> list[bytes]:
     return [b"\x01" + words, b"\x02" + words, b"\x00" + _tar_of(b"\x02" + words)]
 
 
-# ---------------------------------------------------------------------- helpers
+# ---------------------------------------------------------------------- files
+
+
+def _text_target(kind: FileKind) -> Target:
+    """Returns a target for the text of a file, which may be one part of an archive."""
+
+    def feed(data: bytes) -> None:
+        with _folder() as folder, suppress(StkzooError):
+            kind.read(kind.store(folder, data))
+
+    return Target(kind.name, feed, lambda: [kind.valid().encode()])
+
+
+def _feed_binary_file(data: bytes) -> None:
+    """Checks that a damaged binary file is read or refused by each reader of such files."""
+    with _folder() as folder:
+        for name in _BINARY_FILES:
+            file = KINDS[name].write(folder, KINDS[name].valid())
+            file.write_bytes(data)
+            with suppress(StkzooError):
+                KINDS[name].read(file)
+
+
+def _binary_file_seeds() -> list[bytes]:
+    with _folder() as folder:
+        files = [KINDS[name].write(folder, KINDS[name].valid()) for name in _BINARY_FILES]
+        return [file.read_bytes() for file in files]
 
 
 @contextmanager
@@ -374,49 +231,15 @@ def _folder() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
-def _with_member(whole: bytes, data: bytes) -> bytes:
-    """Returns the input itself, or a valid zip in which the input replaces one member."""
-    if not data or data[0] % 4 == 0:
-        return data[1:]
-    members = _members(whole)
-    names = list(members)
-    members[names[data[0] % 4 % len(names)]] = data[1:]
-    form = io.BytesIO()
-    with zipfile.ZipFile(form, "w") as archive:
-        for name, content in members.items():
-            archive.writestr(name, content)
-    return form.getvalue()
-
-
-def _member_seeds(whole: bytes) -> list[bytes]:
-    """Returns each member with the prefix byte that selects its place."""
-    members = list(_members(whole).values())
-    return [bytes([choice]) + members[choice % len(members)] for choice in range(1, 4)]
-
-
-@cache
-def _parts(whole: bytes) -> tuple[tuple[str, bytes], ...]:
-    with zipfile.ZipFile(io.BytesIO(whole)) as archive:
-        return tuple((name, archive.read(name)) for name in archive.namelist())
-
-
-def _members(whole: bytes) -> dict[str, bytes]:
-    return dict(_parts(whole))
-
-
 #: All readers by name.
 TARGETS: dict[str, Target] = {
     target.name: target
     for target in (
         Target("messages", _feed_messages, _message_seeds, _message_memory, _read_observation),
-        Target("replays", _feed_replay, _replay_seeds),
-        Target("scenarios", _feed_scenario, _scenario_seeds),
         Target("agent zips", _feed_agent_zip, _agent_zip_seeds),
-        Target("results", _feed_result, _result_seeds),
-        Target("plans", _feed_plans, _plan_seeds),
-        Target("keys", _feed_keys, _key_seeds),
-        Target("demonstrations", _feed_demonstrations, _demonstration_seeds),
-        Target("cards", _feed_card, _card_seeds),
         Target("asset archives", _feed_archive, _archive_seeds),
+        Target("binary files", _feed_binary_file, _binary_file_seeds),
+        # A training log opens TensorBoard, which is slow.
+        *(_text_target(kind) for kind in KINDS.values() if kind.name != "training log"),
     )
 }

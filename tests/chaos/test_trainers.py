@@ -21,7 +21,13 @@ TRAINERS = {
 }
 
 
-@pytest.mark.parametrize("name", TRAINERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ppo.selfplay",
+        *(pytest.param(n, marks=pytest.mark.matrix) for n in TRAINERS if n != "ppo.selfplay"),
+    ],
+)
 def test_a_killed_trainer_leaves_no_processes(tmp_path, name):
     mark = uuid.uuid4().hex
     with (tmp_path / "said").open("w") as said:

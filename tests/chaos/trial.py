@@ -11,7 +11,7 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +61,6 @@ class Outcome:
     seconds: float
     resets: int
     problem: str = ""
-
-    def to_form(self) -> dict[str, Any]:
-        """Returns the outcome as plain data."""
-        return asdict(self)
 
 
 class Trials:

@@ -1,13 +1,16 @@
 """Honest entries are verified; tampered ones are refused, naming the race and the step."""
 
+import os
+import random
 import re
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.errors import ConfigError
+from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.race.replay import load_replay, play_replay
 from stkzoo.suite import TASKS, EntryRefused, evaluate, plan_entry, verify_entry
 from stkzoo.suite.entry import entry_orders
@@ -341,3 +344,82 @@ def test_a_strange_file_name_cannot_control_the_terminal(entry, capsys):
     shown = capsys.readouterr().err
     assert "?]0;gone?" in shown
     assert "\x1b" not in shown
+
+
+# ---------------------------------------------------------------------- random changes
+
+#: Entries of the card that nothing can verify (``docs/reference/suite.md``).
+UNVERIFIED = re.compile(
+    r"\.(about|versions|agent|errors|sandboxes|protections|type|schema_version)(\.|\[|$)"
+    r"|^\.(agent|interval)|\.settings\.(?!track|laps|difficulty|reverse|mode|kart|seed|max_paths|"
+    r"max_steps|max_steps_after_first|karts_finished)"
+)
+RACES = 6
+
+
+def leaves(value, place=""):
+    """Yields the container, key and path of each number, text and boolean in a JSON value."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, inner in pairs:
+        where = f"{place}.{key}" if isinstance(value, dict) else f"{place}[{key}]"
+        if isinstance(inner, (dict, list)):
+            yield from leaves(inner, where)
+        else:
+            yield value, key, where
+
+
+def other_value(value, chance):
+    """Returns another value of the same type."""
+    if isinstance(value, bool) or value is None:
+        return not value
+    if isinstance(value, int):
+        return value + chance.choice((-1, 1, 2))
+    if isinstance(value, float):
+        return value * chance.choice((0.9, 0.99, 0.999, 1.01)) if value else 0.5
+    return chance.choice(("hacienda", "reversed", "front", "PBB", value + "x", ""))
+
+
+def change_card(folder, chance):
+    card = read_entry(folder)
+    container, key, _ = chance.choice(
+        [leaf for leaf in leaves(card) if not UNVERIFIED.search(leaf[2])]
+    )
+    container[key] = other_value(container[key], chance)
+    write_entry(folder, card)
+
+
+def change_position(folder, chance):
+    """Changes the digest of the positions, rotations and velocities of one step."""
+    share, bit = chance.random(), 1 << chance.randrange(8)
+
+    def edit(members):
+        digests = bytearray(members["digests.u1"])
+        digests[int(share * len(digests))] ^= bit
+        members["digests.u1"] = bytes(digests)
+
+    change_replay(folder, chance.randrange(RACES), edit)
+    name_replays(folder)
+
+
+def change_steering(folder, chance):
+    """Changes the steering of a kart in some steps of a race."""
+    first, kart = chance.uniform(0.3, 0.8), chance.random()
+
+    def edit(controls):
+        start, row = int(first * len(controls)), int(kart * controls.shape[1])
+        part = controls[start : start + 20, row, 1]
+        part[:] = np.where(part > 0, part - 0.5, part + 0.5)
+        return controls
+
+    change_controls(folder, chance.randrange(RACES), edit)
+    name_replays(folder)
+
+
+@pytest.mark.matrix
+@pytest.mark.parametrize("number", range(int(os.environ.get("STKZOO_ENTRIES", "20"))))
+def test_a_random_change_of_an_entry_is_refused(entry, number):
+    """To try more of them, set ``STKZOO_ENTRIES=1000``."""
+    chance = random.Random(number)
+    chance.choice((change_card, change_position, change_steering))(entry, chance)
+    with pytest.raises(StkzooError):
+        verify_entry(entry, jobs=1)
