@@ -101,8 +101,10 @@ pictures: $(VENV)/.dev
 	$(BIN)/python docs/_extensions/charts.py
 	$(BIN)/python docs/_extensions/suite_page.py
 
-# Builds the documentation in the folder site; fails on any warning or broken link.
+# Builds the documentation in the folder site; fails on any warning or broken link. The pages of the
+# views need the game's data.
 docs: $(VENV)/.docs
+	$(BIN)/stkzoo assets install
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs site
 	@echo "open site/index.html"
 
