@@ -1,10 +1,23 @@
-from collections.abc import Callable
+"""The names of the C extension. A comment in C has the formula of each."""
+
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 class GameStepper:
+    """Steps a race of the engine, and reads its state.
+
+    Args:
+        race: a ``pystk2.Race`` that has started.
+        world: its ``pystk2.WorldState``.
+        actions: a ``pystk2.Action`` for each player kart, in grid order.
+        controls: names of the controls, which are attributes of an action.
+        phases: number of each of the engine's phases.
+        last_phase: number of all other phases.
+        reporting: karts whose driver's controls are read.
+    """
+
     def __new__(
         cls,
         race: Any,
@@ -15,11 +28,40 @@ class GameStepper:
         last_phase: int,
         reporting: tuple[int, ...],
     ) -> GameStepper: ...
-    def step(self, controls: bytes | npt.NDArray[np.float32]) -> bytes: ...
-    def read(self, is_running: bool) -> bytes: ...
-    def serve(self, fd: int) -> bytes: ...
+    def step(self, controls: bytes | npt.NDArray[np.float32]) -> bytes:
+        """Advances the game by one step.
+
+        Args:
+            controls: ``(P, 7)`` float32, or its bytes: a row for each player kart.
+
+        Returns:
+            The bytes of a :class:`~stkzoo.engine.snapshot.Snapshot` after the step.
+        """
+    def read(self, is_running: bool) -> bytes:
+        """Returns the bytes of a snapshot of the current state."""
+    def serve(self, fd: int) -> bytes:
+        """Serves step requests on a packet socket until another request arrives; returns that one.
+
+        Raises:
+            EOFError: the other end has closed the connection.
+        """
 
 class TrackGraph:
+    """A track's segments, and the order of the segments ahead of each one.
+
+    Args:
+        nodes: start and end of each segment [m].
+        widths: width of each segment [m].
+        distances: distances along the lap from the start line to each segment's start and end [m].
+        begins: ``(N + 1,)``: the successors of segment ``n`` are
+            ``successors[begins[n] : begins[n + 1]]``.
+        successors: numbers of the successors of all segments.
+        length: length of a lap [m].
+
+    Raises:
+        ValueError: the arrays do not fit together.
+    """
+
     def __new__(
         cls,
         nodes: npt.NDArray[np.float32],
@@ -29,9 +71,29 @@ class TrackGraph:
         successors: npt.NDArray[np.intp],
         length: float,
     ) -> TrackGraph: ...
-    def ahead(self, node: int) -> npt.NDArray[np.intp]: ...
+    def ahead(self, node: int) -> npt.NDArray[np.intp]:
+        """Returns all segments in order of driving distance from a segment, ``(N,)``."""
 
 class KartObserver:
+    """Makes the observations of one view.
+
+    Args:
+        names: entries of the observation, in order.
+        items: number of items in the observation; -1 for all items of the race.
+        karts: number of other karts in the observation; -1 for all.
+        paths: number of track segments in the observation; -1 for all visible ones.
+        polar: whether positions are two angles and a distance.
+        flat: whether all numbers form one vector and all choices another one.
+        joined: number of values of each choice. If given, the choices are one-hot encoded and
+            appended to the vector of numbers.
+        nitro: which actions press the nitro button. If given, observations have a mask of the
+            actions that have an effect.
+        fire: which actions fire.
+
+    Raises:
+        ValueError: the arguments do not fit together.
+    """
+
     def __new__(
         cls,
         names: tuple[str, ...],
@@ -51,7 +113,16 @@ class KartObserver:
         kart_types: tuple[str, ...],
         data: bytes,
         who: npt.NDArray[np.intp],
-    ) -> list[Any]: ...
+    ) -> list[Any]:
+        """Returns a list with one observation per kart.
+
+        Args:
+            track: the race's track.
+            num_paths: number of visible segments of the track.
+            kart_types: model name of each kart.
+            data: bytes of the snapshot.
+            who: ``(A,)`` indices of the observing karts.
+        """
     def observe_into(
         self,
         track: TrackGraph,
@@ -61,9 +132,35 @@ class KartObserver:
         who: npt.NDArray[np.intp],
         rows: npt.NDArray[np.intp],
         batch: Any,
-    ) -> None: ...
+    ) -> None:
+        """Writes the observations into rows of a batch.
+
+        Args:
+            track: see :meth:`observe`.
+            num_paths: see :meth:`observe`.
+            kart_types: see :meth:`observe`.
+            data: see :meth:`observe`.
+            who: see :meth:`observe`.
+            rows: row of each kart.
+            batch: arrays by entry, with a list for names, or one array if the view is one vector.
+
+        Raises:
+            ValueError: the view has no fixed size, or the arguments do not fit together.
+        """
 
 class RacingObserver:
+    """Makes the observations of the ``racing`` view on some tracks.
+
+    The arguments after the roads are :data:`stkzoo.wrappers.racing.features.KERNEL_TABLES`.
+
+    Args:
+        roads: arrays of each track: ``lines``, ``starts`` and ``along`` of its
+            :class:`~stkzoo.wrappers.racing.RoadTable`.
+        tables: tables of the view.
+        counts: sizes of the view's parts.
+        lengths: distances of the view [m].
+    """
+
     def __new__(
         cls,
         roads: tuple[tuple[npt.NDArray[np.float32], ...], ...],
@@ -78,7 +175,16 @@ class RacingObserver:
         who: npt.NDArray[np.intp],
         out: npt.NDArray[np.float32],
         rows: npt.NDArray[np.intp] = ...,
-    ) -> None: ...
+    ) -> None:
+        """Writes the view of each kart of ``who`` into a row of ``out``.
+
+        Args:
+            data: bytes of a snapshot.
+            road: index of its track.
+            who: ``(n,)`` indices of karts.
+            out: ``(N, SIZE)``.
+            rows: ``(n,)`` row of each kart; by default, ``out`` has one row per kart, in order.
+        """
     def look(
         self,
         data: bytes,
@@ -88,7 +194,19 @@ class RacingObserver:
         numbers: tuple[npt.NDArray[np.float32], ...],
         kinds: tuple[npt.NDArray[np.int64], ...],
         around: tuple[npt.NDArray[Any], ...],
-    ) -> None: ...
+    ) -> None:
+        """Writes the own state and the surroundings of each kart of ``who``.
+
+        Args:
+            data: bytes of a snapshot.
+            road: index of its track.
+            who: ``(n,)`` indices of karts.
+            looks: ``(L,)`` distances at which the road is observed [m].
+            numbers: see :meth:`write`.
+            kinds: see :meth:`write`.
+            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as
+                many karts and items as the race has.
+        """
     def trace(
         self,
         data: bytes,
@@ -96,25 +214,78 @@ class RacingObserver:
         who: npt.NDArray[np.intp],
         looks: npt.NDArray[np.float32],
         out: npt.NDArray[np.float32],
-    ) -> None: ...
+    ) -> None:
+        """Writes the road ahead of each kart of ``who``.
+
+        Args:
+            data: bytes of a snapshot.
+            road: index of its track.
+            who: ``(n,)`` indices of karts.
+            looks: ``(L,)`` distances at which the road is observed [m].
+            out: ``(n, L, 4)``, see :class:`~stkzoo.wrappers.racing.Surroundings`.
+        """
     def write(
         self,
         numbers: tuple[npt.NDArray[Any], ...],
         kinds: tuple[npt.NDArray[Any], ...],
         around: tuple[npt.NDArray[Any], ...],
         out: npt.NDArray[np.float32],
-    ) -> None: ...
+    ) -> None:
+        """Writes the view of karts with given surroundings.
+
+        Args:
+            numbers: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_NUMBERS`:
+                the first ``(n, 3)``, the others ``(n, 1)``.
+            kinds: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_KINDS`,
+                ``(n,)`` each.
+            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
+            out: ``(n, F)``; the first ``SIZE`` columns are written.
+        """
 
 class Mlp:
+    """A multilayer perceptron in float32.
+
+    Args:
+        layers: matrix ``(inputs, outputs)`` and bias ``(outputs,)`` of each layer.
+        is_tanh: whether tanh follows each layer except the last; otherwise a rectified linear unit
+            does.
+
+    Raises:
+        ValueError: the shapes do not fit.
+    """
+
     def __new__(
         cls,
         layers: tuple[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]], ...],
         is_tanh: bool,
     ) -> Mlp: ...
-    def evaluate(self, inputs: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None: ...
+    def evaluate(self, inputs: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None:
+        """Writes the outputs for rows of inputs; a row's outputs do not depend on other rows.
+
+        Args:
+            inputs: ``(A, F)``; the first columns are the network's inputs.
+            out: ``(A, outputs)``.
+
+        Raises:
+            ValueError: the shapes do not fit.
+        """
     def __reduce__(self) -> tuple[Any, ...]: ...
 
 class ActionReader:
+    """Converts actions of one space to controls.
+
+    Args:
+        names: keys of an action; empty if an action is one array or number.
+        leaves: for each key, a tuple per number: its lowest value, its highest value, whether it is
+            a whole number, its column in the controls, and a table or ``None``. A table belongs to
+            a choice and has a row for each value; that row is added to the controls from the column
+            on.
+        num_columns: number of columns of the controls.
+
+    Raises:
+        ValueError: the leaves do not fit together.
+    """
+
     def __new__(
         cls, names: tuple[str, ...], leaves: tuple[Any, ...], num_columns: int
     ) -> ActionReader: ...
@@ -124,7 +295,12 @@ class ActionReader:
         agents: tuple[str, ...],
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
-    ) -> bool: ...
+    ) -> bool:
+        """Reads the action of each agent into its row of the controls.
+
+        Returns:
+            Whether every agent has an action that is in its space and in a usual form.
+        """
     def read_batch(
         self,
         batch: Any,
@@ -132,12 +308,36 @@ class ActionReader:
         slots: npt.NDArray[np.intp],
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
-    ) -> bool: ...
+    ) -> bool:
+        """Reads the actions of some slots into rows of the controls.
+
+        Args:
+            batch: an array with a row for each slot, or a dict of such arrays.
+            count: number of slots.
+            slots: slot of each action to read.
+            rows: row of each action in ``controls``.
+            controls: ``(P, C)`` float32, whose rows are overwritten.
+
+        Returns:
+            Whether all actions are in their space and in a usual form.
+        """
 
 class CarController:
+    """Converts a speed or acceleration and a steering angle or steering speed to controls.
+
+    The compiled form of :meth:`stkzoo.wrappers.control.CarAction.act`.
+
+    Args:
+        kinds: whether the longitudinal number is a speed, whether the steering number is an angle,
+            and whether both are scaled to [-1, 1].
+        limits: limits of the steering number, of the longitudinal number, and of the kart.
+        pedals: model of the kart.
+        columns: columns of throttle, steering and brake.
+        num_columns: number of columns of the controls.
+    """
+
     def __new__(
         cls,
-        act: Callable[..., Any],
         kinds: tuple[bool, bool, bool],
         limits: tuple[float, ...],
         pedals: npt.NDArray[np.float64],
@@ -152,9 +352,37 @@ class CarController:
         karts: npt.NDArray[np.intp],
         states: npt.NDArray[np.float64],
         places: npt.NDArray[np.intp],
-    ) -> None: ...
+    ) -> None:
+        """Replaces actions by the controls that the game takes.
+
+        Args:
+            controls: ``(P, n)``; the columns of steering and throttle hold the action's steering
+                and longitudinal numbers.
+            rows: ``(A,)`` rows to change.
+            data: bytes of the current snapshot.
+            karts: ``(A,)`` kart of each row.
+            states: ``(S, 3)`` two columns of the controllers' memory, which are updated, and the
+                length of a step [s].
+            places: ``(A,)`` row of each kart in ``states``.
+        """
 
 class EventCounter:
+    """Counts the events of all K karts of a race, step by step.
+
+    Args:
+        nodes: ``(N, 2, 3)`` float32, start and end of the track's segments [m].
+        step_size: game time of a step [s].
+        memory: ``(K, 8 + K)`` memory of the events, which :meth:`count` updates. Columns 0 to 2 are
+            the times for which each kart has been off the road, has driven the wrong way and has
+            stayed within 3 m [s]. Columns 3 to 5 are the place that it has stayed near. Initialize
+            columns 3 to 5 with infinity and the others with zeros.
+        counts: ``(K, 10)`` events of the step (:data:`stkzoo.mdp.events.EVENTS`), which
+            :meth:`count` writes.
+
+    Raises:
+        ValueError: the arrays do not fit together.
+    """
+
     def __new__(
         cls,
         nodes: npt.NDArray[np.float32],
@@ -162,9 +390,35 @@ class EventCounter:
         memory: npt.NDArray[np.float64],
         counts: npt.NDArray[np.float64],
     ) -> EventCounter: ...
-    def count(self, before: bytes, after: bytes) -> None: ...
+    def count(self, before: bytes, after: bytes) -> None:
+        """Counts the events of the step between two snapshots.
+
+        Args:
+            before: bytes of the snapshot before the step.
+            after: bytes of the snapshot after the step.
+
+        Raises:
+            ValueError: a snapshot has another number of karts.
+        """
 
 class StepScorer:
+    """Computes rewards, ends and infos of some agents of a race.
+
+    Args:
+        agents: ids of the agents.
+        karts: kart of each agent.
+        rows: row of each agent in ``last`` and ``sums``.
+        last: ``(R, C)`` reward terms and events of the latest step, which :meth:`score` writes.
+        sums: ``(R, C)`` sums of ``last`` over the episode, which :meth:`score` updates.
+        keys: keys of an info, in order.
+        race_length: number of laps times the length of a lap [m].
+        rewards: for each group of agents that share a reward: names of the reward's terms, their
+            weights, their columns in ``last``, and the agents' indices in ``agents``. The caller
+            writes the terms that are Python functions into ``last``.
+        events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
+            of ``last``.
+    """
+
     def __new__(
         cls,
         agents: tuple[str, ...],
@@ -179,7 +433,14 @@ class StepScorer:
     ) -> StepScorer: ...
     def score(
         self, before: bytes, after: bytes, is_over: bool
-    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]: ...
+    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
+        """Returns the rewards, terminations and truncations of the step between two snapshots.
+
+        Args:
+            before: bytes of the snapshot before the step.
+            after: bytes of the snapshot after the step.
+            is_over: whether the time limit is reached.
+        """
     def score_into(
         self,
         before: bytes,
@@ -189,28 +450,62 @@ class StepScorer:
         rewards: npt.NDArray[np.float64],
         terminations: npt.NDArray[np.bool_],
         truncations: npt.NDArray[np.bool_],
-    ) -> None: ...
-    def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]: ...
+    ) -> None:
+        """Writes the results of :meth:`score` into arrays with one number for each slot.
+
+        Args:
+            before: see :meth:`score`.
+            after: see :meth:`score`.
+            is_over: see :meth:`score`.
+            slots: slot of each agent.
+            rewards: ``(S,)`` float64, which is written.
+            terminations: ``(S,)`` bool, which is written.
+            truncations: ``(S,)`` bool, which is written.
+        """
+    def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]:
+        """Returns the infos of the agents at a snapshot, after ``length`` steps."""
     def infos_into(
         self,
         data: bytes,
         length: int,
         slots: npt.NDArray[np.intp],
         table: npt.NDArray[np.float64],
-    ) -> None: ...
+    ) -> None:
+        """Writes the results of :meth:`infos` into a table.
+
+        Args:
+            data: see :meth:`infos`.
+            length: see :meth:`infos`.
+            slots: slot of each agent.
+            table: array to write, with a row for each key and a column for each slot.
+        """
 
 def reward_term(
     name: str, before: bytes, after: bytes, race_length: float
-) -> npt.NDArray[np.float64]: ...
-def layouts() -> list[tuple[str, int]]: ...
+) -> npt.NDArray[np.float64]:
+    """Returns the value of a term for each kart, ``(K,)`` float64."""
+
+def layouts() -> list[tuple[str, int]]:
+    """Returns the name and byte offset of each record field, to compare with the dtypes."""
+
 def action_mask(
     nitro: npt.NDArray[np.bool_],
     fire: npt.NDArray[np.bool_],
     energy: npt.NDArray[np.float32],
     powerup_types: npt.NDArray[np.int64],
-) -> npt.NDArray[np.int8]: ...
-def to_polar(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]: ...
-def join_rows(rows: tuple[Any, ...]) -> bytes | None: ...
+) -> npt.NDArray[np.int8]:
+    """Returns the masks of A karts, ``(A, n)`` int8: 1 for actions that have an effect."""
+
+def to_polar(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Converts positions ``(..., 3)`` [m] to two angles [rad] and a distance [m]."""
+
+def join_rows(rows: tuple[Any, ...]) -> bytes | None:
+    """Returns the concatenated bytes of arrays of one dtype and shape.
+
+    Returns:
+        The bytes; ``None`` if the arrays differ in dtype or shape, or are not contiguous.
+    """
+
 def trace_roads(
     starts: tuple[Any, ...],
     ends: tuple[Any, ...],
@@ -219,12 +514,40 @@ def trace_roads(
     rules: npt.NDArray[np.float64],
     lines: npt.NDArray[np.float32],
     first: npt.NDArray[np.float32],
-) -> None: ...
+) -> None:
+    """Writes the lines ahead of ``A`` karts.
+
+    Args:
+        starts: starts of the segments ahead of each kart, ordered by driving distance; the kart's
+            own segment comes first. If there are none, one segment of zero length at the kart is
+            used.
+        ends: their ends.
+        widths: their widths, vectors of one number.
+        most: largest number of segments used, at most 128.
+        rules: ``(4,)`` distance between the line's points, distance below which segments touch,
+            longest jump between segments that do not touch, and length of the straight extension
+            beyond the last segment [m].
+        lines: ``(A, N, 4)`` points and their distances to the edge of the road [m], which are
+            written.
+        first: ``(A, 2, 3)`` start and end of each kart's own segment [m], which are written.
+    """
+
 def look_along(
     lines: npt.NDArray[np.float32],
     spacing: float,
     first: npt.NDArray[np.float32],
     looks: npt.NDArray[np.float32],
     out: npt.NDArray[np.float32],
-) -> None: ...
-def stack_vectors(rows: tuple[Any, ...], blank: float, out: npt.NDArray[np.float32]) -> None: ...
+) -> None:
+    """Writes points on the lines of ``A`` karts, and their distances to the edge of the road.
+
+    Args:
+        lines: ``(A, N, 4)``, see :func:`trace_roads`.
+        spacing: distance between their points [m].
+        first: ``(A, 2, 3)`` the karts' own segments in frames with the kart at the origin.
+        looks: ``(L,)`` distances ahead of the kart [m].
+        out: ``(A, L, 4)`` points and distances [m], which are written.
+    """
+
+def stack_vectors(rows: tuple[Any, ...], blank: float, out: npt.NDArray[np.float32]) -> None:
+    """Writes the vectors of each row, ``(A, n, 3)``, padded with ``blank``."""

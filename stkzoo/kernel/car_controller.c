@@ -1,8 +1,8 @@
 /* Converts a speed or an acceleration, and a steering angle or steering speed, to throttle,
    steering and brake.
 
-   The NumPy reference implementation is tests.oracle.car_controller; the formulas are
-   those of stkzoo.wrappers.control. */
+   This is the compiled form of CarAction.act in stkzoo.wrappers.control, which has the formulas and
+   also runs around other environments. tests/kernel checks that both have the same bits. */
 
 #include "kernel.h"
 
@@ -170,14 +170,13 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* CarController(act, kinds, limits, pedals, columns, num_columns): `act` is only for the reference
-   implementation. */
+/* CarController(kinds, limits, pedals, columns, num_columns): whether the numbers are a speed, an
+   angle and normalized; the limits of the numbers and of the kart; the model of the kart. */
 static int controller_set_up(CarController *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
-    PyObject *act;
     Doubles model;
     int *columns = self->columns;
-    if (!PyArg_ParseTuple(args, "O(ppp)(ddddddddd)O&(iii)i", &act, &self->is_speed, &self->is_angle,
+    if (!PyArg_ParseTuple(args, "(ppp)(ddddddddd)O&(iii)i", &self->is_speed, &self->is_angle,
                           &self->is_normalized, &self->steer_low, &self->steer_high, &self->low,
                           &self->high, &self->v_min, &self->v_max, &self->sv_max,
                           &self->speed_gain, &self->steer_lag, as_doubles, &model, columns, columns + 1, columns + 2,

@@ -1,7 +1,6 @@
 /* Counts the events of a race's karts between two snapshots.
 
-   The NumPy reference implementation is tests.oracle.event_counter; stkzoo.mdp.events
-   defines the events. The engine does not report contacts, hits or rescues, so they are derived
+   stkzoo.mdp.events defines the events. The engine does not report contacts, hits or rescues, so they are derived
    from the karts' motion. The thresholds were measured in races recorded at 120 Hz, the engine's
    own rate. */
 

@@ -58,7 +58,10 @@ class RecordedWrapper(gym.utils.RecordConstructorArgs):
 
 
 class CompiledWrapper(RecordedWrapper):
-    """Marks a wrapper that has a kernel implementation.
+    """Marks a wrapper that has a compiled form in the kernel.
+
+    The wrapper's own methods run around environments of other libraries, and around wrappers that
+    do not compile. They call the kernel's functions where these compute an entry.
 
     A wrapper class that lists this class among its direct bases guarantees that
 

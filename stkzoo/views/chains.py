@@ -147,7 +147,7 @@ class AgentChains:
         self._kernels: dict[Hashable, tuple[Observer, ActionReader, CarController | None]] = {}
         #: Wheel angle [rad], remaining speed change [m/s] and step length [s] of each agent with
         #: actions in physical units
-        #: (:class:`~tests.oracle.car_controller.CarController`).
+        #: (:class:`~stkzoo.kernel.CarController`).
         self._cars = np.zeros((len(self._chains), 3))
         self._latest_roster: _Roster | None = None
         self.observation_spaces = self._walker.observation_spaces

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import struct
 import subprocess
@@ -18,19 +17,21 @@ import pytest
 
 from stkzoo import RaceVectorEnv, kernel, race_v0
 from stkzoo.drivers.messages import encode_observation
-from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, KART_DTYPE
-from stkzoo.engine.track import decode_track
-from stkzoo.wrappers.racing import LOOKS, racing_features
-from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
-from tests import oracle
-from tests.kernel.test_kernel import USERS
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.wrappers.control import CarAction
+from stkzoo.wrappers.racing import LOOKS, SIZE, racing_features
+from stkzoo.wrappers.racing.features import KERNEL_TABLES
+from stkzoo.wrappers.racing.wrapper import racing_view_of
 from tests.kernel.test_mlp import inputs_of, layers_of
 from tests.support.bad_arguments import check_bad_calls, check_lists_are_refused
+from tests.support.kernel_users import USERS, replaced_kernel
 
 VIEWS = ("full", "masked_discrete", "flattened_control", "racing", "simple")
 #: Size of the item count and one item in the engine's block [bytes].
 ITEM_SIZE = 4 + 33
 
+
+NAMES = sorted({*(name for names in USERS.values() for name in names), "GameStepper"})
 
 # ------------------------------------------------------------------ valid calls, recorded in races
 
@@ -68,20 +69,17 @@ class Recorded:
 @pytest.fixture(scope="module")
 def cases():
     """Records calls by name: the constructor's arguments, and a method with its arguments."""
-    kept = {name: [] for name in (*oracle.__all__, "GameStepper")}
-    with pytest.MonkeyPatch.context() as patch:
-        for user, names in USERS.items():
-            importlib.import_module(f"stkzoo.{user}")
-            for name in names:
-                patch.setattr(f"stkzoo.{user}.{name}", Recorder(name, kept))
-        for cache in (decode_track, racing_view_of, _writer):
-            cache.cache_clear()
+    kept = {name: [] for name in NAMES}
+    recorders = {name: Recorder(name, kept) for name in NAMES}
+    with pytest.MonkeyPatch.context() as patch, replaced_kernel(patch, recorders):
         drive_races()
         encode_observation({"rows": (np.arange(3.0), np.arange(3.0))})
-        for cache in (decode_track, racing_view_of, _writer):
-            cache.cache_clear()
     layers, rows = layers_of(0, (5, 3, 2)), (inputs_of(0, 4, 6), np.empty((4, 2), np.float32))
     kept["Mlp"] = [((layers, is_tanh), {}, "evaluate", rows) for is_tanh in (True, False)]
+    points, flags = np.ones((2, 3), np.float32), np.ones(2, np.bool_)
+    kept["to_polar"] = [((points,), {}, None, ())]
+    kept["action_mask"] = [((flags, flags, points[0], np.ones(3, np.int64)), {}, None, ())]
+    kept["reward_term"] = [(("advance", KARTS, KARTS, 20.0), {}, None, ())]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),
         (stepper_arguments(), {}, "read", (True,)),
@@ -144,10 +142,180 @@ def test_races_call_the_methods_that_write_into_arrays(cases, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*oracle.__all__, "GameStepper"])
+@pytest.mark.parametrize("name", NAMES)
 def test_bad_arguments_are_accepted_or_refused(cases, name):
     assert cases[name], "no race has called it"
     check_bad_calls(getattr(kernel, name), cases[name])
+
+
+# ------------------------------------------------------------------ one case per class
+
+
+def snapshot_of(num_kart=2, num_items=2, node=0):
+    karts = np.zeros(num_kart, KART_DTYPE)
+    karts["node"] = node
+    return Snapshot.of(np.zeros((), HEADER_DTYPE), karts, np.zeros(num_items, ITEM_DTYPE)).data
+
+
+KARTS = snapshot_of()
+FIRST, TWO = np.zeros(1, np.intp), np.arange(2)
+
+
+def track_of(*successors, nodes=6):
+    begins = np.cumsum([0, *map(len, successors)]).astype(np.intp)
+    ends = np.array([node for nodes in successors for node in nodes], np.intp)
+    count = len(successors)
+    sizes = nodes * count, count, 2 * count
+    return kernel.TrackGraph(*(np.zeros(n, np.float32) for n in sizes), begins, ends, 20.0)
+
+
+def batch_of(**changes):
+    return {
+        "kart_type": [""] * 4,
+        "energy": np.ones((4, 1), np.float32),
+        "items_type": np.ones((4, 3), np.int64),
+        "items_mask": np.ones((4, 3), np.int8),
+    } | changes
+
+
+def observe_into(batch, *, paths=1, data=KARTS, who=TWO, rows=np.array([3, 1])):  # noqa: B008
+    observer = kernel.KartObserver(("kart_type", "energy", "items_type", "items_mask"), items=3)
+    observer.observe_into(track_of([0]), paths, ("tux", "gnu"), data, who, rows, batch)
+
+
+def test_only_the_given_rows_are_written():
+    batch = batch_of()
+    observe_into(batch)
+    assert batch["kart_type"] == ["", "gnu", "", "tux"]
+    assert batch["energy"][:, 0].tolist() == [1, 0, 1, 0]
+    assert batch["items_mask"][[0, 3]].tolist() == [[1, 1, 1], [1, 1, 0]]
+
+
+def read_only(array):
+    array.flags.writeable = False
+    return array
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"energy": np.ones((4, 1))}, "float32"),
+        ({"energy": read_only(np.ones((4, 1), np.float32))}, "writeable"),
+        ({"energy": np.ones((4, 1), np.dtype("f4").newbyteorder("S"))}, "native-endian"),
+        ({"energy": np.ones((4, 2), np.float32)}, "the wrong number of energy"),
+        ({"items_mask": np.ones((4, 3), np.int8)[::-1]}, "contiguous"),
+        ({"kart_type": ()}, "names of a batch must be a list"),
+        ({"energy": None}, "float32"),
+    ],
+)
+def test_arrays_of_another_form_are_refused(changes, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        observe_into(batch_of(**changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"data": KARTS[:-1]}, "not a snapshot"),
+        ({"data": snapshot_of(node=1)}, "there is no segment"),
+        ({"paths": 2}, "2 of 1 segments"),
+        ({"who": TWO + 1}, "kart 2 of 2"),
+        ({"who": FIRST}, "1 karts for 2 rows"),
+        ({"rows": np.array([4, 1])}, "a row index"),
+        ({"rows": np.array([-1, 1])}, "a row index"),
+    ],
+)
+def test_indices_and_snapshots_out_of_range_are_refused(changes, message):
+    with pytest.raises((IndexError, ValueError), match=message):
+        observe_into(batch_of(), **changes)
+
+
+#: Arguments of a ``StepScorer`` with one agent, and its rewards.
+KEYS = ("position", "distance", "lap", "finish_time", "now", "sum", "return", "length")
+ONE_NUMBER = np.zeros((1, 1))
+
+
+def scorer_of(*, rows=FIRST, keys=KEYS, rewards=()):
+    arrays = FIRST, rows, ONE_NUMBER.copy(), ONE_NUMBER.copy()
+    return kernel.StepScorer(("kart_0",), *arrays, keys, 20.0, rewards, np.zeros((1, 0)))
+
+
+def score_into(slots=FIRST, count=1):
+    ends = np.ones(count), np.ones(count, np.bool_), np.ones(count, np.bool_)
+    scorer_of().score_into(KARTS, KARTS, True, slots, *ends)
+
+
+def racing_of(num_points=66):
+    roads = np.zeros((1, num_points, 4), np.float32), *np.ones((2, 1, 3), np.float32)
+    return kernel.RacingObserver((roads,), *KERNEL_TABLES)
+
+
+def flat_of(**options):
+    return kernel.KartObserver(("energy", "jumping"), 0, 0, 0, flat=True, **options)
+
+
+def count_events(width=10, before=KARTS):
+    arrays = np.zeros((2, 10)), np.zeros((2, width))
+    kernel.EventCounter(np.zeros((1, 2, 3), np.float32), 0.1, *arrays).count(before, KARTS)
+
+
+def drive(rows=FIRST, karts=FIRST):
+    controls, states = np.zeros((1, 7), np.float32), np.ones((1, 3))
+    CarAction().new_controller(CONTROLS).drive(controls, rows, KARTS, karts, states, FIRST)
+
+
+def read_batch(slots=TWO, rows=TWO):
+    reader = kernel.ActionReader((), (((0.0, 1.0, True, 0, None),),), 1)
+    return reader.read_batch(np.ones(3, np.int64), 3, slots, rows, np.zeros((2, 1), np.float32))
+
+
+def time_reward(weights=1, column=FIRST, who=FIRST, name="time"):
+    return scorer_of(rewards=(((name,), np.ones(weights), column, who),))
+
+
+def test_the_calls_below_are_accepted_without_changes():
+    score_into(), count_events(), drive(), time_reward(), racing_of(), flat_of()
+    assert read_batch()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: track_of([1]), "do not fit"),
+        (lambda: track_of([0], nodes=5), "do not fit"),
+        (lambda: track_of([0]).ahead(1), "segment"),
+        (lambda: kernel.KartObserver(("color",)), "no entry named"),
+        (lambda: kernel.KartObserver(("energy",), flat=True), "a fixed size"),
+        (lambda: flat_of(joined=np.array([10, -5])), "too few or many values"),
+        (lambda: kernel.KartObserver((1,)), "text"),
+        (lambda: kernel.ActionReader((), ((None,),), 7), "an entry must be a tuple"),
+        (lambda: kernel.ActionReader((), (((0.0, 1.0, True, 7, None),),), 7), "beyond the last"),
+        (lambda: read_batch(rows=FIRST), "2 slots for 1 rows"),
+        (lambda: read_batch(slots=TWO + 2), "slot or row"),
+        (lambda: racing_of(num_points=1), "do not fit"),
+        (lambda: racing_of().observe(KARTS, 1, FIRST, np.zeros((1, SIZE), "f4")), "no road 1"),
+        (lambda: racing_of().observe(KARTS, 0, FIRST, np.zeros((1, 9), "f4")), "165 numbers"),
+        (lambda: count_events(width=9), "do not fit"),
+        (lambda: count_events(before=snapshot_of(1)), "with 1 karts"),
+        (lambda: drive(rows=FIRST + 1), "a row, kart or state index"),
+        (lambda: drive(karts=TWO), "1 rows, 2 karts"),
+        (lambda: scorer_of(rows=FIRST + 1), "do not fit"),
+        (lambda: scorer_of(keys=KEYS[1:]), "do not fit"),
+        (lambda: time_reward(weights=2), "do not fit"),
+        (lambda: time_reward(column=FIRST + 1), "do not fit"),
+        (lambda: time_reward(name="tme"), "no reward term 'tme'"),
+        (lambda: score_into(slots=FIRST + 1), "a slot index"),
+        (lambda: score_into(slots=TWO, count=2), "2 slots for 1 agents"),
+        (lambda: scorer_of().score(snapshot_of(0), KARTS, False), "another race"),
+        (lambda: scorer_of().infos_into(KARTS, 5, FIRST, np.ones(7)), "8 rows"),
+        (lambda: kernel.reward_term("time", KARTS, snapshot_of(1), 1.0), "different races"),
+        (lambda: kernel.to_polar(np.ones((3, 2), np.float32)), "vectors of 3"),
+        (lambda: kernel.GameStepper(*stepper_arguments()[:-1]), "7"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(call, message):
+    with pytest.raises((IndexError, TypeError, ValueError), match=message):
+        call()
 
 
 # ------------------------------------------------------------------ earlier defects
@@ -240,19 +408,3 @@ def test_arrays_in_a_list_are_refused(cases):
     for args, _, method, values in {case[2]: case for case in cases["RacingObserver"]}.values():
         assert check_lists_are_refused(kernel.RacingObserver, args)
         check_lists_are_refused(getattr(kernel.RacingObserver(*args), method), values)
-
-
-def test_negative_numbers_of_choices_are_refused():
-    joined = np.array([10, -5])
-    with pytest.raises(ValueError, match="too few or many values"):
-        kernel.KartObserver(("phase", "jumping"), 0, 0, 0, flat=True, joined=joined)
-
-
-def test_names_must_be_strings():
-    with pytest.raises(ValueError, match="text"):
-        kernel.KartObserver((1,))
-
-
-def test_entries_must_be_tuples():
-    with pytest.raises(ValueError, match="an entry must be a tuple"):
-        kernel.ActionReader((), ((None,),), 7)

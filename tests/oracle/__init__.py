@@ -5,7 +5,6 @@ Those of the planner (``plan_*``) are not imported here, because the planner is 
 """
 
 from tests.oracle.action_reader import ActionReader
-from tests.oracle.car_controller import CarController
 from tests.oracle.event_counter import EventCounter
 from tests.oracle.kart_observer import KartObserver, action_mask
 from tests.oracle.mlp import Mlp
@@ -18,7 +17,6 @@ from tests.oracle.track_graph import TrackGraph
 
 __all__ = [
     "ActionReader",
-    "CarController",
     "EventCounter",
     "KartObserver",
     "Mlp",

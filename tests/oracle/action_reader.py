@@ -1,4 +1,4 @@
-"""The NumPy reference implementation of ``action_reader.c``."""
+"""The NumPy implementation of ``action_reader.c``."""
 
 from __future__ import annotations
 
@@ -16,29 +16,12 @@ _SCALARS = (bool, int, float, np.bool_, np.integer, np.floating)
 
 
 class ActionReader:
-    """Converts actions of one space to controls.
-
-    Args:
-        names: keys of an action; empty if an action is one array or number.
-        leaves: for each key, a tuple per number: its lowest value, its highest value, whether it is
-            a whole number, its column in the controls, and a table or ``None``. A table belongs to
-            a choice and has a row for each value; that row is added to the controls from the column
-            on.
-        num_columns: number of columns of the controls.
-
-    Raises:
-        ValueError: the leaves do not fit together.
-    """
-
     def __init__(
         self, names: tuple[str, ...], leaves: tuple[tuple[Entry, ...], ...], num_columns: int
     ) -> None:
-        if len(leaves) != (len(names) or 1):
-            raise ValueError("expected one leaf per name, or one leaf without a name")
         self._names = names
-        self._leaves = tuple(
-            tuple(_checked(entry, num_columns) for entry in leaf) for leaf in leaves
-        )
+        del num_columns
+        self._leaves = tuple(tuple(map(_with_rows, leaf)) for leaf in leaves)
 
     def read(
         self,
@@ -47,13 +30,6 @@ class ActionReader:
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
     ) -> bool:
-        """Reads the action of each agent into its row of the controls.
-
-        Returns:
-            Whether every agent has an action that is in its space and in a usual form.
-        """
-        if len(agents) != len(rows):
-            raise ValueError(f"{len(agents)} agents for {len(rows)} rows")
         return isinstance(actions, dict) and all(
             self._read_action(actions.get(agent), controls[row])
             for agent, row in zip(agents, rows.tolist(), strict=True)
@@ -67,20 +43,6 @@ class ActionReader:
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
     ) -> bool:
-        """Reads the actions of some slots into rows of the controls.
-
-        Args:
-            batch: an array with a row for each slot, or a dict of such arrays.
-            count: number of slots.
-            slots: slot of each action to read.
-            rows: row of each action in ``controls``.
-            controls: ``(P, C)`` float32, whose rows are overwritten.
-
-        Returns:
-            Whether all actions are in their space and in a usual form.
-        """
-        if len(slots) != len(rows):
-            raise ValueError(f"{len(slots)} slots for {len(rows)} rows")
         columns = batch if self._names else {"": batch}
         names = self._names or ("",)
         if not isinstance(columns, dict) or columns.keys() != {*names}:
@@ -108,17 +70,11 @@ class ActionReader:
         )
 
 
-def _checked(entry: Entry, num_columns: int) -> Entry:
+def _with_rows(entry: Entry) -> Entry:
+    """Returns the entry with a table that has a row for each value."""
     low, high, is_whole, column, table = entry
-    width = 1
     if table is not None:
-        steps = int(high - low) + 1
-        width = table.size // steps
-        if not is_whole or table.size == 0 or table.size % steps:
-            raise ValueError("a table must have a row for each whole number")
-        table = table.reshape(steps, width)
-    if not 0 <= column <= num_columns - width:
-        raise ValueError("an entry has a column beyond the last one")
+        table = table.reshape(int(high - low) + 1, -1)
     return low, high, is_whole, column, table
 
 

@@ -1,4 +1,4 @@
-"""The NumPy reference implementation of ``event_counter.c``."""
+"""The NumPy implementation of ``event_counter.c``."""
 
 from __future__ import annotations
 
@@ -32,22 +32,6 @@ _WHEN = (0.0, 0.25, 0.5)
 
 
 class EventCounter:
-    """Counts the events of all K karts of a race, step by step.
-
-    Args:
-        nodes: ``(N, 2, 3)`` float32, start and end of the track's segments [m].
-        step_size: game time of a step [s].
-        memory: ``(K, 8 + K)`` memory of the events, which :meth:`count` updates. Columns 0 to 2 are
-            the times for which each kart has been off the road, has driven the wrong way and has
-            stayed within 3 m [s]. Columns 3 to 5 are the place that it has stayed near. Initialize
-            columns 3 to 5 with infinity and the others with zeros.
-        counts: ``(K, 10)`` events of the step (:data:`stkzoo.mdp.events.EVENTS`), which
-            :meth:`count` writes.
-
-    Raises:
-        ValueError: the arrays do not fit together.
-    """
-
     def __init__(
         self,
         nodes: npt.NDArray[np.float32],
@@ -55,24 +39,11 @@ class EventCounter:
         memory: FloatArray,
         counts: FloatArray,
     ) -> None:
-        if memory.shape != (len(counts), _NUM_OWN + len(counts)) or counts.shape[1] != 10:
-            raise ValueError("the arrays do not fit together")
         self._road, self._dt = nodes[:, 1].astype(np.float64) - nodes[:, 0], step_size
         self._memory, self._counts = memory, counts
 
     def count(self, before: bytes, after: bytes) -> None:
-        """Counts the events of the step between two snapshots.
-
-        Args:
-            before: bytes of the snapshot before the step.
-            after: bytes of the snapshot after the step.
-
-        Raises:
-            ValueError: a snapshot has another number of karts.
-        """
         then, now = Snapshot(before), Snapshot(after)
-        if not len(then.karts) == len(now.karts) == len(self._counts):
-            raise ValueError(f"a snapshot of another race, with {len(now.karts)} karts")
         self._counts[:] = 0.0
         if now.header["time"] > then.header["time"]:
             self._time_karts(then, now)

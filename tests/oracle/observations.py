@@ -183,7 +183,6 @@ def _nearest_first(positions: FloatArray) -> IntArray:
 
 
 def to_polar(positions: FloatArray) -> FloatArray:
-    """Converts positions ``(..., 3)`` [m] to two angles [rad] and a distance [m]."""
     x, y, z = positions[..., 0], positions[..., 1], positions[..., 2]
     polar = np.empty_like(positions)
     polar[..., 0] = np.arctan2(x, z)

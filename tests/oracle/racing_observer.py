@@ -1,4 +1,4 @@
-"""The NumPy reference implementation of ``racing_observer.c``."""
+"""The NumPy implementation of ``racing_observer.c``."""
 
 from __future__ import annotations
 
@@ -38,19 +38,6 @@ Arrays = tuple[npt.NDArray[Any], ...]
 
 
 class RacingObserver:
-    """Makes the observations of the ``racing`` view on some tracks.
-
-    Only the extension uses ``tables``, ``counts`` and ``lengths``, which are
-    :data:`stkzoo.wrappers.racing.features.KERNEL_TABLES`. This class imports the constants instead.
-
-    Args:
-        roads: arrays of each track: ``lines``, ``starts`` and ``along`` of its
-            :class:`~stkzoo.wrappers.racing.RoadTable`.
-        tables: tables of the view.
-        counts: sizes of the view's parts.
-        lengths: distances of the view [m].
-    """
-
     def __init__(
         self,
         roads: tuple[Arrays, ...],
@@ -59,9 +46,6 @@ class RacingObserver:
         lengths: tuple[float, ...],
     ) -> None:
         del tables, counts, lengths
-        for lines, starts, along in roads:
-            if not len(lines) == len(starts) == len(along) or not len(lines):
-                raise ValueError("the road's arrays do not fit together")
         self._roads = roads
 
     def observe(
@@ -72,15 +56,6 @@ class RacingObserver:
         out: FloatArray,
         rows: npt.NDArray[np.intp] | None = None,
     ) -> None:
-        """Writes the view of each kart of ``who`` into a row of ``out``.
-
-        Args:
-            data: bytes of a snapshot.
-            road: index of its track.
-            who: ``(n,)`` indices of karts.
-            out: ``(N, SIZE)``.
-            rows: ``(n,)`` row of each kart; by default, ``out`` has one row per kart, in order.
-        """
         snapshot = Snapshot(data)
         counts = (len(LOOKS), len(snapshot.karts), len(snapshot.items))
         around = tuple(
@@ -104,18 +79,6 @@ class RacingObserver:
         kinds: Arrays,
         around: Arrays,
     ) -> None:
-        """Writes the own state and the surroundings of each kart of ``who``.
-
-        Args:
-            data: bytes of a snapshot.
-            road: index of its track.
-            who: ``(n,)`` indices of karts.
-            looks: ``(L,)`` distances at which the road is observed [m].
-            numbers: see :meth:`write`.
-            kinds: see :meth:`write`.
-            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as
-                many karts and items as the race has.
-        """
         snapshot = Snapshot(data)
         own = own_state(snapshot.karts[who])
         for keys, arrays in ((OWN_NUMBERS, numbers), (OWN_KINDS, kinds)):
@@ -139,15 +102,6 @@ class RacingObserver:
         looks: FloatArray,
         out: FloatArray,
     ) -> None:
-        """Writes the road ahead of each kart of ``who``.
-
-        Args:
-            data: bytes of a snapshot.
-            road: index of its track.
-            who: ``(n,)`` indices of karts.
-            looks: ``(L,)`` distances at which the road is observed [m].
-            out: ``(n, L, 4)``, see :class:`~stkzoo.wrappers.racing.Surroundings`.
-        """
         lines, starts, along = self._roads[road]
         records = _records(Snapshot(data), who)
         locations, matrices = _frames(records)
@@ -160,16 +114,6 @@ class RacingObserver:
         out[..., 3] = points[..., 3]
 
     def write(self, numbers: Arrays, kinds: Arrays, around: Arrays, out: FloatArray) -> None:
-        """Writes the view of karts with given surroundings.
-
-        Args:
-            numbers: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_NUMBERS`:
-                the first ``(n, 3)``, the others ``(n, 1)``.
-            kinds: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_KINDS`,
-                ``(n,)`` each.
-            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
-            out: ``(n, F)``; the first ``SIZE`` columns are written.
-        """
         view = out[:, :SIZE]
         road, karts, items, types = around
         own = dict(zip((*OWN_NUMBERS, *OWN_KINDS), (*numbers, *kinds), strict=True))

@@ -1,4 +1,4 @@
-"""The NumPy reference implementation of ``road_tracer.c``: the line of the road ahead."""
+"""The NumPy implementation of ``road_tracer.c``: the line of the road ahead."""
 
 from __future__ import annotations
 
@@ -25,27 +25,9 @@ def trace_roads(
     lines: FloatArray,
     first: FloatArray,
 ) -> None:
-    """Writes the lines ahead of ``A`` karts.
-
-    Args:
-        starts: starts of the segments ahead of each kart, ordered by driving distance; the kart's
-            own segment comes first. If there are none, one segment of zero length at the kart is
-            used.
-        ends: their ends.
-        widths: their widths, vectors of one number.
-        most: largest number of segments used, at most 128.
-        rules: ``(4,)`` distance between the line's points, distance below which segments touch,
-            longest jump between segments that do not touch, and length of the straight extension
-            beyond the last segment [m].
-        lines: ``(A, N, 4)`` points and their distances to the edge of the road [m], which are
-            written.
-        first: ``(A, 2, 3)`` start and end of each kart's own segment [m], which are written.
-    """
     spacing, touching, longest_jump, tail = rules.tolist()
     for number, segments in enumerate(zip(starts, ends, widths, strict=True)):
         a, b, c = (_vectors(rows, width) for rows, width in zip(segments, (3, 3, 1), strict=True))
-        if not len(a) == len(b) == len(c):
-            raise ValueError("there must be as many ends and widths of segments as starts")
         if not len(a):
             a, b, c = np.zeros((1, 3), "f4"), np.zeros((1, 3), "f4"), np.zeros((1, 1), "f4")
         a, b, c = a[:most], b[:most], c[:most, 0]
@@ -86,15 +68,6 @@ def _chain(
 def look_along(
     lines: FloatArray, spacing: float, first: FloatArray, looks: FloatArray, out: FloatArray
 ) -> None:
-    """Writes points on the lines of ``A`` karts, and their distances to the edge of the road.
-
-    Args:
-        lines: ``(A, N, 4)``, see :func:`trace_roads`.
-        spacing: distance between their points [m].
-        first: ``(A, 2, 3)`` the karts' own segments in frames with the kart at the origin.
-        looks: ``(L,)`` distances ahead of the kart [m].
-        out: ``(A, L, 4)`` points and distances [m], which are written.
-    """
     starts = first[:, 0]
     before, share = line_places(starts, first[:, 1] - starts, looks, spacing, lines.shape[1])
     rows = np.arange(len(lines))[:, None]
@@ -103,9 +76,6 @@ def look_along(
 
 
 def stack_vectors(rows: Vectors, blank: float, out: FloatArray) -> None:
-    """Writes the vectors of each row, ``(A, n, 3)``, padded with ``blank``."""
-    if len(out) != len(rows):
-        raise ValueError("out must have the same number of vectors in each row")
     out[:] = blank
     for number, row in enumerate(rows):
         own = _vectors(row, 3)[: out.shape[1]]

@@ -9,11 +9,6 @@ _shape_of, _dtype_of = attrgetter("shape"), attrgetter("dtype")
 
 
 def join_rows(rows: tuple[Any, ...]) -> bytes | None:
-    """Returns the concatenated bytes of arrays of one dtype and shape.
-
-    Returns:
-        The bytes; ``None`` if the arrays differ in dtype or shape, or are not contiguous.
-    """
     if not rows:
         return None
     try:

@@ -1,4 +1,4 @@
-"""The NumPy reference implementation of ``step_scorer.c``."""
+"""The NumPy implementation of ``step_scorer.c``."""
 
 from __future__ import annotations
 
@@ -89,28 +89,10 @@ TERMS: dict[str, Callable[[Transition], FloatArray]] = {
 
 
 def reward_term(name: str, before: bytes, after: bytes, race_length: float) -> FloatArray:
-    """Returns the value of a term for each kart, ``(K,)`` float64."""
     return TERMS[name](Transition(Snapshot(before), Snapshot(after), race_length))
 
 
 class StepScorer:
-    """Computes rewards, ends and infos of some agents of a race.
-
-    Args:
-        agents: ids of the agents.
-        karts: kart of each agent.
-        rows: row of each agent in ``last`` and ``sums``.
-        last: ``(R, C)`` reward terms and events of the latest step, which :meth:`score` writes.
-        sums: ``(R, C)`` sums of ``last`` over the episode, which :meth:`score` updates.
-        keys: keys of an info, in order.
-        race_length: number of laps times the length of a lap [m].
-        rewards: for each group of agents that share a reward: names of the reward's
-            terms, their weights, their columns in ``last``, and
-            the agents' indices in ``agents``. The caller writes other terms into ``last``.
-        events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
-            of ``last``.
-    """
-
     def __init__(
         self,
         agents: tuple[str, ...],
@@ -123,29 +105,16 @@ class StepScorer:
         rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray, IntArray], ...],
         events: FloatArray,
     ) -> None:
-        if not len(agents) == len(karts) == len(rows) or last.shape != sums.shape:
-            raise ValueError("the arrays do not fit together")
-        num_terms = last.shape[1] - events.shape[1]
-        is_out = num_terms < 0 or bool((karts >= len(events)).any())
-        if is_out or len(keys) != 6 + 2 * last.shape[1]:
-            raise ValueError("the arrays do not fit together")
         self._agents, self._karts, self._rows = agents, karts, rows
         self._last, self._sums, self._keys = last, sums, keys
         self._race_length, self._rewards = race_length, rewards
-        self._events, self._num_terms = events, num_terms
+        self._events, self._num_terms = events, last.shape[1] - events.shape[1]
         self._absent = np.ones(len(last), np.bool_)
         self._absent[rows] = False
 
     def score(
         self, before: bytes, after: bytes, is_over: bool
     ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
-        """Returns the rewards, terminations and truncations of the step between two snapshots.
-
-        Args:
-            before: bytes of the snapshot before the step.
-            after: bytes of the snapshot after the step.
-            is_over: whether the time limit is reached.
-        """
         totals, finished = self._advance(before, after)
         cut_short = finished < bool(is_over)
         rewards, terminations, truncations = (
@@ -164,18 +133,6 @@ class StepScorer:
         terminations: BoolArray,
         truncations: BoolArray,
     ) -> None:
-        """Writes the results of :meth:`score` into arrays with one number for each slot.
-
-        Args:
-            before: see :meth:`score`.
-            after: see :meth:`score`.
-            is_over: see :meth:`score`.
-            slots: slot of each agent.
-            rewards: ``(S,)`` float64, which is written.
-            terminations: ``(S,)`` bool, which is written.
-            truncations: ``(S,)`` bool, which is written.
-        """
-        self._check_slots(slots)
         totals, finished = self._advance(before, after)
         rewards[slots], terminations[slots] = totals, finished
         truncations[slots] = finished < bool(is_over)
@@ -194,12 +151,7 @@ class StepScorer:
         totals = self._last[:, : self._num_terms].sum(axis=1)[self._rows]
         return totals, step.after.karts["has_finished_race"][self._karts] > 0
 
-    def _check_slots(self, slots: IntArray) -> None:
-        if len(slots) != len(self._karts):
-            raise ValueError(f"{len(slots)} slots for {len(self._karts)} agents")
-
     def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]:
-        """Returns the infos of the agents at a snapshot, after ``length`` steps."""
         values = (self._values(data, row, kart) for row, kart in self._places())
         return {
             agent: dict(zip(self._keys, [*own, length], strict=True))
@@ -207,15 +159,6 @@ class StepScorer:
         }
 
     def infos_into(self, data: bytes, length: int, slots: IntArray, table: FloatArray) -> None:
-        """Writes the results of :meth:`infos` into a table.
-
-        Args:
-            data: see :meth:`infos`.
-            length: see :meth:`infos`.
-            slots: slot of each agent.
-            table: array to write, with a row for each key and a column for each slot.
-        """
-        self._check_slots(slots)
         for slot, (row, kart) in zip(slots, self._places(), strict=True):
             table[:, slot] = [*self._values(data, row, kart), length]
 

@@ -1,4 +1,4 @@
-"""The reference implementation of ``track_graph.c``."""
+"""The Python implementation of ``track_graph.c``."""
 
 from __future__ import annotations
 
@@ -14,26 +14,6 @@ IntArray = npt.NDArray[np.intp]
 
 
 class TrackGraph:
-    """A track's segments, and the order of the segments ahead of each one.
-
-    Attributes:
-        path_nodes: ``(N, 2, 3)`` float32 [m].
-        path_width: ``(N, 1)`` float32 [m].
-        path_distance: ``(N, 2)`` float32 [m].
-
-    Args:
-        nodes: start and end of each segment [m].
-        widths: width of each segment [m].
-        distances: distances along the lap from the start line to each segment's start and end [m].
-        begins: ``(N + 1,)``: the successors of segment ``n`` are
-            ``successors[begins[n] : begins[n + 1]]``.
-        successors: numbers of the successors of all segments.
-        length: length of a lap [m].
-
-    Raises:
-        ValueError: the arrays do not fit together.
-    """
-
     def __init__(
         self,
         nodes: FloatArray,
@@ -44,17 +24,6 @@ class TrackGraph:
         length: float,
     ) -> None:
         count = len(begins) - 1
-        sizes = nodes.size, widths.size, distances.size
-        if (
-            count < 1
-            or sizes != (6 * count, count, 2 * count)
-            or not length > 0
-            or begins[0] != 0
-            or begins[-1] != len(successors)
-            or (np.diff(begins) < 0).any()
-            or ((successors < 0) | (successors >= count)).any()
-        ):
-            raise ValueError("the track's arrays do not fit together")
         self.path_nodes = nodes.reshape(count, 2, 3)
         self.path_width = widths.reshape(count, 1)
         self.path_distance = distances.reshape(count, 2)
@@ -66,16 +35,12 @@ class TrackGraph:
         self._orders: dict[int, IntArray] = {}
 
     def ahead(self, node: int) -> IntArray:
-        """Returns all segments in order of driving distance from a segment, ``(N,)``."""
-        if not 0 <= node < len(self._begin):
-            raise IndexError(f"there is no segment {node}")
         if node not in self._orders:
             self._orders[node] = np.array(self._order_from(node), np.intp)
         order: IntArray = self._orders[node].copy()
         return order
 
     def nodes_ahead(self, nodes: Any, max_paths: int | None = None) -> IntArray:
-        """See :meth:`stkzoo.engine.track.TrackMap.nodes_ahead`."""
         rows = [self.ahead(node)[:max_paths] for node in nodes.tolist()]
         return np.array(rows, np.intp).reshape(len(rows), -1)
 

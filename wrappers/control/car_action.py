@@ -80,14 +80,13 @@ class CarAction:
         return self.longitudinal.lower_limit, self.longitudinal.upper_limit
 
     def new_controller(self, columns: Sequence[str]) -> CarController:
-        """Returns the kernel's implementation for many karts.
+        """Returns the compiled form of :meth:`act`, ``stkzoo/kernel/car_controller.c``.
 
         Args:
             columns: names of the game's controls.
         """
         own, limits = self.params, (self._low, self._high)
         return CarController(
-            self.act,
             (
                 self.longitudinal.is_fed_back,
                 self.steering.type == "steering_angle",
@@ -119,6 +118,8 @@ class CarAction:
         step_size: float = 0.1,
     ) -> tuple[FloatArray, FloatArray]:
         """Converts an action to the game's controls.
+
+        ``stkzoo/kernel/car_controller.c`` is the compiled form of this method, with the same bits.
 
         Args:
             action: ``(..., 2)`` in ``space``.

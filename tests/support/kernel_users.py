@@ -1,0 +1,43 @@
+"""Replaces the kernel's names in the modules that use them."""
+
+import contextlib
+import importlib
+
+from stkzoo.engine.track import decode_track
+from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
+
+#: The modules that use the kernel's names.
+USERS = {
+    "engine.track": ["TrackGraph"],
+    "env.episode": ["StepScorer"],
+    "mdp.events": ["EventCounter"],
+    "mdp.rewards": ["reward_term"],
+    "drivers.messages": ["join_rows"],
+    "mdp.observations": ["KartObserver"],
+    "views.plan": ["ActionReader", "KartObserver"],
+    "wrappers.control.car_action": ["CarController"],
+    "wrappers.marl.masks": ["action_mask"],
+    "wrappers.observations": ["to_polar"],
+    "wrappers.racing.road": ["trace_roads"],
+    "wrappers.racing.surroundings": ["look_along", "stack_vectors"],
+    "wrappers.racing.wrapper": ["RacingObserver"],
+    "agents.pretrained.mlp": ["Mlp"],
+    "agents.pretrained.policy": ["Mlp"],
+}
+
+
+@contextlib.contextmanager
+def replaced_kernel(patch, replacements):
+    """Makes new objects use other classes and functions, by name, instead of the kernel's."""
+    _forget_objects()
+    for user, names in USERS.items():
+        importlib.import_module(f"stkzoo.{user}")
+        for name in replacements.keys() & set(names):
+            patch.setattr(f"stkzoo.{user}.{name}", replacements[name])
+    yield
+    _forget_objects()
+
+
+def _forget_objects():
+    for cache in (decode_track, racing_view_of, _writer):
+        cache.cache_clear()
