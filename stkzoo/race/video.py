@@ -135,11 +135,11 @@ class RaceFilm:
         """
         if self._writer is None:
             raise ConfigError("add() was called before begin(); call begin() first")
-        moments = snapshots_between(self._last, snapshot, self._sub_steps)
+        drawn = snapshots_between(self._last, snapshot, self._sub_steps)
         frames = self._frames(snapshot)
-        for number, moment in enumerate(moments):
+        for number, between in enumerate(drawn):
             by_kart = frames[min(number, len(frames) - 1)] if frames else None
-            self._write(by_kart, moment)
+            self._write(by_kart, between)
         self._last = snapshot
 
     def finish(self, rows: Sequence[ResultRow], subtitle: str) -> None:
@@ -195,21 +195,21 @@ class RaceFilm:
             logger.warning("the render process failed and is restarted: %s", error)
             return list(self._renderer.pictures_between(snapshot, self._sub_steps))
 
-    def _write(self, by_kart: dict[int, Picture] | None, moment: Snapshot) -> None:
+    def _write(self, by_kart: dict[int, Picture] | None, snapshot: Snapshot) -> None:
         if by_kart is None:
-            picture = self._map_picture(moment, self._size, panel=True)
+            picture = self._map_picture(snapshot, self._size, panel=True)
         else:
             tiles = [by_kart[kart] for kart in self._karts]
             if self._has_free_tile:
-                tiles.append(self._map_picture(moment, self._tile, panel=False))
-            picture = with_labels(tiled(tiles, self._size), self._scene, moment, self._karts)
+                tiles.append(self._map_picture(snapshot, self._tile, panel=False))
+            picture = with_labels(tiled(tiles, self._size), self._scene, snapshot, self._karts)
         self._last_picture = picture
         self._put(picture)
 
-    def _map_picture(self, moment: Snapshot, size: tuple[int, int], *, panel: bool) -> Picture:
+    def _map_picture(self, snapshot: Snapshot, size: tuple[int, int], *, panel: bool) -> Picture:
         self._map = self._map or MapView(self._scene, size, panel=panel, ghost=self._ghost)
-        self._map.remember(moment)
-        return self._map.draw(moment)
+        self._map.remember(snapshot)
+        return self._map.draw(snapshot)
 
     def _put(self, picture: Picture) -> None:
         assert self._writer is not None  # noqa: S101 - since begin
