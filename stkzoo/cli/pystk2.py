@@ -7,7 +7,6 @@ differences.
 
 Examples:
   stkzoo pystk2 race my_agent.zip --track lighthouse --hide --output result.json
-  stkzoo pystk2 install      add the command `pystk2`, if there is none
 """
 
 from __future__ import annotations
@@ -15,14 +14,9 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import os
-import shlex
 import sys
-import sysconfig
 from collections.abc import Sequence
 from dataclasses import fields
-from importlib.metadata import entry_points
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stkzoo._arguments import CommandParser
@@ -30,7 +24,7 @@ from stkzoo._os import has_display
 from stkzoo.cli import race, race_client, race_server
 from stkzoo.cli._arguments import add_actions
 from stkzoo.cli._race_options import LivePageArguments, VideoArguments
-from stkzoo.errors import AgentError, ConfigError
+from stkzoo.errors import AgentError
 
 if TYPE_CHECKING:
     from stkzoo.race import RaceResult
@@ -53,7 +47,7 @@ _NAMES = {"--record": "video", "--screen-width": "width", "--screen-height": "he
 def add_arguments(parser: CommandParser) -> None:
     """Declares the arguments."""
     parser.add_argument("-v", "--verbose", action="store_true", help="log what happens")
-    local, server, client, _ = add_actions(parser, _race, _race_server, _race_client, _install)
+    local, server, client = add_actions(parser, _race, _race_server, _race_client)
     race.add_arguments(local)
     race_client.add_arguments(client)
     race_server.add_arguments(server)
@@ -88,31 +82,6 @@ def _race_server(arguments: argparse.Namespace) -> int:
     agents.
     """
     return race_server.run(arguments)
-
-
-def _install(_: argparse.Namespace) -> int:
-    """Add the command `pystk2`, if there is none."""
-    stkzoo = Path(sysconfig.get_path("scripts"), "stkzoo")
-    script, text = (
-        stkzoo.with_name("pystk2"),
-        f'#!/bin/sh\nexec {shlex.quote(str(stkzoo))} pystk2 "$@"\n',
-    )
-    if os.name == "nt":
-        script, text = script.with_suffix(".cmd"), f'@"{stkzoo}" pystk2 %*\n'
-    remedy = "`stkzoo pystk2 race ...` works without it"
-    for entry in entry_points(group="console_scripts", name="pystk2"):
-        raise ConfigError(
-            f"`pystk2` is the command of the package {entry.module.partition('.')[0]}, which is "
-            f"installed here; {remedy}"
-        )
-    try:
-        with script.open("x", encoding="utf-8") as file:
-            file.write(text)
-        script.chmod(0o755)
-    except OSError as error:
-        raise ConfigError(f"{script} cannot be written ({error.strerror}); {remedy}") from error
-    print(f"{script}: calls `stkzoo pystk2`; delete it to remove the command")
-    return 0
 
 
 def _translate(arguments: argparse.Namespace) -> None:

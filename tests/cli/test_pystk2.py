@@ -1,18 +1,14 @@
 """The command ``stkzoo pystk2``, compared with the reference's ``pystk2``."""
 
 import json
-import os
-import shutil
 import subprocess
 import sys
-import venv
-from pathlib import Path
 
 import pytest
 
 from stkzoo.cli import build_parser, main
 from stkzoo.cli.pystk2 import _DEFAULTS
-from tests.support.paths import AGENTS, ROOT
+from tests.support.paths import AGENTS
 from tests.support.remote_race import server_process, write_agent
 
 #: Prints the options of each of the reference's commands, with their defaults.
@@ -130,74 +126,3 @@ def test_bad_usage_is_reported_in_one_line(words, text, capsys):
     said = capsys.readouterr().err
     assert text in said
     assert said.count("\n") == 1
-
-
-@pytest.fixture
-def environment(tmp_path):
-    """Returns a function that creates an environment with stkzoo and returns its ``bin`` folder."""
-
-    def make(*, with_reference):
-        folder = tmp_path / "an env"
-        venv.create(folder, with_pip=False, symlinks=True)
-        (site,) = folder.glob("lib/python*/site-packages")
-        for place in (Path(path) for path in sys.path if path.endswith("site-packages")):
-            for entry in place.iterdir():
-                is_reference = entry.name.startswith("pystk2_gymnasium")
-                is_needed = entry.suffix != ".pth" and (with_reference or not is_reference)
-                if is_needed and not (site / entry.name).exists():
-                    (site / entry.name).symlink_to(entry)
-        (site / "stkzoo.pth").write_text(f"{ROOT}\n")
-        command = folder / "bin" / "stkzoo"  # like the script that pip writes
-        command.write_text(
-            f'#!/bin/sh\nexec "{folder}/bin/python" -c '
-            '"import sys; from stkzoo.cli import main; sys.exit(main())" "$@"\n'
-        )
-        command.chmod(0o755)
-        return folder / "bin"
-
-    return make
-
-
-def run(*words, **options):
-    done = subprocess.run(words, capture_output=True, text=True, check=False, **options)
-    return done.returncode, done.stdout + done.stderr
-
-
-@pytest.mark.slow
-def test_the_command_is_written_if_it_is_missing(environment, tmp_path):
-    folder = environment(with_reference=False)
-    code, said = run(folder / "stkzoo", "pystk2", "install")
-    assert code == 0, said
-    assert str(folder / "pystk2") in said
-    script = tmp_path / "course.sh"
-    script.write_text(f"pystk2 race {AGENTS / 'plain'} --track lighthouse --max-steps 2 --hide")
-    paths = {**os.environ, "PATH": f"{folder}:{os.environ['PATH']}"}
-    code, said = run("sh", script, env=paths, cwd=tmp_path)
-    assert code == 0, said
-    assert "Plain" in said
-    (folder / "pystk2").write_text("somebody's own")
-    code, said = run(folder / "stkzoo", "pystk2", "install")
-    assert code == 1
-    assert "cannot be written (File exists); `stkzoo pystk2 race ...` works without it" in said
-    assert (folder / "pystk2").read_text() == "somebody's own"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("is_there", [True, False])
-def test_an_installed_reference_keeps_its_command(environment, is_there):
-    folder = environment(with_reference=True)
-    script = folder / "pystk2"
-    if is_there:
-        script.write_text(
-            f"#!{shutil.which('env')} -S '{folder}/python'\n"
-            "import sys; from pystk2_gymnasium.cli import main; sys.exit(main())\n"
-        )
-        script.chmod(0o755)
-        before = script.read_bytes()
-    code, said = run(folder / "stkzoo", "pystk2", "install")
-    assert code == 1
-    assert "the command of the package pystk2_gymnasium, which is installed here" in said
-    assert script.exists() == is_there
-    if is_there:
-        assert script.read_bytes() == before
-        assert "Run a race with one or more agents" in run(script, "--help")[1]

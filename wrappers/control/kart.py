@@ -121,8 +121,7 @@ class CarParameters:
         """Converts a mapping of some fields to parameters; ``None`` selects the defaults.
 
         Args:
-            value: the parameters. The mapping may contain ``s_min`` and ``sv_min`` of F1TENTH
-                gymkhana if they are the negatives of ``s_max`` and ``sv_max``.
+            value: the parameters.
             kart: kart model that provides the other fields, such as ``"gnu"``; empty for the game's
                 default.
 
@@ -140,26 +139,7 @@ class CarParameters:
         if kart not in KARTS:
             raise unknown_name("kart", kart, KARTS)
         wheel_base, s_max = KARTS[kart]
-        given = {"wheel_base": wheel_base, "s_max": s_max, **(value or {})}
-        lowest = {name: given.pop(name) for name in ("s_min", "sv_min") if name in given}
-        found = cls(**given)
-        for name, low in lowest.items():
-            high = getattr(found, name.replace("min", "max"))
-            if low != -high:
-                raise ConfigError(f"{name} is {low!r}, expected {-high!r}: karts are symmetric")
-        return found
-
-    @classmethod
-    def of_kart(cls, kart: str) -> CarParameters:
-        """Returns the parameters of a kart model.
-
-        Args:
-            kart: name of the model, such as ``"gnu"``; empty for the game's default.
-
-        Raises:
-            ConfigError: there are no measurements of the kart.
-        """
-        return cls.of(None, kart)
+        return cls(**{"wheel_base": wheel_base, "s_max": s_max, **(value or {})})
 
     def steering_angle(self, radius: float) -> float:
         """Returns the steering angle [rad] for a circle of a radius [m], positive to the right."""

@@ -39,17 +39,17 @@ class _ActionEnum(Enum):
 
 
 class LongitudinalActionEnum(_ActionEnum):
-    """Kinds of longitudinal actions, each also with the spelling of F1TENTH gymkhana."""
+    """Kinds of longitudinal actions."""
 
-    ACCL = Accl = "accl"
-    SPEED = Speed = "speed"
+    ACCL = "accl"
+    SPEED = "speed"
 
 
 class SteerActionEnum(_ActionEnum):
-    """Kinds of steering actions, each also with the spelling of F1TENTH gymkhana."""
+    """Kinds of steering actions."""
 
-    STEERING_ANGLE = Steering_Angle = "steering_angle"
-    STEERING_SPEED = Steering_Speed = "steering_speed"
+    STEERING_ANGLE = "steering_angle"
+    STEERING_SPEED = "steering_speed"
 
 
 class NumberAction(ABC):
