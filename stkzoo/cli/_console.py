@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable, Sequence
 from itertools import zip_longest
-from typing import Literal
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
+from rich.measure import Measurement
 from rich.progress import (
     BarColumn,
     DownloadColumn,
@@ -22,15 +22,23 @@ from rich.progress import (
 )
 from rich.progress import Progress as Bars
 from rich.table import Table
-from rich.text import Text
 from typing_extensions import Self  # a dependency of gymnasium
 
 from stkzoo.engine.assets import Progress
 
+#: Width of a console whose lines can have any length.
+_UNLIMITED = 10_000
+
 
 def make_console() -> Console:
-    """Returns a console on stdout that does not convert names such as ``:fire:`` to emoji."""
-    return Console(emoji=False)
+    """Returns a console on stdout that does not convert names such as ``:fire:`` to emoji.
+
+    In a file or pipe, lines can have any length.
+    """
+    console = Console(emoji=False)
+    if not console.is_terminal:
+        console.width = _UNLIMITED
+    return console
 
 
 def say(text: str, console: Console | None = None) -> None:
@@ -71,58 +79,21 @@ def show_table(
     """
     console = console or make_console()
     rows = list(rows)
-    ranges = [
-        _width_range(name, [row[number] for row in rows], is_text=name in left)
-        for number, name in enumerate(columns)
-    ]
-    gaps = len(columns) - 1
-    framed, loose, tight = 3 * gaps + 4, 2 * gaps, gaps  # space between and around the columns
-    around, widths = loose, [high for _, high in ranges]
-    if console.is_terminal:
-        room = console.width - sum(low for low, _ in ranges)
-        around = next((space for space in (framed, loose) if space <= room), tight)
-        widths = _shrunk(ranges, console.width - around)
-    table = Table(
-        box=box.ROUNDED if around == framed else None,
-        pad_edge=around == framed,
-        collapse_padding=around == tight,
-        title=escape(title),
-        caption=escape(caption),
-    )
-    for name, width in zip(columns, widths, strict=True):
-        justify: Literal["left", "right"] = "left" if name in left else "right"
-        table.add_column(escape(name), justify=justify, overflow="fold", width=width)
+    table = Table(box=box.ROUNDED, title=escape(title), caption=escape(caption))
+    for number, name in enumerate(columns):
+        lines = [line for row in rows for line in row[number].splitlines()]
+        parts = " ".join(lines).split() if name in left else lines
+        table.add_column(
+            escape(name),
+            justify="left" if name in left else "right",
+            min_width=max(map(cell_len, ["", *name.split(), *parts])),
+        )
     for row, style in zip_longest(rows, styles):
         table.add_row(*map(escape, row), style=style)
-    options = console.options.update(width=sum(widths) + around)
-    for line in console.render_lines(table, options, pad=False):
-        text = Text.assemble(*((part.text, part.style or "") for part in line))
-        text.rstrip()  # a terminal would wrap spaces at the end of a long line
-        console.print(text, soft_wrap=True)
-
-
-def _width_range(name: str, cells: Sequence[str], *, is_text: bool) -> tuple[int, int]:
-    """Returns the smallest width of a column that cuts nothing, and its width without wrapping."""
-    lines = [line for cell in cells for line in cell.splitlines()]
-    whole = [
-        *name.split(),
-        *(word for line in lines for word in (line.split() if is_text else [line])),
-    ]
-    return max(map(cell_len, ["", *whole])), max(map(cell_len, [name, *lines]))
-
-
-def _shrunk(ranges: Sequence[tuple[int, int]], room: int) -> list[int]:
-    """Returns widths of columns within their ranges. The widest shrink until all fit, if they can.
-
-    Args:
-        ranges: smallest and largest width of each column.
-        room: space for all columns.
-    """
-    for limit in range(max(high for _, high in ranges), 0, -1):
-        widths = [max(low, min(high, limit)) for low, high in ranges]
-        if sum(widths) <= room:
-            return widths
-    return [low for low, _ in ranges]
+    whole = Measurement.get(console, console.options.update(width=_UNLIMITED), table)
+    if not console.is_terminal or whole.maximum > console.width:
+        table.box, table.pad_edge = None, False
+    console.print(table, crop=False)
 
 
 def make_bars(*columns: ProgressColumn | str, vanish: bool = True) -> Bars:
