@@ -1,19 +1,16 @@
 """The installation of this copy of stkzoo, and the command that adds an extra to it.
 
-stkzoo is not on a package index yet, so pip cannot find its extras by name. pip records the source
-of an installation (PEP 610), and the command installs extras from the same source.
+stkzoo is not on a package index yet, so pip cannot find its extras by name. The command names their
+libraries.
 """
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from importlib import metadata
 from pathlib import Path
 from shutil import which
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 __all__ = [
     "extra_requirements",
@@ -51,15 +48,13 @@ def extra_requirements() -> dict[str, list[str]]:
 
 
 def install_command(extra: str) -> str:
-    """Returns the command that installs an extra of stkzoo from the source of stkzoo itself.
-
-    If that source is unknown, the command installs the libraries of the extra.
+    """Returns the command that installs the libraries of an extra of stkzoo.
 
     Args:
         extra: name of the extra, such as ``"sb3"``.
     """
     libraries = _libraries(extra) or [f"stkzoo[{extra}]"]
-    return pip_install(_source(extra) or " ".join(f'"{name}"' for name in libraries))
+    return pip_install(" ".join(f'"{name}"' for name in libraries))
 
 
 def pip_install(arguments: str) -> str:
@@ -99,22 +94,6 @@ def _installed() -> metadata.Distribution | None:
     found = list(metadata.distributions(name="stkzoo"))
     by_pip = (package for package in found if package.read_text("INSTALLER"))
     return next(by_pip, found[0] if found else None)
-
-
-def _source(extra: str) -> str:
-    """Returns pip's argument for the source of stkzoo; empty if it is unknown or was removed."""
-    package = _installed()
-    origin = json.loads((package and package.read_text("direct_url.json")) or "{}")
-    url = str(origin.get("url", ""))
-    path = Path(url2pathname(urlsplit(url).path)) if url.startswith("file:") else None
-    if not url or (path and not path.exists()):
-        return ""
-    if path and "dir_info" in origin:
-        edit = "-e " if origin["dir_info"].get("editable") else ""
-        return f'{edit}"{path}[{extra}]"'
-    vcs = origin.get("vcs_info")
-    address = f"{vcs['vcs']}+{url}@{vcs['commit_id']}" if vcs else url
-    return f'"stkzoo[{extra}] @ {address}"'
 
 
 def _libraries(extra: str) -> list[str]:

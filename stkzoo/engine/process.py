@@ -109,8 +109,6 @@ class RaceProcess:
         In a fork of that program, this only closes the handles.
         """
         if self.owner == os.getpid():
-            with contextlib.suppress(OSError):  # wakes a thread that waits for a reply
-                self.connection.shutdown(socket.SHUT_RDWR)
             self.drop()
         else:
             self._free()

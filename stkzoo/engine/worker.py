@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import socket
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -18,10 +17,6 @@ from stkzoo.engine.process_clone import fork_beside, serve_fork
 from stkzoo.engine.race import GameRace, init_engine
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import Snapshot
-
-#: Time limit of a request, after which the engine process ends itself [s]. Otherwise, a game that
-#: hangs could outlive a program that can no longer end it.
-_SELF_DESTRUCT_SECONDS = 600
 
 
 @contextlib.contextmanager
@@ -59,25 +54,26 @@ class RequestServer:
     """
 
     _race: Any = None
-    _has_alarm = hasattr(signal, "alarm")
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
 
     def run(self) -> None:
         """Serves requests until the program ends."""
-        while True:
-            try:
-                kind, frames = self._next_request()
-                self._set_alarm(_SELF_DESTRUCT_SECONDS)
-                reply = self._serve(kind, frames)
-                if reply is not None:
-                    wire.send(self._connection, wire.OK, *reply)
-            except (EOFError, ConnectionError):
-                return
-            except Exception as error:  # noqa: BLE001 - the program reports it
-                wire.send_error(self._connection, error)
-            self._set_alarm(0)
+        with contextlib.suppress(EOFError, ConnectionError):
+            while True:
+                self._serve_next()
+
+    def _serve_next(self) -> None:
+        try:
+            reply = self._serve(*self._next_request())
+        except (EOFError, ConnectionError):
+            raise
+        except Exception as error:  # noqa: BLE001 - the program reports it
+            wire.send_error(self._connection, error)
+        else:
+            if reply is not None:
+                wire.send(self._connection, wire.OK, *reply)
 
     def _next_request(self) -> tuple[bytes, list[bytes]]:
         return wire.receive(self._connection)
@@ -97,11 +93,6 @@ class RequestServer:
     def _advance(self, *frames: bytes) -> Sequence[bytes]:
         raise NotImplementedError
 
-    def _set_alarm(self, seconds: int) -> None:
-        """Ends this process after ``seconds``, where the system supports it; 0 cancels this."""
-        if self._has_alarm:
-            signal.alarm(seconds)
-
 
 class WorkerServer(RequestServer):
     """Serves the requests of a :class:`stkzoo.engine.session.WorkerSession`.
@@ -110,13 +101,12 @@ class WorkerServer(RequestServer):
         connection: socket to the program.
         fork_server: process id of the parent if the parent is a fork server. Clones of this
             process become children of the fork server; without one, this process cannot be
-            cloned. A child of a fork server ends with it, so it needs no alarm.
+            cloned.
     """
 
     def __init__(self, connection: socket.socket, fork_server: int | None = None) -> None:
         super().__init__(connection)
         self._fork_server = fork_server
-        self._has_alarm = self._has_alarm and fork_server is None
 
     def _next_request(self) -> tuple[bytes, list[bytes]]:
         """Waits for the next request that is not a step; the kernel serves the steps before it.

@@ -144,15 +144,13 @@ def test_the_libraries_of_extras_can_be_installed_together(place, extra):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("source", [".", "stkzoo-*.whl", "-e ."])
-def test_the_install_command_in_messages_works(place, source):
+def test_the_install_command_in_messages_works(place):
     checkout, python = place
-    code, said = run(f"pip install --quiet --no-deps {source}", checkout, python)
+    code, said = run("pip install --quiet --no-deps .", checkout, python)
     assert code == 0, said
     code, command = run(f'{python} -c "{PROGRAM}"', checkout, python)
     assert code == 0, command
-    assert str(checkout) in command
-    assert BRACKETS.findall(command) == ["web"]
+    assert "aiohttp" in command
     code, said = run(command, checkout, python, PIP_DRY_RUN="1", PIP_NO_DEPS="1")
     assert code == 0, said
 
