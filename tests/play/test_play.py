@@ -187,32 +187,6 @@ def ahead_in(seen):
     return [np.sin(side) * distance, np.sin(up) * distance, np.cos(side) * distance]
 
 
-def test_play_plot_draws_the_given_values(monkeypatch, tmp_path):
-    from matplotlib import pyplot
-
-    with pyplot.rc_context():
-        pyplot.switch_backend("Agg")
-        monkeypatch.setattr(gym_play, "plt", pyplot)
-        monkeypatch.setattr(pyplot, "pause", lambda _: None)  # so that no window opens
-        plot = gym_play.PlayPlot(lambda *step: [step[3], step[6]["distance"]], 40, ["reward", "m"])
-        env, fingers = make("flattened_discrete", num_kart=1), Fingers()
-
-        def look(*step):
-            plot.callback(*step)
-            fingers.hold(UP)
-            if plot.t == 60:
-                leave()
-
-        gym_play.play(env, fps=100_000, callback=look, seed=1)
-        env.close()
-        rewards, meters = plot.data
-        assert len(rewards) == 40
-        assert meters[-1] > 3
-        plot.fig.savefig(tmp_path / "plot.png")
-        pyplot.close("all")
-    assert (tmp_path / "plot.png").stat().st_size > 1000
-
-
 # ------------------------------------------------------------------ stkzoo play
 
 
@@ -391,14 +365,6 @@ def test_without_pygame_it_names_the_extra():
     )
     assert install_command("play") in done.stderr
     assert "ConfigError" in done.stderr
-
-
-def test_the_package_does_not_load_pygame():
-    code = "import sys, stkzoo.play, stkzoo.cli.play; print('pygame' in sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
-    )
-    assert done.stdout == "False\n"
 
 
 @pytest.mark.slow

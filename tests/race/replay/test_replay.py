@@ -2,14 +2,11 @@
 
 import hashlib
 import json
-import os
-import re
 import signal
 import subprocess
 import sys
 import tracemalloc
 import zipfile
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -183,13 +180,6 @@ def test_a_replay_without_a_mode_is_a_normal_race(tmp_path):
     assert play_replay(replay).is_exact
 
 
-def test_a_kart_that_is_not_installed_is_named(tmp_path):
-    path = tmp_path / "race.stkz"
-    record(path, "heuristic", track="olivermath", max_steps=5)
-    with pytest.raises(ReplayError, match="kart 'tank' is not among the karts here"):
-        play_replay(replace(load_replay(path), kart="tank"))
-
-
 def test_errors_are_reported_again(tmp_path):
     path = tmp_path / "race.stkz"
     agent = str(AGENTS / "hostile" / "once.py")
@@ -265,12 +255,6 @@ def test_a_result_that_differs_from_the_race_is_reported(small, capsys):
     assert "the file was changed" in capsys.readouterr().err
 
 
-def test_a_replay_that_differs_can_be_played_to_its_end(small):
-    repacked(small, about={"seed": 3})
-    playback = play_replay(load_replay(small), to_the_end=True)
-    assert (playback.steps, playback.first_difference) == (30, 0)
-
-
 def test_a_replay_that_differs_names_the_other_versions_of_this_machine(small, capsys):
     versions = {**versions_now(), "libc": "glibc 2.41"}
     repacked(small, about={"seed": 3, "versions": versions})
@@ -306,12 +290,8 @@ def test_a_later_file_format_is_refused(small):
 @pytest.mark.parametrize(
     "about",
     [
-        *({"type": "other"}, {"steps": 29}, {"steps": -1}, {"steps": 10**30}, {"steps": "30"}),
-        *({"laps": 0}, {"laps": 10**9}, {"difficulty": 9}, {"step_size": 0.0}, {"step_size": []}),
-        *({"agents": []}, {"agents": [1, 2]}, {"agents": {}}, {"start_positions": [1, 1]}),
-        *({"start_positions": [1]}, {"kart_types": [1, 2]}, {"result": []}, {"result": {"a": 1}}),
-        *({"seed": True}, {"seed": None}, {"num_tracks": 10**8}, {"versions": []}, {"track": 1}),
-        *({"max_paths": 0}, {"step_size": float("nan")}),
+        *({"type": "other"}, {"steps": 29}, {"laps": 0}, {"step_size": 0.0}, {"agents": []}),
+        *({"start_positions": [1, 1]}, {"kart_types": ["gnu"]}, {"result": {"a": 1}}),
     ],
     ids=str,
 )
@@ -323,13 +303,11 @@ def test_invalid_fields_are_refused(small, about):
 @pytest.mark.parametrize(
     "members",
     [
-        *({"controls_f4": None}, {"digests_u1": None}, {"controls_f4": b"123"}),
-        *({"digests_u1": b""}, {"controls_f4": np.full(420, np.nan, "<f4").tobytes()}),
-        *({"controls_f4": np.full(420, 2, "<f4").tobytes()}, {"race_json": b"[" * 100_000}),
-        *({"race_json": b"\xff\xfe"}, {"race_json": None}, {"race_json": b"1" * 100_000}),
-        {"controls_f4": np.full(420, 0.5, "<f4").tobytes()},
+        *({"controls_f4": None}, {"controls_f4": b"123"}, {"digests_u1": b""}),
+        *({"controls_f4": np.full(420, x, "<f4").tobytes()} for x in (np.nan, 2, 0.5)),
+        {"race_json": b"\xff\xfe"},
     ],
-    ids=range(11),
+    ids=range(7),
 )
 def test_damaged_members_are_refused(small, members):
     with pytest.raises(ReplayError, match=r"small\.stkz cannot be read \("):
@@ -342,10 +320,9 @@ def test_a_replay_that_unpacks_beyond_its_limits_is_refused(small):
     assert small.stat().st_size < 100_000
 
 
-@pytest.mark.parametrize("member", ["race.json", "controls.f4", "digests.u1"])
-def test_each_member_of_a_replay_has_a_size_limit(small, member, monkeypatch):
-    monkeypatch.setitem(file._MAX_MEMBER, member, 20)
-    with pytest.raises(ReplayError, match=rf"{re.escape(member)} has more than"):
+def test_each_member_of_a_replay_has_a_size_limit(small, monkeypatch):
+    monkeypatch.setitem(file._MAX_MEMBER, "race.json", 20)
+    with pytest.raises(ReplayError, match=r"race\.json has more than"):
         load_replay(small)
 
 
@@ -378,24 +355,15 @@ def test_checking_the_controls_of_a_long_replay_takes_little_memory():
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_a_replay_with_unusual_compression_is_refused(small, method):
+def test_a_replay_with_unusual_compression_is_refused(small):
     with zipfile.ZipFile(small) as archive:
         about = archive.read("race.json")
-    with zipfile.ZipFile(small, "w", method) as archive:
+    with zipfile.ZipFile(small, "w", zipfile.ZIP_LZMA) as archive:
         archive.writestr("race.json", about)
         archive.writestr("controls.f4", bytes(10 << 20))
         archive.writestr("digests.u1", bytes(31 * 8))
     with pytest.raises(ReplayError, match="has an unusual compression"):
         load_replay(small)
-
-
-def test_a_file_that_is_too_large_is_not_read(tmp_path):
-    file = tmp_path / "large.stkz"
-    with file.open("wb") as stream:
-        stream.truncate(1 << 40)
-    with pytest.raises(ReplayError, match="expected at most"):
-        load_replay(file)
 
 
 def test_truncation_and_harmful_changes_are_detected(small):
@@ -404,11 +372,11 @@ def test_truncation_and_harmful_changes_are_detected(small):
     good = load_replay(small)
     chance = np.random.default_rng(1)
     refused = 0
-    for length in range(0, len(whole), 97):
+    for length in range(0, len(whole), 397):
         small.write_bytes(whole[:length])
         with pytest.raises(ReplayError):
             load_replay(small)
-    for _ in range(600):
+    for _ in range(150):
         data = bytearray(whole)
         data[chance.integers(len(data))] ^= 1 << chance.integers(8)
         small.write_bytes(data)
@@ -420,17 +388,13 @@ def test_truncation_and_harmful_changes_are_detected(small):
         assert np.array_equal(read.controls, good.controls)
         assert np.array_equal(read.digests, good.digests)
         assert (read.seed, read.agents, read.result) == (good.seed, good.agents, good.result)
-    assert refused > 300
+    assert refused > 75
 
 
-@pytest.mark.parametrize("kind", ["missing", "folder", "pipe", "text"])
+@pytest.mark.parametrize("kind", ["missing", "text"])
 def test_an_invalid_replay_gives_one_line_and_exit_code_1(tmp_path, capsys, kind):
     path = tmp_path / "x.stkz"
-    if kind == "folder":
-        path.mkdir()
-    elif kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "text":
+    if kind == "text":
         path.write_text("hello")
     assert main(["replay", str(path)]) == 1
     shown = capsys.readouterr().err
