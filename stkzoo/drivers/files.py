@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
 from pathlib import Path, PurePath, PurePosixPath
 
-from stkzoo._reading import Unreadable, is_there, open_zip
+from stkzoo._reading import Unreadable, is_there, open_zip, reading
 from stkzoo._schema import plain_text
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.errors import ConfigError
@@ -40,7 +40,6 @@ MAX_FILES = 10_000
 #: Maximum compression ratio of a file above 1 MiB.
 MAX_RATIO = 200
 _SMALL = 1 << 20
-_MAX_DEPTH = 32  # nested folders
 #: Entries that macOS adds to zips.
 _OF_MACOS = ("__MACOSX", ".DS_Store")
 
@@ -313,18 +312,9 @@ def unpack(path: Path, folder: Path) -> None:
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
     """Opens a zip and converts all reading errors to :class:`ConfigError`."""
-    try:
-        with open_zip(path, MAX_FILES, MAX_BYTES) as archive:
-            yield archive
-    except MemoryError:
-        raise
-    except Unreadable as error:
-        raise ConfigError(
-            f"agent {str(path)!r} is not unpacked: {error}. Zip plain files only."
-        ) from None
-    except Exception as error:  # zipfile and zlib report damage in many ways
-        why = "cannot be unpacked" if isinstance(error, OSError) else "is not a readable zip"
-        raise ConfigError(f"agent {str(path)!r} {why}: {error}") from error
+    what = f"agent {str(path)!r} is not a readable zip"
+    with reading(what, "a zip of plain files"), open_zip(path, MAX_FILES, MAX_BYTES) as archive:
+        yield archive
 
 
 def _checked(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
@@ -347,7 +337,5 @@ def _check(member: zipfile.ZipInfo) -> None:
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise Unreadable(f"{member.filename!r} is a link or a device, not a file")
-    if len(name.parts) > _MAX_DEPTH:
-        raise Unreadable(f"{member.filename[:60]!r} lies more than {_MAX_DEPTH} folders deep")
     if member.file_size > max(_SMALL, MAX_RATIO * member.compress_size):
         raise Unreadable(f"{member.filename!r} would grow to {member.file_size} bytes")

@@ -356,12 +356,6 @@ def test_a_zip_with_unbounded_compression_is_refused(tmp_path, method):
         find_driver(str(tmp_path / "a.zip"))
 
 
-def test_a_zip_with_deeply_nested_folders_is_refused(tmp_path):
-    deep = ("a/" * 40 + "b", stat.S_IFREG, "x")
-    with pytest.raises(ConfigError, match="lies more than 32 folders deep"):
-        find_driver(written(tmp_path / "a.zip", deep))
-
-
 def test_a_zip_with_a_long_directory_is_refused_with_little_memory(tmp_path):
     """Python would create an object for each of the 200,000 entries in the zip's directory."""
     count, entry = 200_000, b"PK\1\2" + bytes(42)
