@@ -72,7 +72,6 @@ def test_races_follow_the_arguments():
         fragments = sampler.sample(2 * 2 * 7)
         assert [len(fragment) for fragment in fragments] == [7] * 4
         assert all(f.is_truncated and not f.is_terminated for f in fragments)
-        assert [result.num_steps for result in sampler.results] == [7, 7]
 
 
 class FakeRaces:
@@ -214,7 +213,7 @@ def test_results_cover_whole_races():
     assert sampler.results == []
     sampler.sample(12)
     first, second = sampler.results
-    assert (first.num_steps, first.reward, first.win_share) == (5, 5.0, 1.0)
+    assert first == (5.0, 1.0)
     assert second.reward == 5 * (3.0 + 4.0)
 
 
@@ -226,7 +225,7 @@ def test_a_race_that_crashes_is_truncated_and_has_no_result():
 
 
 def test_nothing_is_installed_where_the_data_exists():
-    assert ensure_assets() is False
+    ensure_assets()
 
 
 def test_a_node_without_data_needs_a_pack(tmp_path, monkeypatch):
@@ -242,7 +241,7 @@ def test_a_node_without_data_needs_a_pack(tmp_path, monkeypatch):
         with pytest.raises(AssetError):
             ensure_assets(archive=str(tmp_path / "no.tar.xz"))
     else:
-        assert ensure_assets() is False  # the game is installed on this system
+        ensure_assets()  # the game is installed on this system
 
 
 def test_learned_weights_have_the_names_of_stable_baselines3():
@@ -304,26 +303,20 @@ def restored(folder, monkeypatch):
     return selfplay._algorithm(RLlibArguments(), folder).iteration
 
 
-@pytest.mark.parametrize("renames", [0, 1])
-def test_a_run_that_is_killed_while_it_replaces_its_checkpoint_continues(
-    renames, tmp_path, monkeypatch
-):
+def test_a_run_that_is_killed_while_it_writes_a_checkpoint_continues(tmp_path, monkeypatch):
     selfplay._save(FakeAlgorithm(5), tmp_path)
-    rename, left = Path.rename, iter(range(renames))
 
-    def killed(path, target):
-        if next(left, None) is None:
-            raise KeyboardInterrupt
-        return rename(path, target)
+    def killed(*_):
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", killed)
         with pytest.raises(KeyboardInterrupt):
             selfplay._save(FakeAlgorithm(10), tmp_path)
-    iteration = restored(tmp_path, monkeypatch)
-    assert iteration == (10 if renames else 5)
-    selfplay._save(FakeAlgorithm(iteration + 5), tmp_path)
-    assert restored(tmp_path, monkeypatch) == iteration + 5
+    assert restored(tmp_path, monkeypatch) == 5
+    selfplay._save(FakeAlgorithm(10), tmp_path)
+    assert restored(tmp_path, monkeypatch) == 10
+    assert [path.name for path in selfplay._checkpoints(tmp_path)] == ["checkpoint-000010"]
 
 
 def test_the_policy_is_never_older_than_the_checkpoint(tmp_path, monkeypatch):

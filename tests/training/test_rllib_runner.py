@@ -117,11 +117,11 @@ def test_an_iteration_reports_the_learners_steps_and_the_races(algorithm):
     steps = [found["num_module_steps_sampled_lifetime"][MAIN] for found in figures]
     assert 50 <= steps[1] - steps[0] < 54
     assert figures[1]["races"] >= 2
-    assert np.isfinite(figures[1]["module_episode_returns_mean"][MAIN])
+    assert np.isfinite(figures[1]["episode_return_mean"])
 
 
 def test_a_snapshot_drives_from_the_next_sample(algorithm):
-    from stkzoo.agents.training.rllib.callbacks import copy_main
+    from stkzoo.agents.training.rllib.runner import copy_main
 
     algorithm.train()
     copy_main(algorithm, "past_1")
@@ -152,12 +152,12 @@ def test_a_killed_env_runner_is_restarted():
 
 def self_play(monkeypatch, **changes):
     """Returns the callback of a run, and the snapshots that it saves."""
-    from stkzoo.agents.training.rllib import callbacks
+    from stkzoo.agents.training.rllib import runner
 
     saved = []
-    monkeypatch.setattr(callbacks, "copy_main", lambda _, module: saved.append(module))
+    monkeypatch.setattr(runner, "copy_main", lambda _, module: saved.append(module))
     arguments = replace(ARGUMENTS, least_races=20, promote_at=0.6, **changes)
-    return callbacks.SelfPlay(arguments), saved
+    return runner.SelfPlay(arguments), saved
 
 
 def iterate(callback, races, ended, won=0.0, returns=0.0):
@@ -195,13 +195,13 @@ def test_figures_cover_the_latest_50_races(monkeypatch):
 
 
 def test_figures_count_the_races_of_all_env_runners_once(algorithm):
-    from stkzoo.agents.training.rllib.callbacks import RETURNS, WIN_SHARES
+    from stkzoo.agents.training.rllib.runner import RETURNS, WIN_SHARES
     from stkzoo.agents.training.rllib.sampler import SampledRace
 
     runner = algorithm.env_runner
     runner.get_metrics()  # those of other tests
     for reward, share in ((1.0, 0.5), (3.0, 1.0), (5.0, None)):
-        runner._log_race(SampledRace(reward, 20, share))
+        runner._log_race(SampledRace(reward, share))
     sums = runner.get_metrics()
     assert [sums[name].peek() for name in ("num_episodes", RETURNS, WIN_SHARES)] == [3, 9.0, 1.5]
 

@@ -146,11 +146,9 @@ class PackSender:
         import ray
 
         node = ray.get_runtime_context().get_node_id()
-        strategy = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
-        actor = ray.remote(num_cpus=0)(cls)
-        return actor.options(
-            name=_sender_name(), namespace=_NAMESPACE, scheduling_strategy=strategy
-        ).remote(archive)
+        place = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
+        options = {"name": _sender_name(), "namespace": _NAMESPACE, "scheduling_strategy": place}
+        return ray.remote(num_cpus=0)(cls).options(**options).remote(archive)
 
     def pack(self) -> bytes:
         """Returns the content of the archive."""
@@ -162,36 +160,36 @@ class PackSender:
         return self._bytes
 
 
-def ensure_assets(archive: str = "") -> bool:
+def _sender_name() -> str:
+    """Returns the name of the run's :class:`PackSender`; a cluster may have several runs."""
+    import ray
+
+    return f"pack-{ray.get_runtime_context().get_job_id()}"
+
+
+def ensure_assets(archive: str = "") -> None:
     """Installs the headless pack if the game's data is missing.
 
     Args:
         archive: the pack, as `stkzoo assets pack --output` writes it; empty requests it from the
             :class:`PackSender`.
 
-    Returns:
-        Whether it was installed by this call.
-
     Raises:
         AssetError: the pack is not available.
     """
     if _have_assets():
-        return False
+        return
     from filelock import FileLock
 
-    cache = cache_folder()
-    cache.mkdir(parents=True, exist_ok=True)
-    with FileLock(cache / "rllib.lock"):  # one process per node at a time
+    cache_folder().mkdir(parents=True, exist_ok=True)
+    with FileLock(cache_folder() / "rllib.lock"):  # one process per node at a time
         if _have_assets():  # another env runner on this node installed it
-            return False
-        if archive:
-            install(archive=Path(archive))
-            return True
+            return
         with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "stk.tar.xz"
-            file.write_bytes(_asked_for())
+            file = Path(archive) if archive else Path(folder) / "stk.tar.xz"
+            if not archive:
+                file.write_bytes(_received_pack())
             install(archive=file)
-        return True
 
 
 def _have_assets() -> bool:
@@ -202,14 +200,7 @@ def _have_assets() -> bool:
     return True
 
 
-def _sender_name() -> str:
-    """Returns the name of the run's :class:`PackSender`; a cluster may have several runs."""
-    import ray
-
-    return f"pack-{ray.get_runtime_context().get_job_id()}"
-
-
-def _asked_for() -> bytes:
+def _received_pack() -> bytes:
     try:
         import ray
 

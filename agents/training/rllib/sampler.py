@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.intp]
 
+_FLAGS = "is_terminated", "is_truncated"
 #: Stable-Baselines3's names of the layers of RLlib's module.
 _LAYERS = {
     "encoder.actor_encoder.net.mlp.": "mlp_extractor.policy_net.",
@@ -58,76 +59,43 @@ class Fragment:
         return len(self.rewards)
 
 
-@dataclass(slots=True)
-class SlotRecord:
-    """Steps of some slots, in the order in which they are made.
+def cut_episodes(
+    steps: Sequence[Mapping[str, npt.NDArray[Any]]], slots: IntArray
+) -> list[Fragment]:
+    """Cuts the steps of some slots into episodes; idle steps are left out.
 
-    Attributes:
-        slots: ``(L,)`` numbers of the recorded slots.
-        steps: arrays of each step, with a row for each recorded slot.
-        finals: observation after the last step of an episode, by step and row.
+    Args:
+        steps: arrays over all slots for each step: the fields of :class:`Fragment`, ``active``, and
+            ``after``, the observations that follow the step.
+        slots: numbers of the slots.
     """
-
-    slots: IntArray
-    steps: list[dict[str, npt.NDArray[np.generic]]] = field(default_factory=list)
-    finals: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
-
-    def add(self, **arrays: npt.NDArray[np.generic]) -> None:
-        """Adds a step: the fields of :class:`Fragment` as arrays over slots, and ``active``."""
-        self.steps.append({name: array[self.slots] for name, array in arrays.items()})
-
-    def end(self, row: int, observation: FloatArray) -> None:
-        """Sets the last observation of a slot whose episode ended in the last step."""
-        self.finals[len(self.steps) - 1, row] = observation
-
-    def fragments(self, latest: FloatArray) -> list[Fragment]:
-        """Cuts the record into episodes; idle steps are left out.
-
-        Args:
-            latest: observations of all slots after the last step.
-        """
-        if not self.steps:
-            return []
-        found = {name: np.stack([step[name] for step in self.steps]) for name in self.steps[0]}
-        active = found.pop("active")
-        ended = found["is_terminated"] | found["is_truncated"]
-        fragments = []
-        for row, slot in enumerate(self.slots.tolist()):
-            steps = np.flatnonzero(active[:, row])
-            for part in np.split(steps, np.flatnonzero(ended[steps, row]) + 1):
-                if len(part):
-                    next_one = self.finals.get((int(part[-1]), row), latest[slot])
-                    fragments.append(_fragment(found, row, slot, part, next_one))
-        return fragments
+    arrays = {name: np.stack([step[name] for step in steps]) for name in steps[0]}
+    active, after = arrays.pop("active"), arrays.pop("after")
+    ended = arrays["is_terminated"] | arrays["is_truncated"]
+    fragments = []
+    for slot in slots.tolist():
+        made = np.flatnonzero(active[:, slot])
+        for part in np.split(made, np.flatnonzero(ended[made, slot]) + 1):
+            if len(part):
+                own = {name: array[part, slot] for name, array in arrays.items()}
+                last = after[part[-1], slot]
+                own["observations"] = np.concatenate([own["observations"], last[None]])
+                flags = {name: bool(own.pop(name)[-1]) for name in _FLAGS}
+                begin = int(own.pop("begin")[0])
+                # The arrays are named as the fields, which the type of a dict cannot express.
+                fragments.append(Fragment(slot, begin, **own, **flags))  # type: ignore[arg-type]
+    return fragments
 
 
-def _fragment(
-    found: Mapping[str, npt.NDArray[np.generic]],
-    row: int,
-    slot: int,
-    steps: IntArray,
-    next_observation: FloatArray,
-) -> Fragment:
-    own = {name: array[steps, row] for name, array in found.items()}
-    own["observations"] = np.concatenate([own["observations"], next_observation[None]])
-    flags = {name: bool(own.pop(name)[-1]) for name in ("is_terminated", "is_truncated")}
-    begin = int(own.pop("begin")[0])
-    # The arrays are named as the fields, which the type of a dict cannot express.
-    return Fragment(slot=slot, begin=begin, **own, **flags)  # type: ignore[arg-type]
-
-
-@dataclass(frozen=True, slots=True)
-class SampledRace:
+class SampledRace(NamedTuple):
     """Result of a race that a sampler drove.
 
     Attributes:
         reward: sum of the rewards of the learner's karts.
-        num_steps: steps until the last of the learner's karts ended.
         win_share: see :func:`~stkzoo.agents.training.rllib.races.win_share`.
     """
 
     reward: float
-    num_steps: int
     win_share: float | None
 
 
@@ -177,10 +145,12 @@ class RaceSampler:
         """
         if not len(self._observations):
             self._start()
-        record, count = SlotRecord(np.flatnonzero(self._is_own)), 0
+        steps: list[dict[str, npt.NDArray[Any]]] = []
+        count = 0
         while count < kart_steps:
-            count += self._step(record)
-        return record.fragments(self._observations)
+            steps.append(self._step())
+            count += int((steps[-1]["active"] & self._is_own).sum())
+        return cut_episodes(steps, np.flatnonzero(self._is_own))
 
     def _start(self) -> None:
         count = self._races.num_races
@@ -190,39 +160,41 @@ class RaceSampler:
             self._begin(race)
         self._racing = self._races.racing
 
-    def _step(self, record: SlotRecord) -> int:
-        """Makes one step of all races; returns the number of the learner's karts in it."""
-        logits = self._logits()
+    def _step(self) -> dict[str, npt.NDArray[Any]]:
+        """Makes one step of all races, and returns its arrays; see :func:`cut_episodes`."""
+        logits, seen = self._logits(), self._observations
         actions = sample_choices(logits, self._random)
         self._races.step_async(actions)
         log_probabilities = log_probability_of(actions, logits)  # while the races run
         steps = self._races.wait_slots()
-        record.add(
-            active=steps.active,
-            begin=self._ages,
-            observations=self._observations,
-            actions=actions,
-            rewards=steps.rewards.astype(np.float32),
-            logits=logits,
-            log_probabilities=log_probabilities,
-            is_terminated=steps.terminations,
-            is_truncated=steps.truncations,
-        )
+        self._observations, after = steps.observations, steps.observations.copy()
+        for slot, (observation, info) in steps.finals.items():
+            after[slot], self._positions[slot] = observation, info["position"]
+        begin = self._ages.copy()
         self._ages += steps.active
         self._returns += steps.rewards
-        for slot, (observation, info) in steps.finals.items():
-            self._positions[slot] = info["position"]
-            if self._is_own[slot]:
-                record.end(int(np.searchsorted(record.slots, slot)), observation)
-        self._observations = steps.observations
-        left = self._racing & ~(steps.terminations | steps.truncations)
-        for race, is_racing in enumerate(self._by_race(left).any(axis=1).tolist()):
-            if not is_racing:
-                if not self._by_race(steps.crashed)[race].any():
-                    self.results.append(self._result(race))
-                self._begin(race)
+        self._end_races(steps)
+        return {
+            "active": steps.active,
+            "begin": begin,
+            "observations": seen,
+            "after": after,
+            "actions": actions,
+            "rewards": steps.rewards.astype(np.float32),
+            "logits": logits,
+            "log_probabilities": log_probabilities,
+            "is_terminated": steps.terminations,
+            "is_truncated": steps.truncations,
+        }
+
+    def _end_races(self, steps: Any) -> None:
+        """Adds the results of the races that ended in a step, and begins the next ones."""
+        left = self._by_race(self._racing & ~(steps.terminations | steps.truncations))
+        for race in np.flatnonzero(~left.any(axis=1)).tolist():
+            if not self._by_race(steps.crashed)[race].any():
+                self.results.append(self._result(race))
+            self._begin(race)
         self._racing = self._races.racing
-        return int((steps.active & self._is_own).sum())
 
     def _logits(self) -> FloatArray:
         """Returns the logits of all karts; zeros for idle ones."""
@@ -238,7 +210,6 @@ class RaceSampler:
         positions = self._by_race(self._positions)[race]
         return SampledRace(
             reward=float(self._by_race(self._returns)[race][own].sum()),
-            num_steps=int(self._by_race(self._ages)[race][own].max()),
             win_share=win_share(positions[own].tolist(), positions[~own].tolist()),
         )
 

@@ -14,10 +14,9 @@ Env runners may be on many nodes. A node without the game's data receives the he
 before its first race. If env runners or nodes die, RLlib restarts them, there or elsewhere, and
 training continues with the others.
 
-The folder contains ``log.jsonl`` (one line per iteration), ``checkpoint`` (RLlib's, replaced
-atomically every few iterations) and ``policy.safetensors``, which ``sb3.selfplay --init`` accepts.
-To continue a run, also after a kill, run the same command again, perhaps with more
-``--iterations``.
+The folder contains ``log.jsonl`` (one line per iteration), ``checkpoint-ITERATION`` (RLlib's; each
+replaces the one before) and ``policy.safetensors``, which ``sb3.selfplay --init`` accepts. To
+continue a run, also after a kill, run the same command again, perhaps with more ``--iterations``.
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ from ..common.run_folder import TrainingLog, keep_arguments
 from .races import ARGUMENTS, MAIN, PackSender, RLlibArguments, ensure_assets
 from .sampler import sb3_names
 
-_CHECKPOINT, _POLICY = "checkpoint", "policy.safetensors"
-#: The next checkpoint and the one before, while one replaces the other.
-_NEXT, _BEFORE = "checkpoint.new", "checkpoint.old"
+_POLICY = "policy.safetensors"
+#: Name of a checkpoint, with the number of iterations, and its suffix while it is written.
+_CHECKPOINT, _PART = "checkpoint-{:06}", ".part"
 #: Arguments that may change when a run continues.
 _FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
 
@@ -56,8 +55,7 @@ def build_config(arguments: RLlibArguments) -> Any:
     from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
     from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 
-    from .callbacks import SelfPlay
-    from .runner import RaceEnvRunner
+    from .runner import RaceEnvRunner, SelfPlay
 
     model = DefaultModelConfig(
         fcnet_hiddens=list(arguments.hidden), fcnet_activation="tanh", vf_share_layers=False
@@ -164,14 +162,17 @@ def _start(ray: Any, address: str) -> None:
 
 def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
     algorithm = build_config(arguments).build_algo()
-    checkpoint = folder / _CHECKPOINT
-    _end_replacement(folder)
-    if checkpoint.exists():
-        algorithm.restore_from_path(str(checkpoint.resolve()))
+    if checkpoints := _checkpoints(folder):
+        algorithm.restore_from_path(str(checkpoints[-1].resolve()))
         algorithm.env_runner_group.sync_weights(
             from_worker_or_learner_group=algorithm.learner_group, inference_only=True
         )
     return algorithm
+
+
+def _checkpoints(folder: Path) -> list[Path]:
+    """Returns the complete checkpoints, the newest last."""
+    return sorted(path for path in folder.glob("checkpoint-*") if path.suffix != _PART)
 
 
 def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None:
@@ -194,7 +195,7 @@ def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None
 def _figures(algorithm: Any, result: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
 
-    from .callbacks import RACES, RESTARTED, RETURN, WIN_SHARE
+    from .runner import RACES, RESTARTED, RETURN, WIN_SHARE
 
     seen: Mapping[str, Any] = result.get(ENV_RUNNER_RESULTS, {})
     by_module = seen.get("num_module_steps_sampled_lifetime", {})
@@ -228,30 +229,23 @@ def _in_words(line: Mapping[str, Any], iterations: int) -> str:
 
 
 def _save(algorithm: Any, folder: Path) -> None:
-    """Writes the policy and replaces the checkpoint.
+    """Writes the policy and the checkpoint, and then removes older checkpoints.
 
     The policy is first: a run that is killed between the two repeats the last iterations, and
-    writes both again. A complete checkpoint exists at any moment, see :func:`_end_replacement`.
+    writes both again.
     """
     state = algorithm.learner_group.foreach_learner(
         lambda learner: {k: v.cpu().numpy() for k, v in learner.module[MAIN].state_dict().items()}
     )
     save_weights(folder / _POLICY, sb3_names(next(r.get() for r in state)))
-    new, old, target = folder / _NEXT, folder / _BEFORE, folder / _CHECKPOINT
-    for left in (new, old):
-        shutil.rmtree(left, ignore_errors=True)
-    algorithm.save_to_path(str(new.resolve()))
-    if target.exists():
-        target.rename(old)
-    new.rename(target)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _end_replacement(folder: Path) -> None:
-    """Ends the replacement of a checkpoint by a program that was killed between the two renames."""
-    new, old, target = folder / _NEXT, folder / _BEFORE, folder / _CHECKPOINT
-    if old.exists() and not target.exists():  # the new one was complete before
-        (new if new.exists() else old).rename(target)
+    before = list(folder.glob("checkpoint-*"))
+    target = folder / _CHECKPOINT.format(algorithm.iteration)
+    part = target.with_suffix(_PART)
+    shutil.rmtree(part, ignore_errors=True)
+    algorithm.save_to_path(str(part.resolve()))
+    part.rename(target)
+    for old in before:
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def main(words: list[str] | None = None) -> int:
