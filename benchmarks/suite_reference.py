@@ -13,14 +13,12 @@ seed are run before the next seed. Runs that have a result are skipped.
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
@@ -31,6 +29,7 @@ from benchmarks.common import RESULTS, parser
 from stkzoo._os import write_text
 from stkzoo._schema import Count, Whole
 from stkzoo.agents.training.common.run_folder import ARGUMENTS, read_run_file, require_log
+from stkzoo.agents.training.suite import algorithms
 from stkzoo.agents.training.suite.learner import MACHINE, TrainingMachine
 from stkzoo.errors import ConfigError
 from stkzoo.suite import (
@@ -129,15 +128,11 @@ def reference_keys(
             yield task, algorithm, seed
 
 
-def _module(algorithm: str) -> ModuleType:
-    return importlib.import_module(f"stkzoo.agents.training.suite.{algorithm}")
-
-
 def _train(folder: Path, key: RunKey, kart_steps: int | None) -> None:
     """Trains or continues a run; does nothing if the run is complete."""
     task, algorithm, seed = key
     budget = find_task(task).budget if kart_steps is None else kart_steps
-    _module(algorithm).run(folder, task, budget, seed)
+    algorithms.run(algorithm, folder, task, budget, seed)
 
 
 def measure(folder: Path, key: RunKey, jobs: int | None = None) -> SuiteRun:

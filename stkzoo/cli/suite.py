@@ -223,8 +223,8 @@ def _train(arguments: argparse.Namespace) -> int:
     kart_steps = task.budget if arguments.kart_steps is None else arguments.kart_steps
     folder = arguments.output or Path("runs", f"{task.name}-{name}-{arguments.seed}")
     # imported by name, because the package must not depend on its agents
-    algorithm = import_module(f"stkzoo.agents.training.suite.{name}")
-    agent = algorithm.run(folder, task.name, kart_steps, arguments.seed)
+    algorithms = import_module("stkzoo.agents.training.suite.algorithms")
+    agent = algorithms.run(name, folder, task.name, kart_steps, arguments.seed)
     say(f"Trained {agent}. Evaluate it: stkzoo suite evaluate {task.name} {agent}")
     return 0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stkzoo.suite.tasks import Task
 
-#: Reference algorithms (modules of ``stkzoo.agents.training.suite``), and the least number of
+#: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and the least number of
 #: learners of their tasks: self-play needs two.
 ALGORITHMS = {"ippo": 1, "mappo": 1, "fsp": 2, "pfsp": 2, "impala": 1}
 

@@ -21,7 +21,7 @@ from stkzoo.agents.training.common.run_folder import (
     save_checkpoint,
 )
 from stkzoo.agents.training.sb3 import selfplay as sb3
-from stkzoo.agents.training.suite import ippo
+from stkzoo.agents.training.suite import algorithms
 from stkzoo.errors import ConfigError
 
 
@@ -131,4 +131,4 @@ def test_two_programs_cannot_train_in_one_folder(name, tmp_path, capsys):
 @pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
 def test_two_programs_cannot_train_a_reference_algorithm_in_one_folder(tmp_path):
     with locked_folder(tmp_path, "run"), pytest.raises(ConfigError, match="another program works"):
-        ippo.run(tmp_path, "solo-1", 1, 0)
+        algorithms.run("ippo", tmp_path, "solo-1", 1, 0)

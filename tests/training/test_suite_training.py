@@ -13,15 +13,12 @@ from stkzoo.agents.training.suite.actor import (
     reward_shares,
     rollout_type,
 )
+from stkzoo.agents.training.suite.algorithms import FSP, IPPO, MAPPO, PFSP
 from stkzoo.agents.training.suite.exploit import Exploiter, ExploiterArguments, start_weights
-from stkzoo.agents.training.suite.fsp import FSP
 from stkzoo.agents.training.suite.impala import IMPALA, vtrace
-from stkzoo.agents.training.suite.ippo import IPPO
 from stkzoo.agents.training.suite.learner import TaskArguments
-from stkzoo.agents.training.suite.mappo import MAPPO
 from stkzoo.agents.training.suite.network import TaskNetwork
 from stkzoo.agents.training.suite.past import PastActor
-from stkzoo.agents.training.suite.pfsp import PFSP
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race

@@ -2,23 +2,22 @@
 
     stkzoo suite train versus impala
 
-Like independent PPO (:mod:`.ippo`), but with another update: one pass over the rollouts, without a
-limit on the change of the policy. Older policies drove the rollouts. Importance weights, clipped at
-1, correct the value targets and the policy gradient for that (Espeholt et al., 2018).
+Like independent PPO (:mod:`.algorithms`), but with another update: one pass over the rollouts,
+without a limit on the change of the policy. Older policies drove the rollouts. Importance weights,
+clipped at 1, correct the value targets and the policy gradient for that (Espeholt et al., 2018).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from ..common.learner import FloatArray, RolloutResult
 from ..common.ppo import VALUE_UNIT
-from .learner import TaskArguments, TaskLearner, run_task
+from .learner import TaskArguments, TaskLearner
 
 
 class IMPALA(TaskLearner):
@@ -121,6 +120,3 @@ def vtrace(
         advantages[step] = np.where(is_active, weights[step] * gained, 0)
         next_values, next_targets = values[step], targets[step]
     return targets, advantages
-
-
-run = partial(run_task, IMPALA)

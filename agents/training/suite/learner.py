@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from stkzoo._os import cpu_count
 from stkzoo._schema import Whole
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.race.result import versions_now
 from stkzoo.suite import Task, find_task
 
@@ -179,27 +179,6 @@ class TaskLearner(OverlappedPPO):
             "finished": fmean(race.is_finished for race in self._recent),
             "position": fmean(race.position for race in self._recent),
         }
-
-
-def run_task(kind: type[TaskLearner], folder: Path, task: str, kart_steps: int, seed: int) -> Path:
-    """Starts or continues a run, and writes its agent at the end.
-
-    Args:
-        kind: the algorithm.
-        folder: folder of the run.
-        task: name of the task.
-        kart_steps: number of kart-steps to learn from.
-        seed: seed of all random numbers.
-
-    Returns:
-        The folder of the agent.
-
-    Raises:
-        ConfigError: an argument is invalid, or the folder contains another run.
-    """
-    check_whole("kart_steps", kart_steps, 1)
-    learner = kind(folder, kind.arguments_of(task, kart_steps, seed))
-    return finish_run(learner, kart_steps, f"{kind.__name__}_{task}_{seed}")
 
 
 def finish_run(learner: TaskLearner, kart_steps: int, name: str) -> Path:
