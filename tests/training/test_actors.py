@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stkzoo.agents.training.common import actors
 from stkzoo.agents.training.common.actors import ActorPool, SharedArray
 from stkzoo.errors import ConfigError, EngineCrashed, StkzooError
 from tests.support.paths import ROOT
@@ -78,17 +79,18 @@ def test_results_and_memory_are_shared():
         pool.close()
 
 
-@pytest.mark.parametrize(
-    ("method", "kind", "message"),
-    [
-        ("crash", EngineCrashed, "SIGSEGV"),
-        ("divide", StkzooError, "ZeroDivisionError"),
-        ("read", StkzooError, "/nowhere/file"),
-    ],
-)
-def test_errors_of_actors_are_raised_in_the_learner(pool, method, kind, message):
-    with pytest.raises(kind, match=message):
-        pool.call(method, [()] * 2)
+def test_errors_of_actors_are_raised_in_the_learner():
+    pool = ActorPool(Counter, [(SharedArray((1,), np.int64), 0)])
+    try:
+        for method, kind, message in (
+            ("crash", EngineCrashed, "SIGSEGV"),
+            ("divide", StkzooError, "ZeroDivisionError"),
+            ("read", StkzooError, "/nowhere/file"),
+        ):
+            with pytest.raises(kind, match=message):
+                pool.call(method, [()])
+    finally:
+        pool.close()
 
 
 def test_errors_at_the_start_of_an_actor_are_raised_in_the_learner():
@@ -101,7 +103,8 @@ def test_errors_at_the_start_of_an_actor_are_raised_in_the_learner():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_a_killed_actor_is_reported(pool):
+def test_a_killed_actor_is_reported(pool, monkeypatch):
+    monkeypatch.setattr(actors, "_END_TIMEOUT", 0.1)  # the other actor sleeps
     pool.send("sleep", [(600,)] * 2)
     os.kill(pool.pids[0], signal.SIGKILL)
     with pytest.raises(StkzooError, match="code -9; the same command continues"):

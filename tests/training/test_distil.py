@@ -113,7 +113,7 @@ def test_the_network_is_compared_with_the_plans_in_the_same_races(run):
     assert np.mean([finish.counted_ratio for (finish,) in plans]) < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_killed_run_resumes_with_its_round(run, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         calls = iter([distill._alone])

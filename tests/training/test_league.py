@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -235,6 +233,7 @@ def test_rivals_add_no_training_data():
         actor.close()
 
 
+@pytest.mark.matrix
 def test_the_league_gets_the_duels_of_all_actors(tmp_path):
     names = ("tracks", "batch_size", "hidden", "n_epochs")
     shared = {name: SMALL[name] for name in names}
@@ -266,6 +265,7 @@ def test_initial_weights_of_a_different_network_are_refused(tmp_path):
         League(tmp_path / "league", arguments)
 
 
+@pytest.mark.slow
 def test_an_exploiter_starts_over_after_the_initial_weights_were_deleted(tmp_path):
     init = tmp_path / "init.safetensors"
     shapes = network_shapes(SMALL["hidden"]).items()
@@ -288,30 +288,35 @@ def test_an_exploiter_starts_over_after_the_initial_weights_were_deleted(tmp_pat
     assert all((policy[name] == start[name]).all() for name in start)
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The folder of a league that ran without interruption."""
+    folder = tmp_path_factory.mktemp("league")
+    assert main(words(folder, 100)) == 0
+    return folder
+
+
 @pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_after_a_kill_the_turn_is_repeated_with_the_same_result(tmp_path):
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    command = [sys.executable, "-m", "stkzoo.agents.training.league.league"]
-    done = subprocess.run([*command, *words(whole, 100)], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    run_and_kill(main, words(killed, 100), killed / "main-g0" / "log.jsonl", lines=1)
-    assert main(words(killed, 100)) == 0
-    states = [json.loads((folder / "league.json").read_text()) for folder in (whole, killed)]
-    assert states[0] == states[1]
-    assert [member["name"] for member in states[0]["members"]][:3] == [
-        "start",
-        "main-001",
-        "exploiter-001",
-    ]
-    assert set(states[0]["ratings"]) >= {"start", "ai", "main-001"}
+def test_members_of_a_league_take_turns_are_rated_and_become_agents(whole, tmp_path):
+    state = json.loads((whole / "league.json").read_text())
+    names = [member["name"] for member in state["members"]]
+    assert names[:3] == ["start", "main-001", "exploiter-001"]
+    assert set(state["ratings"]) >= {"start", "ai", "main-001"}
     assert "main-001" in (whole / "league.html").read_text()
-    assert (whole / "league.html").read_bytes() == (killed / "league.html").read_bytes()
     weights = whole / "members" / "main-001.safetensors"
     card = export_policy(weights, "learned", tmp_path / "learned") / "card.json"
     (run,) = json.loads(card.read_text())["runs"]
-    assert run["kart_steps"] == states[0]["members"][1]["kart_steps"]
-    assert run["history"][-1]["arguments"]["tracks"] == states[0]["arguments"]["tracks"]
+    assert run["kart_steps"] == state["members"][1]["kart_steps"]
+    assert run["history"][-1]["arguments"]["tracks"] == state["arguments"]["tracks"]
+
+
+@pytest.mark.matrix
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
+def test_after_a_kill_the_turn_is_repeated_with_the_same_result(whole, tmp_path):
+    run_and_kill(main, words(tmp_path, 100), tmp_path / "main-g0" / "log.jsonl", lines=1)
+    assert main(words(tmp_path, 100)) == 0
+    for name in ("league.json", "league.html"):
+        assert (whole / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
 # ---------------------------------------------------------------------- the page
@@ -340,20 +345,20 @@ def test_the_matrix_shows_only_some_of_many_members():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("width", "is_dark"), [(390, False), (1280, True)])
-def test_the_page_fits_phones_and_desktops(tmp_path, width, is_dark):
+def test_the_page_fits_phones_and_desktops(tmp_path):
     (tmp_path / "league.html").write_text(page(MEMBERS, MATCHES, RATINGS))
     browser = open_browser(tmp_path / "profile")
     try:
         reader = Reader(browser)
-        reader.show((tmp_path / "league.html").as_uri(), width=width, is_dark=is_dark)
-        assert reader.text("h1") == "League"
-        assert reader.run("return document.documentElement.scrollWidth") <= width
-        assert len(reader.all("[id^=curve] use")) == 3  # past versions
-        cells = [cell.text for cell in reader.all(".who td")]
-        assert cells.count("100") >= 2
-        paper = reader.run("return getComputedStyle(document.body).backgroundColor")
-        assert paper == ("rgb(20, 25, 31)" if is_dark else "rgb(255, 255, 255)")
+        for width, is_dark in ((390, False), (1280, True)):
+            reader.show((tmp_path / "league.html").as_uri(), width=width, is_dark=is_dark)
+            assert reader.text("h1") == "League"
+            assert reader.run("return document.documentElement.scrollWidth") <= width
+            assert len(reader.all("[id^=curve] use")) == 3  # past versions
+            cells = [cell.text for cell in reader.all(".who td")]
+            assert cells.count("100") >= 2
+            paper = reader.run("return getComputedStyle(document.body).backgroundColor")
+            assert paper == ("rgb(20, 25, 31)" if is_dark else "rgb(255, 255, 255)")
         assert reader.errors() == []
     finally:
         browser.quit()

@@ -92,7 +92,7 @@ def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_run_continues_without_the_weights_that_it_started_from(tmp_path):
     learn(tmp_path / "first", 1)
     (file,) = (tmp_path / "first").glob("policy-*.safetensors")
@@ -102,6 +102,7 @@ def test_a_run_continues_without_the_weights_that_it_started_from(tmp_path):
     assert len(log_of(tmp_path / "run")) > 1
 
 
+@pytest.mark.slow
 def test_other_arguments_are_refused_unless_they_may_change(tmp_path, capsys):
     assert learn(tmp_path, 40) == 0
     assert learn(tmp_path, 80, learning_rate=0.001) != 0
@@ -111,7 +112,7 @@ def test_other_arguments_are_refused_unless_they_may_change(tmp_path, capsys):
     assert [part["arguments"]["learning_rate"] for part in history] == [0.0003, 0.001]
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_run_refuses_changed_parameters_of_its_plans(tmp_path, capsys):
     assert learn(tmp_path, 40) == 0
     state = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
@@ -122,6 +123,7 @@ def test_a_run_refuses_changed_parameters_of_its_plans(tmp_path, capsys):
     assert "margin was 9.0, now" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_choices_that_are_not_learned_stay_at_those_of_the_plans(tmp_path):
     begin, turn, *_ = HEADS
     changes = {"warm_up": 0, "learns": ("begin", "fire")}
@@ -136,6 +138,7 @@ def test_choices_that_are_not_learned_stay_at_those_of_the_plans(tmp_path):
     assert (weights["w2"][:, begin] != before["w2"][:, begin]).any()
 
 
+@pytest.mark.slow
 def test_a_held_offset_is_chosen_once_for_all_its_steps(tmp_path):
     changes = {"n_steps": 32, "races": ("4x1",), "learns": ("begin", "turn"), "turn_hold": 4}
     learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
@@ -184,6 +187,7 @@ def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_
     assert np.allclose(ours, theirs, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_fleet_starts_the_same_races_with_the_same_seed():
     """Earlier races of the fleet do not matter."""
     chance = np.random.default_rng(0)
@@ -252,7 +256,7 @@ def test_policies_are_compared_in_the_same_races():
     assert all(0.5 < finish.counted_ratio < 2.0 for (finish,) in once)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_plans_use_the_parameters_of_their_run(tmp_path):
     arguments = SelfPlayArguments(**SMALL | {"plans": BY_HAND})
     learner = PPOLearner(tmp_path, arguments)

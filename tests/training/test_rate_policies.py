@@ -106,7 +106,8 @@ def drawn(monkeypatch):
 def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, drawn):
     longer = run.with_name("first b")
     shutil.copytree(run, longer)
-    assert main([str(run), str(longer), "--every=0", f"--output={tmp_path / 'out'}"]) == 0
+    words = [str(run), str(longer), "--every=0", "--matches=14", f"--output={tmp_path / 'out'}"]
+    assert main(words) == 0
     steps = {name: [at for at, _ in points] for name, points in drawn.items()}
     expected = [0.0, 0.0001, 1.0001, 2.0002]
     assert steps == {"first": expected, "first b": expected}
@@ -120,7 +121,7 @@ def test_without_plans_start_has_the_kart_steps_of_the_first_policy(tmp_path, dr
             save_weights(run / f"policy-{steps * 1e6:09.0f}.safetensors", small_network())
     compared = []
     monkeypatch.setattr(rate, "learning_progress", lambda _, steps: compared.append(steps))
-    words = [*map(str, runs), "--every=0", f"--output={tmp_path / 'out'}"]
+    words = [*map(str, runs), "--every=0", "--matches=14", f"--output={tmp_path / 'out'}"]
     assert main(words) == 0
     assert {name: [at for at, _ in points] for name, points in drawn.items()} == {
         "first": [0.5, 0.5, 1.0],
@@ -138,7 +139,7 @@ def test_a_policy_without_kart_steps_in_its_name_is_refused(name, run, capsys):
 
 @pytest.mark.slow
 def test_better_policies_are_rated_higher_and_races_can_be_added(run, tmp_path, capsys):
-    words = [str(run), "--every=0", f"--output={tmp_path / 'out'}"]
+    words = [str(run), "--every=0", f"--output={tmp_path / 'out'}", "--track=olivermath"]
     assert main([*words, "--matches=1"]) == 0
     first = (tmp_path / "out" / "matches.jsonl").read_text()
     assert main([*words, "--matches=3"]) == 0
@@ -178,7 +179,7 @@ def test_too_few_policies_are_refused(run, tmp_path, capsys):
     assert "expected 4 or more" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_policies_of_stable_baselines_can_be_rated_too(tmp_path):
     """The last policy drives straight ahead, which is better than standing still."""
     folder = tmp_path / "from_nothing"
@@ -211,7 +212,7 @@ def test_runs_of_all_scripts_are_rated_together(run):
     assert match.order(finishes)[-1] == "network"  # it does not follow the road
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_driver_with_two_karts_counts_with_the_better_one():
     def choose(pedal):
         return network_driver(lambda seen: np.tile([10, pedal, 0, 0, 0], (len(seen), 1)))

@@ -466,13 +466,6 @@ def test_values_are_learned_before_the_policy(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_log_has_the_entropy_of_the_policy(tmp_path):
-    assert learn(tmp_path, 1, updates=1) == 0
-    (line,) = log_of(tmp_path)
-    assert 0 < line["entropy"] <= sum(map(np.log, CHOICES))
-
-
-@pytest.mark.slow
 def test_it_learns_evaluates_and_ends(tmp_path):
     evaluation = {"evaluation_races": 1, "evaluation_tracks": "olivermath"}
     command = [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay"]
@@ -483,6 +476,7 @@ def test_it_learns_evaluates_and_ends(tmp_path):
     assert log[-1]["kart_steps"] >= 150
     assert [line["iteration"] for line in log] == list(range(1, len(log) + 1))
     assert log[-1]["rivals"] >= 1
+    assert 0 < log[0]["entropy"] <= sum(map(np.log, CHOICES))
     assert all(np.isfinite(list(line.values())).all() for line in log)
     seen = np.array([0, *(line["kart_steps"] for line in log[:-1])])
     rates = [line["learning_rate"] for line in log]
@@ -496,7 +490,7 @@ def test_it_learns_evaluates_and_ends(tmp_path):
     assert (tmp_path / "agent" / "pystk_actor.py").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
     assert learn(tmp_path / "whole", 270) == 0
