@@ -488,8 +488,14 @@ def test_vector_environments_can_be_made(on_stkzoo, env_id):
     assert on_stkzoo(code) == "(2,)"
 
 
-ROTATIONS = """
+UTILITIES = """
+from enum import Enum
 import numpy as np
+import pystk2
+from gymnasium import spaces
+from pystk2_gymnasium.envs import Phase
+from pystk2_gymnasium.utils import Discretizer, max_enum_value, rotate, rotate_batch
+
 random = np.random.default_rng(0)
 for kind in (np.float32, np.float64):
     q = random.normal(size=4).astype(kind)
@@ -498,38 +504,18 @@ for kind in (np.float32, np.float64):
     turned = [rotate(vectors[0], q), *rotate_batch(vectors, q)]
     print(*(row.dtype for row in turned))
     print(*(f"{number:.4f}" for row in turned for number in row))
+
+class Own(Enum):
+    ONE = 1
+    SEVEN = 7
+
+print(*map(max_enum_value, (pystk2.Powerup, pystk2.Attachment, pystk2.Item, Phase, Own)))
+for low, count in ((-1, 7), (0, 5)):
+    steps = Discretizer(spaces.Box(low, 1, (1,)), count)
+    print(steps.space, steps.values, steps.min_value, steps.max_value)
+    print(*(f"{steps.continuous(k):.6f}" for k in range(count)))
 """
 
 
-def test_rotations_match_the_reference(on_stkzoo):
-    code = "from pystk2_gymnasium.utils import rotate, rotate_batch\n" + ROTATIONS
-    assert on_stkzoo(code) == on_reference(code)
-
-
-def test_max_enum_value_matches_the_reference(on_stkzoo):
-    code = """
-    from enum import Enum
-    import pystk2
-    from pystk2_gymnasium.envs import Phase
-    from pystk2_gymnasium.utils import max_enum_value
-
-    class Own(Enum):
-        ONE = 1
-        SEVEN = 7
-
-    print(*map(max_enum_value, (pystk2.Powerup, pystk2.Attachment, pystk2.Item, Phase, Own)))
-    """
-    assert on_stkzoo(code) == on_reference(code)
-
-
-def test_discretizer_steps_match_the_reference(on_stkzoo):
-    code = """
-    from gymnasium import spaces
-    from pystk2_gymnasium.utils import Discretizer
-
-    for low, count in ((-1, 7), (0, 5)):
-        steps = Discretizer(spaces.Box(low, 1, (1,)), count)
-        print(steps.space, steps.values, steps.min_value, steps.max_value)
-        print(*(f"{steps.continuous(k):.6f}" for k in range(count)))
-    """
-    assert on_stkzoo(code) == on_reference(code)
+def test_utilities_match_the_reference(on_stkzoo):
+    assert on_stkzoo(UTILITIES) == on_reference(UTILITIES)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import pickle
 
-import cloudpickle
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -18,22 +16,16 @@ import stkzoo
 from stkzoo import ActionError, AgentSpec, CameraMode, ConfigError, make_stkrace_vec, race_v0
 from stkzoo.env.gymnasium_api import STKRaceEnv
 from tests.support.playing import fingerprint
+from tests.support.views import EACH_ID
 
-SINGLE_IDS = [
-    f"supertuxkart/{name}-v0"
-    for name in (
-        "full",
-        "simple",
-        "flattened",
-        "flattened_continuous_actions",
-        "flattened_multidiscrete",
-        "flattened_discrete",
-    )
-]
-IDS = [*SINGLE_IDS, "supertuxkart/multi-full-v0"]
+IDS = [*EACH_ID, "supertuxkart/multi-full-v0"]
 # Stable-Baselines3 does not support Dict action spaces.
-SB3_IDS = SINGLE_IDS[3:]
-VECTOR_IDS = ["supertuxkart/full-v0", "supertuxkart/flattened_discrete-v0"]
+DISCRETE = "supertuxkart/flattened_discrete-v0"
+SB3_IDS = [
+    pytest.param("supertuxkart/flattened_continuous_actions-v0", marks=pytest.mark.matrix),
+    pytest.param("supertuxkart/flattened_multidiscrete-v0", marks=pytest.mark.matrix),
+    DISCRETE,
+]
 # Distances and speeds have no natural bounds.
 UNBOUNDED = "ignore:.*A Box observation space (minimum|maximum) value is -?infinity:UserWarning"
 # Acceleration ranges from 0 to 1; braking is a separate control.
@@ -79,42 +71,21 @@ def test_a_whole_race_passes_the_passive_checker(env_id):
         assert observation in env.observation_space
 
 
-@pytest.mark.parametrize("env_id", IDS)
-def test_the_episode_is_truncated_after_1500_steps(env_id):
-    assert gym.spec(env_id).max_episode_steps == 1500
+def test_the_episode_is_truncated_after_1500_steps():
+    for env_id in ("supertuxkart/simple-v0", "supertuxkart/multi-full-v0"):
+        assert gym.spec(env_id).max_episode_steps == 1500
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", IDS)
-def test_a_spec_restored_from_json_makes_the_same_race(env_id):
-    with gym.make(env_id, **OPTIONS) as env:
-        spec = gym.envs.registration.EnvSpec.from_json(env.spec.to_json())
-        with gym.make(spec) as again:
-            assert race(again) == race(env)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("library", [pickle, cloudpickle])
-@pytest.mark.parametrize("env_id", IDS)
-def test_a_pickled_env_drives_the_same_race(env_id, library):
-    with gym.make(env_id, **OPTIONS) as env:
-        expected = race(env)
-        with library.loads(library.dumps(env.unwrapped)) as again:
-            assert race(again) == expected
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", IDS)
-def test_a_deep_copy_drives_the_same_race(env_id):
-    with gym.make(env_id, **OPTIONS) as env, copy.deepcopy(env) as again:
-        assert race(again) == race(env)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("mode", ["sync", "async"])
-@pytest.mark.parametrize("env_id", VECTOR_IDS)
-def test_make_vec_drives_two_races_at_once(env_id, mode):
-    kwargs = {"shared_memory": False} if (env_id, mode) == (VECTOR_IDS[0], "async") else {}
+@pytest.mark.parametrize(
+    ("env_id", "mode", "kwargs"),
+    [
+        (DISCRETE, "sync", {}),
+        (DISCRETE, "async", {}),
+        ("supertuxkart/full-v0", "async", {"shared_memory": False}),
+    ],
+)
+def test_make_vec_drives_two_races_at_once(env_id, mode, kwargs):
     envs = gym.make_vec(
         env_id, num_envs=2, vectorization_mode=mode, vector_kwargs=kwargs, **OPTIONS
     )
@@ -169,7 +140,7 @@ def test_seeds_of_an_id_are_checked_as_those_of_the_race():
 
 
 def test_the_random_generator_of_an_id_is_the_one_of_its_race():
-    with gym.make(SINGLE_IDS[0], **OPTIONS) as env:
+    with gym.make("supertuxkart/full-v0", **OPTIONS) as env:
         for seed in (3, None):
             env.reset(seed=seed)
             assert env.unwrapped.np_random is env.unwrapped.core.np_random
@@ -242,9 +213,8 @@ def test_an_invalid_action_in_a_worker_process_is_an_action_error():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", ["supertuxkart/full-v0", "supertuxkart/flattened-v0"])
-def test_make_stkrace_vec_drives_two_races_at_once(env_id):
-    envs = make_stkrace_vec(2, env_id, env_kwargs=OPTIONS)
+def test_make_stkrace_vec_drives_two_races_at_once():
+    envs = make_stkrace_vec(2, "supertuxkart/full-v0", env_kwargs=OPTIONS)
     observations, _ = envs.reset(seed=3)
     for _ in range(5):
         observations, rewards, *_ = envs.step(envs.action_space.sample())

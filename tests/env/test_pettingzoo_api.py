@@ -18,8 +18,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from stkzoo import RaceParallelEnv, race_v0
 from stkzoo.views import VIEWS
-
-BUILT_IN_VIEWS = tuple(VIEWS)
+from tests.support.views import each_view, each_view_and_a_walked_one, marked
 
 # PettingZoo's tests prefer arrays, but these Dict spaces have parts of several kinds.
 NOT_AN_ARRAY = "ignore:Observation is not a NumPy array:UserWarning"
@@ -35,14 +34,14 @@ make_aec = functools.partial(race_v0.env, num_kart=3, track="olivermath")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", BUILT_IN_VIEWS)
+@each_view_and_a_walked_one
 def test_parallel_api(view):
     with make(view=view) as env:
         parallel_api_test(env, num_cycles=200)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", BUILT_IN_VIEWS)
+@each_view
 def test_parallel_seeds(view):
     parallel_seed_test(functools.partial(make, view=view, max_cycles=60), num_cycles=100)
 
@@ -51,7 +50,10 @@ def test_parallel_seeds(view):
 @pytest.mark.filterwarnings(NOT_AN_ARRAY, DICT_OBSERVATIONS, DICT_ACTIONS, UNBOUNDED)
 @pytest.mark.parametrize(
     ("view", "factory"),
-    [*((view, race_v0.env) for view in BUILT_IN_VIEWS), ("full", race_v0.raw_env)],
+    [
+        *marked([(view, race_v0.env) for view in VIEWS], [("simple", race_v0.env)]),
+        ("full", race_v0.raw_env),
+    ],
 )
 def test_aec_api(view, factory):
     env = factory(num_kart=3, track="olivermath", view=view, max_cycles=100)

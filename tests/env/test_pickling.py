@@ -25,6 +25,7 @@ from stkzoo.wrappers import (
     PolarObservations,
 )
 from tests.support.playing import fingerprint
+from tests.support.views import marked
 
 RACE = {"track": "lighthouse", "num_kart": 2}
 NAMES = (
@@ -112,7 +113,11 @@ def race_of(name):
 @pytest.mark.parametrize("moment", ["before", "amid"])
 @pytest.mark.parametrize(
     ("name", "library"),
-    [(n, c) for n in ALL for c in COPIES if (n, c) not in [(n, "pickle") for n in NOT_PICKLED]],
+    marked(
+        [(n, c) for n in ALL for c in COPIES if not (n in NOT_PICKLED and c == "pickle")],
+        kept=[("one number", c) for c in COPIES]
+        + [(n, "cloudpickle") for n in ("numbers only", "camera", IDS[0], IDS[-1])],
+    ),
 )
 def test_a_copy_plays_the_same_race(name, library, moment):
     with ALL[name]() as env:
@@ -131,7 +136,7 @@ def test_plain_pickle_fails_because_of_gymnasiums_wrapper(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", marked(ALL, [*STACKS, IDS[0], IDS[-1]]))
 def test_a_spec_rebuilds_the_whole_stack(name):
     expected = race_of(name)
     with ALL[name]() as env:

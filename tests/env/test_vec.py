@@ -27,6 +27,7 @@ from stkzoo import (
     race_v0,
 )
 from stkzoo.views import VIEWS
+from tests.support.views import MECHANISMS, marked
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 NUM_STEPS = 70  # two whole races and part of a third one
@@ -525,7 +526,9 @@ def test_it_follows_the_vector_environment_api():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", [name for name in VIEWS if name not in ("full", "ground")])
+@pytest.mark.parametrize(
+    "view", marked([name for name in VIEWS if name not in ("full", "ground")], MECHANISMS)
+)
 def test_observations_are_in_the_space_in_every_view(view):
     envs = make(view=view, max_cycles=3)
     observations = [step[0] for step in play(envs, random_actions(envs, 4))]

@@ -21,6 +21,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stkzoo import AgentSpec, ConfigError, RaceVectorEnv, Start
 from stkzoo.env.vec.batch_race import BatchRace
 from stkzoo.sb3 import ActiveDictRolloutBuffer, ActiveRolloutBuffer, RaceVecEnv
+from tests.support.views import marked
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 LEARNING = {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}
@@ -392,8 +393,17 @@ def play_both(envs, num_steps):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flat", [False, True])
-@pytest.mark.parametrize("view", ["racing", "masked_discrete", "flattened_multidiscrete"])
+@pytest.mark.parametrize(
+    ("view", "flat"),
+    marked(
+        [
+            (view, flat)
+            for view in ("racing", "masked_discrete", "flattened_multidiscrete")
+            for flat in (False, True)
+        ],
+        kept=[("racing", False), ("flattened_multidiscrete", True)],
+    ),
+)
 def test_it_returns_what_single_agents_get(view, flat, monkeypatch):
     starts = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
     options = {"track": "lighthouse", "max_cycles": 9, "start": starts, "view": view}

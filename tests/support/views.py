@@ -17,12 +17,19 @@ def walked(env):
 
 def marked(values, kept):
     """Returns values for ``parametrize``; only ``make test-all`` runs those that are not kept."""
-    return [
-        value if value in kept else pytest.param(value, marks=pytest.mark.matrix)
-        for value in values
-    ]
+    return [value if value in kept else _only_in_test_all(value) for value in values]
 
 
+def _only_in_test_all(value):
+    values = value if isinstance(value, tuple) else (value,)
+    return pytest.param(*values, marks=pytest.mark.matrix)
+
+
+def id_of(view):
+    return f"supertuxkart/{view}-v0"
+
+
+EACH_ID = marked([*map(id_of, VIEWS)], [*map(id_of, MECHANISMS)])
 BUILT_IN = marked(tuple(VIEWS), MECHANISMS)
 each_view = pytest.mark.parametrize("view", BUILT_IN)
 each_view_and_a_walked_one = pytest.mark.parametrize("view", [*BUILT_IN, walked])
