@@ -9,6 +9,7 @@ import textwrap
 import pytest
 
 from tests.support import paths
+from tests.support.programs import ProgramRunner
 
 pytestmark = pytest.mark.slow
 
@@ -38,47 +39,20 @@ def run_python(code):
     return done.stdout.strip()
 
 
-#: Imports once what all cases need, and forks a process for each case.
-SERVER = f"""{TAKE_OVER}{PRELUDE}
-import json, os, sys
-
-names = dict(globals())
-for line in sys.stdin:
-    case = json.loads(line)
-    if os.fork() == 0:
-        for number, file in enumerate(case["output"], 1):
-            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT), number)
-        exec(case["code"], names)
-        sys.exit()
-    print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
-"""
-
-
 @pytest.fixture(scope="module")
-def server():
-    command = [sys.executable, "-W", "error", "-c", SERVER]
-    with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        yield process
-        process.stdin.close()
+def runner():
+    with ProgramRunner(TAKE_OVER + PRELUDE, "-W", "error") as runner:
+        yield runner
 
 
 @pytest.fixture
-def on_stkzoo(server, tmp_path):
+def on_stkzoo(runner):
     """Returns a function that runs a case after the common imports and returns its output."""
 
     def run(code):
-        output = [tmp_path / "stdout", tmp_path / "stderr"]
-        for file in output:
-            file.unlink(missing_ok=True)
-        case = {"code": textwrap.dedent(code), "output": [str(file) for file in output]}
-        server.stdin.write(json.dumps(case) + "\n")
-        server.stdin.flush()
-        code = int(server.stdout.readline())
-        said, errors = (file.read_text() for file in output)
-        assert code == 0, errors
-        return said.strip()
+        done = runner.run(textwrap.dedent(code))
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
 
     return run
 

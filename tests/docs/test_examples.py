@@ -2,11 +2,7 @@
 
 import importlib
 import importlib.util
-import json
-import os
 import re
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 from unittest import mock
@@ -25,36 +21,23 @@ from tests.support.docs_blocks import (
     reason_not_to_run,
     shortened,
 )
+from tests.support.programs import ProgramRunner
 
 PAGES = pages()
-#: Reads names of folders. Forks a process for the blocks in each, and prints its exit status. Pages
-#: share the imports of other libraries, but not of stkzoo. Each block runs in a new namespace, like
-#: a reader who copies only this block. A block can read files that an earlier one wrote.
-RUNNER = """\
-import doctest, json, os, sys
-import gymnasium, matplotlib.pyplot, pettingzoo, stable_baselines3, torch
+#: What the pages share. Each block runs in a new namespace, like a reader who copies only this
+#: block. A block can read files that an earlier one wrote.
+IMPORTS = """
+import doctest, gymnasium, json, matplotlib.pyplot, pettingzoo, stable_baselines3, torch
+import stkzoo.race, stkzoo.sb3
 
-def run_blocks(folder):
-    os.chdir(folder)
-    sys.path.insert(0, folder)
-    for number in (1, 2):
-        os.dup2(os.open("output.txt", os.O_WRONLY | os.O_CREAT | os.O_APPEND), number)
-    for page, line, code in json.load(open("blocks.json")):
+def run_blocks(blocks):
+    for page, line, code in blocks:
         names = {"__name__": "__main__"}
         if ">>>" in code:
             example = doctest.DocTestParser().get_doctest(code, names, page, page, line)
             doctest.DebugRunner().run(example)
         else:
             exec(compile("\\n" * line + code, page, "exec"), names)
-
-for line in iter(sys.stdin.readline, ""):
-    if not (pid := os.fork()):
-        break
-    status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    print(line.strip(), status, sep="\\t", flush=True)
-else:
-    sys.exit()
-run_blocks(line.strip())
 """
 
 #: Commands that run as written, with options that shorten them.
@@ -103,16 +86,8 @@ def enter_folder(path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def runner():
-    """Starts the process that runs the Python blocks of pages."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [sys.executable, "-c", RUNNER],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=environment,
-    ) as process:
-        yield process
+    with ProgramRunner(IMPORTS) as runner:
+        yield runner
 
 
 @pytest.mark.slow
@@ -129,11 +104,8 @@ def test_each_python_block_of_a_page_runs_on_its_own(page, runner, tmp_path, mon
             path.write_text(block.code)
         else:
             to_run.append((page, block.line, shortened(block)))
-    (tmp_path / "blocks.json").write_text(json.dumps(to_run))
-    print(tmp_path, file=runner.stdin, flush=True)
-    answers = (line.split("\t") for line in runner.stdout)
-    status = next((status for folder, status in answers if folder == str(tmp_path)), "none")
-    assert status == "0\n", f"{status}: {(tmp_path / 'output.txt').read_text()[-4000:]}"
+    done = runner.run(f"run_blocks({to_run!r})", tmp_path)
+    assert done.returncode == 0, done.stdout[-1000:] + done.stderr[-4000:]
 
 
 @pytest.mark.slow

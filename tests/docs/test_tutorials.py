@@ -25,6 +25,7 @@ def test_a_tutorial_runs(name, tmp_path):
     assert pictures(executed(name, tmp_path, "--short")) >= 1
 
 
+@pytest.mark.matrix
 def test_the_first_training_gives_a_driver_that_beats_the_easiest_ai(tmp_path, monkeypatch):
     """Runs the whole tutorial with a third of its training steps."""
     monkeypatch.setenv("STKZOO_STEPS", "200000")

@@ -27,6 +27,7 @@ from stkzoo.errors import (
 )
 from tests.support.playing import fingerprint
 from tests.support.processes import children_of, process_exists, run_program, wait_until
+from tests.support.views import marked
 
 SPECS = [AgentSpec(), AgentSpec(use_ai=True), AgentSpec()]
 
@@ -77,7 +78,7 @@ def fork_server_pid():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("track", ["olivermath", "zengarden"])
+@pytest.mark.parametrize("track", marked(["olivermath", "zengarden"], ["olivermath"]))
 @pytest.mark.parametrize("agents", [2, SPECS], ids=["bots", "ai-agents"])
 def test_a_restored_race_equals_the_original_to_its_end(track, agents):
     with (
@@ -101,15 +102,6 @@ def test_saving_does_not_change_the_race(env):
         assert drive(env, number, number + 10) == expected[number - 30 : number - 20]
 
 
-def test_a_state_restored_ten_times_continues_the_same_ten_times(env):
-    state = started(env).save_state()
-    races = []
-    for _ in range(10):
-        env.restore_state(state)
-        races.append(drive(env))
-    assert races == [races[0]] * 10
-
-
 def test_states_of_restored_states_are_the_same(env):
     first = started(env).save_state()
     expected = drive(env)
@@ -118,13 +110,6 @@ def test_states_of_restored_states_are_the_same(env):
         first = env.save_state()
     env.restore_state(first)
     assert drive(env) == expected
-
-
-def test_other_actions_from_the_same_state_give_another_race(env):
-    state = started(env).save_state()
-    expected = drive(env)
-    env.restore_state(state)
-    assert drive(env, 31, 61) != expected
 
 
 def test_restoring_repeats_the_unseeded_resets_that_follow(env):

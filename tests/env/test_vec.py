@@ -27,7 +27,6 @@ from stkzoo import (
     race_v0,
 )
 from stkzoo.views import VIEWS
-from tests.support.views import MECHANISMS, marked
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 NUM_STEPS = 70  # two whole races and part of a third one
@@ -129,15 +128,6 @@ def test_slots_equal_the_agents_of_single_races(view, prefetch):
                     assert info_of(all_infos, slot) == result[4][agent]
 
 
-def test_prefetch_does_not_change_results():
-    traces = []
-    for prefetch in (False, True):
-        envs = make(prefetch=prefetch, track=["olivermath", "zengarden"])
-        traces.append(play(envs, random_actions(envs)))
-        envs.close()
-    assert same(traces[0], traces[1])
-
-
 def test_with_prefetch_the_next_race_is_the_prefetched_one():
     envs = make(1, prefetch=True)
     envs.reset(seed=1)
@@ -147,13 +137,6 @@ def test_with_prefetch_the_next_race_is_the_prefetched_one():
         envs.step(action)
     assert pids(envs) == ahead
     assert all(map(is_gone, before))
-    envs.close()
-
-
-def test_without_prefetch_no_race_waits():
-    envs = make(1, prefetch=False)
-    envs.reset(seed=1)
-    assert next_pids(envs) == []
     envs.close()
 
 
@@ -208,27 +191,6 @@ def test_all_races_start_a_step_before_any_is_waited_for():
 
 
 # ---------------------------------------------------------------------- seeds
-
-
-def test_the_same_seed_gives_the_same_races():
-    envs = make()
-    actions = random_actions(envs, 10)
-    assert same(play(envs, actions, seed=4), play(envs, actions, seed=4))
-    envs.close()
-
-
-def test_another_seed_gives_other_races():
-    envs = make()
-    actions = random_actions(envs, 10)
-    assert not same(play(envs, actions, seed=4), play(envs, actions, seed=5))
-    envs.close()
-
-
-def test_the_races_of_one_seed_differ():
-    envs = make(4)
-    envs.reset(seed=4)
-    assert len({race.race.seed for race in envs.races}) == 4
-    envs.close()
 
 
 def test_a_list_of_seeds_has_one_for_each_race():
@@ -337,17 +299,6 @@ def test_set_options_refuses_another_difficulty_than_that_of_the_opponents():
 def two_races():
     envs = make(prefetch=False)
     yield envs
-    envs.close()
-
-
-def test_options_of_reset_apply_to_the_first_episode_only():
-    envs = make(1, prefetch=True)
-    envs.reset(seed=1, options={"track": "zengarden", "max_cycles": 3})
-    assert envs.races[0].race.track == "zengarden"
-    for action in random_actions(envs, 3):
-        cuts = envs.step(action)[3]
-    assert cuts.all()
-    assert envs.races[0].race.track == "olivermath"
     envs.close()
 
 
@@ -525,27 +476,6 @@ def test_it_follows_the_vector_environment_api():
     envs.close()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "view", marked([name for name in VIEWS if name not in ("full", "ground")], MECHANISMS)
-)
-def test_observations_are_in_the_space_in_every_view(view):
-    envs = make(view=view, max_cycles=3)
-    observations = [step[0] for step in play(envs, random_actions(envs, 4))]
-    assert all(observation in envs.observation_space for observation in observations)
-    envs.close()
-
-
-def test_returned_arrays_are_not_overwritten():
-    envs = make()
-    observations, _ = envs.reset(seed=1)
-    copies = {key: column.copy() for key, column in observations.items()}
-    for action in random_actions(envs, 35):
-        envs.step(action)
-    assert same(observations, copies)
-    envs.close()
-
-
 def test_a_user_defined_view_works():
     def view(env):
         env = FilterObservation(VIEWS["flattened_discrete"](env), ["continuous"])
@@ -672,17 +602,6 @@ def test_a_wrong_number_of_actions_is_refused(actions):
     envs.close()
 
 
-def test_an_invalid_action_advances_no_race():
-    envs = make()
-    expected = play(envs, [[700] * 4])
-    trace = [envs.reset(seed=1)]
-    with pytest.raises(ActionError, match="kart_1 of race 1"):
-        envs.step([700, 700, 700, 1120])
-    trace.append(envs.step([700] * 4))
-    assert same(trace, expected)
-    envs.close()
-
-
 def test_calls_in_the_wrong_order_are_refused():
     envs = make()
     actions = envs.action_space.sample()
@@ -771,20 +690,6 @@ def test_a_program_that_is_killed_leaves_no_process():
 
 
 # ---------------------------------------------------------------------- one race
-
-
-def test_a_step_of_a_race_can_be_requested_now_and_awaited_later():
-    with race_v0.parallel_env(**OPTIONS, view="flattened_discrete") as race:
-        traces = []
-        for in_halves in (False, True):
-            trace = [race.reset(seed=1)]
-            for _ in range(10):
-                actions = dict.fromkeys(race.agents, 700)
-                if in_halves:
-                    race.step_async(actions)
-                trace.append(race.step_wait() if in_halves else race.step(actions))
-            traces.append(repr(trace))
-    assert traces[0] == traces[1]
 
 
 def test_requesting_twice_or_waiting_without_a_request_is_an_error():

@@ -12,6 +12,7 @@ from stkzoo import ActionError, AgentSpec, RaceVectorEnv, Start
 from stkzoo.env.vec.batch_race import BatchRace
 from stkzoo.views import VIEWS
 from tests.env.test_vec import pids, same
+from tests.support.views import MECHANISMS, marked
 
 #: The first kart finishes after a few steps. The second is truncated later, so slot 0 idles.
 STARTS = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
@@ -69,7 +70,7 @@ def both(monkeypatch, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", [*FIXED, *VARIED], ids=str)
+@pytest.mark.parametrize("view", [*marked(FIXED, MECHANISMS), *VARIED], ids=str)
 def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
     trace = both(monkeypatch, view=view)
     active = np.array([step[4]["active"] for step in trace[1:]])

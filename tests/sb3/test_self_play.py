@@ -24,10 +24,10 @@ def test_the_program_is_short_and_the_docs_show_all_of_it():
     assert "```{literalinclude} ../../examples/self_play.py\n" in page
 
 
-@pytest.mark.slow
-def test_a_policy_beats_its_first_version_after_a_short_training():
+def run_the_program(steps, matches):
+    """Returns how many of how many duels the last policy won."""
     done = subprocess.run(
-        [sys.executable, PROGRAM, "1", "16384", "6"],
+        [sys.executable, PROGRAM, "1", steps, matches],
         env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
@@ -35,7 +35,17 @@ def test_a_policy_beats_its_first_version_after_a_short_training():
         check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    won, duels = map(int, re.search(r"won (\d+) of (\d+) duels", done.stdout).groups())
+    return map(int, re.search(r"won (\d+) of (\d+) duels", done.stdout).groups())
+
+
+@pytest.mark.slow
+def test_the_program_runs():
+    run_the_program("256", "1")
+
+
+@pytest.mark.matrix
+def test_a_policy_beats_its_first_version_after_a_short_training():
+    won, duels = run_the_program("16384", "6")
     assert 2 * won > duels
 
 

@@ -16,7 +16,7 @@ from gymnasium import spaces
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecNormalize
 
 from stkzoo import AgentSpec, ConfigError, RaceVectorEnv, Start
 from stkzoo.env.vec.batch_race import BatchRace
@@ -58,11 +58,8 @@ def idle_start(envs):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "view", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
-)
-def test_ppo_learns_by_self_play(view):
-    envs = make(view=view)
+def test_ppo_learns_by_self_play():
+    envs = make(view="flattened_multidiscrete")
     model = PPO("MultiInputPolicy", envs, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING)
     before = weights(model)
     model.learn(128)
@@ -73,11 +70,8 @@ def test_ppo_learns_by_self_play(view):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "view", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
-)
-def test_ppo_learns_from_flat_observations(view):
-    envs = make(view=view, flat_observations=True)
+def test_ppo_learns_from_flat_observations():
+    envs = make(view="flattened_continuous_actions", flat_observations=True)
     model = PPO("MlpPolicy", envs, rollout_buffer_class=ActiveRolloutBuffer, **LEARNING)
     before = weights(model)
     model.learn(128)
@@ -108,15 +102,6 @@ def test_ppo_learns_from_normalized_races_although_one_crashes():
     model.learn(128, reset_num_timesteps=False)
     assert changed(before, model)
     assert envs.num_crashes == 1
-    envs.close()
-
-
-def test_it_is_a_vec_env():
-    envs = make()
-    assert isinstance(envs, VecEnv)
-    assert envs.num_envs == 4
-    assert envs.action_space == spaces.Discrete(1120)
-    assert envs.observation_space == envs.races.single_observation_space
     envs.close()
 
 
@@ -192,11 +177,8 @@ def test_evaluation_counts_races_but_not_idle_steps():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "view", ["flattened_multidiscrete", "flattened_discrete", "flattened_continuous_actions"]
-)
-def test_flat_observations_are_those_of_gymnasium(view):
-    flat, plain = make(view=view, flat_observations=True), make(view=view)
+def test_flat_observations_are_those_of_gymnasium():
+    flat, plain = make(flat_observations=True), make()
     for envs in (flat, plain):
         envs.seed(3)
     batch, dicts = flat.reset(), plain.reset()
@@ -227,18 +209,6 @@ def test_texts_are_flattened_as_gymnasium_does():
     space = envs.races.single_observation_space
     seen = {"number": np.ones(2, np.float32), "text": "cab"}
     assert np.array_equal(envs.reset(), [gym.spaces.flatten(space, seen)] * 4)
-    envs.close()
-
-
-def test_the_same_seed_gives_the_same_races():
-    envs = make()
-    traces = []
-    for _ in range(2):
-        envs.seed(4)
-        trace = [envs.reset()]
-        trace.extend(envs.step(np.full(4, 700))[0] for _ in range(5))
-        traces.append(trace)
-    assert all(map(same, *traces))
     envs.close()
 
 
@@ -303,11 +273,10 @@ def test_different_options_in_one_race_are_refused():
     envs.close()
 
 
-@pytest.mark.parametrize("count", [1, 3, 5])
-def test_options_for_another_number_of_slots_are_refused(count):
+def test_options_for_another_number_of_slots_are_refused():
     envs = make()
-    envs.set_options([{}] * count)
-    with pytest.raises(ConfigError, match=rf"options for {count} slots, expected .* a list of 4"):
+    envs.set_options([{}] * 3)
+    with pytest.raises(ConfigError, match=r"options for 3 slots, expected .* a list of 4"):
         envs.reset()
     envs.set_options([None] * 4)
     envs.reset()
