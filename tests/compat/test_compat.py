@@ -302,43 +302,26 @@ def test_tracks_are_available_before_a_race(on_stkzoo):
     assert on_stkzoo(code).splitlines() == ["True True", "True None"]
 
 
-@pytest.mark.parametrize(
-    ("wrap", "observation", "chosen"),
-    [
-        ("FlattenerWrapper(PolarObservations(ConstantSizedObservations(env)))", "dict", "dict"),
-        (
-            "FlattenerWrapper(OnlyContinuousActionsWrapper("
-            "PolarObservations(ConstantSizedObservations(env))))",
-            "dict",
-            "ndarray",
-        ),
-        (
-            "FlattenMultiDiscreteActions(FlattenerWrapper(DiscreteActionsWrapper("
-            "ConstantSizedObservations(env, state_items=3, state_paths=10, add_mask=True), "
-            "acceleration_steps=3, steer_steps=9)))",
-            "dict",
-            "int64",
-        ),
-    ],
-)
-def test_each_agent_can_have_its_own_wrappers(on_stkzoo, wrap, observation, chosen):
-    code = f"""
+def test_each_agent_can_have_its_own_wrappers(on_stkzoo):
+    code = """
     from pystk2_gymnasium import AgentSpec, MonoAgentWrapperAdapter
-    from pystk2_gymnasium.stk_wrappers import (
-        ConstantSizedObservations, DiscreteActionsWrapper, OnlyContinuousActionsWrapper,
-        PolarObservations,
-    )
+    from pystk2_gymnasium.stk_wrappers import ConstantSizedObservations, DiscreteActionsWrapper
     from pystk2_gymnasium.wrappers import FlattenerWrapper, FlattenMultiDiscreteActions
+
+    def wrap(env):
+        env = ConstantSizedObservations(env, state_items=3, state_paths=10, add_mask=True)
+        env = DiscreteActionsWrapper(env, acceleration_steps=3, steer_steps=9)
+        return FlattenMultiDiscreteActions(FlattenerWrapper(env))
 
     env = MonoAgentWrapperAdapter(
         gym.make("supertuxkart/multi-full-v0", agents=[AgentSpec(), AgentSpec()], num_kart=3,
                  track="lighthouse"),
         keep_original=True,
-        wrapper_factories={{"0": lambda env: {wrap}, "1": lambda env: env}},
+        wrapper_factories={"0": wrap, "1": lambda env: env},
     )
     observations, _ = env.reset(seed=1)
     for _ in range(10):
-        actions = {{key: env.action_space[key].sample() for key in "01"}}
+        actions = {key: env.action_space[key].sample() for key in "01"}
         observations, *_ = env.step(actions)
     print(sorted(observations), env.observation_space.contains(observations))
     print(type(observations["0"]).__name__, type(actions["0"]).__name__)
@@ -346,7 +329,7 @@ def test_each_agent_can_have_its_own_wrappers(on_stkzoo, wrap, observation, chos
     """
     assert on_stkzoo(code).splitlines() == [
         "['0', '1', 'original/0', 'original/1'] True",
-        f"{observation} {chosen}",
+        "dict int64",
     ]
 
 
@@ -447,13 +430,12 @@ def test_observations_of_an_ai_agent_include_its_action(on_stkzoo):
     assert on_stkzoo(code) == "(1,) True"
 
 
-@pytest.mark.parametrize("env_id", ["supertuxkart/simple-v0", "supertuxkart/full-v0"])
-def test_vector_environments_can_be_made(on_stkzoo, env_id):
-    code = f"""
+def test_vector_environments_can_be_made(on_stkzoo):
+    code = """
     from pystk2_gymnasium import make_stkrace_vec
 
-    env = make_stkrace_vec(num_envs=2, env_id="{env_id}",
-                           env_kwargs={{"track": "lighthouse", "num_kart": 2}})
+    env = make_stkrace_vec(num_envs=2, env_id="supertuxkart/simple-v0",
+                           env_kwargs={"track": "lighthouse", "num_kart": 2})
     env.reset(seed=1)
     _, rewards, *_ = env.step(env.action_space.sample())
     print(rewards.shape)

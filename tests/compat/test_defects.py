@@ -16,12 +16,11 @@ from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
 from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.episode import EpisodeRecord
-from stkzoo.errors import ActionError
 from stkzoo.mdp.observations import observe_karts
 from stkzoo.mdp.rewards import as_reward
 from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.views.plan import Seats
-from stkzoo.wrappers import ConstantSizedObservations, Discretizer, PolarObservations
+from stkzoo.wrappers import Discretizer, PolarObservations
 from tests.support.paths import ROOT
 from tests.support.views import EACH_ID, marked
 
@@ -146,44 +145,7 @@ def test_d02_agents_get_the_start_positions_they_request(places):
             assert len(set(taken)) == len(taken)
 
 
-def test_d02_a_lower_start_position_is_farther_ahead():
-    agents = [AgentSpec(rank_start=3), AgentSpec(rank_start=0)]
-    with race_v0.parallel_env(agents=agents, num_kart=4, track=SHORT_TRACK) as env:
-        observations, _ = env.reset(seed=0)
-        assert max(p[2] for p in observations["kart_1"]["karts_position"]) < 0
-        assert min(p[2] for p in observations["kart_0"]["karts_position"]) > 0
-
-
-@pytest.mark.slow
-def test_d03_a_seed_gives_the_same_race_regardless_of_earlier_resets():
-    with race_v0.parallel_env(agents=3, num_kart=5, track=SHORT_TRACK) as env:
-        drawn = set()
-        for unseeded in range(4):
-            env.reset(seed=7)
-            drawn.add(env.race)
-            for _ in range(unseeded):
-                env.reset()
-        assert len(drawn) == 1
-
-
 # ------------------------------------------------------------------------------------ D04
-
-
-@pytest.mark.parametrize("env_id", ["supertuxkart/full-v0", MULTI_ID])
-def test_d04_resets_without_a_seed_continue_the_seeded_stream(env_id):
-    env = gym.make(env_id, num_kart=2)
-
-    def races():
-        drawn = []
-        for seed in (1, None, None):
-            env.reset(seed=seed)
-            drawn.append(env.unwrapped.core.race)
-        return drawn
-
-    first, second = races(), races()
-    env.close()
-    assert first == second
-    assert len({race.seed for race in first}) == 3
 
 
 # ---------------------------------------------------------------------------- D05 and D06
@@ -196,18 +158,6 @@ def test_d05_a_finished_agent_gets_the_bonus_once(finished_race):
         finish = [info["terminated"][agent] for *_, info in steps].index(True)
         assert rewards[finish] >= 9.9
         assert not any(rewards[finish + 1 :])
-
-
-def test_d05_a_finished_agent_leaves_and_the_race_continues():
-    with race_v0.parallel_env(agents=specs("aaa"), track=SHORT_TRACK) as env:
-        env.reset(seed=0)
-        left_with = []
-        while env.agents:
-            before = list(env.agents)
-            _, rewards, terminations, _, _ = env.step({})
-            assert list(rewards) == before
-            left_with += [env.agents for agent in before if terminations[agent]]
-        assert [len(rest) for rest in left_with] == [2, 1, 0]
 
 
 def test_d06_each_agent_has_its_own_reward_termination_and_info(finished_race):
@@ -273,28 +223,6 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
     assert all(better >= worse - 1e-9 for better, worse in pairwise(by_rank))
 
 
-@pytest.mark.slow
-def test_d06_placement_returns_follow_the_finishing_order_of_a_real_race():
-    agents = specs("aaaa")
-    with race_v0.parallel_env(
-        agents=agents, num_kart=4, track=SHORT_TRACK, reward="placement"
-    ) as env:
-        for seed in range(2):
-            env.reset(seed=seed)
-            returns = dict.fromkeys(env.possible_agents, 0.0)
-            times = {}
-            while env.agents:
-                _, rewards, terminations, _, infos = env.step({})
-                for agent, reward in rewards.items():
-                    returns[agent] += reward
-                    if terminations[agent]:
-                        times[agent] = infos[agent]["finish_time"]
-            order = sorted(times, key=times.get)
-            assert [round(returns[agent], 6) for agent in order] == pytest.approx(
-                [2, 1 + 2 / 3, 1 + 1 / 3, 1], abs=1e-3
-            )
-
-
 # ------------------------------------------------------------------------------------ D07
 
 
@@ -324,33 +252,12 @@ def test_d07_actions_of_the_games_ai_become_the_nearest_steps():
 # ------------------------------------------------------------------------------------ D08
 
 
-@pytest.mark.parametrize("view", [v for v in stkzoo.views.VIEWS if v.startswith("flattened")])
-def test_d08_flattened_views_have_exactly_two_keys(view):
-    env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)
-    observation, _ = env.reset(seed=0)
-    env.close()
-    assert set(env.observation_space) == set(observation) == {"continuous", "discrete"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "view",
-    marked(
-        ["flattened_continuous_actions", "flattened_multidiscrete", "flattened_discrete"],
-        kept=["flattened_discrete"],
-    ),
-)
-def test_d08_sb3_works_with_flattened_views(view):
-    from stable_baselines3 import PPO
-
-    env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)
-    model = PPO("MultiInputPolicy", env, n_steps=8, batch_size=8, device="cpu")
-    observation, _ = env.reset(seed=0)
-    for _ in range(3):
-        chosen, _ = model.predict(observation)
-        observation, *_ = env.step(chosen)
-    env.close()
-    assert env.action_space.contains(chosen)
+def test_d08_flattened_views_have_exactly_two_keys():
+    for view in (view for view in stkzoo.views.VIEWS if view.startswith("flattened")):
+        env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)
+        observation, _ = env.reset(seed=0)
+        env.close()
+        assert set(env.observation_space) == set(observation) == {"continuous", "discrete"}
 
 
 # ------------------------------------------------------------------------------------ D09
@@ -380,38 +287,11 @@ def test_d09_observations_of_mixed_agents_are_in_their_spaces():
 # ------------------------------------------------------------------------------------ D10
 
 
-@pytest.mark.slow
-def test_d10_a_seed_gives_the_same_whole_race_with_bots():
-    def trajectory(env):
-        env.reset(seed=3)
-        moments = [env.snapshot.data]
-        while env.agents:
-            env.step({})
-            moments.append(env.snapshot.data)
-        return moments
-
-    with race_v0.parallel_env(agents=specs("aa"), num_kart=4, track=SHORT_TRACK) as env:
-        first, second, third = (trajectory(env) for _ in range(3))
-    assert len(first) > 200
-    assert first == second == third
-
-
-def test_d10_a_different_seed_gives_a_different_race():
-    with race_v0.parallel_env(agents=specs("aa"), num_kart=4, track=SHORT_TRACK) as env:
-        ends = []
-        for seed in (3, 4):
-            env.reset(seed=seed)
-            for _ in range(100):
-                env.step({})
-            ends.append(env.snapshot.data)
-        assert ends[0] != ends[1]
-
-
 # ------------------------------------------------------------------------------------ D12
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", [*EACH_ID, MULTI_ID])
+@pytest.mark.parametrize("env_id", ["supertuxkart/simple-v0", MULTI_ID])
 def test_d12_a_track_given_at_reset_applies_to_that_episode(env_id):
     env = gym.make(env_id, num_kart=2, track=SHORT_TRACK)
     env.reset(seed=0, options={"track": "olivermath"})
@@ -473,16 +353,6 @@ def test_d13_wrappers_do_not_change_the_original_observations():
         observation, expected = env.step(actions)[0], plain.step(actions)[0]
     env.close()
     plain.close()
-
-
-@pytest.mark.parametrize("wrapper", [ConstantSizedObservations, PolarObservations])
-def test_d13_observing_twice_gives_the_same_result(wrapper):
-    env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
-    wrapped = wrapper(env)
-    observation, _ = env.reset(seed=5)
-    first, second = wrapped.observation(observation), wrapped.observation(observation)
-    env.close()
-    assert same(first, second)
 
 
 # ------------------------------------------------------------------------------------ D14
@@ -600,7 +470,7 @@ def driving_distances(track):
 
 
 @pytest.mark.parametrize(
-    "name", marked(["cocoa_temple", "stk_enterprise", "hacienda", "lighthouse"], ["lighthouse"])
+    "name", marked(["cocoa_temple", "stk_enterprise", "hacienda", "lighthouse"], ["cocoa_temple"])
 )
 def test_d16_segments_are_sorted_by_driving_distance(name):
     with race_v0.parallel_env(num_kart=1, track=name) as env:
@@ -711,31 +581,6 @@ def run_python(code):
 # ------------------------------------------------------------------------------------ D18
 
 
-def test_d18_stepping_two_environments_in_turn_matches_stepping_one():
-    def race(env, seed):
-        env.reset(seed=seed)
-        while True:
-            yield env.snapshot.data
-            env.step(idle(env))
-
-    with parallel_race() as one, parallel_race() as two:
-        alone = [next(moments) for moments in [race(one, 1)] for _ in range(60)]
-        pairs = zip(race(one, 1), race(two, 2), range(60), strict=False)
-        in_turn = [moment for moment, _, _ in pairs]
-    assert in_turn == alone
-
-
-@pytest.mark.parametrize("make", [parallel_race, dict_race])
-def test_d18_a_closed_environment_can_be_reset(make):
-    env = make()
-    env.reset(seed=0)
-    env.close()
-    env.close()
-    observations, _ = env.reset(seed=0)
-    env.close()
-    assert len(observations) == 2
-
-
 def test_d18_seeding_one_space_does_not_affect_the_others():
     env = gym.make(MULTI_ID, num_kart=2)
     other = gym.make(MULTI_ID, num_kart=2)
@@ -760,86 +605,41 @@ def test_d18_no_space_is_shared_between_environments(env_id):
         assert "mine" not in gym.make(env_id).observation_space.spaces
 
 
-@pytest.mark.parametrize("steer", [5.0, -1.5, np.nan, np.inf, "left", None])
-def test_d18_an_invalid_action_is_refused_and_the_race_does_not_move(steer):
-    env = gym.make("supertuxkart/full-v0", track=SHORT_TRACK)
-    env.reset(seed=0)
-    before = env.unwrapped.core.snapshot
-    with pytest.raises(ActionError, match="steer"):
-        env.step({**action(), "steer": steer})
-    assert env.unwrapped.core.snapshot is before
-    env.step(action())
-    env.close()
-
-
 # ------------------------------------------------------------------------- invalid arguments
 
 BAD_ARGUMENTS = [
-    ({"track": "lighthous"}, "Did you mean 'lighthouse'"),
-    ({"track": ""}, "unknown track ''"),
     ({"track": "battleisland"}, "unknown track 'battleisland'"),
     ({"track": ["lighthouse", "nowhere"]}, "'nowhere'"),
-    ({"track": []}, "empty list"),
-    ({"track": 5}, "track is 5"),
     ({"track": {"lighthouse": 1}}, "track is"),
-    ({"num_kart": 0}, "num_kart is 0, expected a whole number from 1"),
-    ({"num_kart": -1}, "num_kart is -1"),
     ({"num_kart": 10**6}, "num_kart is 1000000"),
-    ({"num_kart": 2.5}, "num_kart is 2.5"),
-    ({"num_kart": "3"}, "num_kart is '3'"),
     ({"num_kart": True}, "num_kart is True"),
-    ({"num_kart": None}, "num_kart is None"),
     ({"difficulty": 9}, "difficulty is 9, expected a whole number from 0 to 3"),
-    ({"difficulty": -1}, "difficulty is -1"),
-    ({"difficulty": 1.5}, "difficulty is 1.5"),
     ({"difficulty": True}, "difficulty is True"),
-    ({"difficulty": "hard"}, "difficulty is 'hard'"),
-    ({"laps": 0}, "laps is 0"),
-    ({"laps": -1}, "laps is -1"),
-    ({"laps": 1.5}, "laps is 1.5"),
     ({"laps": 10**9}, "laps is 1000000000"),
     ({"step_size": 0}, "step_size is 0"),
-    ({"step_size": -1}, "step_size is -1"),
     ({"step_size": float("nan")}, "step_size is nan"),
-    ({"step_size": float("inf")}, "step_size is inf"),
     ({"step_size": "fast"}, "step_size is 'fast'"),
-    ({"max_cycles": 0}, "max_cycles is 0"),
-    ({"max_cycles": -5}, "max_cycles is -5"),
     ({"max_cycles": 10.5}, "max_cycles is 10.5"),
-    ({"max_paths": 0}, "max_paths is 0"),
     ({"max_paths": "all"}, "max_paths is 'all'"),
-    ({"reverse": "yes"}, "reverse is 'yes'"),
     ({"num_cameras": 9}, "num_cameras is 9"),
-    ({"num_cameras": -1}, "num_cameras is -1"),
     ({"render_mode": "rgb_arrays"}, "render_mode is 'rgb_arrays'"),
     ({"graphics_config": "ultra"}, "unknown graphics_config 'ultra'"),
-    ({"engine_timeout": 0}, "engine_timeout is 0"),
     ({"engine_timeout": float("nan")}, "engine_timeout is nan"),
-    ({"engine_timeout": "long"}, "engine_timeout is 'long'"),
-    ({"view": "flatened"}, "Did you mean 'flattened'"),
     ({"view": 5}, "view is 5"),
     ({"view": {"kart_9": "full"}}, "kart_9"),
     ({"view": {"kart_0": "nothing"}}, "unknown view 'nothing'"),
     ({"reward": "placment"}, "Did you mean 'placement'"),
-    ({"reward": 5}, "reward is 5"),
     ({"reward": {"drift": 1.0}}, "unknown reward term 'drift'"),
     ({"reward": {"time": float("nan")}}, "'time' is nan"),
     ({"reward": {"time": "much"}}, "'time' is 'much'"),
     ({"agents": 0}, "0 agents for 3 karts"),
-    ({"agents": 4}, "4 agents for 3 karts"),
-    ({"agents": []}, "0 agents for 3 karts"),
     ({"agents": 1.5}, "agents is 1.5"),
     ({"agents": True}, "agents is True"),
-    ({"agents": "kart_0"}, "agents is 'kart_0'"),
-    ({"agents": ["kart_0"]}, "agent 0 is 'kart_0', expected an AgentSpec"),
     ({"agents": [AgentSpec()] * 4}, "4 agents for 3 karts"),
     ({"agents": [AgentSpec(rank_start=3)]}, "rank_start of agent 0 is 3"),
-    ({"agents": [AgentSpec(rank_start=-1)]}, "rank_start of agent 0 is -1"),
     ({"agents": [AgentSpec(rank_start=0.5)]}, "rank_start of agent 0 is 0.5"),
     ({"agents": [AgentSpec(rank_start=1), AgentSpec(rank_start=1)]}, "rank_start=1"),
     ({"agents": [AgentSpec(kart="gnuu")]}, "Did you mean 'gnu'"),
-    ({"agents": [AgentSpec(kart=5)]}, "unknown kart 5"),
-    ({"agents": [AgentSpec(color=1.5)]}, "color of agent 0 is 1.5"),
     ({"agents": [AgentSpec(color=float("nan"))]}, "color of agent 0 is nan"),
     ({"agents": [AgentSpec(name=5)]}, "name of agent 0 is 5"),
     ({"agents": [AgentSpec(camera_mode="BEHIND")]}, "camera_mode is 'BEHIND'"),

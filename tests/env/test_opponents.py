@@ -376,7 +376,7 @@ def test_the_karts_of_one_driver_in_many_races_are_driven_together():
     envs.close()
 
 
-@pytest.mark.parametrize("name", ["heuristic", "pretrained:ace", "pretrained:scout", "network"])
+@pytest.mark.parametrize("name", ["heuristic", "pretrained:ace", "network"])
 def test_a_shipped_driver_acts_the_same_for_a_batch_as_for_single_karts(name, tmp_path):
     """Bit for bit, on tracks with different numbers of segments and items."""
     if name == "network":

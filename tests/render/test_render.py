@@ -14,7 +14,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.utils.save_video import save_video
 from PIL import Image, ImageGrab
 
 import stkzoo  # noqa: F401 - registers the ids
@@ -24,6 +23,7 @@ from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets, link_without_dia
 from stkzoo.errors import AssetError, ConfigError, EngineCrashed
 from stkzoo.names import CameraMode
 from tests.support.rendering import drive, history, small_race, who_draws
+from tests.support.views import marked
 
 SMALL = (96, 64)
 MAP = {"render_backend": "map", "render_size": SMALL}
@@ -327,7 +327,8 @@ def test_a_camera_is_behind_its_own_kart():
 @pytest.mark.slow
 @pytest.mark.skipif(who_draws() == "map", reason="the game cannot draw on this machine")
 @pytest.mark.parametrize(
-    ("size", "cameras"), [((320, 240), 5), ((1920, 1440), 1), ((1024, 768), 2)]
+    ("size", "cameras"),
+    marked([((320, 240), 5), ((1920, 1440), 1), ((1024, 768), 2)], kept=[((320, 240), 5)]),
 )
 def test_a_kart_has_the_same_shape_on_all_screens(size, cameras):
     """The game splits its screen; without a display, the screen is at most 1024 x 768."""
@@ -464,50 +465,3 @@ def test_drawing_without_pillow_names_the_extra():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert "ConfigError: drawing needs Pillow" in done.stderr
     assert "[record]" in done.stderr
-
-
-# ------------------------------------------------------------------ Gymnasium's recorders
-
-
-@pytest.mark.slow
-def test_record_video_writes_a_file(tmp_path):
-    env = gym.make(
-        "supertuxkart/flattened_discrete-v0",
-        num_kart=2,
-        track="lighthouse",
-        max_episode_steps=8,
-        render_mode="rgb_array",
-        **MAP,
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings of moviepy and RecordVideo
-        env = gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)
-        env.reset(seed=1)
-        for _ in range(8):
-            env.step(env.action_space.sample())
-        env.close()
-    (video,) = tmp_path.glob("*.mp4")
-    assert video.stat().st_size > 1000
-
-
-@pytest.mark.slow
-def test_save_video_writes_a_file(tmp_path):
-    env = gym.make(
-        "supertuxkart/flattened_discrete-v0",
-        num_kart=2,
-        track="lighthouse",
-        render_mode="rgb_array_list",
-        **MAP,
-    )
-    env.reset(seed=1)
-    for _ in range(6):
-        env.step(env.action_space.sample())
-    frames = env.render()
-    assert len(frames) == 7
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # warnings of moviepy
-        save_video(
-            frames, str(tmp_path), fps=env.metadata["render_fps"], episode_trigger=lambda _: True
-        )
-    env.close()
-    assert [path.suffix for path in Path(tmp_path).iterdir()] == [".mp4"]

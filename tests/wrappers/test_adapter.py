@@ -5,7 +5,6 @@ from threading import Lock
 
 import cloudpickle
 import gymnasium as gym
-import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
@@ -230,13 +229,6 @@ def test_spaces_of_an_unknown_agent_are_refused():
                 space("kart_9")
 
 
-def test_spaces_are_the_same_objects_each_time(form):
-    make, agents = form
-    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: simple}, keep_original=True)
-    for one, other in zip(space_of(env, agents[0]), space_of(env, agents[0]), strict=True):
-        assert one is other
-
-
 def test_the_environment_gets_actions_in_its_own_space(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete})
@@ -454,14 +446,6 @@ def test_the_parallel_adapter_passes_pettingzoos_test():
     parallel_api_test(env, num_cycles=100)
 
 
-def test_the_parallel_adapter_is_seeded():
-    def draw():
-        env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: simple})
-        return env.reset(seed=4)[0]
-
-    assert_same(draw(), draw())
-
-
 @pytest.fixture
 def race():
     env = race_v0.parallel_env(num_kart=3, track="lighthouse")
@@ -482,31 +466,6 @@ def test_an_adapted_race_equals_one_with_views(race):
             ours, theirs = adapted.step(actions), viewed.step(actions)
             assert_same(ours[0], theirs[0])
             assert ours[1:4] == theirs[1:4]
-
-
-def test_observations_of_an_adapted_multi_agent_env_are_in_its_space():
-    env = MonoAgentWrapperAdapter(
-        gym.make("supertuxkart/multi-full-v0", agents=2, num_kart=3, track="lighthouse"),
-        wrapper_factories={"0": simple, "1": discrete},
-        keep_original=True,
-    )
-    observations, _ = env.reset(seed=3)
-    for _ in range(20):
-        assert observations in env.observation_space
-        observations, reward, *_, info = env.step(env.action_space.sample())
-        assert reward == pytest.approx(sum(info["reward"].values()))
-    env.close()
-
-
-def test_a_race_continues_without_a_truncated_agent(race):
-    env = MonoAgentWrapperAdapter(race, wrapper_factories={2: lambda env: TimeLimit(env, 3)})
-    env.reset(seed=3)
-    seen = []
-    for _ in range(5):
-        observations = env.step(samples(env, env.agents))[0]
-        seen.append(len(observations))
-        assert all(np.isfinite(o["velocity"]).all() for o in observations.values())
-    assert seen == [3, 3, 3, 2, 2]
 
 
 # ------------------------------------------------------------------ saved states
