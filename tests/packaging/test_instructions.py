@@ -113,7 +113,7 @@ def test_the_repository_url_is_the_same_everywhere():
     assert f"repository-code: {URL}\n" in (ROOT / "CITATION.cff").read_text("utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_every_instruction_works(place):
     checkout, python = place
     # Without dependencies, pip does the same for all extras, so one of each form is enough.
@@ -127,7 +127,7 @@ def test_every_instruction_works(place):
         assert "Would install" in said, (command, said)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.parametrize("extra", ["all", "rllib"])
 def test_the_libraries_of_extras_can_be_installed_together(place, extra):
     checkout, python = place
@@ -143,7 +143,7 @@ def test_the_libraries_of_extras_can_be_installed_together(place, extra):
     assert "nvidia" not in said
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_the_install_command_in_messages_works(place):
     checkout, python = place
     code, said = run("pip install --quiet --no-deps .", checkout, python)

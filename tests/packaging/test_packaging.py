@@ -130,6 +130,7 @@ def test_the_wheel_works_outside_the_checkout(installed, tmp_path):
     assert "wilber" in said
 
 
+@pytest.mark.matrix
 def test_type_checkers_see_the_types_of_the_installed_package(installed, tmp_path):
     (tmp_path / "consumer.py").write_text(CONSUMER)
     (tmp_path / "wrong.py").write_text(WRONG)
