@@ -231,11 +231,12 @@ def test_views_of_few_groups_of_opponents_are_kept():
 
 def test_policies_of_opponents_get_no_images():
     with (
-        against([forward], view="camera") as env,
+        against([forward], view=("camera", {"backend": "map"})) as env,
         pytest.raises(ConfigError, match=r"'forward' cannot use the agents' view .*no camera"),
     ):
         env.reset(seed=1)
-    with against([Driver.of_policy(forward, view=RACE["view"])], view="camera") as env:
+    driver = Driver.of_policy(forward, view=RACE["view"])
+    with against([driver], view=("camera", {"backend": "map"})) as env:
         env.reset(seed=1)
         assert len(env._opponents.ask(env._episode)) == 1
 
