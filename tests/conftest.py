@@ -26,7 +26,8 @@ def pytest_terminal_summary(terminalreporter):
     seconds = Counter()
     for reports in terminalreporter.stats.values():
         for report in reports:
-            seconds["/".join(report.nodeid.split("/")[:2])] += getattr(report, "duration", 0)
+            place = report.nodeid.partition("::")[0].split("/")[:2]
+            seconds["/".join(place)] += getattr(report, "duration", 0)
     if terminalreporter.config.getoption("durations"):
         terminalreporter.write_sep("=", "seconds by folder")
         for folder, total in seconds.most_common():

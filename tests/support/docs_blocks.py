@@ -121,7 +121,8 @@ def reason_not_to_run(block):
 
 
 def commands(block):
-    """Returns the commands of a shell block as lists of words, without comments."""
+    """Returns the commands of a shell block as lists of words, without comments and variables."""
     joined = block.code.replace("\\\n", " ")
     lines = [line for text in joined.splitlines() for line in text.split(" && ")]
-    return [words for line in lines if (words := shlex.split(line, comments=True))]
+    words = [shlex.split(re.sub(r"^([A-Z_]+=\S+ )+", "", line), comments=True) for line in lines]
+    return [each for each in words if each]
