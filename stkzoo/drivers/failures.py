@@ -27,8 +27,6 @@ _MAX_FRAMES = 30
 MAX_TEXT = 4000
 #: Maximum length of an agent's value in an error [characters]; typical actions are shorter.
 _MAX_VALUE = 1000
-#: Maximum size in JSON of the note that a text was shortened, and of a character [bytes].
-_LEFT_OUT, _LARGEST_CHARACTER = 60, 12
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
 #: Terminal escape sequences, such as colors and window titles.
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
@@ -76,13 +74,10 @@ def fitted(text: str, size: int) -> str:
     Returns:
         The text or, if it is too large, its beginning and end; empty if ``size`` is too small.
     """
-    if (found := json_size(text)) <= size:
-        return text
-    room = size - _LEFT_OUT
-    for limit in (len(text) * room // found, room // _LARGEST_CHARACTER):
-        if limit > 1 and json_size(shorter := bounded(text, limit)) <= size:
-            return shorter
-    return ""
+    limit = len(text)
+    while limit and json_size(bounded(text, limit)) > size:
+        limit //= 2
+    return bounded(text, limit) if limit else ""
 
 
 def json_size(text: str) -> int:

@@ -56,7 +56,7 @@ class Channel:
     """
 
     def __init__(self, connection: socket.socket) -> None:
-        self._connection = connection
+        self._connection, self._reader = connection, connection.makefile("rb")
 
     def send(self, message: Reply) -> None:
         """Sends one message.
@@ -78,13 +78,10 @@ class Channel:
         return self._exactly(length_in(self._exactly(LENGTH.size)))
 
     def _exactly(self, size: int) -> bytes:
-        data = bytearray()
-        while len(data) < size:
-            block = self._connection.recv(size - len(data))
-            if not block:
-                raise EOFError("the connection was closed")
-            data += block
-        return bytes(data)
+        data = self._reader.read(size)
+        if len(data) < size:
+            raise EOFError("the connection was closed")
+        return data
 
 
 def main(connection_fd: int, memory: int) -> None:

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
+import msgspec
+
 from stkzoo.drivers.failures import printable
-from stkzoo.drivers.instances import Decision
 from stkzoo.drivers.messages import Failed, Message, Ready, encode
 from stkzoo.drivers.replies import arrival_time, end_wait, pending_replies, receive_pending
-from stkzoo.errors import AgentError, ProtocolError, RemoteError
+from stkzoo.errors import ProtocolError, RemoteError
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
 from stkzoo.race.remote.sockets import client_socket, zmq_module
@@ -39,19 +40,6 @@ class Server:
     key: str | None = None
 
 
-@dataclass(eq=False)
-class Failure(Exception):
-    """Raised when the server reports a failure of an agent.
-
-    Attributes:
-        error: the agent's error, without the agent's id.
-        is_usable: whether the agent accepts further observations.
-    """
-
-    error: AgentError
-    is_usable: bool = False
-
-
 class Connection:
     """A connection to a server. Use it in one thread only.
 
@@ -75,7 +63,7 @@ class Connection:
         self._seats: set[int] = set()
         self._starting: set[int] = set()
         self._asked: set[int] = set()
-        self._answers: dict[int, Ready | Decision | Failure] = {}
+        self._answers: dict[int, Ready | Failed | protocol.Answer] = {}
         self._pending = pending_replies()
         self._flushed = time.monotonic()
         self._send(protocol.Hello(protocol.VERSION, version("stkzoo")))
@@ -110,17 +98,14 @@ class Connection:
             what: description of the request, for errors.
 
         Returns:
-            After :meth:`open`, the agent's :class:`Ready` message; after :meth:`ask`, its decision.
+            After :meth:`open`, the agent's outcome: :class:`Ready` or :class:`Failed`; after
+                :meth:`ask`, its answer.
 
         Raises:
-            Failure: the agent failed.
             RemoteError: the server did not reply in time, or the connection failed.
         """
         self._wait(lambda: seat in self._answers, deadline, what)
-        answer = self._answers.pop(seat)
-        if isinstance(answer, Failure):
-            raise answer
-        return answer
+        return self._answers.pop(seat)
 
     def ask(self, seat: int, observation: bytes) -> None:
         """Buffers an observation. All are sent when each seat has one, or by :meth:`flush`."""
@@ -278,11 +263,7 @@ class Connection:
                     raise ProtocolError("a second welcome, expected one")
                 self.welcome = message
             case protocol.Opened(seat, outcome):
-                self._resolve(
-                    self._starting,
-                    seat,
-                    outcome if isinstance(outcome, Ready) else Failure(outcome.report.error()),
-                )
+                self._resolve(self._starting, seat, outcome)
             case protocol.Acted():
                 self._handle_acted(message)
 
@@ -297,23 +278,25 @@ class Connection:
         if message.step != self._step or not self._asked:
             raise ProtocolError(f"an answer to step {message.step} that was not requested")
         elapsed = max(arrival_time() - self._flushed, 0.0)
-        has_failures = any(isinstance(answer.outcome, Failed) for answer in message.answers)
-        longest = max((answer.seconds for answer in message.answers), default=0.0)
-        unexplained = 0.0 if has_failures else max(elapsed - longest, 0.0)
+        longest = max((_reported(answer, elapsed) for answer in message.answers), default=0.0)
+        unexplained = max(elapsed - longest, 0.0)
         for answer in message.answers:
-            if isinstance(answer.outcome, Failed):
-                error = answer.outcome.report.error(seconds=elapsed)
-                self._resolve(self._asked, answer.seat, Failure(error, answer.is_usable))
-            else:
-                action, is_clipped = answer.outcome.action.values(), answer.outcome.is_clipped
-                seconds = min(answer.seconds + unexplained, elapsed)
-                self._resolve(self._asked, answer.seat, Decision(action, seconds, is_clipped))
+            seconds = min(_reported(answer, elapsed) + unexplained, elapsed)
+            charged = msgspec.structs.replace(answer, seconds=seconds)
+            self._resolve(self._asked, answer.seat, charged)
         if self._asked:
             raise ProtocolError(f"no answer for seats {sorted(self._asked)}")
         self._pending.discard(self)
 
-    def _resolve(self, awaited: set[int], seat: int, answer: Ready | Decision | Failure) -> None:
+    def _resolve(
+        self, awaited: set[int], seat: int, answer: Ready | Failed | protocol.Answer
+    ) -> None:
         if seat not in awaited:
             raise ProtocolError(f"an answer for seat {seat}, which was not requested")
         awaited.discard(seat)
         self._answers[seat] = answer
+
+
+def _reported(answer: protocol.Answer, elapsed: float) -> float:
+    """Returns the duration of a decision that the server reports; a failure took all the time."""
+    return elapsed if isinstance(answer.outcome, Failed) else answer.seconds

@@ -14,12 +14,12 @@ from stkzoo._schema import Count
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest
-from stkzoo.drivers.messages import MAX_NAME, encode_observation
+from stkzoo.drivers.messages import MAX_NAME, Failed, encode_observation
 from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
 from stkzoo.mdp.spaces import extras_of
-from stkzoo.race.remote.connection import Connection, Failure, Server
+from stkzoo.race.remote.connection import Connection, Server
 from stkzoo.race.remote.keys import KeyPair, new_keys
-from stkzoo.race.remote.protocol import Welcome
+from stkzoo.race.remote.protocol import Answer, Welcome
 from stkzoo.race.remote.sockets import full_address, zmq_module
 
 #: Additional time for a server to report that an agent exceeded its time limit [s].
@@ -212,9 +212,12 @@ class RemoteAgent:
             if self._served not in ServedAgent.all_of(self._server, welcome):
                 raise ProtocolError(f"the agents of {self._server.address} have changed")
             deadline = self._begin + start_timeout + _MARGIN
-            ready = self._connection.wait_answer(self._seat, deadline, "start an agent")
-        self._paths = ready.paths_used
-        return printable(ready.name)
+            outcome = self._connection.wait_answer(self._seat, deadline, "start an agent")
+        if isinstance(outcome, Failed):
+            self.is_usable = False
+            raise outcome.report.error(self._agent)
+        self._paths = outcome.paths_used
+        return printable(outcome.name)
 
     def ask(self, observation: Any) -> None:
         """Buffers the observation until each agent of the server has one."""
@@ -227,8 +230,12 @@ class RemoteAgent:
         self._group.flush()
         with self._failures():
             deadline = self._begin + self._timeout()
-            decision: Decision = self._connection.wait_answer(self._seat, deadline, "answer")
-        return decision
+            answer: Answer = self._connection.wait_answer(self._seat, deadline, "answer")
+        outcome = answer.outcome
+        if isinstance(outcome, Failed):
+            self.is_usable = answer.is_usable
+            raise outcome.report.error(self._agent, answer.seconds)
+        return Decision(outcome.action.values(), answer.seconds, outcome.is_clipped)
 
     def close(self) -> None:
         """Stops the agent on the server."""
@@ -244,13 +251,9 @@ class RemoteAgent:
 
     @contextmanager
     def _failures(self) -> Iterator[None]:
-        """Converts failures of the agent and its server to :class:`AgentError`."""
+        """Converts failures of the server to :class:`AgentError`."""
         try:
             yield
-        except Failure as failure:
-            self.is_usable = failure.is_usable
-            failure.error.key = self._agent
-            raise failure.error from None
         except RemoteError as error:
             self.is_usable = False
             is_late = "in time" in str(error)
