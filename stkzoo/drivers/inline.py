@@ -20,10 +20,6 @@ from stkzoo.drivers.replies import receive_pending
 from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.views.agent_chain import AgentChain
 
-#: Interval at which the alarm repeats [s]. It repeats because Python ignores exceptions that are
-#: raised in a destructor or in a callback of the garbage collector.
-_AGAIN = 0.5
-
 
 class InlineAgent:
     """An agent whose code, view and wrappers run in this process.
@@ -181,7 +177,7 @@ def _time_limit(seconds: float | None) -> Iterator[None]:
         raise _TooLate
 
     previous = signal.signal(signal.SIGALRM, end)
-    signal.setitimer(signal.ITIMER_REAL, seconds, _AGAIN)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:

@@ -14,7 +14,7 @@ import time
 import pytest
 
 from stkzoo.drivers import keeper
-from stkzoo.errors import AgentError, AgentTimeout
+from stkzoo.errors import AgentError
 from stkzoo.race import RaceListener, run_race
 from tests.support.paths import AGENTS
 from tests.support.processes import children_of, measured, process_exists, wait_until
@@ -183,12 +183,6 @@ def test_raise_ends_the_race_with_the_error():
 
 
 @pytest.mark.slow
-def test_raise_ends_the_race_when_an_agent_is_too_late():
-    with pytest.raises(AgentTimeout, match=r"took longer than 0.3 s"):
-        race(hostile("loop"), error_handling="raise", action_timeout=0.3)
-
-
-@pytest.mark.slow
 def test_retire_removes_an_agent_at_its_first_error():
     row = by_driver(race("ai", hostile("once"), max_steps=20))["once"]
     assert (row.status, row.num_errors, row.errors[0].step) == ("retired", 1, 2)
@@ -204,15 +198,6 @@ def test_catch_lets_an_agent_continue_after_an_error():
 def test_restart_restarts_an_agent_up_to_the_limit():
     result = race(hostile("once"), error_handling="restart", max_restarts=2, max_steps=50)
     assert [failure.step for failure in result.agents[0].errors] == [2, 5, 8]
-    assert result.agents[0].status == "retired"
-
-
-@pytest.mark.slow
-def test_an_endless_loop_is_restarted_when_errors_are_caught():
-    result = race(
-        hostile("loop"), error_handling="catch", max_restarts=1, action_timeout=0.3, max_steps=9
-    )
-    assert [failure.kind for failure in result.agents[0].errors] == ["timeout", "timeout"]
     assert result.agents[0].status == "retired"
 
 
@@ -237,25 +222,6 @@ def test_isolated_and_inline_agents_give_the_same_race():
 def test_an_inline_agent_that_is_too_late_is_ended():
     result = race(hostile("loop"), "ai", inline=True, action_timeout=0.3, max_steps=9)
     assert "its action took longer than 0.3 s" in by_driver(result)["loop"].errors[0].message
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_an_inline_agent_is_ended_even_if_it_suppresses_the_first_alarm(tmp_path):
-    (tmp_path / "pystk_actor.py").write_text(
-        "class Loops:\n"
-        "    def __del__(self):\n"
-        "        while True:\n"
-        "            pass\n"
-        "def get_actor(folder, observation_space, action_space):\n"
-        "    def act(state, observation):\n"
-        "        Loops()\n"
-        "        while True:\n"
-        "            pass\n"
-        "    return act\n"
-    )
-    result = race(f"{tmp_path}@:loops", "ai", inline=True, action_timeout=0.3, max_steps=9)
-    assert "its action took longer than 0.3 s" in by_driver(result)["loops"].errors[0].message
 
 
 @pytest.mark.slow
@@ -394,14 +360,6 @@ def test_a_keeper_runs_on_the_cores_of_its_agent():
     with kept(program, str(core)) as (process, _):
         assert process.stdout.readline().decode() == f"{{{core}}}\n"
         assert os.sched_getaffinity(process.pid) == {core}
-
-
-def test_memory_that_cannot_be_measured_counts_as_too_much(monkeypatch):
-    def refuse(_):
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr(threading.Thread, "start", refuse)
-    assert keeper._in_time(lambda: 1, otherwise=2) == 2
 
 
 @pytest.mark.slow
