@@ -16,31 +16,25 @@ from typing import Any
 
 from stkzoo import race_v0
 from stkzoo._arrays import read_arrays, write_arrays
-from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, new_state, read_policy
 from stkzoo.agents.training.common.matches import MatchRecord
 from stkzoo.agents.training.common.opponents import Rival
 from stkzoo.agents.training.common.run_folder import (
-    plan_parameters,
     read_json_lines,
     read_run_file,
 )
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.league.league import League, LeagueArguments, _LeagueFile
-from stkzoo.agents.training.league.players import DuelResults, new_players
-from stkzoo.agents.training.plot import RunRatings, read_figures
-from stkzoo.agents.training.rate import PolicyEvaluation, read_evaluations
-from stkzoo.agents.training.tune_plans import Generation
+from stkzoo.agents.training.league.players import new_players
 from stkzoo.engine.assets.tree import MARKER, read_marker
 from stkzoo.env.scenario import Scenario
 from stkzoo.evaluation import (
     load_demonstrations,
     plan_benchmark,
-    plan_demonstrations,
     plan_time_trial,
     plan_tournament,
 )
-from stkzoo.evaluation.benchmark.ai_times import AiTimes, AiTimesPlan, load_ai_times, plan_ai_times
+from stkzoo.evaluation.benchmark.ai_times import AiTimes, load_ai_times
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult
 from stkzoo.evaluation.benchmark.run import race_outcomes
 from stkzoo.evaluation.benchmark.time_trial import (
@@ -50,7 +44,6 @@ from stkzoo.evaluation.benchmark.time_trial import (
     time_trial_orders,
 )
 from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
-from stkzoo.evaluation.demonstrations.plan import DemoPlan
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.tournament.film import FilmRecorder, MapFilm, draw_film
 from stkzoo.evaluation.tournament.plan import TournamentPlan
@@ -348,30 +341,7 @@ def _read_league(file: Path) -> None:
     league.table()
 
 
-_RATING = {
-    "name": "policy-001",
-    "kart_steps": 7,
-    "time_ratio": 1.2,
-    "rating": 25.0,
-    "rating_low": 24.0,
-    "rating_high": 26.0,
-}
 _CHAPTER = {"from": 0, "arguments": {"seed": 1, "tracks": [_TRACK]}, "rules": {"margin": 1.0}}
-_TUNED = Generation([[0.5] * 22] * 2, [0.1, 0.2])
-
-
-def _store_arguments(folder: Path, data: bytes) -> Path:
-    (folder / "policy-001.safetensors").write_bytes(_agent()[WEIGHTS])
-    return _as("arguments.json")(folder, data)
-
-
-def _read_arguments(file: Path) -> None:
-    export_policy(file.with_name("policy-001.safetensors"), "swift", file.with_name("agent"))
-
-
-def _store_evaluation(folder: Path, data: bytes) -> Path:
-    (folder / "evaluations").mkdir(exist_ok=True)
-    return _as("evaluations/policy-001.json")(folder, data)
 
 
 def _store_checkpoint(folder: Path, data: bytes) -> Path:
@@ -402,13 +372,6 @@ def _facts_text() -> str:
     return json.dumps({"history": history, "kart_steps": 5, "iteration": 1, "recent": [finish]})
 
 
-def _read_log(file: Path) -> None:
-    from stkzoo.agents.training.common.run_folder import TrainingLog
-
-    read_figures(file.parent)
-    TrainingLog(file.parent, 1).__exit__()
-
-
 # ---------------------------------------------------------------------- keys and servers
 
 
@@ -436,23 +399,15 @@ def _json(name: str, file: str, content: Any, read: Callable[[Path], object]) ->
 
 
 def _all_kinds() -> list[FileKind]:
-    evaluation = PolicyEvaluation("a", 1, [["a", "b"]], {"a": [1.5]})
-    duels = DuelResults([Rival("start")], [0.5])
     marker = {"origin": "x", "headless": True, "layout": 1, "tracks": ["a"], "karts": ["b"]}
     replay, about = "race.json", "scenario.json"
     return [
         _document(RaceResult, lambda: _race()[0]),
-        _document(TournamentPlan, _tournament),
         _document(TournamentResult, _tournament_result),
-        _document(BenchmarkPlan, _benchmark),
         _document(BenchmarkResult, _benchmark_result),
-        _document(TimeTrialPlan, _time_trial),
         _document(TimeTrialResult, _time_trial_result),
-        _document(EntryPlan, _entry_plan),
         _document(Entry, _entry),
         _document(AiTimes, _few_ai_times),
-        _document(AiTimesPlan, partial(plan_ai_times, tracks=[_TRACK], seeds=1)),
-        _document(DemoPlan, partial(plan_demonstrations, "ai", tracks=[_TRACK])),
         _document(MapFilm, lambda: _race()[1]),
         FileKind(
             "replay",
@@ -476,28 +431,8 @@ def _all_kinds() -> list[FileKind]:
         ),
         _json("assets marker", MARKER, marker, lambda file: read_marker(file.parent)),
         FileKind("league", _league_text, _as("league.json"), _read_league),
-        _json("duels", "duels.json", asdict(duels), partial(read_run_file, DuelResults)),
-        FileKind(
-            "arguments", partial(json.dumps, [_CHAPTER]), _store_arguments, _read_arguments
-        ),
-        _json("tuned plans", "best.json", asdict(DriverParameters()), plan_parameters),
-        _json("tuning log", "log.jsonl", asdict(_TUNED), _lines(Generation)),
-        _json(
-            "ratings",
-            "ratings.json",
-            {"policies": [_RATING], "others": {"random": {"value": 20.0}}, "table": ["a"]},
-            partial(read_run_file, RunRatings),
-        ),
-        FileKind(
-            "evaluation",
-            partial(json.dumps, asdict(evaluation)),
-            _store_evaluation,
-            lambda file: read_evaluations(file.parent.parent),
-        ),
         _json("matches", "matches.jsonl", asdict(MatchRecord(0, _TRACK, False, ["a"])),
               _lines(MatchRecord)),
-        _json("training log", "log.jsonl", {"iteration": 1, "kart_steps": 5, "reward": 0.5},
-              _read_log),
         FileKind("checkpoint", _facts_text, _store_checkpoint, _read_checkpoint),
         FileKind("public key", lambda: _key_texts()[1], _as("a.public"),
                  lambda file: read_publics([file]), is_json=False),
