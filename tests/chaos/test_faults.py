@@ -36,14 +36,15 @@ WEIGHTS = {
 
 
 @pytest.fixture(scope="module")
-def inside():
-    with Trials() as trials:
+def outside():
+    with ProgramTrials() as trials:
         yield trials
 
 
 @pytest.fixture(scope="module")
-def outside():
-    with ProgramTrials() as trials:
+def inside(outside):  # the other trials have their folder elsewhere
+    del outside
+    with Trials() as trials:
         yield trials
 
 
