@@ -66,7 +66,7 @@ SANITIZERS := -O1 -g -fno-omit-frame-pointer -fno-sanitize-recover=all \
 ODD_VALUES := $(addprefix tests/chaos/test_properties.py::test_any_,\
 	actions_are_accepted_or_leave_the_race_unchanged action_of_any_view_is_accepted_or_refused \
 	batch_of_actions_is_accepted_or_refused)
-SANITIZED_TESTS := tests/kernel tests/agents/planning tests/drivers/test_codec.py tests/env/test_parallel.py \
+SANITIZED_TESTS := tests/kernel tests/agents/planning tests/drivers/test_messages.py tests/env/test_parallel.py \
 	tests/env/test_events.py tests/env/test_vec.py tests/wrappers/test_chain.py $(ODD_VALUES)
 
 sanitize: $(VENV)/.dev
