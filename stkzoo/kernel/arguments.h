@@ -18,7 +18,6 @@
 typedef struct { float *data; npy_intp size; } Floats;
 typedef struct { double *data; npy_intp size; } Doubles;
 typedef struct { npy_intp *data; npy_intp size; } Indices;
-typedef struct { npy_int32 *data; npy_intp size; } Integers;
 typedef struct { npy_int64 *data; npy_intp size; } Wholes;
 typedef struct { npy_int8 *data; npy_intp size; } Bytes;
 typedef struct { npy_bool *data; npy_intp size; } Flags;
@@ -30,7 +29,6 @@ int as_doubles(PyObject *object, void *doubles);
 int as_written_doubles(PyObject *object, void *doubles);
 int as_indices(PyObject *object, void *indices);
 int as_written_indices(PyObject *object, void *indices);
-int as_integers(PyObject *object, void *integers);
 int as_wholes(PyObject *object, void *wholes);
 int as_written_wholes(PyObject *object, void *wholes);
 int as_bytes(PyObject *object, void *bytes);

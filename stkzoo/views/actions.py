@@ -1,5 +1,8 @@
 """Checks users' actions and converts them to Gymnasium's form.
 
+The kernel reads actions in usual forms (``stkzoo/kernel/action_reader.c``). This module converts
+all others, and explains what is wrong with an action.
+
 The accepted forms are lenient: a number in place of an array of one entry, lists, Python and numpy
 numbers, ``bool`` for a choice, whole ``float`` values for integers. The values are strict:
 infinite, NaN and out-of-range values and other shapes are rejected.

@@ -32,6 +32,7 @@ from stkzoo.wrappers.racing.road import LOOKS, NUM_POINTS
 from tests import oracle
 from tests.oracle.racing_observer import own_arrays
 from tests.support.kernel_users import replaced_kernel
+from tests.support.views import MECHANISMS, marked
 
 TRACKS = ["lighthouse", "cocoa_temple", "olivermath"]
 #: The ground is slow in NumPy, and most of all on tracks with many triangles. This one has few.
@@ -67,6 +68,10 @@ MOVING = [
 CHAINS = [*VIEWS, masked, masked_dict, polar_lists, flat_actions_only, *MOVING]
 
 
+RACES = [
+    (view, TRACK_OF_GROUND if view == "ground" else track)
+    for view, track in zip(CHAINS, itertools.cycle(TRACKS), strict=False)
+]
 #: Chains with observations of variable size.
 LISTS = ["full", "ground", polar_lists, flat_actions_only, MOVING[0]]
 
@@ -116,11 +121,8 @@ def test_every_name_is_compared():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "track"),
-    [
-        (view, TRACK_OF_GROUND if view == "ground" else track)
-        for view, track in zip(CHAINS, itertools.cycle(TRACKS), strict=False)
-    ],
-    ids=lambda view: getattr(view, "__name__", view),
+    marked(RACES, [race for race in RACES if race[0] in (*MECHANISMS, "ground", masked_dict)]),
+    ids=lambda view: getattr(view, "__name__", str(view)),
 )
 def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only):
     settings = {"num_kart": 4, "agents": 3, "track": track, "view": view, "max_cycles": 40}
@@ -150,11 +152,10 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "track"),
-    [
-        (view, track)
-        for view, track in zip(CHAINS, itertools.cycle(TRACKS), strict=False)
-        if view not in LISTS
-    ],
+    marked(
+        [race for race in RACES if race[0] not in LISTS],
+        [race for race in RACES if race[0] in ("simple", "masked_discrete", "racing")],
+    ),
     ids=lambda view: getattr(view, "__name__", str(view)),
 )
 def test_rows_are_the_same_with_and_without_the_kernel(view, track, numpy_only):
@@ -212,7 +213,13 @@ SIZES = {"state_items": 3, "state_karts": 1, "state_paths": 7, "add_mask": True}
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "view", [*VIEWS, ("flattened", SIZES), ("box_discrete", SIZES | {"steer_steps": 3}), *MOVING]
+    "view",
+    [
+        *marked(VIEWS, (*MECHANISMS, "masked_discrete", "flattened_control")),
+        ("flattened", SIZES),
+        ("box_discrete", SIZES | {"steer_steps": 3}),
+        *MOVING,
+    ],
 )
 def test_a_compiled_view_matches_its_wrappers(view):
     """Compares the view in one race, made by the kernel and by the individual wrappers."""
@@ -345,7 +352,9 @@ def fuzzed(random, value):
     return choices[random.integers(len(choices))]
 
 
-@pytest.mark.parametrize("view", [view for view in VIEWS if "control" not in view])
+@pytest.mark.parametrize(
+    "view", marked([view for view in VIEWS if "control" not in view], MECHANISMS)
+)
 def test_actions_are_read_as_by_the_wrappers(view):
     """The oracle and the wrappers give the same controls for accepted actions."""
     env = race_v0.parallel_env(num_kart=1, track="lighthouse", view=view)
@@ -406,7 +415,7 @@ def twin_of(track):
     return oracle.TrackGraph(*arrays, track.length)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_the_order_ahead_is_the_same_on_every_track_and_segment():
     for name in SPLITS["all"]:
         with race_v0.parallel_env(num_kart=1, track=name) as env:
@@ -464,7 +473,7 @@ def test_custom_wrappers_and_terms_work_without_the_kernel():
     env.close()
 
 
-@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("view", marked(VIEWS, MECHANISMS))
 def test_bad_actions_are_refused(view):
     env = race_v0.parallel_env(num_kart=2, track="lighthouse", view=view)
     env.reset(seed=0)
