@@ -22,7 +22,6 @@ from stkzoo.agents.training.common.starts import Lineup
 from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.export import export_policy
-from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.network import ActorCritic, initial_weights
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
@@ -331,15 +330,3 @@ def test_an_invalid_policy_is_refused(tmp_path, capsys):
 def test_invalid_arguments_of_a_comparison_are_reported(words, text, capsys):
     assert evaluate_main(["prior", words]) == 1
     assert text in capsys.readouterr().err
-
-
-def test_learning_curves_are_plotted(tmp_path):
-    lines = [{"kart_steps": 1000 * n, "reward": 0.1, "explained": 0.5} for n in range(1, 5)]
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
-    runs = [str(tmp_path / name) for name in ("one", "two")]
-    assert plot_main([*runs, f"--output={tmp_path / 'curves.png'}"]) == 0
-    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
-    assert plot_main([str(tmp_path / "none"), f"--output={tmp_path / 'other.png'}"]) == 1
-    assert not (tmp_path / "other.png").exists()

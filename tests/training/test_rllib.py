@@ -1,7 +1,6 @@
 """The RLlib script, without training.
 
-Ray needs an older Gymnasium than the other tests, so it is usually not installed; the tests that
-need it are in test_rllib_runner.py.
+Ray needs an older Gymnasium than the tests; ``python -m benchmarks.ecosystem`` trains with it.
 """
 
 import importlib.util

@@ -3,7 +3,6 @@ from __future__ import annotations
 import pickle
 from threading import Lock
 
-import cloudpickle
 import gymnasium as gym
 import pytest
 from gymnasium import spaces
@@ -12,7 +11,7 @@ from pettingzoo import ParallelEnv
 from pettingzoo.test import parallel_api_test
 
 from stkzoo import AgentSpec, STKRaceMultiEnv, race_v0
-from stkzoo.errors import ActionError, AgentException, ConfigError
+from stkzoo.errors import AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.wrappers import (
     ConstantSizedObservations,
@@ -52,11 +51,6 @@ def discrete(env):
 
 def two_items(env):
     return PolarObservations(ConstantSizedObservations(env, state_items=2))
-
-
-class TenTimes(gym.RewardWrapper):
-    def reward(self, reward):
-        return 10 * reward
 
 
 class Wiper(gym.ObservationWrapper):
@@ -268,14 +262,6 @@ def test_originals_are_copies_that_wrappers_cannot_change(form):
         observations = env.step(samples(env, agents))[0]
 
 
-def test_stateful_wrappers_restart_at_reset(form):
-    make, agents = form
-    env = MonoAgentWrapperAdapter(make(), wrapper_factories={1: Counter})
-    env.reset(seed=1)
-    env.step(samples(env, agents))
-    assert env.reset()[0][agents[1]] == 1
-
-
 def test_agents_that_have_left_are_skipped(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(ends=(1, 3)), wrapper_factories={0: discrete, 1: simple})
@@ -283,20 +269,6 @@ def test_agents_that_have_left_are_skipped(form):
     env.step(samples(env, agents))
     assert set(env.step(samples(env, agents[1:]))[0]) == {agents[1]}
     assert set(env.step(samples(env, agents))[0]) == {agents[1]}
-
-
-def test_a_reward_wrapper_changes_rewards_of_the_parallel_adapter():
-    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={1: TenTimes})
-    env.reset(seed=1)
-    assert env.step(samples(env, env.agents))[1] == {"kart_0": 1.0, "kart_1": 10.0}
-
-
-def test_a_reward_wrapper_changes_the_sum_of_the_gym_adapter():
-    env = MonoAgentWrapperAdapter(MultiEnv(), wrapper_factories={1: TenTimes})
-    env.reset(seed=1)
-    _, reward, _, _, info = env.step(samples(env, "01"))
-    assert reward == 11.0
-    assert info["reward"] == {"0": 1.0, "1": 10.0}
 
 
 def test_a_truncated_agent_leaves_the_parallel_adapter():
@@ -367,39 +339,6 @@ def test_a_failure_names_its_agent(form, method):
     assert caught.value.key == agents[1]
 
 
-def test_an_error_for_an_invalid_action_names_the_agent(form):
-    make, agents = form
-    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete})
-    env.reset(seed=1)
-    with pytest.raises(ActionError, match=r"1120.*from 0 to 1119") as caught:
-        env.step({agents[0]: 1120, agents[1]: STEADY})
-    assert caught.value.agent == agents[0]
-
-
-def test_a_missing_action_is_an_error_before_any_wrapper_runs():
-    seen = []
-
-    class Spy(gym.ActionWrapper):
-        def action(self, action):
-            seen.append(action)
-            return action
-
-    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: Spy, 1: Spy})
-    env.reset(seed=1)
-    for actions, text in (({"kart_0": STEADY}, "no action for agent 'kart_1'"), (3, "found 3")):
-        with pytest.raises(ActionError, match=text):
-            env.step(actions)
-    assert seen == []
-
-
-@pytest.mark.parametrize("actions", [None, [STEADY, STEADY]])
-def test_actions_that_are_not_a_dict_are_refused(form, actions):
-    env = MonoAgentWrapperAdapter(form[0](), wrapper_factories={0: simple})
-    env.reset(seed=1)
-    with pytest.raises(ActionError, match="have to be a dict by agent"):
-        env.step(actions)
-
-
 def test_actions_of_agents_that_the_game_drives_are_optional():
     agents = [AgentSpec(), AgentSpec(use_ai=True)]
     with race_v0.parallel_env(agents=agents, num_kart=2, track="lighthouse") as race:
@@ -423,15 +362,6 @@ def test_wrappers_get_the_step_size_of_the_race_as_in_a_view(make):
     env.reset(options={"step_size": 0.2})
     env.close()
     assert seen == [{"step_size": 0.05}, {"step_size": 0.2}]
-
-
-def test_the_adapter_can_be_pickled_during_an_episode(form):
-    make, agents = form
-    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete, 1: Counter})
-    env.reset(seed=1)
-    copied = pickle.loads(cloudpickle.dumps(env))
-    actions = samples(env, agents)
-    assert_same(copied.step(actions)[0], env.step(actions)[0])
 
 
 def test_the_parallel_adapter_passes_pettingzoos_test():
