@@ -112,7 +112,7 @@ class IsolatedAgent:
         )
         try:
             self._send(encode(start), "start", self._limits.start_timeout)
-        except AgentError:
+        except BaseException:
             self._resources.close()
             raise
 

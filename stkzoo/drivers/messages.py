@@ -174,9 +174,12 @@ def encode(message: Struct) -> bytes:
     """Encodes a message.
 
     Raises:
-        ProtocolError: the message is too long.
+        ProtocolError: the message is too long, or contains a number of more than 64 bits.
     """
-    data = _encoder.encode(message)
+    try:
+        data = _encoder.encode(message)
+    except OverflowError as error:
+        raise ProtocolError(f"a message cannot be encoded: {error}") from error
     check_size(len(data))
     return data
 

@@ -183,6 +183,11 @@ def test_an_oversized_message_is_refused_before_it_is_decoded():
         encode(Ready("x" * MAX_BYTES, None))
 
 
+def test_a_number_of_more_than_64_bits_is_refused():
+    with pytest.raises(ProtocolError, match="cannot be encoded"):
+        encode(Ready("", 2**64))
+
+
 def repeated(value):
     """Returns a function that fills a length with equal entries of an observation."""
     entry = msgspec.msgpack.encode(value) if not isinstance(value, bytes) else value

@@ -216,11 +216,13 @@ class ConnectionLimit:
         )
 
     def update(self) -> bool:
-        """Counts connections and returns whether one was refused."""
+        """Counts up to 1000 changes and returns whether a connection was refused."""
         from zmq.utils.monitor import parse_monitor_message
 
         is_refused = False
-        while self.socket.poll(0):
+        for _ in range(1000):
+            if not self.socket.poll(0):
+                break
             message = parse_monitor_message(self.socket.recv_multipart())
             if message["event"] == self._zmq.EVENT_DISCONNECTED:
                 self._open.discard(message["value"])
