@@ -3,22 +3,51 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
-from stkzoo.drivers.saving import ACTIVATIONS, write_mlp_agent
+from stkzoo._os import atomic_write, write_text
 from stkzoo.errors import ConfigError, shortened, unknown_name
 from stkzoo.mdp import kart_action_space
 from stkzoo.views import VIEWS
 from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.registry import base_space
 
+_ACTOR = '''"""A trained network, evaluated with numpy."""
+
+import numpy as np
+
+env_name = "supertuxkart/{view}-v0"
+player_name = {name!r}
+
+
+def get_actor(module_dir, observation_space, action_space):
+    data = np.load(module_dir / "policy.npz")
+    layers = [(data[f"weights{{n}}"], data[f"bias{{n}}"]) for n in range(len(data.files) // 2)]
+
+    def act(state, observation):
+        values = np.ravel(observation)
+        for weights, bias in layers[:-1]:
+            values = np.{activation}
+        weights, bias = layers[-1]
+        values = weights @ values + bias
+        return {action}
+
+    return act
+'''
+#: The supported activations by the names of torch's classes, as expressions of numpy.
+_ACTIVATIONS = {
+    "Tanh": "tanh(weights @ values + bias)",
+    "ReLU": "maximum(weights @ values + bias, 0)",
+}
 _ACTIONS: dict[type[gym.Space[Any]], str] = {
     spaces.Discrete: "int(values.argmax())",
     spaces.MultiDiscrete: (
@@ -65,7 +94,7 @@ def save_agent(
         and type(policy.features_extractor) is FlattenExtractor
         and not policy.squash_output
     )
-    if not is_plain or not is_box or not action or activation not in ACTIVATIONS:
+    if not is_plain or not is_box or not action or activation not in _ACTIVATIONS:
         raise ConfigError(
             f"the policy is {type(policy).__name__} over {type(model.observation_space).__name__}, "
             'expected "MlpPolicy" with tanh or ReLU, without features_extractor_class and '
@@ -74,10 +103,17 @@ def save_agent(
     _check_inputs(model, view)
     modules = [*policy.mlp_extractor.policy_net, policy.action_net]
     layers = [module for module in modules if isinstance(module, torch.nn.Linear)]
-    arrays = [(layer.weight.detach().cpu(), layer.bias.detach().cpu()) for layer in layers]
-    return write_mlp_agent(
-        folder, arrays, view=view, name=name, activation=activation, action=action
-    )
+    arrays: dict[str, Any] = {}
+    for number, layer in enumerate(layers):
+        arrays[f"weights{number}"] = layer.weight.detach().cpu().numpy()
+        arrays[f"bias{number}"] = layer.bias.detach().cpu().numpy()
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    with atomic_write(target / "policy.npz") as part, part.open("wb") as file:
+        np.savez(file, **arrays)
+    text = _ACTOR.format(view=view, name=name, activation=_ACTIVATIONS[activation], action=action)
+    write_text(target / "pystk_actor.py", text)
+    return str(target)
 
 
 def _check_inputs(model: OnPolicyAlgorithm, view: str) -> None:

@@ -6,8 +6,12 @@ message from a client or a server affects only its own part of the race.
 
 from __future__ import annotations
 
-from stkzoo.race.remote.access import ServerAccess, read_servers
-from stkzoo.race.remote.drivers import RemoteDriverGroup, ServedAgent
+from stkzoo.race.remote.drivers import (
+    RemoteDriverGroup,
+    ServedAgent,
+    ServerAccess,
+    read_servers,
+)
 from stkzoo.race.remote.keys import (
     KeyPair,
     new_key_files,

@@ -2,28 +2,41 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
+from pathlib import Path
 from typing import Any
 
+from stkzoo._reading import Unreadable, is_there, read_text
 from stkzoo._schema import Count
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.messages import MAX_NAME, Failed, encode_observation
-from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
+from stkzoo.errors import (
+    AgentError,
+    AgentTimeout,
+    ConfigError,
+    ProtocolError,
+    RemoteError,
+    reason,
+    shortened,
+)
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.race.remote.connection import Connection, Server
-from stkzoo.race.remote.keys import KeyPair, new_keys
+from stkzoo.race.remote.keys import KeyPair, new_keys, read_public, read_secret
 from stkzoo.race.remote.protocol import Answer, Welcome
 from stkzoo.race.remote.sockets import full_address, zmq_module
 
 #: Additional time for a server to report that an agent exceeded its time limit [s].
 _MARGIN = 5.0
+#: Maximum size of a server list [bytes].
+_MAX_BYTES = 1 << 20
 #: Time limit for a server's reply if its agents have no time limit [s].
 _TIMEOUT = 60.0
 
@@ -260,3 +273,76 @@ class RemoteAgent:
             kind = AgentTimeout if is_late else AgentError
             seconds = time.monotonic() - self._begin
             raise kind(str(error), self._agent, seconds=seconds) from error
+
+
+@dataclass(frozen=True, slots=True)
+class ServerAccess:
+    """Access to servers: the arguments of :class:`RemoteDriverGroup`, with keys as files.
+
+    Attributes:
+        servers: addresses of the servers.
+        server_keys: public keys of the servers, as files or text: none, one for all servers, or one
+            per server.
+        secret: file of the client's secret key; ``None`` if the servers allow any client.
+        timeout: time limit for a server's reply [s]; ``None`` for the agents' time limit plus 5 s.
+        connect_timeout: time limit for a connection [s].
+    """
+
+    servers: tuple[str, ...] = ()
+    server_keys: tuple[str, ...] = ()
+    secret: str | None = None
+    timeout: float | None = None
+    connect_timeout: float = 10.0
+
+    def connect(self, agents: Sequence[ServedAgent] = ()) -> RemoteDriverGroup:
+        """Connects to the servers.
+
+        Args:
+            agents: agents that are already known; see :class:`RemoteDriverGroup`.
+
+        Raises:
+            ConfigError: a key or a value is invalid, or pyzmq is not installed.
+            RemoteError: a server does not reply, or is not a stkzoo server.
+        """
+        return RemoteDriverGroup(
+            self.servers,
+            agents=agents,
+            keys=None if self.secret is None else read_secret(self.secret),
+            server_keys=[read_public(key) for key in self.server_keys],
+            timeout=self.timeout,
+            connect_timeout=self.connect_timeout,
+        )
+
+
+def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Reads a server list. Each line contains an address and optionally the server's public key.
+
+    A key is the path of a ``.public`` file, relative to the list's folder, or the key itself. Lines
+    that start with ``#`` are comments.
+
+    Returns:
+        The addresses and the keys. Either all servers have a key, or none has.
+
+    Raises:
+        ConfigError: the file cannot be read or lists no servers, a line is invalid, or only some
+            servers have a key.
+    """
+    path = Path(file).expanduser()
+    try:
+        text = read_text(path, _MAX_BYTES)
+    except (OSError, Unreadable) as error:
+        raise ConfigError(f"the list of servers {path} cannot be read: {reason(error)}") from error
+    lines = [line.split() for line in text.splitlines() if line.strip() and line[0] != "#"]
+    for words in lines:
+        if len(words) > 2:
+            line = shortened(" ".join(words))
+            raise ConfigError(f"{path} has the line {line}, expected ADDRESS [KEY]")
+    if not lines:
+        raise ConfigError(f"{path} lists no servers; write a line ADDRESS [KEY] for each")
+    if len({len(words) for words in lines}) > 1:
+        raise ConfigError(f"{path} has a key for some servers only; write one after each address")
+    keys = (words[1] for words in lines if len(words) == 2)
+    return (
+        tuple(words[0] for words in lines),
+        tuple(str(path.parent / key) if is_there(path.parent / key) else key for key in keys),
+    )
