@@ -1,4 +1,4 @@
-"""The decision process in numpy: observations, rewards, actions and episode ends.
+"""The decision process: observations, rewards, events and state.
 
 All functions process the whole race at once, as arrays with a leading axis of karts or agents.
 """

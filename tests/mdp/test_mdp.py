@@ -10,7 +10,7 @@ from stkzoo.engine.track import TrackMap, decode_track, encode_track
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
 from stkzoo.mdp.observations import observe_karts
-from stkzoo.mdp.rewards import REWARDS, Reward, as_reward
+from stkzoo.mdp.rewards import REWARDS, Reward, as_reward, rank
 from stkzoo.mdp.state import KART_FEATURES, state_space
 from stkzoo.mdp.transition import Transition
 
@@ -162,6 +162,16 @@ def test_terms_can_be_reweighted_dropped_and_added():
         "finish": [0.0],
         "bonus": [1.0],
     }
+
+
+def test_a_term_of_your_own_can_use_a_built_in_one():
+    own = Reward({"rank": rank, "twice": lambda step: 2 * rank(step)}, {"twice": 0.5})
+    with race_v0.parallel_env(num_kart=2, track="lighthouse", reward=own) as env:
+        env.reset(seed=1)
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        infos = env.step(actions)[-1]
+        assert sorted(info["reward/twice"] for info in infos.values()) == [0.0, 1.5]
+        assert all(info["reward/rank"] == info["reward/twice"] for info in infos.values())
 
 
 def test_weights_can_be_numbers_of_numpy():

@@ -49,6 +49,23 @@ def race(checkout):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("words", [["-m", "stkzoo", "doctor"], ["-c", "import stkzoo"]])
+def test_a_checkout_without_extensions_says_how_to_build_them(tmp_path, words):
+    checkout = copy_checkout(tmp_path / "stkzoo")
+    done = subprocess.run(
+        [sys.executable, *words],
+        env={**os.environ, "PYTHONPATH": str(checkout)},
+        cwd=checkout,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    *_, last = done.stderr.splitlines()
+    assert last.startswith("ImportError: stkzoo's C extension is not built for this code")
+    assert last.endswith(f'pip install -e "{checkout}"')
+
+
+@pytest.mark.slow
 def test_a_changed_reward_term_and_a_changed_observation_take_effect(tmp_path):
     checkout = copy_checkout(tmp_path / "stkzoo")
     for name, (old, new) in CHANGES.items():
