@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
-
-from stkzoo._reading import Unreadable, load_json, reading
+from stkzoo._reading import load_json, reading
 from stkzoo._schema import matching
 from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
@@ -110,11 +108,7 @@ def read_card(folder: str | Path) -> AgentCard:
         ConfigError: the card is missing or damaged.
     """
     with reading_card(folder):
-        values = load_json(Path(folder) / CARD, dict[str, Any])
-        card = msgspec.convert(values, AgentCard)
-        if "trust" in values and "ensemble_weight" not in values:
-            raise Unreadable("another version wrote it; rename its entry trust to ensemble_weight")
-        return card
+        return load_json(Path(folder) / CARD, AgentCard)
 
 
 def reading_card(folder: str | Path) -> AbstractContextManager[None]:
@@ -154,7 +148,3 @@ def make_batch_actor(
     """
     policy = read_policy(module_dir)
     return lambda states, seen: type(states[0]).drive_together(states, seen, policy.best)
-
-
-# Agents without plans that older versions exported import these names.
-make_network_actor, new_network_state, new_seat = make_actor, new_state, new_state

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -93,13 +92,6 @@ class MlpDriver:
     def best(self, observations: FloatArray) -> IntArray:
         """Returns the most likely choices, ``(A, 5)``; each row depends only on its own input."""
         return _likeliest(self.logits(observations))
-
-    def seat(self) -> NoReturn:
-        """Rejects a call from an agent that an older version exported."""
-        raise ConfigError(
-            "this agent is from another version of stkzoo; export it again from its "
-            "policy.safetensors with python -m stkzoo.agents.training.export"
-        )
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Samples choices from their probabilities, ``(A, 5)``."""

@@ -210,15 +210,6 @@ def test_a_card_with_an_invalid_weight_is_refused(files, tmp_path):
         read_policy(folder)
 
 
-def test_a_card_of_an_older_version_says_what_to_rename(files, tmp_path):
-    folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
-    card = json.loads((folder / "card.json").read_text())
-    card["trust"] = card.pop("ensemble_weight")
-    (folder / "card.json").write_text(json.dumps(card))
-    with pytest.raises(ConfigError, match="rename its entry trust to ensemble_weight"):
-        read_policy(folder)
-
-
 def plan_policy(seed):
     """Returns a policy over plans with random weights."""
     random, shapes = np.random.default_rng(seed), network_shapes((4, 4))

@@ -76,16 +76,6 @@ def test_a_network_that_does_not_match_the_card_is_refused(quick_agent):
         new_state(quick_agent)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["new_network_state", "new_seat"])
-def test_an_agent_exported_with_old_names_races(quick_agent, name):
-    module = quick_agent / "pystk_actor.py"
-    text = module.read_text().replace("new_state", name)
-    module.write_text(text.replace("make_actor", "make_network_actor"))
-    result = run_race([str(quick_agent)], track="olivermath", max_steps=25)
-    assert result.agents[0].num_errors == 0
-
-
 def test_saved_weights_are_loaded_unchanged(tmp_path):
     save_weights(tmp_path / "w.safetensors", network())
     digest = hashlib.sha256((tmp_path / "w.safetensors").read_bytes()).hexdigest()
