@@ -16,12 +16,12 @@ def print_tasks(tasks: Sequence[Task]) -> None:
 
     from stkzoo.suite import POPULATION, SUITE
 
-    found = {
+    content = {
         "suite": SUITE,
         "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
         "population": [asdict(member) for member in POPULATION],
     }
-    print(json.dumps(found, indent=2))
+    print(json.dumps(content, indent=2))
 
 
 def show_tasks(tasks: Sequence[Task]) -> None:

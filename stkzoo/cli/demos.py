@@ -145,10 +145,10 @@ def _finish(arguments: argparse.Namespace, demos: Demonstrations, file: Path) ->
     )
     if not arguments.check:
         return 0
-    found = check_demonstrations(demos, trust_rivals=True)  # the command names the rivals
-    if found.is_exact:
-        print(f"the first race, driven again, is identical: {found.steps:,} steps")
+    check = check_demonstrations(demos, trust_rivals=True)  # the command names the rivals
+    if check.is_exact:
+        print(f"the first race, driven again, is identical: {check.steps:,} steps")
         return 0
-    step = found.first_difference
+    step = check.first_difference
     print(f"stkzoo: driven again, the first race differs from step {step} on", file=sys.stderr)
     return 1

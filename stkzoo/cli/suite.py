@@ -380,6 +380,6 @@ def _report(arguments: argparse.Namespace) -> int:
     from stkzoo.suite import write_suite_report
 
     report = write_suite_report(arguments.results, arguments.output)
-    runs = sum(len(own.seeds) for task in report.tasks for own in task.algorithms)
+    runs = sum(len(result.seeds) for task in report.tasks for result in task.algorithms)
     say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
     return 0

@@ -68,15 +68,15 @@ class AgentReport:
     name: str
     passed: bool
     reason: str
-    trace: str
-    steps: int
-    distance: float
-    num_clipped: int
-    load_time: float | None
-    thinking_time: ThinkingTime | None
-    memory: float | None
-    num_files: int | None
-    size: int | None
+    trace: str = ""
+    steps: int = 0
+    distance: float = 0.0
+    num_clipped: int = 0
+    load_time: float | None = None
+    thinking_time: ThinkingTime | None = None
+    memory: float | None = None
+    num_files: int | None = None
+    size: int | None = None
 
 
 def check_agent(
@@ -108,7 +108,7 @@ def check_agent(
         files = find_files(path) if driver.is_from_files else None
     except ConfigError:
         if problem := _problem_of(path):
-            return _rejected(source, path, problem)
+            return AgentReport(source, printable(PurePath(path).name), False, problem)
         raise
     if files is None:
         raise ConfigError(
@@ -187,25 +187,6 @@ def _problem_of(path: str) -> str:
     return ""
 
 
-def _rejected(source: str, path: str, reason: str) -> AgentReport:
-    """Returns the report of a path that is not an agent."""
-    return AgentReport(
-        agent=source,
-        name=printable(PurePath(path).name),
-        passed=False,
-        reason=reason,
-        trace="",
-        steps=0,
-        distance=0.0,
-        num_clipped=0,
-        load_time=None,
-        thinking_time=None,
-        memory=None,
-        num_files=None,
-        size=None,
-    )
-
-
 def _measure(files: AgentFiles) -> tuple[int | None, int | None]:
     """Returns the number of an agent's files and their unpacked size [bytes], if known."""
     path = files.path
@@ -215,10 +196,10 @@ def _measure(files: AgentFiles) -> tuple[int | None, int | None]:
         with zipfile.ZipFile(path) as archive:
             sizes = [entry.file_size for entry in archive.infolist() if not entry.is_dir()]
     else:
-        found = path.rglob("*") if path.is_dir() else [path]
+        paths = path.rglob("*") if path.is_dir() else [path]
         sizes = [
             file.stat().st_size
-            for file in map(Path, found)
+            for file in map(Path, paths)
             if file.is_file() and "__pycache__" not in file.parts
         ]
     return len(sizes), sum(sizes)

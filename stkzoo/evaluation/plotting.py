@@ -183,8 +183,8 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
         ConfigError: the file cannot be written.
     """
     file = Path(path)
-    kind = file.suffix[1:] or "png"
-    metadata = {"Date": None} if kind == "svg" else None
+    ending = file.suffix[1:] or "png"
+    metadata = {"Date": None} if ending == "svg" else None
     matplotlib = import_extra("matplotlib", "the plot needs", "benchmark")
     fixed_ids = matplotlib.rc_context({"svg.hashsalt": "stkzoo"})
     for text in figure.findobj(matplotlib.text.Text):
@@ -196,6 +196,6 @@ def save_figure(figure: Any, path: str | os.PathLike[str]) -> None:
         # No installed font has the letters of some names; boxes are drawn instead.
         warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
         try:
-            figure.savefig(part, format=kind, dpi=110, metadata=metadata)
+            figure.savefig(part, format=ending, dpi=110, metadata=metadata)
         except ValueError as error:  # unknown format
             raise ConfigError(f"the plot {file} cannot be written: {error}") from error

@@ -83,7 +83,7 @@ def estimate_mean(
     mean = math.fsum(itertools.chain(*members.values())) / count
     if min(map(len, members.values())) < 2:
         return Estimate(mean, None, None)
-    if bounds is not None and all(min(own) == max(own) for own in members.values()):
+    if bounds is not None and all(min(group) == max(group) for group in members.values()):
         margin = 1 - ((1 - CONFIDENCE) / 2) ** (1 / count)
         return Estimate(mean, max(bounds[0], mean - margin), min(bounds[1], mean + margin))
     low, high = percentile_interval(_resampled_means(list(members.values()), count))
@@ -113,16 +113,17 @@ def estimate_clustered(
         The estimate, without an interval if fewer than :data:`FEWEST_CLUSTERS` clusters have
         values, or if all have the same mean; ``None`` if no cluster has values.
     """
-    own = counts > 0
-    if not own.any():
+    has_values = counts > 0
+    if not has_values.any():
         return None
-    mean, clusters = float(totals[own].sum() / counts[own].sum()), int(own.sum())
-    sums = totals[None] if redrawn is None else redrawn
-    if clusters < FEWEST_CLUSTERS or not np.ptp(sums[:, own] / counts[own]):
+    sums = (totals[None] if redrawn is None else redrawn)[:, has_values]
+    totals, counts = totals[has_values], counts[has_values]
+    mean, clusters = float(totals.sum() / counts.sum()), len(counts)
+    if clusters < FEWEST_CLUSTERS or not np.ptp(sums / counts):
         return Estimate(mean, None, None)
     generator = np.random.default_rng(0)
     drawn = generator.multinomial(clusters - 1, np.full(clusters, 1 / clusters), DRAWS)
-    means = (drawn * sums[:, own]).sum(axis=1) / (drawn @ counts[own])
+    means = (drawn * sums).sum(axis=1) / (drawn @ counts)
     tail = 100 * NormalDist().cdf(-_student_t(clusters - 1))
     low, high = np.percentile(means, (tail, 100 - tail))
     return Estimate(mean, float(low), float(high))

@@ -9,7 +9,6 @@
 Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")``.
 """
 
-from stkzoo.suite.algorithms import ALGORITHMS, can_learn
 from stkzoo.suite.conduct import (
     Contact,
     KartConduct,
@@ -33,7 +32,7 @@ from stkzoo.suite.report import (
     write_suite_report,
 )
 from stkzoo.suite.scores import Baselines, load_baselines, normalized
-from stkzoo.suite.tasks import SUITE, TASKS, Task, find_task
+from stkzoo.suite.tasks import ALGORITHMS, SUITE, TASKS, Task, can_learn, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
 register_tasks()

@@ -275,9 +275,9 @@ def _check_level(task: Task, agent: str) -> None:
     driver = find_driver(agent)
     if driver.difficulty is None or (driver.difficulty == DIFFICULTY and not task.has_population):
         return
-    own = "one that depends on the race" if task.has_population else f"difficulty {DIFFICULTY}"
+    needed = "one that depends on the race" if task.has_population else f"difficulty {DIFFICULTY}"
     raise ConfigError(
-        f"{driver.source!r} requires difficulty {driver.difficulty}, but {task.name} has {own}; "
+        f"{driver.source!r} requires difficulty {driver.difficulty}, but {task.name} has {needed}; "
         "name ai, which has the difficulty of each race"
     )
 

@@ -39,9 +39,9 @@ class Baselines:
         Args:
             task: name of the task.
         """
-        found = find_task(task)
-        is_met = not found.has_population or self.population == population_digests()
-        return self.suite == SUITE and self.digests.get(task) == found.digest and is_met
+        definition = find_task(task)
+        is_met = not definition.has_population or self.population == population_digests()
+        return self.suite == SUITE and self.digests.get(task) == definition.digest and is_met
 
     def ends(self, task: str) -> tuple[float, float]:
         """Returns the scores of the weakest and of the strongest driver in a task.

@@ -29,6 +29,9 @@ SUITE = "stkzoo-suite-1"
 #: Difficulty of the game's AI, where the population does not require another one. Time limits and
 #: time ratios use the AI's times at this difficulty in all races.
 DIFFICULTY = 3
+#: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and the least number of
+#: learners of their tasks: self-play needs two.
+ALGORITHMS = {"ippo": 1, "mappo": 1, "fsp": 2, "pfsp": 2, "impala": 1}
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"
 
@@ -245,3 +248,15 @@ def find_task(name: str) -> Task:
     if name not in TASKS:
         raise unknown_name("task", name, TASKS)
     return TASKS[name]
+
+
+def can_learn(algorithm: str, task: Task) -> bool:
+    """Returns whether an algorithm can learn a task; true for all other algorithms.
+
+    Args:
+        algorithm: name of the algorithm.
+        task: the task.
+    """
+    if algorithm not in ALGORITHMS:
+        return True
+    return not task.words and task.learners >= ALGORITHMS[algorithm]

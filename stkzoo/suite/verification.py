@@ -84,9 +84,9 @@ class VerifyOrder(RaceOrder):
         """
         replay = load_replay(replay_file(folder, self.number))
         self._check_facts(replay)
-        own = tuple(self.wait_for or ())
-        live = {n: text for n, text in enumerate(self.drivers) if n not in own}
-        watch = _RaceWatch(replay, own)
+        karts = tuple(self.wait_for or ())
+        live = {n: text for n, text in enumerate(self.drivers) if n not in karts}
+        watch = _RaceWatch(replay, karts)
         playback = play_replay(replay, listeners=[watch], live=live)
         if playback.first_difference is not None:
             others = other_versions(replay)
@@ -102,7 +102,7 @@ class VerifyOrder(RaceOrder):
             raise EntryRefused(watch.other_controls)
         recorded, measured = replay.result, playback.measured
         assert recorded is not None  # noqa: S101 - the replay is not partial
-        agents = [f"kart_{number}" for number in own]
+        agents = [f"kart_{number}" for number in karts]
         _refuse_others(
             {
                 "kart_types": (replay.kart_types, watch.kart_types),
@@ -129,18 +129,18 @@ class VerifyOrder(RaceOrder):
         """
         if last not in (None, replay.steps):
             raise EntryRefused(f"step {last} ends the race, and the recording has {replay.steps}")
-        own = {f"kart_{number}" for number in self.wait_for or ()}
-        expected = _expected_status(recorded, measured, own, self.settings.max_steps or math.inf)
-        for name, found in (("status", replay.status), ("status of the result", recorded.status)):
-            if found != expected:
+        karts = {f"kart_{number}" for number in self.wait_for or ()}
+        expected = _expected_status(recorded, measured, karts, self.settings.max_steps or math.inf)
+        for name, actual in (("status", replay.status), ("status of the result", recorded.status)):
+            if actual != expected:
                 raise EntryRefused(
-                    f"step {replay.steps}: {name} is {shortened(found)}, expected {expected!r}"
+                    f"step {replay.steps}: {name} is {shortened(actual)}, expected {expected!r}"
                 )
 
     def _check_facts(self, replay: Replay) -> None:
         """Checks that a replay is of this race."""
         facts = {name: (getattr(replay, name), getattr(self.settings, name)) for name in _SETTINGS}
-        count, own = len(self.drivers), self.wait_for or ()
+        count, karts = len(self.drivers), self.wait_for or ()
         drivers = [_source_and_label(text) for text in self.drivers]
         sources = [source for source, _ in drivers]
         facts |= {
@@ -150,8 +150,8 @@ class VerifyOrder(RaceOrder):
             "number of karts": (len(replay.agents), count),
             "sources of the drivers": ([agent.source for agent in replay.agents], sources),
             "names of the agent's karts": (
-                [agent.name for n, agent in enumerate(replay.agents) if n in own],
-                [label for n, (_, label) in enumerate(drivers) if n in own],
+                [agent.name for n, agent in enumerate(replay.agents) if n in karts],
+                [label for n, (_, label) in enumerate(drivers) if n in karts],
             ),
             "karts of the game's AI": (
                 [n for n, agent in enumerate(replay.agents) if agent.is_game_ai],
@@ -167,12 +167,12 @@ def _refuse_others(facts: Mapping[str, tuple[object, object]]) -> None:
     """Raises an error for the first fact that is not as expected.
 
     Args:
-        facts: what was found and what was expected, by name.
+        facts: the actual and the expected value, by name.
     """
-    for name, (found, expected) in facts.items():
-        if found != expected:
+    for name, (actual, expected) in facts.items():
+        if actual != expected:
             raise EntryRefused(
-                f"step 0: {name} is {shortened(found)}, expected {shortened(expected)}"
+                f"step 0: {name} is {shortened(actual)}, expected {shortened(expected)}"
             )
 
 
@@ -187,14 +187,14 @@ def _rows(result: RaceResult | None) -> list[AgentResult]:
 
 
 def _expected_status(
-    recorded: RaceResult, measured: RaceResult, own: Collection[str], max_steps: float
+    recorded: RaceResult, measured: RaceResult, karts: Collection[str], max_steps: float
 ) -> str:
     """Returns the status with which the rules end a race.
 
     Args:
         recorded: result in the replay; only it shows failures of the agent.
         measured: result of the new race.
-        own: ids of the agent's karts.
+        karts: ids of the agent's karts.
         max_steps: maximum number of steps.
 
     Raises:
@@ -203,7 +203,7 @@ def _expected_status(
     driving = [  # before it has finished, only a failure ends a kart's race
         row.agent
         for row in recorded.agents
-        if row.agent in own
+        if row.agent in karts
         and row.finish_time is None
         and not (row.status == "retired" and row.num_errors > 0)
     ]
@@ -211,14 +211,14 @@ def _expected_status(
         raise EntryRefused(f"step {measured.steps} does not end the race of {driving[0]}")
     if driving:
         return "max_steps"
-    if any(row.status == "racing" for row in measured.agents if row.agent not in own):
+    if any(row.status == "racing" for row in measured.agents if row.agent not in karts):
         return "awaited_finished"
     is_any_finished = any(row.finish_time is not None for row in measured.agents)
     return "finished" if is_any_finished else "abandoned"
 
 
 def _claims(
-    recorded: RaceResult, measured: RaceResult, own: Sequence[str]
+    recorded: RaceResult, measured: RaceResult, karts: Sequence[str]
 ) -> dict[str, tuple[object, object]]:
     """Returns facts of two results that playing a replay does not compare exactly, by name.
 
@@ -227,7 +227,7 @@ def _claims(
     Args:
         recorded: result in the replay.
         measured: result of the new race.
-        own: ids of the agent's karts.
+        karts: ids of the agent's karts.
     """
     pairs = [
         {
@@ -238,7 +238,7 @@ def _claims(
             "status and failures of the rivals": [
                 (row.status, row.num_errors, row.num_clipped, row.errors)
                 for row in result.agents
-                if row.agent not in own
+                if row.agent not in karts
             ],
             "finished karts of the result": [
                 row.agent for row in result.agents if row.status == "finished"
@@ -250,15 +250,15 @@ def _claims(
     return {name: (pairs[0][name], pairs[1][name]) for name in pairs[0]}
 
 
-def _with_failures(measured: RaceResult, recorded: RaceResult, own: Sequence[str]) -> RaceResult:
+def _with_failures(measured: RaceResult, recorded: RaceResult, karts: Sequence[str]) -> RaceResult:
     """Returns a result with the recorded numbers of the agent's failures.
 
     Args:
         measured: result of the new race.
         recorded: result in the replay.
-        own: ids of the agent's karts.
+        karts: ids of the agent's karts.
     """
-    failures = {row.agent: row.num_errors for row in recorded.agents if row.agent in own}
+    failures = {row.agent: row.num_errors for row in recorded.agents if row.agent in karts}
     rows = (replace(row, num_errors=failures.get(row.agent, 0)) for row in measured.agents)
     return replace(measured, agents=tuple(rows))
 
@@ -268,7 +268,7 @@ class _RaceWatch(RaceListener):
 
     Args:
         replay: the recorded race.
-        own: numbers of the agent's karts.
+        karts: numbers of the agent's karts.
 
     Attributes:
         kart_types: model of each kart, in grid order.
@@ -277,9 +277,9 @@ class _RaceWatch(RaceListener):
         other_controls: the first step in which a recorded control differs; empty without one.
     """
 
-    def __init__(self, replay: Replay, own: Sequence[int]) -> None:
+    def __init__(self, replay: Replay, karts: Sequence[int]) -> None:
         self._replay = replay
-        self._own = {f"kart_{number}" for number in own}
+        self._own = {f"kart_{number}" for number in karts}
         self.kart_types: tuple[str, ...] = ()
         self.last_finish: int | None = None
         self.other_controls = ""
@@ -387,8 +387,8 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
         settings=replace(plan.settings, **conditions),
     )
     for entry_field in fields(plan):
-        found, needed = getattr(plan, entry_field.name), getattr(expected, entry_field.name)
-        if found != needed:
+        actual, needed = getattr(plan, entry_field.name), getattr(expected, entry_field.name)
+        if actual != needed:
             problems.append(f"{entry_field.name} of the plan is not that of {task.name} in {SUITE}")
     if not entry.is_complete:
         problems.append(f"it has {len(entry.races)} of {len(expected.races())} races")
@@ -406,8 +406,8 @@ def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceRe
     problems = [
         f"race {race.number} ({race.track} {direction_name(race.reverse)}), step "
         f"{results[race.number].steps}: {difference}"
-        for race, own in zip(measured, entry.races, strict=True)
-        if (difference := _difference(_plain(own), _plain(race)))
+        for race, recorded in zip(measured, entry.races, strict=True)
+        if (difference := _difference(_plain(recorded), _plain(race)))
     ]
     _refuse(problems)
     fresh = json.loads(replace(entry, races=measured).to_json())
@@ -419,23 +419,23 @@ def _plain(race: RaceOutcome) -> Any:
     return json.loads(json.dumps(asdict(race)))
 
 
-def _difference(claimed: Any, found: Any, place: str = "") -> str:
+def _difference(claimed: Any, actual: Any, path: str = "") -> str:
     """Describes the first difference between two JSON values; an empty text if there is none."""
-    if isinstance(claimed, dict) and isinstance(found, dict):
-        for name in sorted({*claimed, *found}):
-            inner = f"{place}.{name}" if place else name
-            if name not in found:
+    if isinstance(claimed, dict) and isinstance(actual, dict):
+        for name in sorted({*claimed, *actual}):
+            inner = f"{path}.{name}" if path else name
+            if name not in actual:
                 return f"{inner} is not a field of an entry"
             if name not in claimed:
                 return f"{inner} is missing"
-            if text := _difference(claimed[name], found[name], inner):
+            if text := _difference(claimed[name], actual[name], inner):
                 return text
         return ""
-    if isinstance(claimed, list) and isinstance(found, list) and len(claimed) == len(found):
-        pairs = enumerate(zip(claimed, found, strict=True))
-        return next((t for n, pair in pairs if (t := _difference(*pair, f"{place}[{n}]"))), "")
-    if type(claimed) is type(found) is float:
-        is_equal = math.isclose(claimed, found, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
+    if isinstance(claimed, list) and isinstance(actual, list) and len(claimed) == len(actual):
+        pairs = enumerate(zip(claimed, actual, strict=True))
+        return next((t for n, pair in pairs if (t := _difference(*pair, f"{path}[{n}]"))), "")
+    if type(claimed) is type(actual) is float:
+        is_equal = math.isclose(claimed, actual, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
     else:
-        is_equal = type(claimed) is type(found) and claimed == found
-    return "" if is_equal else f"{place} is {shortened(claimed)}, and the races give {found!r}"
+        is_equal = type(claimed) is type(actual) and claimed == actual
+    return "" if is_equal else f"{path} is {shortened(claimed)}, and the races give {actual!r}"

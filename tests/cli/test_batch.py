@@ -57,11 +57,6 @@ def test_interrupted_replays_say_that_nothing_was_saved(progress, capsys):
     assert capsys.readouterr().err == "stkzoo: interrupted; nothing was saved\n"
 
 
-def test_a_batch_interrupted_while_it_is_planned_says_that_nothing_was_saved(capsys):
-    run_batch(ARGUMENTS, interrupted())
-    assert capsys.readouterr().err == "stkzoo: interrupted; nothing was saved\n"
-
-
 @pytest.mark.parametrize(
     ("label", "name"),
     [

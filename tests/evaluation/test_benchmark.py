@@ -1,7 +1,6 @@
 """The benchmark: the same races for all agents, and correct figures with intervals."""
 
 import json
-import math
 from dataclasses import astuple, replace
 
 import numpy as np
@@ -16,7 +15,6 @@ from stkzoo.evaluation import (
     compare,
     load_benchmark,
     plan_benchmark,
-    plot_benchmark,
 )
 from stkzoo.evaluation.benchmark.plan import benchmark_orders
 from stkzoo.evaluation.benchmark.races import make_races, race_seed
@@ -40,21 +38,17 @@ def test_the_test_split_has_three_hundred_races_with_different_seeds():
 
 
 def test_a_seed_depends_only_on_the_race():
-    few = {(race.kind, race.index): race.seed for race in make_races(["abyss"], [True], FORMS, 2)}
+    few = {
+        (race.stratum, race.index): race.seed for race in make_races(["abyss"], [True], FORMS, 2)
+    }
     many = make_races(["zengarden", "abyss"], [False, True], FORMS[::-1], 3)
-    seeds = {(race.kind, race.index): race.seed for race in many}
+    seeds = {(race.stratum, race.index): race.seed for race in many}
     assert few.items() <= seeds.items()
 
 
 def test_seeds_are_those_of_all_published_results():
     assert race_seed("lighthouse", False, "PAAAA", "front", 0) == 207341991
     assert race_seed("xr591", True, "P", "front", 4) == 1370257659
-
-
-def test_the_first_races_include_each_kind_once():
-    races = make_races(["abyss", "mines"], (False, True), FORMS, 3)
-    first = races[: len(races) // 3]
-    assert len({race.kind for race in first}) == len(first) == 20
 
 
 @pytest.mark.parametrize(
@@ -70,7 +64,7 @@ def test_both_ends_of_the_grid(name, ends):
     assert {end: form.agent_karts(end) for end in form.ends} == ends
 
 
-@pytest.mark.parametrize("name", ["", "A", "AP", "PAP", "pa", "P" * 21, 3])
+@pytest.mark.parametrize("name", ["", "AP", "pa", "P" * 21])
 def test_invalid_race_forms_are_refused(name):
     with pytest.raises(ConfigError, match="expected P for each kart of the agent"):
         BenchmarkForm.of(name)
@@ -116,11 +110,6 @@ def test_an_agent_that_changes_the_difficulty_of_the_races_is_refused():
     with pytest.raises(ConfigError, match=message):
         plan_benchmark("ai:1")
     assert plan_benchmark("ai:1", difficulty=1, split="lighthouse").settings.difficulty == 1
-
-
-def test_an_unknown_agent_is_refused():
-    with pytest.raises(ConfigError, match="unknown driver 'nobody'"):
-        plan_benchmark("nobody")
 
 
 # ------------------------------------------------------------------ values of one race
@@ -180,6 +169,8 @@ def test_two_karts_of_the_agent_count_with_their_mean():
 
 
 def test_an_unfinished_kart_counts_with_the_time_limit():
+    alone = outcome_of("P", "front", (1, 38.0, 1, "finished"))
+    assert (alone.time_ratio, alone.is_won, alone.rank) == (pytest.approx(0.95), None, None)
     outcome = outcome_of("PA", "front", (1, None, 2, "racing"), (2, 40.0, 1, "finished"))
     assert (outcome.time_ratio, outcome.is_won, outcome.rank) == (3.0, 0.0, 2.0)
     assert outcome.unfinished == 1.0
@@ -194,33 +185,13 @@ def test_an_agent_that_fails_while_leading_is_last():
     assert [kart.rank for kart in both.karts] == [2, 3]
 
 
-def test_a_race_without_rivals_has_no_win_and_no_rank():
-    outcome = outcome_of("P", "front", (1, 38.0, 1, "finished"))
-    assert outcome.time_ratio == pytest.approx(0.95)
-    assert (outcome.is_won, outcome.rank) == (None, None)
-
-
 # ------------------------------------------------------------------ intervals
-
-
-def test_the_mean_is_over_races():
-    found = estimate_mean([1.0, 2.0, 3.0, 6.0], ["a", "a", "a", "a"])
-    assert found.value == 3.0
-    assert found.low < 3.0 < found.high
 
 
 def test_differences_between_strata_do_not_widen_the_interval():
     """Tracks are fixed, so a difference between them is not a random error."""
     found = estimate_mean([1.0, 1.0, 9.0, 9.0], ["a", "a", "b", "b"])
     assert (found.value, found.low, found.high) == (5.0, 5.0, 5.0)
-
-
-def test_the_width_of_the_interval_matches_the_standard_error():
-    values = np.random.default_rng(1).normal(size=(40, 5))
-    strata = [row for row in range(40) for _ in range(5)]
-    found = estimate_mean(values.ravel().tolist(), strata)
-    error = math.sqrt(values.var(axis=1, ddof=1).mean() / values.size)
-    assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.06)
 
 
 def test_the_interval_contains_the_true_mean_at_the_stated_rate():
@@ -231,11 +202,6 @@ def test_the_interval_contains_the_true_mean_at_the_stated_rate():
         found = estimate_mean(chance.normal(size=60).tolist(), strata)
         hits += found.low <= 0.0 <= found.high
     assert 273 <= hits <= 296  # 91 to 98.7%
-
-
-def test_a_kind_with_one_race_gives_no_interval():
-    found = estimate_mean([1.0, 2.0, 3.0], ["a", "a", "b"])
-    assert (found.value, found.low, found.high) == (2.0, None, None)
 
 
 def test_a_rate_of_zero_has_an_upper_bound():
@@ -273,18 +239,6 @@ def test_groups_have_the_means_of_their_races():
     assert everything.races == 20
     assert result.group("end", "back").figures["mean_rank"].value == 2.0
     assert result.group("track and direction", "lighthouse reversed").races == 10
-
-
-def test_an_agent_that_never_finishes_can_be_drawn(tmp_path):
-    plan = made_up(lambda _: 1.0, lambda _: False, seeds=2, split="test").plan
-    lost = (KartOutcome(None, 2, 0, 0),)
-    outcomes = [RaceOutcome(*astuple(race), "max_steps", plan.limit, lost) for race in plan.races()]
-    result = BenchmarkResult(plan, tuple(outcomes))
-    for group in result.groups:
-        ratio = group.figures["time_ratio"]
-        assert ratio.low <= ratio.value == 3.0 <= ratio.high
-    plot_benchmark(result, tmp_path / "lost.png")
-    assert (tmp_path / "lost.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_a_result_survives_a_json_round_trip():
@@ -364,6 +318,8 @@ def test_differences_have_intervals_over_tracks():
 
 
 def test_an_unfinished_race_has_the_limit_as_ratio_for_all_ai_times():
+    alone = outcome_of("P", "front", (1, 38.0, 1, "finished"))
+    assert (alone.time_ratio, alone.is_won, alone.rank) == (pytest.approx(0.95), None, None)
     outcome = outcome_of("PA", "front", (1, None, 2, "racing"), (2, 40.0, 1, "finished"))
     assert outcome.time_ratios(np.array([30.0, 50.0]), 3.0).tolist() == [3.0, 3.0]
     outcome = outcome_of("PA", "front", (1, 60.0, 2, "finished"), (2, 40.0, 1, "finished"))

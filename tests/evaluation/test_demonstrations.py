@@ -4,10 +4,6 @@ import builtins
 import json
 import os
 import re
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +27,6 @@ from stkzoo.evaluation import (
 from stkzoo.evaluation.demonstrations.dataset import tree_of
 from stkzoo.evaluation.demonstrations.plan import demo_orders
 from stkzoo.race import run_race
-from stkzoo.views import VIEWS
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
 
 SHORT = {"tracks": "lighthouse", "karts": 2, "max_steps": 60, "jobs": 1}
@@ -113,17 +108,6 @@ def test_controls_one_step_late_do_not_reproduce_the_race(driven):
     found = check_demonstrations(replace(demos, columns=late))
     assert not found.is_exact
     assert found.first_difference > 0
-
-
-@pytest.mark.slow
-def test_a_kart_that_no_longer_finishes_differs_from_the_recording(tmp_path):
-    how = {"tracks": "olivermath", "karts": 1, "jobs": 1}
-    demos = record_demonstrations("heuristic", output=tmp_path / "d.safetensors", **how)
-    assert demos[0].is_finished
-    demos.columns["controls"][50:70] = 0.0
-    found = check_demonstrations(demos)
-    assert found.first_difference is not None
-    assert 50 < found.first_difference <= 52
 
 
 @pytest.fixture
@@ -238,7 +222,7 @@ def test_the_reward_does_not_depend_on_how_often_the_controls_are_read(whole, tm
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", ["simple", "flattened_discrete", "box_continuous"])
+@pytest.mark.parametrize("view", ["flattened_discrete", "box_continuous"])
 def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
     how = {**SHORT, "karts": 1, "max_steps": 25}
     demos = record_demonstrations("pursuit", output=tmp_path / "d.safetensors", view=view, **how)
@@ -292,44 +276,27 @@ COMMAND = ["pursuit", "--track", "lighthouse", "--karts", "1", "--max-steps", "4
 
 
 @pytest.mark.slow
-def test_recording_resumes_after_a_kill(tmp_path):
+def test_recording_resumes_after_an_interruption(driven, tmp_path):
+    def stop(progress):
+        if progress.done == 1:
+            raise KeyboardInterrupt
+
     file = tmp_path / "d.safetensors"
-    words = ["demos", *COMMAND, "--seeds", "4", "--output", str(file)]
-    first = subprocess.Popen([sys.executable, "-m", "stkzoo", *words])
-    races = tmp_path / "d.safetensors.parts" / "races"
-    _wait_for(lambda: len(list(races.glob("*.safetensors"))) > 0)
-    first.send_signal(signal.SIGKILL)
-    first.wait(30)
-    kept = {path.name: path.stat().st_mtime_ns for path in races.glob("0*.safetensors")}
-    assert kept
-    if not file.exists():
-        begun = sorted(kept)
-        touched = races / begun[0]
-        assert main(words) == 0
-        assert not touched.exists()  # its episodes are in the dataset
-    demos = load_demonstrations(file)
-    assert [facts.seed for facts in demos.facts] == [0, 1, 2, 3]
-    straight = record_demonstrations(
-        "pursuit", output=tmp_path / "s.safetensors", seeds=4, **(SHORT | ONE)
-    )
-    np.testing.assert_array_equal(demos.columns["controls"], straight.columns["controls"])
-
-
-ONE = {"karts": 1, "max_steps": 40}
-
-
-def _wait_for(happened, seconds=120.0):
-    end = time.monotonic() + seconds
-    while not happened():
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    how = {**SHORT, "seeds": (3, 4), "rivals": ["ai"]}
+    with pytest.raises(KeyboardInterrupt):
+        record_demonstrations("pursuit", output=file, on_race=stop, **how)
+    (kept,) = (tmp_path / "d.safetensors.parts" / "races").glob("*.safetensors")
+    heard = []
+    demos = record_demonstrations("pursuit", output=file, on_race=heard.append, **how)
+    assert [progress.done for progress in heard] == [1, 2]
+    assert not kept.exists()  # its episodes are in the dataset
+    np.testing.assert_array_equal(demos.columns["controls"], driven[1].columns["controls"])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("more", [[], ["--sandbox", "on"]], ids=" ".join)
-def test_the_command_records_and_checks(more, tmp_path, capsys):
+def test_the_command_records_and_checks(tmp_path, capsys):
     file = tmp_path / "d.safetensors"
-    assert main(["demos", *COMMAND, *more, "--output", str(file), "--check"]) == 0
+    assert main(["demos", *COMMAND, "--output", str(file), "--check"]) == 0
     out = capsys.readouterr().out
     assert "1 drives (0 finished), 40 steps, view racing" in out
     assert "is identical: 40 steps" in out
@@ -395,18 +362,6 @@ def test_a_plan_survives_json():
     assert type(plan).from_json(plan.to_json()) == plan
     assert len(demo_orders(plan)) == 4
     assert plan.substeps == 4
-
-
-def test_all_views_of_fixed_size_can_be_recorded():
-    recorded = []
-    for name in VIEWS:
-        try:
-            DemoView(name)
-        except ConfigError:
-            continue
-        recorded.append(name)
-    assert {"racing", "simple", "flattened", "box_discrete", "box_continuous"} <= set(recorded)
-    assert "full" not in recorded
 
 
 def test_minari_loads_the_same_data(driven, tmp_path, monkeypatch):

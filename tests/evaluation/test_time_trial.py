@@ -62,12 +62,6 @@ def test_invalid_time_trials_are_refused(options, message):
         plan_time_trial("heuristic", **options)
 
 
-def test_a_plan_with_a_track_without_a_record_is_refused():
-    plan = plan_time_trial("heuristic", split="lighthouse")
-    with pytest.raises(ConfigError, match="hacienda has no human record"):
-        replace(plan, tracks=("hacienda",))
-
-
 def test_a_plan_under_other_conditions_is_refused():
     plan = plan_time_trial("heuristic", split="lighthouse")
     with pytest.raises(ConfigError, match="difficulty is 2, expected 3 as in the records"):
@@ -124,13 +118,6 @@ def test_the_figures_are_multiples_of_the_records():
     assert result.mean_ratio == pytest.approx((1.15 + 1.2 + 3.0) / 3, abs=1e-4)
     assert (result.close, result.unfinished) == (1, ("mines",))
     assert result.tracks[2].time is None
-
-
-def test_several_races_on_a_track_count_with_their_mean():
-    result = outcome([1.0, 1.4], split="mines", seeds=2)
-    (track,) = result.tracks
-    assert (track.ratio, track.finished) == (1.2, 2)
-    assert track.time == pytest.approx(1.2 * HUMAN_RECORDS["mines"].seconds)
 
 
 def test_an_incomplete_time_trial_has_a_result():
@@ -207,8 +194,3 @@ def test_the_command_shows_times_records_and_ratios(tmp_path, capsys):
 def test_options_that_contradict_the_records_are_refused(words, message, capsys):
     assert main(["benchmark", "heuristic", "--time-trial", *words]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_a_time_trial_needs_an_agent(capsys):
-    assert main(["benchmark", "--time-trial"]) == 2
-    assert "no agent; name one" in capsys.readouterr().err

@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import jsonschema
@@ -56,9 +55,9 @@ def small(tmp_path_factory):
         agents,
         output=folder,
         tracks=["lighthouse", "olivermath"],
-        races=8,
+        races=4,
         per_race=3,
-        max_steps=40,
+        max_steps=20,
         jobs=2,
         on_race=heard.append,
     )
@@ -76,7 +75,7 @@ def races_in(folder):
 def test_all_races_have_the_planned_grids(small):
     folder, result, _ = small
     plan = result.plan
-    assert races_in(folder) == [f"{number:05d}.json" for number in range(8)]
+    assert races_in(folder) == [f"{number:05d}.json" for number in range(4)]
     for race in plan.schedule():
         text = (folder / "races" / f"{race.number:05d}.json").read_text()
         rows = RaceResult.from_json(text).agents
@@ -88,7 +87,7 @@ def test_all_races_have_the_planned_grids(small):
 def test_an_agent_that_fails_loses_only_its_own_races(small):
     _, result, _ = small
     last = result.standings[-1]
-    assert (last.label, last.retired, last.races) == ("exits", 6, 6)
+    assert (last.label, last.retired, last.races) == ("exits", 3, 3)
     assert last.mean_rank == 3.0
     assert [row.errors for row in result.standings[:-1]] == [0, 0, 0]
     assert all(race.order[-1] == "exits" for race in result.races if "exits" in race.order)
@@ -119,9 +118,9 @@ def test_the_matrix_counts_meetings(small):
 @pytest.mark.slow
 def test_progress_is_reported_after_every_race(small):
     _, _, heard = small
-    assert [progress.done for progress in heard] == list(range(9))
-    assert {progress.total for progress in heard} == {8}
-    assert heard[-1].last.steps == 40
+    assert [progress.done for progress in heard] == list(range(5))
+    assert {progress.total for progress in heard} == {4}
+    assert heard[-1].last.steps == 20
 
 
 @pytest.mark.slow
@@ -131,18 +130,6 @@ def test_a_finished_tournament_repeats_no_races(small):
     assert resume_tournament(folder) == result
     assert load_tournament(folder) == result
     assert stamps == [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
-
-
-@pytest.mark.slow
-def test_incomplete_files_of_a_killed_program_are_removed(small):
-    folder = small[0]
-    places = [path for path in folder.rglob("*") if path.is_dir()]
-    assert {"races", "replays", "films"} <= {place.name for place in places}
-    parts = [place / ".name.abcdefgh.part" for place in (folder, *places)]
-    for part in parts:
-        part.touch()
-    resume_tournament(folder)
-    assert not [part for part in parts if part.exists()]
 
 
 @pytest.mark.slow
@@ -157,13 +144,6 @@ def test_the_plot_is_saved_as_an_image(small, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["cup.svg"]
 
 
-@pytest.mark.slow
-def test_the_number_of_jobs_does_not_change_results(tmp_path):
-    one = run_tournament(THREE, output=tmp_path / "one", **IN_ONE_PROGRAM)
-    two = run_tournament(THREE, output=tmp_path / "two", **IN_ONE_PROGRAM | {"jobs": 3})
-    assert one == two
-
-
 # ------------------------------------------------------------------ ratings
 
 
@@ -173,32 +153,10 @@ def test_better_agents_are_rated_better():
     assert all(rating.low < rating.value < rating.high for rating in ratings)
 
 
-def test_a_race_of_one_agent_rates_nobody():
-    values = [rating.value for rating in rate([[0], [0, 1], [1]], 2)]
-    assert values == [rating.value for rating in rate([[0, 1]], 2)]
-    assert [rating.value for rating in rate([[0]], 1)] == [25]
-
-
-@pytest.mark.slow
-def test_more_races_make_the_interval_narrower():
-    races = [[0, 1], [0, 1], [1, 0], [0, 1]]
-    few, many = rate(races * 2, 2)[0], rate(races * 25, 2)[0]
-    assert many.sigma < few.sigma
-    assert many.low > rate(races * 25, 2)[1].high
-
-
 def test_an_agent_without_races_has_the_default_rating():
     rating = rate([[0, 1]], 3)[2]
     assert rating.value == 25
     assert rating.low < 23 < 27 < rating.high
-
-
-@pytest.mark.slow
-def test_an_agent_that_always_wins_still_has_a_rating_interval():
-    few, many = rate([[0, 1]] * 4, 2), rate([[0, 1]] * 100, 2)
-    assert few[0].low < few[0].value - 3
-    assert few[1].high > few[1].value + 3
-    assert many[0].low > many[1].high
 
 
 @pytest.mark.slow
@@ -241,38 +199,32 @@ def test_no_agent_wins_a_race_in_which_all_agents_failed(tmp_path):
 
 
 @pytest.mark.slow
-def test_failures_without_removal_are_counted_by_race(tmp_path, capsys):
+def test_the_command_counts_failures_without_removal_by_race(tmp_path, capsys):
     words = ["--races", "2", "--max-steps", "10", "--track", "lighthouse", "--no-plot"]
     words += ["--error-handling", "catch", "--output", str(tmp_path)]
-    assert main(["tournament", "ai", write_agent(tmp_path, "bad", act="raise KeyError()"), *words])
+    bad = write_agent(tmp_path, "bad", act="raise KeyError()")
+    assert main(["tournament", "ai", bad, *words]) == 3
     (row,) = [row for row in load_tournament(tmp_path).standings if row.label == "bad"]
     assert (row.retired, row.failed, row.errors) == (0, 2, 20)
-    assert "bad failed in 2 of 2 races: KeyError" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "2 of 2 races of 2 on lighthouse" in shown
+    assert "bad failed in 2 of 2 races: KeyError" in shown
     assert "failed in 2 of 2 races: KeyError" in (tmp_path / "report.html").read_text()
+    assert main(["tournament", "--resume", str(tmp_path), "--json", "--no-plot"]) == 3
+    assert json.loads(capsys.readouterr().out)["standings"][0]["label"] == "ai"
 
 
 # ------------------------------------------------------------------ interruptions
-
-SIX = ("heuristic", "ai", "random", "heuristic@:second", "ai@:rival", "random@:dice")
 
 
 @pytest.mark.slow
 def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
     folder = tmp_path / "league"
-    command = [sys.executable, "-m", "stkzoo", "tournament", *SIX, "--output", str(folder)]
-    words = [
-        "--races",
-        "24",
-        "--max-steps",
-        "10",
-        "--track",
-        "lighthouse",
-        "olivermath",
-        "--inline",
-    ]
+    command = [sys.executable, "-m", "stkzoo", "tournament", *THREE, "--output", str(folder)]
+    words = ["--races", "8", "--max-steps", "10", "--track", "lighthouse", "--jobs", "2"]
     program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
     is_over = lambda: program.poll() is not None  # noqa: E731
-    is_half = lambda: len(races_in(folder)) >= 12  # noqa: E731
+    is_half = lambda: len(races_in(folder)) >= 3  # noqa: E731
     wait_until(lambda: is_half() or is_over(), seconds=300)
     workers = children_of(program.pid)
     program.kill()
@@ -281,7 +233,7 @@ def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
     assert wait_until(lambda: not any(map(process_exists, workers)))
     half = {name: (folder / "races" / name).read_bytes() for name in races_in(folder)}
     assert workers
-    assert 12 <= len(half) < 24
+    assert 3 <= len(half) < 8
     done = subprocess.run(
         [sys.executable, "-m", "stkzoo", "tournament", "--resume", str(folder)],
         capture_output=True,
@@ -289,18 +241,15 @@ def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
         timeout=300,
     )
     assert done.returncode == 0, done.stderr
-    expected = [f"{number:05d}.json" for number in range(24)]
+    expected = [f"{number:05d}.json" for number in range(8)]
     assert sorted(file.name for file in (folder / "races").iterdir()) == expected
     assert all((folder / "races" / name).read_bytes() == text for name, text in half.items())
-    result = load_tournament(folder)
-    assert result.is_complete
-    assert Counter(row.races for row in result.standings) == {16: 6}
-    assert all(row.rating.low < row.rating.value < row.rating.high for row in result.standings)
+    assert load_tournament(folder).is_complete
 
 
 @pytest.mark.slow
-def test_a_resumed_tournament_has_the_same_result(tmp_path):
-    whole = run_tournament(THREE, output=tmp_path / "whole", **IN_ONE_PROGRAM)
+def test_a_resumed_tournament_has_the_same_result_with_another_number_of_jobs(tmp_path):
+    whole = run_tournament(THREE, output=tmp_path / "whole", **IN_ONE_PROGRAM | {"jobs": 3})
 
     class Stop(Exception):
         pass
@@ -391,16 +340,6 @@ def test_an_agent_that_ends_its_worker_voids_only_its_races(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
-def test_a_sandboxed_agent_cannot_end_its_worker(tmp_path):
-    killer = tmp_path / "killer.py"
-    killer.write_text(KILLER)
-    settings = {**SMALL, "races": 1, "per_race": 2}
-    result = run_tournament(["ai", str(killer)], output=tmp_path / "cup", **settings)
-    assert [race.order for race in result.races] == [("ai", "killer")]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(bool(bubblewrap_problem()), reason=bubblewrap_problem())
 def test_an_agent_that_attacks_when_behind_voids_no_race_and_finishes_last(tmp_path):
     loser = write_sore_loser(tmp_path, f"stkzoo-test-{os.getpid()}")
     settings = {**SMALL, "races": 3, "per_race": 2, "max_steps": 60, "sandbox": "on"}
@@ -417,8 +356,8 @@ def test_an_agent_that_attacks_when_behind_voids_no_race_and_finishes_last(tmp_p
 
 @pytest.mark.slow
 def test_a_race_that_never_ends_is_ended(tmp_path):
-    settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 10**6, "race_timeout": 3.0}
-    with pytest.raises(BatchError, match="it was not over after 3 s"):
+    settings = {**SMALL, "races": 1, "per_race": 2, "max_steps": 10**6, "race_timeout": 1.0}
+    with pytest.raises(BatchError, match="it was not over after 1 s"):
         run_tournament(["random", "random@:r"], output=tmp_path / "cup", **settings)
 
 
@@ -430,7 +369,7 @@ def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
         steps.append(0)
         if len(steps) % 2 == {turn}:
-            time.sleep(3)
+            time.sleep(2)
         return dict.fromkeys(action_space, 0) | {{"acceleration": [0.0], "steer": [0.0]}}
     return actor
 """
@@ -441,20 +380,19 @@ def test_two_slow_agents_void_no_race_and_lose_it(tmp_path):
     """They take turns, so that the absence of one of them does not let the race finish."""
     for turn, name in enumerate("ab"):
         (tmp_path / f"{name}.py").write_text(SLOW.format(turn=turn))
-    settings = {**SMALL, "races": 1, "per_race": 3, "max_steps": 40, "race_timeout": 40.0}
+    settings = {**SMALL, "races": 1, "per_race": 3, "max_steps": 40, "race_timeout": 20.0}
     agents = ["heuristic", *(str(tmp_path / f"{name}.py") for name in "ab")]
     result = run_tournament(agents, output=tmp_path / "cup", **settings)
     assert [race.order[0] for race in result.races] == ["heuristic"]
     assert [row.reason for row in result.standings if row.label in "ab"] == [
-        "it has used up its time budget of 10 s for decisions"
+        "it has used up its time budget of 5 s for decisions"
     ] * 2
 
 
-@pytest.mark.parametrize(("budget", "expected"), [(None, 10.0), (20.0, 10.0), (5.0, 5.0)])
-def test_a_race_that_was_late_is_repeated_with_a_time_budget(budget, expected):
-    order = RaceOrder(0, ("ai", "random"), RaceSettings(inline=True, time_budget=budget))
+def test_a_race_that_was_late_is_repeated_with_a_time_budget():
+    order = RaceOrder(0, ("ai", "random"), RaceSettings(inline=True, time_budget=20.0))
     settings = order.hurried(30.0).settings
-    assert (settings.time_budget, settings.inline) == (expected, False)
+    assert (settings.time_budget, settings.inline) == (10.0, False)
 
 
 @pytest.mark.slow
@@ -476,27 +414,8 @@ def test_two_programs_cannot_run_the_same_tournament(tmp_path):
 def test_another_tournament_in_the_folder_is_refused(small):
     folder, result, _ = small
     agents = [agent.text for agent in result.plan.agents]
-    with pytest.raises(ConfigError, match=r"has another tournament: .*races is 9 and was 8"):
+    with pytest.raises(ConfigError, match=r"has another tournament: .*races is 9 and was 4"):
         run_tournament(agents, output=folder, tracks=["lighthouse"], races=9)
-
-
-@pytest.mark.slow
-def test_an_agent_changed_during_a_tournament_is_reported(tmp_path):
-    agent, folder = tmp_path / "mine", tmp_path / "cup"
-    shutil.copytree(AGENTS / "plain", agent)
-    settings = {**SMALL, "races": 1, "per_race": 2}
-    result = run_tournament(["ai", str(agent)], output=folder, **settings)
-    (agent / "notes.txt").write_text("new files are nobody's business")
-    (agent / "run.log").write_text("")
-    assert resume_tournament(folder, plot=False) == result
-    (agent / "helper.py").write_text("chase = None")
-    with pytest.raises(
-        ConfigError, match=r"files of agent 'Plain' have changed: \['mine/helper.py'\]"
-    ):
-        resume_tournament(folder)
-    shutil.rmtree(agent)
-    with pytest.raises(ConfigError, match=f"agent 'Plain' is no longer at {agent}"):
-        resume_tournament(folder)
 
 
 @pytest.mark.slow
@@ -508,12 +427,17 @@ def test_an_agent_that_changes_between_two_races_is_reported_only_on_resume(tmp_
         if progress.done == 1:
             (agent / "helper.py").write_text("chase = None")
 
-    settings = {**SMALL, "races": 2, "per_race": 2, "jobs": 1, "on_race": change}
-    result = run_tournament(["ai", str(agent)], output=folder, **settings)
-    assert [race.order for race in result.races] == [("ai", "Plain")] * 2
+    settings = {**SMALL, "races": 2, "per_race": 2, "jobs": 1}
+    result = run_tournament(["ai", str(agent)], output=folder, on_race=change, **settings)
     assert result.standings[1].errors == 1
-    with pytest.raises(ConfigError, match=r"files of agent 'Plain' have changed"):
+    with pytest.raises(ConfigError, match=r"agent 'Plain' have changed: \['mine/helper.py'\]"):
         resume_tournament(folder)
+    shutil.rmtree(agent)
+    with pytest.raises(ConfigError, match=f"agent 'Plain' is no longer at {agent}"):
+        resume_tournament(folder)
+    shutil.copytree(AGENTS / "plain", agent)
+    (agent / "notes.txt").write_text("new files are ignored")
+    assert resume_tournament(folder, plot=False) == result
 
 
 def test_a_plan_keeps_digests_of_files_with_unprintable_names(tmp_path):
@@ -531,17 +455,6 @@ def test_a_plan_whose_version_had_another_schedule_is_refused(tmp_path):
     (tmp_path / "plan.json").write_text(text.replace('"schema_version": 2', '"schema_version": 1'))
     with pytest.raises(ConfigError, match=r"version 1, .* another version of stkzoo wrote it"):
         resume_tournament(tmp_path)
-
-
-def test_an_unusable_name_of_the_folder_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="too long; choose another --output"):
-        run_tournament(["ai", "random"], output=tmp_path / ("x" * 300), races=1)
-
-
-def test_a_pipe_as_lock_is_refused_without_waiting(tmp_path):
-    os.mkfifo(tmp_path / "lock")
-    with pytest.raises(ConfigError, match="cannot be used"):
-        run_tournament(THREE, output=tmp_path, **SMALL)
 
 
 @pytest.mark.parametrize("source", ["module_home/bare_module_agent.py", "alpha", "weights"])
@@ -584,15 +497,10 @@ def test_the_fingerprint_of_an_agent_covers_a_bounded_amount_of_data(tmp_path, m
     ]
 
 
-def test_the_fingerprint_of_a_module_covers_its_files():
-    assert "http/server.py" in fingerprint("http.server")
-    assert list(fingerprint("this")) == ["this.py"]
-
-
 @pytest.mark.slow
-def test_a_damaged_race_file_is_an_error(tmp_path):
+def test_a_damaged_race_file_is_an_error(small, tmp_path):
     folder = tmp_path / "cup"
-    run_tournament(THREE, output=folder, **IN_ONE_PROGRAM)
+    shutil.copytree(small[0], folder)
     first, second = folder / "races" / "00000.json", folder / "races" / "00001.json"
     good = first.read_text()
     first.write_text(good[:100])
@@ -603,7 +511,9 @@ def test_a_damaged_race_file_is_an_error(tmp_path):
         resume_tournament(folder)
     first.unlink()
     resume_tournament(folder, plot=False)
-    assert RaceResult.from_json(first.read_text()) == RaceResult.from_json(good)
+    assert (
+        RaceResult.load(first).agents[0].distance == RaceResult.from_json(good).agents[0].distance
+    )
 
 
 # ------------------------------------------------------------------ plans and the command
@@ -631,12 +541,6 @@ def test_invalid_plans_are_refused(agents, plan, message):
         plan_tournament(agents, **plan)
 
 
-def test_agents_with_the_same_file_name_are_labeled_by_player_name():
-    paths = [str(AGENTS / name / "stk_actor") for name in ("alpha", "beta")]
-    labels = [agent.label for agent in plan_tournament(paths).agents]
-    assert labels == ["Alpha", "Beta"]
-
-
 def test_an_agent_that_is_named_again_on_resume_does_not_join_twice(tmp_path):
     (tmp_path / "late").mkdir()
     one, two = write_agent(tmp_path, "ada"), write_agent(tmp_path / "late", "ada")
@@ -657,18 +561,6 @@ def test_the_refusal_of_other_agents_names_only_those_that_differ(tmp_path):
     other = plan_tournament([*agents[:2], "ai"], **settings)
     (difference,) = plan_differences(plan, other)
     assert difference == (f"agents also has ['ai@:ai'] and no longer has ['{agents[2]}@:eve']")
-
-
-@pytest.mark.slow
-def test_the_command_shows_a_table_and_exits_with_3_when_an_agent_failed(tmp_path, capsys):
-    folder = str(tmp_path / "cup")
-    agents = ["ai", str(AGENTS / "hostile" / "once.py")]
-    words = ["--races", "2", "--max-steps", "10", "--track", "lighthouse", "--output", folder]
-    assert main(["tournament", *agents, *words, "--no-plot"]) == 3
-    shown = capsys.readouterr().out
-    assert "2 of 2 races of 2 on lighthouse" in shown
-    assert main(["tournament", "--resume", folder, "--json", "--no-plot"]) == 3
-    assert json.loads(capsys.readouterr().out)["standings"][0]["label"] == "ai"
 
 
 def test_invalid_usage_exits_with_2(tmp_path, capsys):

@@ -19,7 +19,7 @@ def test_the_training_tracks_have_one_race_of_each_kind(name, races):
     assert plan.tracks == TASKS[name].train_tracks
     assert plan.is_on_training_tracks
     assert len(plan.races()) == races
-    assert len({race.kind for race in plan.races()}) == races
+    assert len({race.stratum for race in plan.races()}) == races
     assert {race.form for race in plan.races()} == set(TASKS[name].forms)
 
 

@@ -102,7 +102,7 @@ def find_agents(
             two agents were given the same name, or the sandbox is not available.
     """
     labels = [*taken]
-    found = []
+    entries = []
     for text in agents:
         driver = find_driver(text, inline=settings.inline, adapter=settings.adapter)
         check_level(driver, settings)
@@ -110,11 +110,11 @@ def find_agents(
             say_what_is_missing(settings.sandbox)
         is_fixed = NAME_MARK in text or driver.is_game_ai
         labels.append(_unique(_name_of(text, driver), labels, is_fixed=is_fixed, text=text))
-        found.append(BatchAgent.of(labels[-1], _lasting(driver.source)))
+        entries.append(BatchAgent.of(labels[-1], _lasting(driver.source)))
     for agent in served:
         labels.append(_unique(agent.name or _short(agent.source), labels))
-        found.append(BatchAgent(labels[-1], agent.place, served=agent))
-    return tuple(found)
+        entries.append(BatchAgent(labels[-1], agent.place, served=agent))
+    return tuple(entries)
 
 
 def is_among(text: str, agents: Sequence[BatchAgent]) -> bool:
@@ -183,8 +183,8 @@ def _unique(name: str, taken: Collection[str], *, is_fixed: bool = False, text: 
 
 def _name_of(text: str, driver: Driver) -> str:
     """Returns the name that a text gives to its agent, or that of the agent's code or files."""
-    given = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
-    return given or declared_name(driver.source) or _short(driver.source)
+    chosen = text.rpartition(NAME_MARK)[2] if NAME_MARK in text else ""
+    return chosen or declared_name(driver.source) or _short(driver.source)
 
 
 def _plain(name: str) -> str:
@@ -219,12 +219,12 @@ def fingerprint(source: str) -> dict[str, str]:
     if home is None:
         return {}
     top = home.parent if home.name == f"{ACTOR_MODULE}.py" else home
-    found, left = {}, MAX_BYTES
+    digests, left = {}, MAX_BYTES
     for file in itertools.islice(_files(top), _MOST_FILES):
         digest, size = _digest(file, left)
-        found[plain_text(file.relative_to(home.parent).as_posix())] = digest
+        digests[plain_text(file.relative_to(home.parent).as_posix())] = digest
         left -= size
-    return found
+    return digests
 
 
 def _home(source: str) -> Path | None:
@@ -234,8 +234,8 @@ def _home(source: str) -> Path | None:
     top = source.partition(".")[0]
     spec = installed_module(top)
     places = spec and (spec.submodule_search_locations or [spec.origin or ""])
-    found = (Path(place) for place in (*(places or ()), top, f"{top}.py") if place)
-    return next((place.resolve() for place in found if place.exists()), None)
+    paths = (Path(place) for place in (*(places or ()), top, f"{top}.py") if place)
+    return next((place.resolve() for place in paths if place.exists()), None)
 
 
 def _files(home: Path) -> Iterator[Path]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -234,10 +235,8 @@ def find_tracks(tracks: str | Sequence[str], settings: RaceSettings) -> tuple[st
     known = find_assets().tracks
     shared = ("laps", "difficulty", "reverse", "mode", "max_paths")
     options = {name: getattr(settings, name) for name in shared}
-    found: dict[str, None] = {}
-    for name in names:
-        found.update(dict.fromkeys(RaceOptions(num_kart=2, track=name, **options).tracks(known)))
-    return tuple(found)
+    named = (RaceOptions(num_kart=2, track=name, **options).tracks(known) for name in names)
+    return tuple(dict.fromkeys(itertools.chain(*named)))
 
 
 def check_directions(reverse: Sequence[bool]) -> tuple[bool, ...]:

@@ -82,23 +82,23 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
             "directions and forms"
         )
 
-    def minus(kind: FigureKind) -> FigureKind:
+    def minus(metric: FigureKind) -> FigureKind:
         def difference(race: RaceOutcome) -> float | None:
-            one, two = kind.of(race), kind.of(others[race.key])
+            one, two = metric.of(race), metric.of(others[race.key])
             return None if one is None or two is None else one - two
 
         def redrawn_difference(race: RaceOutcome) -> FloatArray:
-            assert kind.redrawn is not None  # noqa: S101 - only called if it is not
-            return kind.redrawn(race) - kind.redrawn(others[race.key])
+            assert metric.redrawn is not None  # noqa: S101 - only called if it is not
+            return metric.redrawn(race) - metric.redrawn(others[race.key])
 
         return FigureKind(
-            kind.name,
+            metric.name,
             difference,
-            kind.bounds and (-kind.bounds[1], kind.bounds[1]),
-            kind.redrawn and redrawn_difference,
+            metric.bounds and (-metric.bounds[1], metric.bounds[1]),
+            metric.redrawn and redrawn_difference,
         )
 
-    groups = group_races(shared, [minus(kind) for kind in first.figure_kinds()])
+    groups = group_races(shared, [minus(metric) for metric in first.figure_kinds()])
     return Comparison(first.label, second.label, groups)
 
 

@@ -244,10 +244,10 @@ class BenchmarkResult(Document):
     def __post_init__(self) -> None:
         planned = {race.number: (*race.key, race.seed) for race in self.plan.races()}
         for race in self.races:
-            found, expected = (*race.key, race.seed), planned.get(race.number)
-            if found != expected:
+            actual, expected = (*race.key, race.seed), planned.get(race.number)
+            if actual != expected:
                 raise ConfigError(
-                    f"race {race.number} of the benchmark result is {found}, expected {expected}; "
+                    f"race {race.number} of the benchmark result is {actual}, expected {expected}; "
                     "another version of stkzoo wrote it"
                 )
 
@@ -279,8 +279,8 @@ class BenchmarkResult(Document):
             return race.time_ratios(ai_times[race.track, race.reverse], limit)
 
         return tuple(
-            replace(kind, redrawn=redrawn) if kind.name == "time_ratio" else kind
-            for kind in FIGURES
+            replace(metric, redrawn=redrawn) if metric.name == "time_ratio" else metric
+            for metric in FIGURES
         )
 
     def group(self, by: str = "all", name: str = "") -> RaceGroup:

@@ -67,10 +67,10 @@ def _draw(
     for number, result in enumerate(results):
         shift = _SPREAD * ((number + 0.5) / len(results) - 0.5)
         known = {(group.by, group.name): group.figures[figure] for group in result.groups}
-        found = {row + shift: known.get(key) for row, key in enumerate(rows)}
+        estimates = {row + shift: known.get(key) for row, key in enumerate(rows)}
         draw_intervals(
             axes,
-            {row: estimate for row, estimate in found.items() if estimate is not None},
+            {row: estimate for row, estimate in estimates.items() if estimate is not None},
             scale=scale,
             color=PALETTE[number % len(PALETTE)],
             label=shorten(result.label),

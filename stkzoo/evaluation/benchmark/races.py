@@ -127,14 +127,14 @@ class BenchmarkRace:
         return BenchmarkForm.of(self.form)
 
     @property
-    def kind(self) -> tuple[str, bool, str, str]:
+    def stratum(self) -> tuple[str, bool, str, str]:
         """Track, ``reverse``, form and end. Races that differ only in their seeds share these."""
         return self.track, self.reverse, self.form, self.end
 
     @property
     def key(self) -> tuple[str, bool, str, str, int]:
-        """:attr:`kind` and index, which identify the race in all benchmarks."""
-        return *self.kind, self.index
+        """:attr:`stratum` and index, which identify the race in all benchmarks."""
+        return *self.stratum, self.index
 
 
 def race_seed(track: str, reverse: bool, form: str, end: str, index: int) -> int:
@@ -176,14 +176,14 @@ def make_races(
         forms: the race forms.
         seeds: number of races for each track, direction, form and end of the grid.
     """
-    kinds = [
+    strata = [
         (track, reverse, form.name, end)
         for track, reverse, form in itertools.product(tracks, directions, forms)
         for end in form.ends
     ]
     return tuple(
-        BenchmarkRace(number, *kind, index, race_seed(*kind, index))
-        for number, (index, kind) in enumerate(itertools.product(range(seeds), kinds))
+        BenchmarkRace(number, *stratum, index, race_seed(*stratum, index))
+        for number, (index, stratum) in enumerate(itertools.product(range(seeds), strata))
     )
 
 
@@ -366,50 +366,52 @@ class RaceGroup:
 
 
 def group_races(
-    outcomes: Sequence[RaceOutcome], kinds: Sequence[FigureKind] = FIGURES
+    outcomes: Sequence[RaceOutcome], metrics: Sequence[FigureKind] = FIGURES
 ) -> tuple[RaceGroup, ...]:
     """Returns the metrics of all races and of groups of races, in display order.
 
     Args:
         outcomes: the races.
-        kinds: the metrics.
+        metrics: the metrics.
     """
     groups: dict[tuple[str, str], list[RaceOutcome]] = {}
     for by, name_of in _GROUPINGS.items():
         for outcome in outcomes:
             groups.setdefault((by, name_of(outcome)), []).append(outcome)
-    return tuple(_group(by, name, members, kinds) for (by, name), members in groups.items())
+    return tuple(_group(by, name, members, metrics) for (by, name), members in groups.items())
 
 
 def _group(
-    by: str, name: str, outcomes: Sequence[RaceOutcome], kinds: Sequence[FigureKind]
+    by: str, name: str, outcomes: Sequence[RaceOutcome], metrics: Sequence[FigureKind]
 ) -> RaceGroup:
-    strata = [outcome.kind for outcome in outcomes]
+    strata = [outcome.stratum for outcome in outcomes]
     chances = [outcome.lineup.chance for outcome in outcomes if outcome.lineup.rivals]
     figures = {
-        kind.name: estimate_mean([kind.of(outcome) for outcome in outcomes], strata, kind.bounds)
-        for kind in kinds
+        metric.name: estimate_mean(
+            [metric.of(outcome) for outcome in outcomes], strata, metric.bounds
+        )
+        for metric in metrics
     }
-    clustered = {kind.name: _clustered(outcomes, kind) for kind in kinds}
+    clustered = {metric.name: _clustered(outcomes, metric) for metric in metrics}
     chance = _mean(chances) if chances else None
     return RaceGroup(by, name, len(outcomes), chance, figures, clustered)
 
 
-def _clustered(outcomes: Sequence[RaceOutcome], kind: FigureKind) -> Estimate | None:
+def _clustered(outcomes: Sequence[RaceOutcome], metric: FigureKind) -> Estimate | None:
     """Returns the estimate of a metric with an interval over tracks and directions."""
     numbers: dict[tuple[str, bool], int] = {}
     for outcome in outcomes:
         numbers.setdefault((outcome.track, outcome.reverse), len(numbers))
     totals, counts = np.zeros((2, len(numbers)))
-    has_baseline = kind.redrawn is not None and len(numbers) >= FEWEST_CLUSTERS
+    has_baseline = metric.redrawn is not None and len(numbers) >= FEWEST_CLUSTERS
     redrawn = np.zeros((DRAWS, len(numbers))) if has_baseline else None
     for outcome in outcomes:
-        value, number = kind.of(outcome), numbers[outcome.track, outcome.reverse]
+        value, number = metric.of(outcome), numbers[outcome.track, outcome.reverse]
         if value is not None:
             totals[number] += value
             counts[number] += 1
-            if redrawn is not None and kind.redrawn is not None:
-                redrawn[:, number] += kind.redrawn(outcome)
+            if redrawn is not None and metric.redrawn is not None:
+                redrawn[:, number] += metric.redrawn(outcome)
     return estimate_clustered(totals, counts, redrawn)
 
 

@@ -273,10 +273,10 @@ class TimeTrialResult(Document):
             for order in time_trial_orders(self.plan)
         }
         for race in self.races:
-            found, expected = (race.track, race.seed), planned.get(race.number)
-            if found != expected:
+            actual, expected = (race.track, race.seed), planned.get(race.number)
+            if actual != expected:
                 raise ConfigError(
-                    f"race {race.number} of the time trials is {found}, expected {expected}; "
+                    f"race {race.number} of the time trials is {actual}, expected {expected}; "
                     "another version of stkzoo wrote it"
                 )
 

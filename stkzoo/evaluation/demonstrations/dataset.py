@@ -56,8 +56,8 @@ def tree_of(name: str, columns: Mapping[str, npt.NDArray[Any]]) -> Any:
     if name in columns:
         return columns[name]
     inner = f"{name}/"
-    own = [column for column in columns if column.startswith(inner)]
-    keys = {column.removeprefix(inner).partition("/")[0] for column in own}
+    parts = [column for column in columns if column.startswith(inner)]
+    keys = {column.removeprefix(inner).partition("/")[0] for column in parts}
     if not keys:
         raise KeyError(name)
     return {key: tree_of(inner + key, columns) for key in sorted(keys)}

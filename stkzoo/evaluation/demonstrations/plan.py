@@ -193,12 +193,12 @@ def plan_demonstrations(
     if isinstance(rivals, str):
         raise ConfigError(f"rivals is {rivals!r}, expected a list of drivers")
     DemoView(view)
-    (found,) = find_agents([agent], chosen)
-    drivers = [find_driver(text, inline=chosen.inline) for text in (found.source, *rivals)]
+    (recorded,) = find_agents([agent], chosen)
+    drivers = [find_driver(text, inline=chosen.inline) for text in (recorded.source, *rivals)]
     for driver in drivers:
         check_level(driver, chosen)
     return DemoPlan(
-        agents=(found,),
+        agents=(recorded,),
         karts=karts,
         rivals=tuple(rivals),
         view=view,

@@ -179,7 +179,7 @@ class _Kart:
         controls = [_together(np.stack(self.controls[begin:end])) for begin, end in steps]
         totals, times = np.array(self.rewards).T
         rewards = [sum(totals[begin:end]) - sum(times[begin : end - 1]) for begin, end in steps]
-        actions = [view.action(self._first, own) for own in controls]
+        actions = [view.action(self._first, control) for control in controls]
         return {
             **columns_of("observations", view.observation_space, self.observations),
             **columns_of("actions", view.action_space, actions),

@@ -141,9 +141,9 @@ def plan_tournament(
             f"a tournament needs at least two agents, such as my_agent and ai; this one has {count}"
         )
     chosen = batch_settings(settings, changes, TournamentPlan.decided)
-    found = find_agents(agents, chosen, served)
+    entered = find_agents(agents, chosen, served)
     return TournamentPlan(
-        agents=found,
+        agents=entered,
         tracks=find_tracks(tracks, chosen),
         races=races,
         per_race=per_race,

@@ -228,7 +228,7 @@ class TournamentReport:
         return f"<section><h2>Agents</h2>{sections}</section>"
 
     def _agent(self, row: Standing) -> str:
-        own = [
+        driven = [
             (number, race, place, entry)
             for number, race in sorted(self.races.items())
             for place, entry in self._placed(number)
@@ -238,10 +238,10 @@ class TournamentReport:
             f'<tr><td class="n">{number}<td>{escape(race.track)}<td class="n">{e.start_position}'
             f'<td class="n">{place} of {len(race.agents)}<td>{escape(_outcome(e))}'
             f"<td>{escape(self._error_of(e))}{self._replay(number)}</tr>"
-            for number, race, place, e in own
+            for number, race, place, e in driven
         )
         source = "" if self.is_public else f'<p class="note">{escape(row.source)}</p>'
-        traces = [e.errors[0].trace for *_, e in own if e.errors and e.errors[0].trace]
+        traces = [e.errors[0].trace for *_, e in driven if e.errors and e.errors[0].trace]
         trace = ""
         if traces and not self.is_public:
             trace = f"<pre>{escape(traces[0][-_MAX_TRACE:])}</pre>"
@@ -278,8 +278,8 @@ class TournamentReport:
         if not row.errors:
             return ""
         first = row.errors[0]
-        kind = _KINDS.get(first.kind, "failed")
-        return kind if self.is_public else f"{kind}: {' '.join(first.message.split())[:200]}"
+        problem = _KINDS.get(first.kind, "failed")
+        return problem if self.is_public else f"{problem}: {' '.join(first.message.split())[:200]}"
 
     def _reason_of(self, row: Standing) -> str:
         if not self.is_public or not row.reason:

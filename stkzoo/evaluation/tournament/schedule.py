@@ -67,7 +67,7 @@ def extend_schedule(
     between races, so that each newcomer meets all others about equally often.
 
     Args:
-        races: the existing races. Numbers and seeds of the new races follow theirs.
+        races: the existing races. Numbers and seeds of the new races continue them.
         num_agents: number of existing agents.
         num_newcomers: number of new agents. Their numbers follow those of the existing agents.
         count: number of new races.
@@ -136,25 +136,25 @@ def _even_out_meetings(
     for _ in range(min(places * _TRIES, _MOST_TRIES)):
         block = chance.choice(long_enough)
         first, second = chance.sample(block, 2)
-        mine, other = chance.choice(first), chance.choice(second)
-        is_same_kind = (mine < num_existing) == (other < num_existing)
-        if is_same_kind and mine not in second and other not in first:
-            _exchange_if_better(first, second, mine, other, meetings)
+        one, other = chance.choice(first), chance.choice(second)
+        is_same_kind = (one < num_existing) == (other < num_existing)
+        if is_same_kind and one not in second and other not in first:
+            _exchange_if_better(first, second, one, other, meetings)
 
 
 def _exchange_if_better(
-    first: list[int], second: list[int], mine: int, other: int, meetings: Counter[tuple[int, int]]
+    first: list[int], second: list[int], one: int, other: int, meetings: Counter[tuple[int, int]]
 ) -> None:
-    mates = [agent for agent in first if agent != mine]
+    mates = [agent for agent in first if agent != one]
     others = [agent for agent in second if agent != other]
-    gone = [_pair(mine, a) for a in mates] + [_pair(other, a) for a in others]
-    come = [_pair(other, a) for a in mates] + [_pair(mine, a) for a in others]
+    gone = [_pair(one, a) for a in mates] + [_pair(other, a) for a in others]
+    come = [_pair(other, a) for a in mates] + [_pair(one, a) for a in others]
     change: Counter[tuple[int, int]] = Counter(come)
     change.subtract(gone)
     # The swap must not increase the sum of squares of all counts.
     if sum(delta * (2 * meetings[pair] + delta) for pair, delta in change.items()) <= 0:
         meetings.update(change)
-        first[first.index(mine)], second[second.index(other)] = other, mine
+        first[first.index(one)], second[second.index(other)] = other, one
 
 
 def _pair(one: int, two: int) -> tuple[int, int]:
@@ -199,11 +199,11 @@ def _grids(
     size = len(races[0][1]) if races else 0
     group_of: dict[tuple[int, int], int] = {}
     for agent in range(num_agents):
-        own = sorted(
+        numbers = sorted(
             (number for number, (_, agents) in enumerate(races) if agent in agents),
             key=lambda number: races[number][0],
         )
-        for turn, number in enumerate(own):
+        for turn, number in enumerate(numbers):
             group_of[number, agent] = num_agents * (turn // size) + agent
     edges = list(group_of)
     chance.shuffle(edges)

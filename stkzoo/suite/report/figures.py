@@ -16,7 +16,7 @@ from stkzoo.evaluation.plotting import (
     style_axes,
 )
 from stkzoo.evaluation.statistics import Estimate
-from stkzoo.suite.report.document import Band, SuiteReport
+from stkzoo.suite.report.document import Band, SuiteReport, TaskReport
 
 #: Colors that people with any kind of color blindness can tell apart (Okabe and Ito, 2008).
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -42,22 +42,24 @@ def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
     Raises:
         ConfigError: matplotlib is not installed, or a file cannot be written.
     """
-    found = {}
+    files = {}
     for name, draw in _FIGURES.items():
         figure = draw(report)
         if figure is not None:
             save_figure(figure, folder / f"{name}.svg")
-            found[name] = Path(f"{name}.svg")
+            files[name] = Path(f"{name}.svg")
         else:
             with writing(folder / f"{name}.svg"):
                 (folder / f"{name}.svg").unlink(missing_ok=True)
-    return found
+    return files
 
 
 def learning_curves(report: SuiteReport) -> Any:
     """Returns the figure of returns during the trainings; ``None`` if there are none."""
     panels = {
-        task.task: {own.algorithm: own.returns for own in task.algorithms if own.returns}
+        task.task: {
+            result.algorithm: result.returns for result in task.algorithms if result.returns
+        }
         for task in report.tasks
     }
     shown = {name: curves for name, curves in panels.items() if curves}
@@ -68,13 +70,13 @@ def profiles(report: SuiteReport) -> Any:
     """Returns the figure of performance profiles."""
     panels = {
         f"{task.task} ({task.scale.replace('_', ' ')})": {
-            own.algorithm: own.profile for own in task.algorithms
+            result.algorithm: result.profile for result in task.algorithms
         }
         for task in report.tasks
     }
     if report.overall is not None:
         panels["all of these tasks with normalized scores"] = {
-            own.algorithm: own.profile for own in report.overall.algorithms
+            result.algorithm: result.profile for result in report.overall.algorithms
         }
     return _curves(panels, _styles(report), "score", "share of runs and tracks above")
 
@@ -84,26 +86,24 @@ def scores(report: SuiteReport) -> Any:
     panels: dict[str, list[_Row]] = {}
     for task in report.tasks:
         title = f"IQM, {task.scale.replace('_', ' ')}; more is better"
-        panels.setdefault(title, []).extend(
-            (f"{task.task}, {own.algorithm}", own.algorithm, own.iqm) for own in task.algorithms
-        )
+        panels.setdefault(title, []).extend(_rows(task, "iqm"))
     if report.overall is not None:
         panels["IQM, normalized score; more is better"] += [
-            (f"all of these, {own.algorithm}", own.algorithm, own.iqm)
-            for own in report.overall.algorithms
+            (f"all of these, {result.algorithm}", result.algorithm, result.iqm)
+            for result in report.overall.algorithms
         ]
     return _intervals(panels, _styles(report))
 
 
 def improvement(report: SuiteReport) -> Any:
     """Returns the figure of comparisons; ``None`` with a single algorithm."""
-    found = [(task.task, task.improvements) for task in report.tasks]
+    comparisons_of = [(task.task, task.improvements) for task in report.tasks]
     if report.overall is not None:
-        found.append(("all of these", report.overall.improvements))
+        comparisons_of.append(("all of these", report.overall.improvements))
     rows = [
-        (f"{name}, {own.first} over {own.second}", own.first, own.probability)
-        for name, comparisons in found
-        for own in comparisons
+        (f"{name}, {pair.first} over {pair.second}", pair.first, pair.probability)
+        for name, comparisons in comparisons_of
+        for pair in comparisons
     ]
     title = "Probability of improvement on a track and direction; the line is chance"
     panels = {title: rows} if rows else {}
@@ -115,9 +115,7 @@ def gap(report: SuiteReport) -> Any:
     panels: dict[str, list[_Row]] = {}
     for task in report.tasks:
         title = f"Training minus test tracks, {task.scale.replace('_', ' ')}"
-        panels.setdefault(title, []).extend(
-            (f"{task.task}, {own.algorithm}", own.algorithm, own.gap) for own in task.algorithms
-        )
+        panels.setdefault(title, []).extend(_rows(task, "gap"))
     return _intervals(panels, _styles(report), mark=0.0)
 
 
@@ -130,9 +128,17 @@ _FIGURES: Mapping[str, Callable[[SuiteReport], Any]] = {
 }
 
 
+def _rows(task: TaskReport, name: str) -> list[_Row]:
+    """Returns the rows of a task's algorithms with one of their estimates."""
+    return [
+        (f"{task.task}, {result.algorithm}", result.algorithm, getattr(result, name))
+        for result in task.algorithms
+    ]
+
+
 def _styles(report: SuiteReport) -> dict[str, tuple[str, str]]:
     """Returns the color and the line of each algorithm."""
-    names = sorted({own.algorithm for task in report.tasks for own in task.algorithms})
+    names = sorted({result.algorithm for task in report.tasks for result in task.algorithms})
     return {
         name: (_COLORS[number % len(_COLORS)], _LINES[number % len(_LINES)])
         for number, name in enumerate(names)

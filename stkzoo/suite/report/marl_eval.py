@@ -34,12 +34,14 @@ def marl_eval_json(runs: Sequence[SuiteRun]) -> str:
     Args:
         runs: the runs.
     """
-    found: dict[str, Any] = {SUITE: {}, f"{SUITE}-training": {}}
+    environments: dict[str, Any] = {SUITE: {}, f"{SUITE}-training": {}}
     for run in runs:
-        for tasks, steps in zip(found.values(), (_evaluation(run), _training(run)), strict=True):
+        for tasks, steps in zip(
+            environments.values(), (_evaluation(run), _training(run)), strict=True
+        ):
             algorithms = tasks.setdefault(run.task, {})
             algorithms.setdefault(run.algorithm, {})[f"seed_{run.seed}"] = steps
-    return json.dumps(found, allow_nan=False, separators=(",", ":")) + "\n"
+    return json.dumps(environments, allow_nan=False, separators=(",", ":")) + "\n"
 
 
 def _evaluation(run: SuiteRun) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -54,7 +54,7 @@ class LearningCurve:
     position: tuple[Annotated[float, Meta(ge=1)] | None, ...]
 
     def __post_init__(self) -> None:
-        lengths = {own.name: len(getattr(self, own.name)) for own in fields(self)}
+        lengths = {entry.name: len(getattr(self, entry.name)) for entry in fields(self)}
         if len(set(lengths.values())) > 1:
             raise ConfigError(f"the lists of the curve have different lengths: {lengths}")
         steps = self.kart_steps
@@ -227,11 +227,11 @@ def _check_scores(task: Task, split: str, scores: SplitScores) -> None:
     forms = [BenchmarkForm.of(form) for form in task.forms]
     planned = make_races(tracks, DIRECTIONS, forms, seeds)
     expected = Counter((race.track, direction_name(race.reverse), race.form) for race in planned)
-    found = Counter((race.track, race.direction, race.form) for race in scores.races)
-    if wrong := sorted({*(expected - found), *(found - expected)}):
+    driven = Counter((race.track, race.direction, race.form) for race in scores.races)
+    if wrong := sorted({*(expected - driven), *(driven - expected)}):
         name = " ".join(wrong[0])
         raise ConfigError(
-            f"{split} has {found[wrong[0]]} races of {name}, expected {expected[wrong[0]]}"
+            f"{split} has {driven[wrong[0]]} races of {name}, expected {expected[wrong[0]]}"
         )
     values = [race.value for race in scores.races]
     most = LIMIT if task.metric == TIME_RATIO else 1.0
@@ -255,30 +255,21 @@ def load_runs(paths: Iterable[str | os.PathLike[str]]) -> tuple[SuiteRun, ...]:
 
     Raises:
         ConfigError: there is no result, a file is damaged or of another definition, a run occurs
-            twice, two runs have the same curve and scores, or the runs of a task have different
-            budgets.
+            twice, or the runs of a task have different budgets.
     """
     files: list[Path] = []
     for path in map(Path, paths):
-        own = sorted(path.glob("*.json")) if path.is_dir() else [path]
-        if not own:
+        in_path = sorted(path.glob("*.json")) if path.is_dir() else [path]
+        if not in_path:
             raise ConfigError(f"{path} has no results; expected {SuiteRun.origin}")
-        files += own
+        files += in_path
     runs: dict[str, tuple[SuiteRun, Path]] = {}
-    contents: dict[Hashable, Path] = {}
     budgets: dict[str, tuple[int, Path]] = {}
     for file in files:
         run = SuiteRun.load(file)
         if run.name in runs:
             raise ConfigError(f"{runs[run.name][1]} and {file} are the same run, {run.name}")
         runs[run.name] = run, file
-        content = run.curve, run.test, run.train
-        if content in contents:
-            raise ConfigError(
-                f"{contents[content]} and {file} have the same learning curve and scores, which "
-                "different runs never have; remove the copy"
-            )
-        contents[content] = file
         budget, other = budgets.setdefault(run.task, (run.budget, file))
         if budget != run.budget:
             raise ConfigError(

@@ -89,19 +89,19 @@ def _resampled(tables: Sequence[ScoreTable]) -> list[FloatArray]:
     generator = np.random.default_rng(0)
     drawn: dict[tuple[str, Hashable], npt.NDArray[np.int64]] = {}
 
-    def draw(kind: str, name: Hashable, count: int) -> npt.NDArray[np.int64]:
-        if (kind, name) not in drawn:
+    def draw(axis: str, name: Hashable, count: int) -> npt.NDArray[np.int64]:
+        if (axis, name) not in drawn:
             size = DRAWS, max(count - 1, 1)
-            drawn[kind, name] = generator.integers(count, size=size)
-        return drawn[kind, name]
+            drawn[axis, name] = generator.integers(count, size=size)
+        return drawn[axis, name]
 
-    found = []
+    resampled = []
     for table in tables:
         rows = draw("runs", table.runs, table.scores.shape[0])
         tracks = draw("tracks", table.tracks, table.scores.shape[1] // table.directions)
         columns = tracks[:, :, None] * table.directions + np.arange(table.directions)
-        found.append(table.scores[rows[:, :, None], columns.reshape(DRAWS, 1, -1)])
-    return found
+        resampled.append(table.scores[rows[:, :, None], columns.reshape(DRAWS, 1, -1)])
+    return resampled
 
 
 # ------------------------------------------------------------------ statistics
@@ -171,8 +171,8 @@ def improvement(*scores: FloatArray) -> FloatArray:
 
 
 def _improvement(first: FloatArray, second: FloatArray) -> FloatArray:
-    mine, theirs = first[..., :, None, :], second[..., None, :, :]
-    better = (mine > theirs) + 0.5 * (mine == theirs)
+    one, other = first[..., :, None, :], second[..., None, :, :]
+    better = (one > other) + 0.5 * (one == other)
     return np.asarray(better.mean(axis=(-3, -2, -1)))
 
 

@@ -34,7 +34,9 @@ def report_page(report: SuiteReport, figures: Mapping[str, Path]) -> str:
         report: the report.
         figures: file of each figure by name, relative to the page.
     """
-    versions = ", ".join(f"{name} {' and '.join(own)}" for name, own in report.versions.items())
+    versions = ", ".join(
+        f"{name} {' and '.join(of_name)}" for name, of_name in report.versions.items()
+    )
     head = f"# Report on {report.suite}\n\nVersions: {versions}."
     return f"{head}\n\n{report_sections(report, figures)}\n"
 
@@ -72,15 +74,15 @@ def _score_table(tasks: Sequence[TaskReport]) -> str:
     rows = [
         (
             task.task,
-            own.algorithm,
+            result.algorithm,
             task.metric.replace("_", " "),
-            str(len(own.seeds)),
-            str(own.score),
-            str(own.train_score),
-            str(own.iqm),
-            str(own.gap),
+            str(len(result.seeds)),
+            str(result.score),
+            str(result.train_score),
+            str(result.iqm),
+            str(result.gap),
         )
-        for task, own in _each(tasks)
+        for task, result in _each(tasks)
     ]
     columns = ("task", "algorithm", "metric", "runs", "test", "training", "IQM", "gap")
     note = (
@@ -104,7 +106,10 @@ def _has_time_ratio(tasks: Sequence[TaskReport]) -> bool:
 def _overall_table(report: SuiteReport) -> str:
     if report.overall is None:
         return ""
-    rows = [(own.algorithm, str(len(own.seeds)), str(own.iqm)) for own in report.overall.algorithms]
+    rows = [
+        (result.algorithm, str(len(result.seeds)), str(result.iqm))
+        for result in report.overall.algorithms
+    ]
     names = ", ".join(f"`{name}`" for name in report.overall.tasks)
     table = _table(("algorithm", "runs per task", "IQM"), rows, 1)
     return f"From the scores of runs in {len(report.overall.tasks)} tasks ({names}):\n\n{table}"
@@ -112,14 +117,14 @@ def _overall_table(report: SuiteReport) -> str:
 
 def _improvement_table(report: SuiteReport) -> str:
     rows = [
-        (task.task, own.first, own.second, str(own.probability))
+        (task.task, result.first, result.second, str(result.probability))
         for task in report.tasks
-        for own in task.improvements
+        for result in task.improvements
     ]
     if report.overall is not None:
         rows += [
-            ("all of these", own.first, own.second, str(own.probability))
-            for own in report.overall.improvements
+            ("all of these", pair.first, pair.second, str(pair.probability))
+            for pair in report.overall.improvements
         ]
     return _table(("task", "first", "second", "first is better"), rows, 3) if rows else ""
 
@@ -128,14 +133,14 @@ def _compute_table(tasks: Sequence[TaskReport]) -> str:
     rows = [
         (
             task.task,
-            own.algorithm,
-            " ".join(map(str, own.seeds)),
-            f"{own.kart_steps:,.0f}",
-            _HOURS.format(own.training_hours),
-            _HOURS.format(own.evaluation_hours),
-            " or ".join(map(str, own.cores)),
+            result.algorithm,
+            " ".join(map(str, result.seeds)),
+            f"{result.kart_steps:,.0f}",
+            _HOURS.format(result.training_hours),
+            _HOURS.format(result.evaluation_hours),
+            " or ".join(map(str, result.cores)),
         )
-        for task, own in _each(tasks)
+        for task, result in _each(tasks)
     ]
     columns = ("task", "algorithm", "seeds", "kart-steps", "train [h]", "evaluate [h]", "cores")
     return f"{_table(columns, rows, 2)}\n\nKart-steps and hours are means per run." if rows else ""
@@ -150,12 +155,14 @@ def missing_runs(missing: Sequence[RunKey]) -> str:
     seeds: dict[tuple[str, str], list[str]] = {}
     for task, algorithm, seed in missing:
         seeds.setdefault((task, algorithm), []).append(str(seed))
-    lines = (f"- {task}, {name}: seed {', '.join(own)}" for (task, name), own in seeds.items())
+    lines = (
+        f"- {task}, {name}: seed {', '.join(numbers)}" for (task, name), numbers in seeds.items()
+    )
     return "\n".join(lines)
 
 
 def _each(tasks: Iterable[TaskReport]) -> Iterable[tuple[TaskReport, AlgorithmReport]]:
-    return ((task, own) for task in tasks for own in task.algorithms)
+    return ((task, result) for task in tasks for result in task.algorithms)
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[str]], num_left: int) -> str:

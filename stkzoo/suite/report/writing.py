@@ -15,7 +15,6 @@ from stkzoo._os import make_folder, write_text
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
-from stkzoo.suite.algorithms import can_learn
 from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
@@ -43,7 +42,7 @@ from stkzoo.suite.report.statistics import (
 )
 from stkzoo.suite.report.tables import report_page
 from stkzoo.suite.scores import load_baselines, scale_ends
-from stkzoo.suite.tasks import SUITE, TASKS, find_task
+from stkzoo.suite.tasks import SUITE, TASKS, can_learn, find_task
 
 _NUM_POINTS = 100
 _SECONDS_PER_HOUR = 3600.0
@@ -118,8 +117,10 @@ def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = No
     groups: dict[str, dict[str, _RunGroup]] = {}
     for task in TASKS:
         for run in (run for run in runs if run.task == task):
-            own = groups.setdefault(task, {})
-            own[run.algorithm] = _RunGroup((*own.get(run.algorithm, _RunGroup(())).runs, run))
+            of_task = groups.setdefault(task, {})
+            of_task[run.algorithm] = _RunGroup(
+                (*of_task.get(run.algorithm, _RunGroup(())).runs, run)
+            )
     versions: dict[str, set[str]] = {}
     for name, version in (item for run in runs for item in run.versions.items()):
         versions.setdefault(name, set()).add(version)
@@ -127,7 +128,7 @@ def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = No
         SUITE,
         CONFIDENCE,
         DRAWS,
-        tuple(_task_report(task, own) for task, own in groups.items()),
+        tuple(_task_report(task, of_task) for task, of_task in groups.items()),
         _overall(groups),
         tuple(key for key in expected if key not in keys),
         {name: tuple(sorted(found)) for name, found in sorted(versions.items())},
@@ -143,10 +144,10 @@ def _task_report(name: str, groups: dict[str, _RunGroup]) -> TaskReport:
         task.metric,
         NORMALIZED if load_baselines().has(name) else task.metric,
         next(iter(groups.values())).runs[0].budget,
-        tuple(_algorithm_report(own, thresholds) for own in groups.values()),
+        tuple(_algorithm_report(of_task, thresholds) for of_task in groups.values()),
         tuple(
-            Improvement(one, two, estimate(improvement, mine.table(), theirs.table()))
-            for (one, mine), (two, theirs) in itertools.combinations(groups.items(), 2)
+            Improvement(one, two, estimate(improvement, first.table(), second.table()))
+            for (one, first), (two, second) in itertools.combinations(groups.items(), 2)
         ),
     )
 
@@ -172,7 +173,7 @@ def _algorithm_report(group: _RunGroup, thresholds: FloatArray) -> AlgorithmRepo
 
 def _overall(groups: dict[str, dict[str, _RunGroup]]) -> OverallReport | None:
     """Returns the report of all tasks with baselines in which all algorithms have runs."""
-    algorithms = sorted({name for own in groups.values() for name in own})
+    algorithms = sorted({name for of_task in groups.values() for name in of_task})
     tasks = [
         task for task in groups if load_baselines().has(task) and set(groups[task]) >= {*algorithms}
     ]
@@ -180,33 +181,33 @@ def _overall(groups: dict[str, dict[str, _RunGroup]]) -> OverallReport | None:
         return None
     shared: dict[str, list[_RunGroup]] = {}
     for name in algorithms:
-        own = [groups[task][name] for task in tasks]
-        seeds = set.intersection(*(set(group.seeds) for group in own))
+        of_algorithm = [groups[task][name] for task in tasks]
+        seeds = set.intersection(*(set(group.seeds) for group in of_algorithm))
         if seeds:
-            shared[name] = [group.only(seeds) for group in own]
+            shared[name] = [group.only(seeds) for group in of_algorithm]
     if not shared:
         return None
     thresholds = _thresholds([*itertools.chain(*shared.values())])
     profile_of = performance_profile(thresholds)
-    tables = {name: [group.table() for group in own] for name, own in shared.items()}
+    tables = {name: [group.table() for group in of_name] for name, of_name in shared.items()}
     return OverallReport(
         tuple(tasks),
         tuple(
             OverallScores(
                 name,
                 shared[name][0].seeds,
-                estimate(interquartile_mean, *own),
-                Band.of(thresholds, *estimate_curve(profile_of, *own)),
+                estimate(interquartile_mean, *of_name),
+                Band.of(thresholds, *estimate_curve(profile_of, *of_name)),
             )
-            for name, own in tables.items()
+            for name, of_name in tables.items()
         ),
         tuple(
             Improvement(
                 one,
                 two,
-                estimate(improvement, *itertools.chain(*zip(mine, theirs, strict=True))),
+                estimate(improvement, *itertools.chain(*zip(first, second, strict=True))),
             )
-            for (one, mine), (two, theirs) in itertools.combinations(tables.items(), 2)
+            for (one, first), (two, second) in itertools.combinations(tables.items(), 2)
         ),
     )
 
