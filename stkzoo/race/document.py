@@ -19,7 +19,7 @@ from stkzoo.errors import ConfigError, shortened
 
 
 class Document(ABC):
-    """A dataclass that is stored as a JSON file; :mod:`stkzoo._schema` validates it."""
+    """A dataclass that is stored as a JSON file; msgspec checks the types and bounds of fields."""
 
     __slots__ = ()
 
