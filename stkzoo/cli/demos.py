@@ -11,10 +11,10 @@ resumes.
 Read the file with stkzoo.evaluation.load_demonstrations(path), or with numpy.load (no pickles).
 
 Examples:
-  stkzoo demos heuristic                 15 training tracks, in demos.safetensors
+  stkzoo demos heuristic             15 training tracks, in demos.safetensors
   stkzoo demos ai --difficulty 3 --seeds 5 --output ai.safetensors
   stkzoo demos heuristic --rivals ai ai --karts 1 --view flattened_discrete
-  stkzoo demos planner --karts 1         plans with the game; slow
+  stkzoo demos planner --karts 1     plans with the game; slow
   stkzoo demos my_agent/ --track lighthouse hacienda --check
   stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
 
