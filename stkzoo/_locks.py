@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from stkzoo._os import PART_FILES, using_folder
 from stkzoo.errors import ConfigError
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 __all__ = ["LOCK", "locked_folder", "try_lock"]
 
@@ -32,7 +28,7 @@ def try_lock(descriptor: int, *, shared: bool = False, if_unsupported: bool = Tr
     Args:
         descriptor: descriptor of the file.
         shared: whether other processes can have shared locks at the same time.
-        if_unsupported: result where the system or the file system has no locks.
+        if_unsupported: result where the file system has no locks.
 
     Returns:
         Whether the file is locked; ``False`` if another process has locked it.
@@ -40,8 +36,6 @@ def try_lock(descriptor: int, *, shared: bool = False, if_unsupported: bool = Tr
     Raises:
         OSError: the file cannot be locked for another reason.
     """
-    if fcntl is None:
-        return if_unsupported
     try:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -7,6 +7,7 @@ import errno
 import hashlib
 import ipaddress
 import os
+import resource
 import secrets
 import stat
 import sys
@@ -16,11 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stkzoo.errors import ConfigError, StkzooError, reason
-
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     pass
@@ -60,8 +56,6 @@ def cpu_count() -> int:
 
 def max_descriptors() -> int:
     """Returns the maximum number of open files and connections of this process (``ulimit -n``)."""
-    if resource is None:
-        return 8192  # limit of the C library on Windows
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return sys.maxsize if soft == resource.RLIM_INFINITY else soft
 

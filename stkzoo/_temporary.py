@@ -6,7 +6,6 @@ import os
 import secrets
 import shutil
 import subprocess
-import sys
 import tempfile
 import threading
 from contextlib import suppress
@@ -68,8 +67,6 @@ def _new_program_folder() -> Path:
         # end of a process of multiprocessing, and never in a fork of this one.
         Finalize(None, remove_tree, (folder,), exitpriority=0)
         folder.mkdir(mode=0o700)
-        if sys.platform == "win32":  # no locks of folders
-            return folder
         with suppress(FileNotFoundError):  # another program can remove it before it is locked
             lock = os.open(folder, os.O_RDONLY)
             if try_lock(lock, shared=True) and folder.exists():
@@ -79,8 +76,6 @@ def _new_program_folder() -> Path:
 
 def remove_stale_folders() -> None:
     """Removes the folders of programs that were killed: those that are not locked."""
-    if sys.platform == "win32":
-        return
     for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
         with suppress(OSError):
             if folder.is_symlink() or folder.stat().st_uid != os.geteuid():
@@ -104,7 +99,7 @@ def remove_tree(folder: Path) -> None:
     """
     with suppress(RecursionError):
         shutil.rmtree(folder, ignore_errors=True)
-    if os.name == "posix" and folder.is_dir() and not folder.is_symlink():
+    if folder.is_dir() and not folder.is_symlink():
         for command in (["chmod", "-R", "u+rwx"], ["rm", "-rf"]):
             with suppress(OSError):  # slim systems may lack these programs
                 subprocess.run([*command, "--", folder], stderr=subprocess.DEVNULL, check=False)  # noqa: S603 - fixed programs

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import sys
 
 import pytest
 
@@ -11,8 +10,6 @@ from stkzoo._temporary import TemporaryFolder, remove_stale_folders
 from stkzoo.engine.assets import Progress
 from stkzoo.engine.assets.staging import lock
 from stkzoo.errors import ConfigError
-
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs flock")
 
 
 @pytest.fixture

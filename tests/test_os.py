@@ -1,14 +1,11 @@
 """Files are replaced as a whole, and keep their links and permissions."""
 
 import os
-import sys
 
 import pytest
 
 from stkzoo._os import check_writable, write_text
 from stkzoo.errors import ConfigError
-
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs permissions and links")
 
 
 @pytest.fixture(autouse=True)

@@ -9,8 +9,6 @@ import pytest
 from stkzoo._temporary import TemporaryFolder, remove_stale_folders, remove_tree
 from tests.support.processes import run_program
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs locks of folders")
-
 #: More nested folders than Python recurses into, in a path longer than the system allows.
 DEPTH, NAME = 1200, "nested" * 20
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self  # a dependency of gymnasium
 
 #: ``kill``, job schedulers and time limits send SIGTERM, a closed terminal SIGHUP.
-_SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 
 
 class Ended(KeyboardInterrupt):

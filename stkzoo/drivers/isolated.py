@@ -216,8 +216,6 @@ class IsolatedAgent:
     def _spawn(
         self, shell: Enclosure
     ) -> tuple[ReplyChannel, socket.socket, subprocess.Popen[bytes]]:
-        if sys.platform == "win32":
-            raise ConfigError("agents cannot run in processes of their own here; use --inline")
         ours, theirs = socket.socketpair()
         self._resources.callback(ours.close)
         theirs.setblocking(True)  # whatever the program's default timeout of sockets

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import random
+import resource
 import socket
 import sys
 from contextlib import ExitStack
@@ -160,23 +161,16 @@ def _limit(memory: int, cpu_time: float | None) -> None:
         memory: limit of each process's data segment [bytes]; 0 for no limit.
         cpu_time: limit of each process's CPU time [s]; ``None`` for no limit.
     """
-    if sys.platform != "win32":
-        import resource
-
-        if memory:
-            resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-        if cpu_time is not None:
-            most = math.ceil(cpu_time)
-            resource.setrlimit(resource.RLIMIT_CPU, (most, most))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if memory:
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    if cpu_time is not None:
+        most = math.ceil(cpu_time)
+        resource.setrlimit(resource.RLIMIT_CPU, (most, most))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def _enclose(start: LoadRequest) -> None:
     """Permanently drops the privileges that the process still has inside its sandbox."""
-    if sys.platform == "win32":
-        return
-    import resource
-
     # In a user namespace of its own, the process limit counts only this agent's processes.
     if start.has_own_users:
         resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))

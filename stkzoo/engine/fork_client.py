@@ -81,10 +81,9 @@ class ForkServerClient:
             with other_end:
                 self._process = spawn_interpreter(
                     "fork_server",
-                    other_end.fileno(),
+                    other_end,
                     engine_environment(root, str(self._home.path)),
                     self._log,
-                    pass_fds=[other_end.fileno()],
                 )
             on_failure.pop_all()
 

@@ -31,17 +31,17 @@ _POLL_SECONDS = 0.5
 _GRACE_SECONDS = 0.2
 
 
-def main(control_fd: int) -> None:
+def main(descriptor: int) -> None:
     """Runs the fork server until its program ends, and then ends all its children.
 
     Args:
-        control_fd: descriptor of the socket to the program.
+        descriptor: descriptor of the socket to the program.
     """
     libc = ctypes.CDLL(None)
     _unbuffer_output(libc)
     faulthandler.enable()
     init_engine()
-    _ForkServer(socket.socket(fileno=control_fd)).run()
+    _ForkServer(socket.socket(fileno=descriptor)).run()
     os.killpg(0, signal.SIGKILL)  # also ends children that are stopped
 
 

@@ -10,10 +10,8 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-import hmac
 import json
 import os
-import secrets
 import signal
 import socket
 import subprocess
@@ -23,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from stkzoo._installation import library_remedy
 from stkzoo._python import python_command, search_path
@@ -38,7 +36,6 @@ DRAWING_START_TIMEOUT = 300.0
 _LOG_TAIL_BYTES = 4096
 #: System errors for a missing or read-only folder of temporary files.
 _NO_FOLDER = (errno.ENOENT, errno.EACCES, errno.EROFS)
-_TOKEN_BYTES = 32
 #: Arguments of ``personality``, from Linux's ``sys/personality.h``.
 _ADDR_NO_RANDOMIZE, _CURRENT_PERSONALITY = 0x0040000, 0xFFFFFFFF
 
@@ -203,7 +200,7 @@ def engine_environment(root: Path, home: str) -> dict[str, str]:
 
 
 def spawn_interpreter(
-    module: str, channel: int, environment: Mapping[str, str], log: IO[bytes], **options: Any
+    module: str, channel: socket.socket, environment: Mapping[str, str], log: IO[bytes]
 ) -> subprocess.Popen[bytes]:
     """Starts a new interpreter that runs ``main`` of one of this package's modules.
 
@@ -212,23 +209,22 @@ def spawn_interpreter(
 
     Args:
         module: name of the module.
-        channel: argument of ``main``: the descriptor or port of a connection to this program.
+        channel: connection to this program, whose descriptor is the argument of ``main``.
         environment: environment variables of the process.
         log: file for the output of the process.
-        **options: further arguments of :class:`subprocess.Popen`.
     """
     package = Path(__file__).resolve().parents[1]
     code = _BOOTSTRAP.format(module=module)
     path = json.dumps(search_path(has_current=False))
     with _fixed_addresses():
         return subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
-            python_command(code, str(package), str(channel), path),
+            python_command(code, str(package), str(channel.fileno()), path),
             stdin=subprocess.DEVNULL,
             stdout=log.fileno(),
             stderr=log.fileno(),
             env={**environment, **_preloads(environment)},
             start_new_session=True,  # Ctrl-C in the terminal must reach only the program
-            **options,
+            pass_fds=[channel.fileno()],
         )
 
 
@@ -268,7 +264,7 @@ def _fixed_addresses() -> Iterator[None]:
 
 
 class SpawnedProcess(RaceProcess):
-    """A new interpreter that connects to this program over the loopback interface.
+    """A new interpreter.
 
     Args:
         root: folder of the game's data.
@@ -276,49 +272,41 @@ class SpawnedProcess(RaceProcess):
         variables: further environment variables.
 
     Raises:
-        EngineCrashed: the process ended before it connected.
-        EngineTimeout: the process did not connect in time.
+        EngineCrashed: the process ended before it was ready.
+        EngineTimeout: the process was not ready in time.
     """
 
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
-        self._home = TemporaryFolder("home")
-        home = str(self._home.path)
-        log = open_log()
-        token = secrets.token_bytes(_TOKEN_BYTES)
-        environment = engine_environment(root, home) | {"STKZOO_TOKEN": token.hex()}
-        environment.setdefault("XDG_RUNTIME_DIR", home)  # required to open a window
-        environment |= variables or {}
-        with socket.create_server(("127.0.0.1", 0)) as listener:
-            listener.settimeout(0.25)
-            port = listener.getsockname()[1]
-            self._process = spawn_interpreter(module, port, environment, log)
-            try:
-                connection = self._accept(listener, token, log)
-            except BaseException:
-                self._kill()
-                log.close()
-                raise
+        with contextlib.ExitStack() as on_failure:
+            self._home = on_failure.enter_context(TemporaryFolder("home"))
+            log = on_failure.enter_context(open_log())
+            connection, other_end = map(on_failure.enter_context, socket.socketpair())
+            other_end.setblocking(True)  # whatever the program's default timeout of sockets
+            home = str(self._home.path)
+            # A window needs XDG_RUNTIME_DIR.
+            environment = {"XDG_RUNTIME_DIR": home, **engine_environment(root, home)}
+            with other_end:
+                environment |= variables or {}
+                self._process = spawn_interpreter(module, other_end, environment, log)
+            on_failure.pop_all()
         super().__init__(connection, self._process.pid, log)
+        self._wait_until_ready()
 
-    def _accept(self, listener: socket.socket, token: bytes, log: IO[bytes]) -> socket.socket:
-        for _ in range(int(START_TIMEOUT / 0.25)):
-            try:
-                connection, _ = listener.accept()
-            except TimeoutError:
-                if self._process.poll() is not None:
-                    how = describe_end(self._process.returncode)
-                    output = tail(log)
-                    raise EngineCrashed(
-                        f"the game's process {how} at its start; {start_remedy(output)}", output
-                    ) from None
-                continue
-            connection.settimeout(5.0)
-            with contextlib.suppress(OSError):
-                if hmac.compare_digest(connection.recv(_TOKEN_BYTES, socket.MSG_WAITALL), token):
-                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    return connection
-            connection.close()
-        raise EngineTimeout(f"the game did not start in {START_TIMEOUT:.0f} s", tail(log))
+    def _wait_until_ready(self) -> None:
+        self.connection.settimeout(START_TIMEOUT)
+        try:
+            self.reply()
+        except BaseException as error:
+            how, output = self.end(), tail(self.log)
+            self.log.close()
+            if isinstance(error, TimeoutError):
+                message = f"the game did not start in {START_TIMEOUT:.0f} s"
+                raise EngineTimeout(message, output) from None
+            if isinstance(error, (EOFError, ConnectionError)):
+                raise EngineCrashed(
+                    f"the game's process {how} at its start; {start_remedy(output)}", output
+                ) from None
+            raise
 
     def end(self) -> str:
         """See :meth:`RaceProcess.end`."""

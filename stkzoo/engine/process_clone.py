@@ -30,7 +30,7 @@ _CLONE_PARENT = 0x8000
 _SYS_CLONE = {"x86_64": 56, "aarch64": 220}
 
 # Unlike CDLL, PyDLL holds the GIL during a call, so the clone also starts with it.
-_libc: Any = ctypes.PyDLL(None, use_errno=True) if os.name == "posix" else None
+_libc: Any = ctypes.PyDLL(None, use_errno=True)
 
 
 def die_with(parent: int) -> None:

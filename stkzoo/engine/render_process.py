@@ -107,13 +107,13 @@ class MirroredRace:
         self._race.stop()
 
 
-def main(port: int) -> None:
+def main(descriptor: int) -> None:
     """Serves the program's drawing requests until the program ends.
 
     Args:
-        port: port on which the program listens.
+        descriptor: descriptor of the socket to the program.
     """
-    with connected(port, os.environ.pop("STKZOO_GRAPHICS")) as connection:
+    with connected(descriptor, os.environ.pop("STKZOO_GRAPHICS")) as connection:
         _RenderServer(connection).run()
 
 

@@ -366,8 +366,7 @@ def _quiet_output() -> Iterator[None]:
 
 
 def _flush_c_streams() -> None:
-    if os.name == "posix":
-        ctypes.CDLL(None).fflush(None)
+    ctypes.CDLL(None).fflush(None)
 
 
 def _init_here(root: Path) -> None:

@@ -20,29 +20,27 @@ from stkzoo.engine.snapshot import Snapshot
 
 
 @contextlib.contextmanager
-def connected(port: int, *graphics: str) -> Iterator[socket.socket]:
-    """Starts the engine, connects to the program, and ends this process afterwards.
+def connected(descriptor: int, *graphics: str) -> Iterator[socket.socket]:
+    """Starts the engine, tells the program that it is ready, and ends this process afterwards.
 
     Args:
-        port: port on which the program listens.
+        descriptor: descriptor of the socket to the program.
         *graphics: arguments of :func:`stkzoo.engine.race.init_engine`.
     """
-    token = bytes.fromhex(os.environ.pop("STKZOO_TOKEN"))
     init_engine(*graphics)
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        connection.sendall(token)
+    with socket.socket(fileno=descriptor) as connection:
+        wire.send(connection, wire.OK)
         yield connection
     os._exit(0)
 
 
-def main(port: int) -> None:
+def main(descriptor: int) -> None:
     """Serves the program's requests until the program ends.
 
     Args:
-        port: port on which the program listens.
+        descriptor: descriptor of the socket to the program.
     """
-    with connected(port) as connection:
+    with connected(descriptor) as connection:
         WorkerServer(connection).run()
 
 

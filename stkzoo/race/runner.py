@@ -215,7 +215,6 @@ class _RaceRun:
         listeners: Sequence[RaceListener],
     ) -> None:
         self._begin = time.monotonic()
-        # Read before the race, because the process may have no file descriptors left after it.
         self._versions, self._sandbox = versions_now(), _sandbox(settings, drivers)
         self._env, self._settings, self._listeners = env, settings, listeners
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
