@@ -182,10 +182,10 @@ def test_marl_eval_gets_each_run_with_equal_steps_and_metrics(tmp_path):
     assert len(score) == TASKS["versus"].num_races
 
 
-def test_a_missing_library_names_the_extra(two_runs, tmp_path, monkeypatch, capsys):
+def test_a_missing_library_is_named(two_runs, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main(["suite", "report", str(two_runs[0]), "--output", str(tmp_path / "report")]) == 2
-    assert "[report]" in capsys.readouterr().err
+    assert "the plot needs matplotlib, which is not installed" in capsys.readouterr().err
 
 
 # ------------------------------------------------------------------ invalid results
