@@ -2,6 +2,7 @@
 
 msgspec checks the bounds when it decodes a document.
 
+>>> import msgspec
 >>> msgspec.convert(3, Place)
 3
 >>> msgspec.convert(0, Place)
