@@ -137,7 +137,7 @@ def test_a_policy_without_kart_steps_in_its_name_is_refused(name, run, capsys):
     assert "no kart-steps in its name, expected a saved policy" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_better_policies_are_rated_higher_and_races_can_be_added(run, tmp_path, capsys):
     words = [str(run), "--every=0", f"--output={tmp_path / 'out'}", "--track=olivermath"]
     assert main([*words, "--matches=1"]) == 0

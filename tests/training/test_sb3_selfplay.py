@@ -504,7 +504,7 @@ def test_a_killed_run_resumes_as_if_uninterrupted(tmp_path):
     assert all((ours[name] == theirs[name]).all() for name in theirs)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_run_continues_after_races_without_rivals(tmp_path, monkeypatch):
     monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
     alone = {"races": "2x1", "grid_share": 0.0, "snapshot_share": 0.0}
@@ -546,7 +546,7 @@ def test_the_learner_also_works_with_supersuit(tmp_path):
     assert log_of(tmp_path)[-1]["kart_steps"] >= 60
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_policy_is_evaluated_against_its_past_versions(tmp_path, policy):
     for steps in (0, 10, 20):
         save_driver(tmp_path / f"policy-{steps:09d}.safetensors", policy)

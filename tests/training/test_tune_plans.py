@@ -83,7 +83,7 @@ def test_tuning_resumes_where_it_stopped(tmp_path, monkeypatch, capsys):
     assert "sigma was" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_killing_the_tuning_leaves_no_processes(tmp_path):
     with subprocess.Popen(command(tmp_path, 50)) as program:
