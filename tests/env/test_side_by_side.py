@@ -1,16 +1,11 @@
 """Several environments in one program, and crashes of the game in one of them."""
 
-import hashlib
 import os
 import signal
-import subprocess
-import sys
-import textwrap
 
 import pytest
 
 from stkzoo import AgentSpec, ApiOrderError, EngineCrashed, EngineTimeout, race_v0
-from tests.support.paths import ROOT
 
 
 def make_env(**options):
@@ -89,24 +84,3 @@ def test_calls_in_the_wrong_order_are_refused():
     env.close()
     with pytest.raises(ApiOrderError, match="reset"):
         env.step({"kart_0": 0})
-
-
-@pytest.mark.slow
-def test_the_first_race_in_this_process_equals_that_of_a_separate_process():
-    code = """
-        import hashlib, sys
-        sys.path.insert(0, sys.argv[1])
-        from tests.env.test_side_by_side import make_env, play
-        with make_env(use_subprocess=False) as env:
-            print(hashlib.sha256(play(env, 4).encode()).hexdigest())
-    """
-    program = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code), str(ROOT)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=True,
-    )
-    with make_env() as env:
-        expected = hashlib.sha256(play(env, 4).encode()).hexdigest()
-    assert program.stdout.strip() == expected

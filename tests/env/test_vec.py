@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import gymnasium as gym
@@ -27,6 +26,7 @@ from stkzoo import (
     race_v0,
 )
 from stkzoo.views import VIEWS
+from tests.support.processes import process_exists, wait_until
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 NUM_STEPS = 70  # two whole races and part of a third one
@@ -74,11 +74,8 @@ def next_pids(envs):
     return [race._next[1].pid for race in envs.races if race._next]
 
 
-def is_gone(pid, patience=5.0):
-    deadline = time.monotonic() + patience
-    while os.path.exists(f"/proc/{pid}") and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return not os.path.exists(f"/proc/{pid}")
+def is_gone(pid):
+    return wait_until(lambda: not process_exists(pid))
 
 
 def info_of(infos, slot):
