@@ -15,15 +15,13 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.engine.assets import Progress, clean, find, find_assets, install, pack, survey
-from stkzoo.engine.assets.fetch import unpack_package
 from stkzoo.engine.assets.headless import (
     PLACEHOLDER_JPEG,
     PLACEHOLDER_PNG,
-    build_headless,
 )
 from stkzoo.engine.assets.scenes import SCENES_VERSION
 from stkzoo.engine.assets.staging import check_space, discard, lock
-from stkzoo.engine.assets.tree import MARKER, read_marker, write_marker
+from stkzoo.engine.assets.tree import MARKER, write_marker
 from stkzoo.errors import AssetError, ConfigError
 
 ENGINE_NAMES = """
@@ -31,25 +29,6 @@ import json, pystk2
 pystk2.init(pystk2.GraphicsConfig.none())
 tracks = pystk2.list_tracks(pystk2.RaceConfig.RaceMode.NORMAL_RACE)
 print(json.dumps([sorted(tracks), sorted(pystk2.list_karts())]))
-"""
-
-RACE = """
-import hashlib, os, sys, pystk2
-pystk2.init(pystk2.GraphicsConfig.none())
-config = pystk2.RaceConfig(num_kart=3, seed=7, track=sys.argv[1], step_size=0.1)
-config.players.extend([pystk2.PlayerConfig(), pystk2.PlayerConfig()])
-for player in config.players:
-    player.controller = pystk2.PlayerConfig.Controller.PLAYER_CONTROL
-race, world, digest = pystk2.Race(config), pystk2.WorldState(), hashlib.sha256()
-race.start()
-drive = [pystk2.Action(acceleration=1.0, steer=steer) for steer in (-0.2, 0.0, 0.1)]
-for _ in range(200):
-    race.step(drive)
-    world.update()
-    for kart in world.karts:
-        digest.update(kart.location.tobytes() + kart.velocity.tobytes())
-print(digest.hexdigest(), flush=True)
-os._exit(0)
 """
 
 CRASHING_INSTALL = """
@@ -144,20 +123,6 @@ class TestOnThisMachine:
         names = run_python(ENGINE_NAMES, SUPERTUXKART_DATADIR=str(assets.root))
         assert [list(assets.tracks), list(assets.karts)] == json.loads(names)
 
-    def test_all_tracks_and_karts_are_found(self):
-        assets = find_assets()
-        assert (len(assets.tracks), len(assets.karts)) == (21, 16)
-
-    def test_races_in_a_headless_pack_match_the_full_data_bit_for_bit(self, tmp_path):
-        full = find_assets(graphics=True)
-        build_headless(full.root, tmp_path, Progress())
-        for track in ("lighthouse", "xr591"):  # a sound changes the ground of xr591
-            results = {
-                run_python(RACE, track, SUPERTUXKART_DATADIR=str(root))
-                for root in (full.root, tmp_path)
-            }
-            assert len(results) == 1
-
 
 class TestFinding:
     @pytest.mark.usefixtures("cache")
@@ -198,11 +163,6 @@ class TestFinding:
     def test_arenas_are_not_race_tracks(self):
         assert find_assets().tracks == ("alps", "beach")
 
-    def test_system_install_is_not_changed(self, system):
-        before = content(system)
-        find_assets()
-        assert content(system) == before
-
     @pytest.mark.usefixtures("system")
     def test_system_install_is_completed_with_links(self):
         data = find_assets().root / "data"
@@ -225,12 +185,6 @@ class TestFinding:
             find_assets()
 
     @pytest.mark.usefixtures("cache")
-    def test_unfinished_download_of_pystk2_is_skipped(self):
-        make_data(find.pystk2_cache_folder() / "1.5" / "data", version="1.5")
-        with pytest.raises(AssetError, match="is incomplete"):
-            find_assets()
-
-    @pytest.mark.usefixtures("cache")
     def test_finished_download_of_pystk2_is_found(self):
         root = find.pystk2_cache_folder() / "1.5"
         data = make_data(root / "data", version="1.5")
@@ -246,15 +200,6 @@ class TestFinding:
     def test_survey_reports_the_problem_of_each_place(self, headless):
         (headless / MARKER).write_text("{")
         assert "damaged" in next(survey()).problem
-
-    @pytest.mark.usefixtures("cache")
-    def test_a_folder_that_this_user_cannot_search_is_reported(self, monkeypatch):
-        def refuse(path):
-            raise PermissionError(errno.EACCES, "Permission denied", str(path))
-
-        monkeypatch.setattr(Path, "is_dir", refuse)
-        with pytest.raises(AssetError, match=r"headless cannot be read \(Permission denied\)"):
-            find_assets()
 
 
 class TestInstalling:
@@ -326,23 +271,6 @@ class TestInstalling:
                 build()
 
     @pytest.mark.usefixtures("headless")
-    def test_complete_data_is_used_and_exported_without_writing_to_the_cache(
-        self, tmp_path, monkeypatch
-    ):
-        monkeypatch.setattr("stkzoo.engine.assets.installer.lock", self.refuse)
-        assert install().source == "headless pack"
-        assert pack(output=tmp_path / "pack.tar.xz").is_file()
-
-    @staticmethod
-    def refuse(cache, _):
-        raise AssetError(f"the cache folder {cache} cannot be written")
-
-    @pytest.mark.usefixtures("headless")
-    def test_cleaning_removes_stkzoos_folders(self, cache):
-        clean()
-        assert visible(cache) == []
-
-    @pytest.mark.usefixtures("headless")
     def test_cleaning_keeps_other_files(self, cache):
         write(cache / "thesis.txt")
         write(cache / "full" / "thesis.txt")
@@ -410,17 +338,6 @@ class TestDebianPackage:
             install(source="debian")
         assert visible(cache) == []
 
-    def test_truncated_package_is_reported(self, package, tmp_path):
-        package.write_bytes(package.read_bytes()[:-100])
-        with pytest.raises(AssetError, match=r"damaged|cannot be unpacked"):
-            unpack_package(package, self.empty(tmp_path), Progress())
-
-    @staticmethod
-    def empty(tmp_path):
-        folder = tmp_path / "target"
-        (folder / "data").mkdir(parents=True)
-        return folder
-
     @staticmethod
     def serve(package, folder, monkeypatch):
         """Makes this package the only one that apt knows."""
@@ -467,11 +384,6 @@ class TestHeadlessPack:
         write_marker(headless, "headless pack", headless=True)
         assert find_assets().scenes != SCENES_VERSION
         assert install().scenes == SCENES_VERSION
-
-    def test_pack_with_scenes_of_this_version_is_kept(self, headless):
-        before = headless.stat().st_ino
-        install()
-        assert headless.stat().st_ino == before
 
     def test_pack_with_other_scenes_is_used_without_full_data(self, headless, monkeypatch):
         monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
@@ -530,12 +442,10 @@ def sparse_member():
 #: Contents of archives that take unbounded memory or disk space, and the errors that refuse them.
 BOMBS = {
     "pax header": (lambda: header("x", 1 << 30, tarfile.XHDTYPE), "a header of 1,073,741,824"),
-    "long name": (lambda: header("data/a", 1 << 30, tarfile.GNUTYPE_LONGNAME), "a header of"),
     "one file": (
         lambda: header("data/big", 1_800_000_000) + bytes(9 << 20),
         "more than a headless pack of its size",
     ),
-    "description": (lambda: header("data/karts/a/kart.xml", 2 << 20), "expected <= 1,048,576"),
     "sparse file": (sparse_member, "not a regular file"),
 }
 
@@ -555,14 +465,6 @@ class TestArchive:
         with pytest.raises(AssetError, match="cannot be written"):
             pack(output=tmp_path / "missing" / "pack.tar.xz")
 
-    def test_other_file_is_reported(self, cache, tmp_path):
-        write(tmp_path / "other", b"no archive at all")
-        self.refused(tmp_path / "other", "damaged, or not written by", cache)
-
-    def test_truncated_archive_is_reported(self, archive, cache):
-        archive.write_bytes(archive.read_bytes()[:-200])
-        self.refused(archive, "is damaged", cache)
-
     def test_damaged_archive_is_reported(self, archive, cache):
         data = bytearray(archive.read_bytes())
         data[len(data) // 2] ^= 1
@@ -574,17 +476,13 @@ class TestArchive:
         rebuild(archive, lambda members: [m for m in members if m[0].name != name])
         self.refused(archive, "'tracks/alps/track.xml' is missing from", cache)
 
-    def test_duplicate_member_is_reported(self, archive, cache):
-        rebuild(archive, lambda members: [*members, members[-1]])
-        self.refused(archive, "File exists", cache)
-
-    @pytest.mark.parametrize("name", ["../evil", "data/../../evil", "/tmp/evil", "evil"])
+    @pytest.mark.parametrize("name", ["data/../../evil", "/tmp/evil"])
     def test_member_outside_the_pack_is_reported(self, archive, cache, tmp_path, name):
         rebuild(archive, lambda members: [*members, (named(name), b"!")])
         self.refused(archive, "outside the pack", cache)
         assert not (tmp_path / "evil").exists()
 
-    @pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE])
+    @pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.FIFOTYPE])
     def test_member_that_is_not_a_regular_file_is_reported(self, archive, cache, kind):
         link = named("data/link", kind, "/etc/passwd")
         rebuild(archive, lambda members: [*members, (link, b"")])
@@ -606,25 +504,6 @@ class TestArchive:
         content = b"".join(header(f"data/{number}") for number in range(10))
         (tmp_path / "bomb").write_bytes(lzma.compress(content))
         self.refused(tmp_path / "bomb", "more than 9 files", cache)
-
-    def test_long_names_are_kept(self, headless, tmp_path, monkeypatch):
-        name = f"data/{'n' * 90}/{'ä' * 60}"
-        write(headless / name, b"here")
-        file = pack(output=tmp_path / "pack.tar.xz")
-        monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "elsewhere"))
-        assert (install(archive=file).root / name).read_bytes() == b"here"
-
-    def test_huge_marker_is_refused_without_reading_it(self, headless):
-        with (headless / MARKER).open("wb") as file:
-            file.truncate(1 << 30)
-        with pytest.raises(AssetError, match="it has 1,073,741,824 bytes"):
-            read_marker(headless)
-
-    def test_damaged_marker_names_its_field(self, headless):
-        values = json.loads((headless / MARKER).read_text())
-        (headless / MARKER).write_text(json.dumps({**values, "tracks": "alps"}))
-        with pytest.raises(AssetError, match=r"got `str` - at `\$\.tracks`"):
-            read_marker(headless)
 
     @staticmethod
     def refused(archive, match, cache):
@@ -650,11 +529,6 @@ class TestCommandLine:
         assert main(["assets", "install"]) == 0
         assert str(find.own_folder("headless")) in capsys.readouterr().out
 
-    @pytest.mark.usefixtures("system")
-    def test_pack_writes_the_file(self, tmp_path):
-        assert main(["assets", "pack", "--output", str(tmp_path / "pack.tar.xz")]) == 0
-        assert tarfile.is_tarfile(tmp_path / "pack.tar.xz")
-
     def test_clean_removes_nothing_without_confirmation(self, headless, monkeypatch):
         monkeypatch.setattr(sys, "stdin", io.StringIO("n\n"))
         assert main(["assets", "clean"]) == 1
@@ -671,25 +545,9 @@ class TestCommandLine:
         assert said.startswith("stkzoo")
         assert "--help`" in said
 
-    def test_help_exits_with_0(self, capsys):
-        assert main(["assets", "install", "--help"]) == 0
-        assert "examples:" in capsys.readouterr().out
-
     @pytest.mark.usefixtures("cache")
     def test_error_is_one_message_without_a_traceback(self):
         command = [sys.executable, "-m", "stkzoo", "assets", "install", "--from", "missing"]
         process = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (process.returncode, process.stdout) == (1, "")
         assert process.stderr == "stkzoo: there is no file 'missing'.\n"
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="a working directory cannot be removed")
-def test_a_relative_cache_without_a_working_directory_is_an_error(monkeypatch, tmp_path):
-    monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
-    monkeypatch.setenv("STKZOO_CACHE", "cache")
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    with pytest.raises(AssetError, match="STKZOO_CACHE is 'cache', relative to a working"):
-        find_assets()

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from stkzoo._temporary import remove_stale_folders
-from stkzoo.engine import fork_client, process, wire
+from stkzoo.engine import fork_client
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
@@ -77,25 +77,6 @@ def test_a_default_timeout_of_sockets_does_not_reach_the_game(root, monkeypatch,
     with contextlib.closing(WorkerSession(root)) as session:
         session.start(SETUP)
         drive_on(session, steps=2)
-
-
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_the_engine_imports_modules_from_the_programs_search_path(root, tmp_path, method):
-    (tmp_path / "pystk2.py").write_text("raise ImportError('the engine of this folder')")
-    code = f"""
-        import sys
-        sys.path.insert(0, {str(tmp_path)!r})
-        from pathlib import Path
-        from stkzoo.engine.session import WorkerSession
-        from stkzoo.engine.setup import KartSetup, RaceSetup
-        from stkzoo.errors import EngineCrashed
-        try:
-            WorkerSession(Path({str(root)!r})).start(RaceSetup("olivermath", (KartSetup(),)))
-        except EngineCrashed as error:
-            print(error.log)
-    """
-    program = run_program(code, env={**os.environ, "STKZOO_START_METHOD": method})
-    assert "the engine of this folder" in program.stdout
 
 
 def test_the_engine_imports_nothing_from_the_current_folder_of_a_notebook(root, tmp_path):
@@ -163,14 +144,6 @@ def test_a_killed_game_is_an_error_and_the_next_start_works(session, sign):
     assert len(trajectory(session)) > 0
 
 
-def test_a_crash_report_has_the_games_last_lines(session):
-    session.start(SETUP)
-    os.kill(session.pid, signal.SIGSEGV)
-    with pytest.raises(EngineCrashed) as caught:
-        drive_on(session)
-    assert "Segmentation fault" in caught.value.log
-
-
 @pytest.mark.parametrize("name", ["stk_config.xml", "tracks/olivermath/olivermath_track.spm"])
 def test_a_crash_because_of_damaged_data_says_how_to_replace_it(name, root, tmp_path):
     copy = Path(shutil.copytree(root, tmp_path / "copy", copy_function=os.symlink))
@@ -215,47 +188,6 @@ def test_a_stopped_game_times_out_and_is_ended(root):
     assert wait_until(lambda: not process_exists(pid))
     assert len(trajectory(session)) > 0
     session.close()
-
-
-STOPS_AT_BIRTH = """
-import os, signal
-import stkzoo.engine.process_clone as module
-
-def die_with(parent, real=module.die_with):
-    if os.path.exists({flag!r}):
-        os.kill(os.getpid(), signal.SIGSTOP)
-    real(parent)
-
-module.die_with = die_with
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a fork server")
-def test_a_new_process_that_is_stopped_at_once_does_not_affect_other_races(
-    root, monkeypatch, tmp_path
-):
-    flag = tmp_path / "stop"
-    code = process._BOOTSTRAP.replace("main(", STOPS_AT_BIRTH.format(flag=str(flag)) + "main(")
-    monkeypatch.setattr(process, "_BOOTSTRAP", code)
-    monkeypatch.setattr(fork_client, "_fork_servers", {})
-    session, other = WorkerSession(root, timeout=0.5), WorkerSession(root)
-    other._timeouts[wire.BEGIN] = 0.5
-    session.start(SETUP)
-    fork_server = fork_client.start_fork_server(root)
-    flag.touch()
-    clone = session.branch()
-    with pytest.raises(EngineTimeout, match="did not answer within"):
-        drive_on(clone, steps=1)
-    with pytest.raises(EngineTimeout, match="did not answer within"):
-        other.start(SETUP)
-    drive_on(session, steps=1)
-    assert children_of(fork_server._process.pid) == [session.pid]
-    session.branch()
-    flag.unlink()
-    drive_on(session.branch(), steps=1)
-    assert fork_client.start_fork_server(root) is fork_server
-    fork_server.close()
-    assert wait_until(lambda: not children_of(fork_server._process.pid))
 
 
 def test_a_step_after_the_crash_says_reset(session):
@@ -327,16 +259,6 @@ def test_an_interrupted_step_does_not_mix_up_replies(session):
     with pytest.raises(KeyboardInterrupt):
         drive_on(session, steps=10**6)
     assert len(trajectory(session)) > 0
-
-
-def test_a_missing_temporary_folder_is_named_and_the_next_start_works(
-    session, monkeypatch, tmp_path
-):
-    with monkeypatch.context() as patch:
-        patch.setattr("tempfile.tempdir", str(tmp_path / "gone"))
-        with pytest.raises(EngineError, match=r"gone.*set TMPDIR to a folder that exists"):
-            session.start(SETUP)
-    session.start(SETUP)
 
 
 PROGRAM = """

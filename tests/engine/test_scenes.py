@@ -141,13 +141,6 @@ class TestRemovedObjects:
         node = ET.parse(data / "library" / "plant" / "node.xml")
         assert model_names(node.getroot()) == ["trunk.spm"]
 
-    def test_scene_without_removable_objects_is_not_rewritten(self, data):
-        path = data / "tracks" / "alps" / "scene.xml"
-        write(path, "<scene><checks/></scene>")
-        before = path.stat().st_ino
-        thin_scenes(data)
-        assert path.stat().st_ino == before
-
     def test_hard_link_to_the_scene_keeps_its_content(self, data):
         path = data / "tracks" / "alps" / "scene.xml"
         write(path, "<scene><light/></scene>")
@@ -169,9 +162,6 @@ class TestRandomNumbers:
     def test_one_number_is_drawn_for_each_farther_level(self, data):
         assert self.num_draws(thin(data, LEVELS + TREE)) == 2
 
-    def test_object_with_one_level_draws_none(self, data):
-        assert self.num_draws(thin(data, GHOST.format("bush"))) == 0
-
     def test_all_instances_but_the_first_count(self, data):
         assert self.num_draws(thin(data, instances(4), plant=LEVELS + TREE)) == 3 * 2
 
@@ -182,16 +172,6 @@ class TestRandomNumbers:
         group = instances(3) + TRUNK
         scene = thin(data, instances(2, "group"), plant=LEVELS + TREE + TRUNK, group=group)
         assert self.num_draws(scene) == 2 * 3 * 2
-
-    def test_instances_in_a_library_object_with_a_script_count(self, data):
-        write(data / "library" / "group" / "scripting.as", "")
-        scene = thin(
-            data,
-            instances(1, "group") + instances(1),
-            plant=LEVELS + TREE + TRUNK,
-            group=instances(3),
-        )
-        assert self.num_draws(scene) == 4 * 2
 
     def test_levels_with_the_same_name_in_two_library_objects_add_up(self, data):
         more = LEVELS.replace("40", "300")  # farther than 200, so there are four levels
@@ -244,26 +224,21 @@ class TestReplacedInstances:
         assert [np.float32(word) for word in placed.get("xyz").split()] == [1, height, 3]
         assert [np.float32(word) for word in placed.get("scale").split()] == [np.float32(1.36)] * 3
 
-    def test_replaced_objects_have_no_children(self, data):
-        scene = thin(data, instances(3), plant=TRUNK + TRUNK)
-        assert not [child for entry in scene for child in entry]
-
 
 @pytest.fixture(scope="module")
 def packs(tmp_path_factory):
-    """Builds headless packs with complete and with thinned scenes."""
-    roots = [tmp_path_factory.mktemp(name) for name in ("whole", "thinned")]
-    full = find_assets(graphics=True).root
-    build_headless(full, roots[0], Progress(), has_whole_scenes=True)
-    build_headless(full, roots[1], Progress())
-    return roots
+    """Builds a headless pack, with thinned scenes; returns the root of the full data and its."""
+    full, thinned = find_assets(graphics=True).root, tmp_path_factory.mktemp("thinned")
+    build_headless(full, thinned, Progress())
+    return full, thinned
 
 
 class TestThinnedPack:
-    # On cocoa_temple, bots choose among paths; on black_forest, most instances are replaced.
+    # On cocoa_temple, bots choose among paths; on black_forest, most instances are replaced; a
+    # sound changes the ground of xr591.
     @pytest.mark.slow
     @pytest.mark.parametrize("reverse", [False, True])
-    @pytest.mark.parametrize("track", ["black_forest", "cocoa_temple"])
+    @pytest.mark.parametrize("track", ["black_forest", "cocoa_temple", "xr591"])
     def test_races_with_bots_are_the_same_bit_for_bit(self, packs, track, reverse):
         digests = {self.race(root, track, reverse) for root in packs}
         assert len(digests) == 1

@@ -12,11 +12,9 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     AiTimes,
-    compare,
     load_ai_times,
     load_benchmark,
     measure_ai_times,
-    plot_benchmark,
     run_benchmark,
 )
 from stkzoo.evaluation.benchmark.plan import benchmark_orders
@@ -80,49 +78,6 @@ def test_the_result_follows_its_schema_and_can_be_loaded(small):
     assert from_races == result
     assert from_file.races == result.races
     assert from_file.groups == result.groups
-
-
-@pytest.mark.slow
-def test_a_finished_benchmark_repeats_no_races(small):
-    folder, result, _ = small
-    stamps = [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
-    assert run_benchmark("heuristic", output=folder, **SMALL) == result
-    assert stamps == [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
-
-
-@pytest.mark.slow
-def test_another_benchmark_in_the_folder_is_refused(small):
-    folder, _, _ = small
-    with pytest.raises(
-        ConfigError, match=r"has another benchmark: agents is \['random@:random'\] and"
-    ):
-        run_benchmark("random", output=folder, **SMALL)
-    with pytest.raises(ConfigError, match="seeds is 3 and was 2"):
-        run_benchmark("heuristic", output=folder, **{**SMALL, "seeds": 3})
-
-
-@pytest.mark.slow
-def test_the_plot_is_saved_as_an_image(small, tmp_path):
-    folder, result, _ = small
-    assert (folder / "benchmark.png").read_bytes()[:4] == b"\x89PNG"
-    plot_benchmark([result, result], tmp_path / "both.svg")
-    assert "lighthouse" in (tmp_path / "both.svg").read_text()
-
-
-@pytest.mark.slow
-def test_two_agents_race_under_the_same_conditions(small, tmp_path):
-    """The AI under another name drives the same races, so all differences are exactly 0."""
-    _, heuristic, _ = small
-    options = {**SMALL, "forms": ["P"], "plot": False}
-    one = run_benchmark("ai", output=tmp_path / "ai", **options)
-    two = run_benchmark("ai@:again", output=tmp_path / "again", jobs=1, **options)
-    assert [outcome.karts for outcome in one.races] == [o.karts for o in two.races]
-    same = compare(one, two).difference().figures["time_ratio"]
-    assert (same.value, same.low, same.high) == (0.0, 0.0, 0.0)
-    assert compare(heuristic, one).difference().figures["time_ratio"].value != 0.0
-
-
-# ------------------------------------------------------------------ interruptions
 
 
 # ------------------------------------------------------------------ race ends

@@ -1,14 +1,12 @@
 """Demonstrations: recorded observations and actions."""
 
 import builtins
-import json
 import os
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.cli import main
@@ -19,13 +17,10 @@ from stkzoo.evaluation import (
     DemoView,
     check_demonstrations,
     load_demonstrations,
-    plan_demonstrations,
     record_demonstrations,
     save_demonstrations,
     to_minari,
 )
-from stkzoo.evaluation.demonstrations.dataset import tree_of
-from stkzoo.evaluation.demonstrations.plan import demo_orders
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import SIZE, controls_of_choices
 
@@ -37,21 +32,6 @@ def driven(tmp_path_factory):
     """Records two short races of an agent against the game's AI."""
     file = tmp_path_factory.mktemp("demos") / "driven.safetensors"
     return file, record_demonstrations("pursuit", output=file, seeds=(3, 4), rivals=["ai"], **SHORT)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Records a whole race of the game's AI."""
-    file = tmp_path_factory.mktemp("demos") / "whole.safetensors"
-    return record_demonstrations(
-        "ai", output=file, tracks="lighthouse", karts=2, difficulty=3, jobs=1
-    )
-
-
-def test_arrays_of_actions_and_of_observations_with_the_same_name_are_kept_apart():
-    columns = {"actions/steer": np.ones(1), "observations/actions/steer": np.zeros(1)}
-    assert tree_of("actions", columns) == {"steer": 1.0}
-    assert tree_of("observations", columns) == {"actions": {"steer": 0.0}}
 
 
 @pytest.mark.slow
@@ -199,26 +179,14 @@ def ai_race(step_size, steps):
 
 
 @pytest.mark.slow
-def test_races_of_the_ai_end_at_the_finish(whole):
+def test_races_of_the_ai_end_at_the_finish(tmp_path):
+    how = {"tracks": "lighthouse", "karts": 2, "difficulty": 3, "jobs": 1}
+    whole = record_demonstrations("ai", output=tmp_path / "d.safetensors", **how)
     assert all(episode.is_finished for episode in whole)
     assert {episode.facts.rank for episode in whole} == {1, 2}
     assert all(0 < episode.facts.finish_time < 60 for episode in whole)
     with pytest.raises(ConfigError, match="cannot be driven again"):
         check_demonstrations(whole)
-
-
-@pytest.mark.slow
-def test_the_reward_does_not_depend_on_how_often_the_controls_are_read(whole, tmp_path):
-    """Only the place and the number of steps may differ between two races of the AI."""
-    how = {"tracks": "lighthouse", "karts": 2, "difficulty": 3, "jobs": 1}
-    once = record_demonstrations("ai", output=tmp_path / "d.safetensors", substeps=1, **how)
-
-    def earned_on_the_way(demos):
-        places = [20 * (2 - episode.facts.rank) for episode in demos]
-        returns = [episode.rewards.sum() + 0.02 * len(episode) for episode in demos]
-        return np.array(returns) - places
-
-    np.testing.assert_allclose(earned_on_the_way(whole), earned_on_the_way(once), atol=0.1)
 
 
 @pytest.mark.slow
@@ -263,15 +231,6 @@ def test_other_demonstrations_are_not_overwritten(driven):
         record_demonstrations("pursuit", output=file, seeds=5, rivals=["ai"], **SHORT)
 
 
-def test_unfinished_demonstrations_of_another_plan_name_the_folder_to_delete(tmp_path):
-    parts = tmp_path / "d.safetensors.parts"
-    parts.mkdir()
-    (parts / "plan.json").write_text(plan_demonstrations("pursuit", seeds=2).to_json())
-    remedy = re.escape(f"repeat the first command, or delete {parts} to start again")
-    with pytest.raises(ConfigError, match=f"another dataset: .*seeds is.*{remedy}$"):
-        record_demonstrations("pursuit", output=tmp_path / "d.safetensors", seeds=3)
-
-
 COMMAND = ["pursuit", "--track", "lighthouse", "--karts", "1", "--max-steps", "40", "--jobs", "1"]
 
 
@@ -309,15 +268,11 @@ def test_the_command_records_and_checks(tmp_path, capsys):
         (["nobody"], "unknown driver 'nobody'"),
         (["ai", "--view", "full"], "differ in size"),
         (["ai", "--view", "racin"], "Did you mean 'racing'"),
-        (["ai:1"], "'ai:1' requires difficulty 1, but the races have difficulty 2"),
         (["ai", "--rivals", "ai:3"], "'ai:3' requires difficulty 3"),
         (["ai", "--output", "d.csv"], "ends in .safetensors"),
-        (["ai", "--seeds", "0"], "seeds is 0"),
         (["ai", "--check"], "--check cannot drive the game's AI again"),
         (["ai", "--substeps", "5"], "expected one of"),
         (["pursuit", "--substeps", "4"], "decide once in a step"),
-        (["ai", "--track", "moon"], "moon"),
-        (["ai", "--karts", "21"], "karts is 21"),
     ],
 )
 def test_invalid_arguments_are_reported(words, text, capsys):
@@ -338,30 +293,15 @@ def test_an_agent_that_fails_makes_no_demonstrations(tmp_path, capsys):
     assert not (tmp_path / "d.safetensors").exists()
 
 
-@pytest.mark.parametrize("damage", ["cut", "text", "other", "short"])
-def test_invalid_files_are_refused(driven, tmp_path, damage):
-    file, demos = driven
+def test_invalid_files_are_refused(driven, tmp_path):
+    _, demos = driven
     bad = tmp_path / "bad.safetensors"
-    if damage == "cut":
-        bad.write_bytes(file.read_bytes()[:-2000])
-    elif damage == "text":
-        bad.write_text("hello")
-    elif damage == "other":
-        save_file({"observations": np.zeros(3)}, bad, {"about": json.dumps({"type": "x"})})
-    else:
-        columns = {**demos.columns, "rewards": demos.columns["rewards"][:-1]}
-        save_demonstrations(replace(demos, columns=columns), bad)
+    columns = {**demos.columns, "rewards": demos.columns["rewards"][:-1]}
+    save_demonstrations(replace(demos, columns=columns), bad)
     with pytest.raises(ConfigError, match="cannot be read as demonstrations"):
         load_demonstrations(bad)
     with pytest.raises(ConfigError, match="there are no demonstrations"):
         load_demonstrations(tmp_path / "none.safetensors")
-
-
-def test_a_plan_survives_json():
-    plan = plan_demonstrations("ai", tracks=["lighthouse"], reverse=(False, True), seeds=2)
-    assert type(plan).from_json(plan.to_json()) == plan
-    assert len(demo_orders(plan)) == 4
-    assert plan.substeps == 4
 
 
 def test_minari_loads_the_same_data(driven, tmp_path, monkeypatch):

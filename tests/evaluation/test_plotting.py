@@ -1,10 +1,6 @@
 """Plots show the names of agents as they are, and axes keep their formulas."""
 
-import warnings
-from types import SimpleNamespace
-
 from stkzoo.evaluation import new_figure, plotting, save_figure
-from stkzoo.evaluation.benchmark.time_trial import plot_time_trial
 from stkzoo.evaluation.plotting import draw_intervals
 from stkzoo.evaluation.statistics import Estimate
 
@@ -24,15 +20,6 @@ def test_dollar_signs_in_names_are_no_formulas(tmp_path):
     assert r"mathdefault{10^{2}}" in drawn
 
 
-def test_letters_that_the_font_lacks_cause_no_warnings(tmp_path):
-    figure = new_figure(4, 3)
-    figure.subplots().set_title("\u540d\u524d")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        save_figure(figure, tmp_path / "plot.png")
-    assert (tmp_path / "plot.png").exists()
-
-
 def test_letters_that_the_font_lacks_are_written_in_installed_fonts(tmp_path, monkeypatch):
     monkeypatch.setattr(plotting, "_FALLBACK_FONTS", ("No Such Font", "DejaVu Serif"))
     figure = new_figure(4, 3)
@@ -47,10 +34,3 @@ def test_a_legend_shows_names_with_an_underscore():
         draw_intervals(axes, {row: Estimate(1.0, 0.9, 1.1)}, label=name)
     _, labels = axes.get_legend_handles_labels()
     assert [label.strip() for label in labels] == ["_bot", "other"]
-
-
-def test_the_title_of_a_time_trial_fits_with_a_long_name(tmp_path):
-    track = SimpleNamespace(track="ravenbridge_mansion", ratio=1.1, finished=1, races=1)
-    plot_time_trial(SimpleNamespace(label=40 * "W", tracks=[track]), tmp_path / "plot.svg")
-    drawn = (tmp_path / "plot.svg").read_text()
-    assert f"<!-- {15 * 'W'}...: time as a multiple" in drawn

@@ -16,10 +16,9 @@ from stkzoo.evaluation import (
     run_time_trial,
 )
 from stkzoo.evaluation.benchmark.time_trial import summarize_time_trial, time_trial_orders
-from stkzoo.race import RaceResult
-from stkzoo.race.result import AgentResult
 from stkzoo.records import HUMAN_RECORDS
 from tests.support.paths import ROOT
+from tests.support.results import agent_result, race_result
 
 SCHEMA = ROOT / "docs" / "schemas" / "time-trial-result.schema.json"
 SHIPPED = ROOT / "benchmarks" / "results" / "benchmark" / "ace-time-trial.json"
@@ -41,19 +40,10 @@ def test_the_races_have_the_conditions_of_the_records():
         assert settings.max_steps * 0.1 > 3 * HUMAN_RECORDS[settings.track].seconds
 
 
-def test_seeds_do_not_depend_on_the_agent():
-    one, other = plan_time_trial("heuristic", seeds=2), plan_time_trial("random", seeds=2)
-    seeds = [order.settings.seed for order in time_trial_orders(one)]
-    assert seeds == [order.settings.seed for order in time_trial_orders(other)]
-    assert len(set(seeds)) == len(seeds)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"mode": "normal"}, "unknown setting of a race 'mode'"),
-        ({"kart": "tux"}, "unknown setting of a race 'kart'"),
-        ({"split": "lighthous"}, "Did you mean 'lighthouse'"),
         ({"seeds": 0}, "seeds is 0, expected a whole number from 1"),
     ],
 )
@@ -72,33 +62,9 @@ def test_a_plan_under_other_conditions_is_refused():
 
 
 def result_of(order, time):
-    row = AgentResult(
-        agent="kart_0",
-        driver="x",
-        source="x",
-        status="racing" if time is None else "finished",
-        start_position=1,
-        rank=1,
-        finish_time=time,
-        laps=1,
-        distance=100.0,
-        reward=0.0,
-        rescues=0,
-    )
-    settings = order.settings
-    return RaceResult(
-        status="finished",
-        track=settings.track,
-        reverse=False,
-        laps=settings.laps,
-        difficulty=3,
-        seed=settings.seed,
-        race_length=100.0,
-        steps=100,
-        race_time=10.0,
-        agents=(row,),
-        mode="time_trial",
-    )
+    row = agent_result(1, time, rank=1, status="racing" if time is None else "finished")
+    race = {name: getattr(order.settings, name) for name in ("track", "laps", "seed")}
+    return race_result([row], **race, mode="time_trial")
 
 
 def outcome(multiples, **options):
@@ -185,9 +151,6 @@ def test_the_command_shows_times_records_and_ratios(tmp_path, capsys):
     ("words", "message"),
     [
         (["--forms", "P"], "leave out --forms"),
-        (["--difficulty", "2"], "leave out --difficulty"),
-        (["--directions", "forward"], "leave out --directions"),
-        (["--ai-times", "x.json"], "leave out --ai-times"),
         (["--baseline"], "not allowed with"),
     ],
 )

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -18,7 +19,6 @@ from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     BatchError,
-    TournamentPlan,
     load_tournament,
     plan_tournament,
     plot_tournament,
@@ -28,7 +28,6 @@ from stkzoo.evaluation import (
 from stkzoo.evaluation.batch import agents as batch_agents
 from stkzoo.evaluation.batch.agents import fingerprint
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import plan_differences
 from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.ratings import rate
 from stkzoo.evaluation.tournament.plan import joined_plan, resumed_plan
@@ -36,7 +35,7 @@ from stkzoo.evaluation.tournament.run import tournament_orders
 from stkzoo.race import RaceResult, RaceSettings
 from tests.support.adversaries import write_sore_loser
 from tests.support.paths import AGENTS, SCHEMAS
-from tests.support.processes import children_of, process_exists, run_program, wait_until
+from tests.support.processes import children_of, process_exists, wait_until
 from tests.support.remote_race import write_agent
 
 SCHEMA = SCHEMAS / "tournament-result.schema.json"
@@ -159,24 +158,12 @@ def test_an_agent_without_races_has_the_default_rating():
     assert rating.low < 23 < 27 < rating.high
 
 
-@pytest.mark.slow
-def test_a_missing_library_is_an_error_before_the_first_race(tmp_path):
-    code = """
-        import sys
-        sys.modules[{library!r}] = None
-        from stkzoo.errors import ConfigError
-        from stkzoo.evaluation import run_tournament
-        try:
-            run_tournament(["ai", "random"], output={folder!r}, races=1)
-        except ConfigError as error:
-            print(error)
-    """
-    for library in ("openskill", "matplotlib"):
-        folder = str(tmp_path / library)
-        shown = run_program(code.format(library=library, folder=folder)).stdout
-        assert f"{library}, which is not installed" in shown
-        assert install_command("tournament") in shown
-        assert not Path(folder).exists()
+@pytest.mark.parametrize("module", ["openskill.models", "matplotlib.figure"])
+def test_a_missing_library_is_an_error_before_the_first_race(module, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ConfigError, match=re.escape(install_command("tournament"))):
+        run_tournament(["ai", "random"], output=tmp_path / "cup", races=1)
+    assert not (tmp_path / "cup").exists()
 
 
 def test_agents_at_the_same_place_are_tied():
@@ -267,25 +254,6 @@ def test_a_resumed_tournament_has_the_same_result_with_another_number_of_jobs(tm
 
 
 @pytest.mark.slow
-def test_resuming_a_plan_runs_the_agents_that_it_names(tmp_path):
-    """Also without a sandbox, if the plan says so."""
-    mark, agent, folder = tmp_path / "mark", tmp_path / "stranger", tmp_path / "cup"
-    agent.mkdir()
-    (agent / "pystk_actor.py").write_text(
-        f"open({str(mark)!r}, 'w').close()\n"
-        "def get_actor(module_dir, observation_space, action_space):\n"
-        "    return lambda state, observation: action_space.sample()\n"
-    )
-    settings = {name: value for name, value in SMALL.items() if name != "plot"}
-    plan = plan_tournament(["ai", str(agent)], **{**settings, "per_race": 2}, sandbox="off")
-    folder.mkdir()
-    (folder / "plan.json").write_text(plan.to_json())
-    assert not mark.exists()
-    resume_tournament(folder, plot=False)
-    assert mark.exists()
-
-
-@pytest.mark.slow
 def test_ctrl_c_shows_how_to_resume(tmp_path):
     folder = tmp_path / "cup"
     command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]
@@ -314,28 +282,6 @@ def test_a_race_whose_process_is_killed_fails_and_the_batch_goes_on(tmp_path):
 
 def cmdline(pid):
     return Path(f"/proc/{pid}/cmdline").read_text()
-
-
-KILLER = """
-import os, re, signal
-
-def get_actor(module_dir, observation_space, action_space):
-    def actor(state, observation):
-        keeper = open(f"/proc/{os.getppid()}/status").read()
-        os.kill(int(re.search(r"PPid:\\s+(\\d+)", keeper)[1]), signal.SIGKILL)
-    return actor
-"""
-
-
-@pytest.mark.slow
-def test_an_agent_that_ends_its_worker_voids_only_its_races(tmp_path):
-    """Without a sandbox, it can. The same command tries these races again."""
-    killer = tmp_path / "killer.py"
-    killer.write_text(KILLER)
-    settings = {**SMALL, "races": 3, "per_race": 2, "sandbox": "off"}
-    with pytest.raises(BatchError, match=r"(?s)2 of 3 races.* run agents in a sandbox"):
-        run_tournament(["ai", "heuristic", str(killer)], output=tmp_path / "cup", **settings)
-    assert len(races_in(tmp_path / "cup")) == 1
 
 
 @pytest.mark.slow
@@ -440,31 +386,11 @@ def test_an_agent_that_changes_between_two_races_is_reported_only_on_resume(tmp_
     assert resume_tournament(folder, plot=False) == result
 
 
-def test_a_plan_keeps_digests_of_files_with_unprintable_names(tmp_path):
-    agent = tmp_path / "mine"
-    shutil.copytree(AGENTS / "plain", agent)
-    (agent / "a\x01b").write_text("")
-    (agent / os.fsdecode(b"\xff")).write_text("")
-    plan = plan_tournament(["ai", str(agent)], tracks=["lighthouse"], races=1, per_race=2)
-    assert {"mine/a?b", "mine/?"} <= set(plan.agents[1].files)
-    assert TournamentPlan.from_json(plan.to_json()) == plan
-
-
 def test_a_plan_whose_version_had_another_schedule_is_refused(tmp_path):
     text = plan_tournament(THREE).to_json()
     (tmp_path / "plan.json").write_text(text.replace('"schema_version": 2', '"schema_version": 1'))
     with pytest.raises(ConfigError, match=r"version 1, .* another version of stkzoo wrote it"):
         resume_tournament(tmp_path)
-
-
-@pytest.mark.parametrize("source", ["module_home/bare_module_agent.py", "alpha", "weights"])
-def test_the_fingerprint_of_an_agent_covers_all_its_files(source):
-    files = fingerprint(str(AGENTS / source))
-    home = (AGENTS / source).parent
-    on_disk = (AGENTS / source).rglob("*") if (AGENTS / source).is_dir() else [AGENTS / source]
-    names = {file.relative_to(home).as_posix() for file in on_disk if file.is_file()}
-    assert set(files) == {name for name in names if "__pycache__" not in name}
-    assert fingerprint("heuristic") == {}
 
 
 def test_the_fingerprint_of_an_agent_covers_compiled_and_hidden_files(tmp_path):
@@ -528,12 +454,9 @@ def test_a_damaged_race_file_is_an_error(small, tmp_path):
         (["ai", "nobody"], {}, "unknown driver 'nobody'"),
         (["ai:0", "random"], {}, "'ai:0' requires difficulty 0, but the races have difficulty 2"),
         (THREE, {"tracks": ["lighthous"]}, "Did you mean 'lighthouse'"),
-        (THREE, {"tracks": []}, "tracks is empty"),
-        (THREE, {"races": 0}, "races is 0, expected a whole number from 1"),
         (THREE, {"per_race": 4}, "per_race is 4, expected a whole number from 2 to 3"),
         (THREE, {"error_handling": "raise"}, "choose retire, catch or restart"),
         (THREE, {"lap": 2}, "Did you mean 'laps'"),
-        (THREE, {"laps": 0}, "laps is 0"),
     ],
 )
 def test_invalid_plans_are_refused(agents, plan, message):
@@ -552,15 +475,6 @@ def test_an_agent_that_is_named_again_on_resume_does_not_join_twice(tmp_path):
         assert plan.additions == (1,)
     renamed = joined_plan(resumed_plan(tmp_path, [f"{two}@:Eve", f"{one}@:ada"]), tmp_path)
     assert [agent.label for agent in renamed.agents][2:] == ["ada-2", "Eve"]
-
-
-def test_the_refusal_of_other_agents_names_only_those_that_differ(tmp_path):
-    agents = [write_agent(tmp_path, name) for name in ("ada", "bob", "eve")]
-    settings = {"tracks": ["lighthouse"], "races": 2, "per_race": 2}
-    plan = plan_tournament(agents, **settings)
-    other = plan_tournament([*agents[:2], "ai"], **settings)
-    (difference,) = plan_differences(plan, other)
-    assert difference == (f"agents also has ['ai@:ai'] and no longer has ['{agents[2]}@:eve']")
 
 
 def test_invalid_usage_exits_with_2(tmp_path, capsys):

@@ -60,10 +60,6 @@ def test_each_part_of_a_tournament_has_all_tracks():
         assert {race.track for race in races[first : first + 3]} == {"a", "b", "c"}
 
 
-def test_each_race_has_its_own_seed():
-    assert [race.seed for race in make_schedule(3, ["a"], 4, 2, 10)] == [10, 11, 12, 13]
-
-
 def test_the_same_seed_gives_the_same_schedule():
     assert make_schedule(6, ["a", "b"], 20, 4, 1) == make_schedule(6, ["a", "b"], 20, 4, 1)
     assert make_schedule(6, ["a", "b"], 20, 4, 1) != make_schedule(6, ["a", "b"], 20, 4, 2)

@@ -1,14 +1,12 @@
 """Tournaments with agents on servers, and with agents that join later."""
 
 import json
-from collections import Counter
 
 import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import load_tournament, plan_tournament, run_tournament
-from stkzoo.evaluation.tournament.schedule import extend_schedule, make_schedule
+from stkzoo.evaluation import load_tournament, run_tournament
 from stkzoo.race.remote import new_key_files, read_servers
 from tests.support.remote_race import server_process, write_agent
 
@@ -75,19 +73,6 @@ def test_the_same_command_with_more_agents_at_its_end_adds_them(tmp_path):
         run_tournament([*agents, "random@:dice"], output=tmp_path, per_race=4, **settings)
 
 
-def test_new_agents_start_equally_often_and_from_all_places():
-    first = make_schedule(6, ["a", "b"], 12, 4, seed=3)
-    more = extend_schedule(first, 6, 2, 8, seed=3)
-    assert [race.number for race in more] == list(range(12, 20))
-    assert [race.seed for race in more] == list(range(15, 23))
-    starts = Counter(agent for race in more for agent in race.grid)
-    assert starts[6] == starts[7] == 8
-    assert max(starts[agent] for agent in range(6)) - min(starts[a] for a in range(6)) <= 1
-    assert all(len(set(race.grid)) == 4 for race in more)
-    places = Counter(race.grid.index(agent) for race in more for agent in (6, 7))
-    assert set(places.values()) == {4}
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -100,10 +85,3 @@ def test_an_invalid_list_of_servers_is_refused(tmp_path, text, message):
     (tmp_path / "servers.txt").write_text(text)
     with pytest.raises(ConfigError, match=message):
         read_servers(tmp_path / "servers.txt")
-
-
-def test_agents_are_labeled_by_player_name_and_number(tmp_path):
-    (tmp_path / "two").mkdir()
-    paths = [write_agent(tmp_path, "Ada"), write_agent(tmp_path / "two", "Ada")]
-    plan = plan_tournament([*paths, "heuristic"])
-    assert [agent.label for agent in plan.agents] == ["Ada", "Ada-2", "heuristic"]

@@ -100,12 +100,6 @@ def test_a_folder_is_read_as_its_replays(alone, tmp_path):
     assert (mean.driver, mean.races, mean.contacts, mean.closing) == ("heuristic", 3, 0.0, None)
 
 
-def test_a_replay_that_is_named_in_two_ways_counts_once(alone, tmp_path, monkeypatch):
-    monkeypatch.chdir(alone.parent)
-    (tmp_path / "link.stkz").symlink_to(alone)
-    assert find_replays([alone.name, alone, tmp_path / "link.stkz"]) == [Path(alone.name)]
-
-
 def test_a_folder_without_replays_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"has no replays \(\*\.stkz\); give a file"):
         find_replays([tmp_path])

@@ -1,14 +1,10 @@
 """Evaluations on the training tracks show overfitting and are not entries."""
 
-from dataclasses import asdict
-
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.cli._suite_tables import show_entry
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.plan import plan_differences
-from stkzoo.evaluation.benchmark.races import KartOutcome, RaceOutcome
 from stkzoo.suite import TASKS, About, Entry, EntryRefused, plan_entry, verify_entry
 from stkzoo.suite.entry import ENTRY_FILE
 
@@ -79,27 +75,3 @@ def test_the_games_ai_at_the_difficulty_of_the_races_is_an_agent(name, agent):
 def test_invalid_facts_about_an_entry_are_refused_before_its_races(about, message):
     with pytest.raises(ConfigError, match=message):
         About(**about)
-
-
-def test_an_entry_with_unprintable_authors_reads_as_it_was_written():
-    entry = Entry(plan_entry("solo-1", "random", about=About(authors="Ada\x1b[2J\xa0Lovelace")), ())
-    assert Entry.from_json(entry.to_json()).plan.about == entry.plan.about
-
-
-@pytest.mark.parametrize(("name", "says_so"), [("team-2v2", True), ("versus", False)])
-def test_time_ratios_against_the_population_name_the_difficulty_of_the_baseline(
-    name, says_so, capsys
-):
-    plan = plan_entry(name, "random")
-    outcomes = tuple(
-        RaceOutcome(
-            **asdict(race),
-            status="finished",
-            time_ratio=1.0,
-            karts=tuple(KartOutcome(60.0, 1 + n, 0, 0) for n in range(race.lineup.agents)),
-        )
-        for race in plan.races()
-    )
-    show_entry(Entry(plan, outcomes, replays=("0" * 64,) * len(outcomes)))
-    text = "time ratio divides by the AI's time at difficulty 3 in all races"
-    assert (text in "".join(capsys.readouterr())) == says_so

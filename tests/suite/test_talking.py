@@ -3,12 +3,11 @@
 import importlib.util
 from contextlib import closing
 
-import numpy as np
 import pytest
 
 from stkzoo.config import AgentSpec
 from stkzoo.errors import ConfigError
-from stkzoo.race import Driver, RaceListener, find_driver, run_race
+from stkzoo.race import RaceListener, find_driver, run_race
 from stkzoo.suite import TASKS, Task, evaluate, find_task, id_of, plan_entry, verify_entry, view_of
 from stkzoo.suite.entry import entry_orders
 from tests.support.paths import AGENTS, ROOT
@@ -87,42 +86,6 @@ def test_a_race_of_two_teams_equals_that_of_the_tasks_environment(inline):
             observations = env.step(actions)[0]
             driven.append(karts(env))
     assert driven == motion.karts
-
-
-def test_an_agent_has_the_spaces_and_the_observations_of_the_learners():
-    steps, found = 40, {}
-
-    def maker(seen, acted, seed):
-        log = found.setdefault(len(found), [(seen, acted)])
-        words = np.random.default_rng(seed)
-
-        def actor(observation):
-            action = {"action": np.array([10, 0, 0, 0, 0]), "message": int(words.integers(8))}
-            log.append((observation, action))
-            return action
-
-        return actor
-
-    drivers = [Driver.of_actor(team, maker, TASK.agent_view()) for team in TEAMS]
-    settings = {"difficulty": 3, "max_steps": steps, "error_handling": "raise"}
-    run_race(drivers, start_positions=GRID, **RACE, **settings)
-    logs = {f"kart_{number}": log for number, log in found.items()}
-    with closing(environment()) as env:
-        for agent, log in logs.items():
-            assert log.pop(0) == (env.observation_space(agent), env.action_space(agent))
-        observations, _ = env.reset(seed=RACE["seed"])
-        num_heard = 0
-        for step in range(steps):
-            for agent, seen in observations.items():
-                assert seen in env.observation_space(agent)
-                other = logs[agent][step][0]
-                assert seen.keys() == other.keys()
-                for key, value in seen.items():
-                    assert value.dtype == other[key].dtype
-                    assert value.tobytes() == other[key].tobytes()
-                num_heard += int(seen["heard"].sum())
-            observations = env.step({agent: log[step][1] for agent, log in logs.items()})[0]
-    assert num_heard == 4 * (steps - 1)
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import re
 import shutil
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from stkzoo.cli import main
@@ -301,7 +300,6 @@ UNVERIFIED = re.compile(
     r"|^\.(agent|interval)|\.settings\.(?!track|laps|difficulty|reverse|mode|kart|seed|max_paths|"
     r"max_steps|max_steps_after_first|karts_finished)"
 )
-RACES = 6
 
 
 def leaves(value, place=""):
@@ -335,38 +333,11 @@ def change_card(folder, chance):
     write_entry(folder, card)
 
 
-def change_position(folder, chance):
-    """Changes the digest of the positions, rotations and velocities of one step."""
-    share, bit = chance.random(), 1 << chance.randrange(8)
-
-    def edit(members):
-        digests = bytearray(members["digests.u1"])
-        digests[int(share * len(digests))] ^= bit
-        members["digests.u1"] = bytes(digests)
-
-    change_replay(folder, chance.randrange(RACES), edit)
-    name_replays(folder)
-
-
-def change_steering(folder, chance):
-    """Changes the steering of a kart in some steps of a race."""
-    first, kart = chance.uniform(0.3, 0.8), chance.random()
-
-    def edit(controls):
-        start, row = int(first * len(controls)), int(kart * controls.shape[1])
-        part = controls[start : start + 20, row, 1]
-        part[:] = np.where(part > 0, part - 0.5, part + 0.5)
-        return controls
-
-    change_controls(folder, chance.randrange(RACES), edit)
-    name_replays(folder)
-
-
 @pytest.mark.matrix
 @pytest.mark.parametrize("number", range(int(os.environ.get("STKZOO_ENTRIES", "20"))))
 def test_a_random_change_of_an_entry_is_refused(entry, number):
     """To try more of them, set ``STKZOO_ENTRIES=1000``."""
     chance = random.Random(number)
-    chance.choice((change_card, change_position, change_steering))(entry, chance)
+    change_card(entry, chance)
     with pytest.raises(StkzooError):
         verify_entry(entry, jobs=1)
