@@ -476,6 +476,10 @@ class TestArchive:
         rebuild(archive, lambda members: [m for m in members if m[0].name != name])
         self.refused(archive, "'tracks/alps/track.xml' is missing from", cache)
 
+    def test_duplicate_member_is_reported(self, archive, cache):
+        rebuild(archive, lambda members: [*members, members[-1]])
+        self.refused(archive, "File exists", cache)
+
     @pytest.mark.parametrize("name", ["data/../../evil", "/tmp/evil"])
     def test_member_outside_the_pack_is_reported(self, archive, cache, tmp_path, name):
         rebuild(archive, lambda members: [*members, (named(name), b"!")])

@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import jsonschema
 import pytest
@@ -28,10 +27,8 @@ from stkzoo.evaluation import (
 from stkzoo.evaluation.batch import agents as batch_agents
 from stkzoo.evaluation.batch.agents import fingerprint
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.pool import run_in_parallel
 from stkzoo.evaluation.ratings import rate
 from stkzoo.evaluation.tournament.plan import joined_plan, resumed_plan
-from stkzoo.evaluation.tournament.run import tournament_orders
 from stkzoo.race import RaceResult, RaceSettings
 from tests.support.adversaries import write_sore_loser
 from tests.support.paths import AGENTS, SCHEMAS
@@ -254,6 +251,25 @@ def test_a_resumed_tournament_has_the_same_result_with_another_number_of_jobs(tm
 
 
 @pytest.mark.slow
+def test_resuming_a_plan_runs_the_agents_that_it_names(tmp_path):
+    """Also without a sandbox, if the plan says so."""
+    mark, agent, folder = tmp_path / "mark", tmp_path / "stranger", tmp_path / "cup"
+    agent.mkdir()
+    (agent / "pystk_actor.py").write_text(
+        f"open({str(mark)!r}, 'w').close()\n"
+        "def get_actor(module_dir, observation_space, action_space):\n"
+        "    return lambda state, observation: action_space.sample()\n"
+    )
+    settings = {name: value for name, value in SMALL.items() if name != "plot"}
+    plan = plan_tournament(["ai", str(agent)], **{**settings, "per_race": 2}, sandbox="off")
+    folder.mkdir()
+    (folder / "plan.json").write_text(plan.to_json())
+    assert not mark.exists()
+    resume_tournament(folder, plot=False)
+    assert mark.exists()
+
+
+@pytest.mark.slow
 def test_ctrl_c_shows_how_to_resume(tmp_path):
     folder = tmp_path / "cup"
     command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]
@@ -268,20 +284,26 @@ def test_ctrl_c_shows_how_to_resume(tmp_path):
     assert wait_until(lambda: not any(map(process_exists, workers)))
 
 
+KILLER = """
+import os, re, signal
+
+def get_actor(module_dir, observation_space, action_space):
+    def actor(state, observation):
+        keeper = open(f"/proc/{os.getppid()}/status").read()
+        os.kill(int(re.search(r"PPid:\\s+(\\d+)", keeper)[1]), signal.SIGKILL)
+    return actor
+"""
+
+
 @pytest.mark.slow
-def test_a_race_whose_process_is_killed_fails_and_the_batch_goes_on(tmp_path):
-    plan = plan_tournament(["ai", "heuristic"], tracks=["lighthouse"], races=3, max_steps=100)
-    outcomes = run_in_parallel(tournament_orders(plan), tmp_path, 1, 100)
-    first = next(outcomes)
-    (worker,) = [pid for pid in children_of(os.getpid()) if "batch.pool" in cmdline(pid)]
-    os.kill(worker, signal.SIGKILL)
-    second, third = outcomes
-    assert (first.error, second.error, third.error) == ("", "its process ended with code -9", "")
-    assert RaceResult.from_json(third.result).seed == 2
-
-
-def cmdline(pid):
-    return Path(f"/proc/{pid}/cmdline").read_text()
+def test_an_agent_that_ends_its_worker_voids_only_its_races(tmp_path):
+    """Without a sandbox, it can. The same command tries these races again."""
+    killer = tmp_path / "killer.py"
+    killer.write_text(KILLER)
+    settings = {**SMALL, "races": 3, "per_race": 2, "sandbox": "off"}
+    with pytest.raises(BatchError, match=r"(?s)2 of 3 races.* run agents in a sandbox"):
+        run_tournament(["ai", "heuristic", str(killer)], output=tmp_path / "cup", **settings)
+    assert len(races_in(tmp_path / "cup")) == 1
 
 
 @pytest.mark.slow
