@@ -14,15 +14,6 @@ from typing import Any, NoReturn
 
 from stkzoo.errors import unknown_name
 
-__all__ = [
-    "CommandParser",
-    "add_options",
-    "changed_options",
-    "option",
-    "positional",
-    "values_of",
-]
-
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 

@@ -14,8 +14,6 @@ import safetensors.numpy
 from stkzoo._os import write_whole
 from stkzoo._reading import check_file
 
-__all__ = ["read_arrays", "write_arrays"]
-
 #: Keys of the metadata: a text, and the names of arrays of texts, which are stored as code points.
 _ABOUT, _TEXTS = "about", "texts"
 

@@ -12,14 +12,6 @@ from importlib import metadata
 from pathlib import Path
 from shutil import which
 
-__all__ = [
-    "extra_requirements",
-    "install_command",
-    "library_remedy",
-    "pip_install",
-    "repository_url",
-]
-
 _EXTRA = re.compile(r"extra\s*==\s*['\"]([\w-]+)['\"]")
 #: What Python writes if an extension needs a library that the system does not have.
 _NO_LIBRARY = re.compile(r"^ImportError: (\S+\.so\S*): cannot open shared object file", re.M)

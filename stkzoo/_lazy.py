@@ -6,8 +6,6 @@ import importlib
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-__all__ = ["lazy_names"]
-
 
 def lazy_names(package: str, homes: Mapping[str, Collection[str]]) -> Callable[[str], Any]:
     """Returns a ``__getattr__`` function for a package.

@@ -12,8 +12,6 @@ from pathlib import Path
 from stkzoo._os import PART_FILES, using_folder
 from stkzoo.errors import ConfigError
 
-__all__ = ["LOCK", "locked_folder", "try_lock"]
-
 #: Errors of file systems that have no locks.
 _UNSUPPORTED = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 #: File by which a folder is locked.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 import time
 
-__all__ = ["RepeatFilter"]
-
 #: Maximum number of kinds of messages that a filter remembers.
 _MAX_KINDS = 256
 

@@ -14,32 +14,8 @@ import sys
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stkzoo.errors import ConfigError, StkzooError, reason
-
-if TYPE_CHECKING:
-    pass
-
-__all__ = [
-    "PART_FILES",
-    "atomic_write",
-    "check_display",
-    "check_writable",
-    "cpu_count",
-    "file_digest",
-    "has_display",
-    "ip_address_of",
-    "is_loopback",
-    "make_folder",
-    "max_descriptors",
-    "read_blocks",
-    "using_folder",
-    "write_text",
-    "write_whole",
-    "write_zip",
-    "writing",
-]
 
 #: Glob pattern of the temporary files of :func:`atomic_write`.
 PART_FILES = ".*.part"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import sys
 
-__all__ = ["python_command", "search_path"]
-
 #: Python before 3.11 lacks the option ``-P``. ``sys`` is built in, so no file can replace it.
 _OPTIONS = ("-P",) if sys.version_info >= (3, 11) else ()
 _BEGINNING = "import sys; sys.path[:] = filter(None, sys.path)\n"

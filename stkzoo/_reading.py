@@ -18,21 +18,6 @@ from stkzoo._os import read_blocks
 from stkzoo._schema import plain_json
 from stkzoo.errors import MAX_LINE, ConfigError, StkzooError, reason
 
-__all__ = [
-    "MAX_BYTES",
-    "Unreadable",
-    "check_file",
-    "is_there",
-    "load_json",
-    "open_zip",
-    "read_file",
-    "read_json",
-    "read_lines",
-    "read_text",
-    "read_zip",
-    "reading",
-]
-
 T = TypeVar("T")
 
 #: Default maximum size of a text or JSON file [bytes].

@@ -18,19 +18,6 @@ from typing import Annotated
 
 from msgspec import Meta
 
-__all__ = [
-    "Count",
-    "Level",
-    "Place",
-    "Positive",
-    "Seconds",
-    "Share",
-    "Whole",
-    "matching",
-    "one_of",
-    "plain_text",
-]
-
 #: Limit of whole numbers. Larger ones do not fit into arrays.
 _MAX_WHOLE = 2**63 - 1
 #: Letters that :func:`plain_text` replaces.

@@ -14,8 +14,6 @@ from pathlib import Path
 
 from stkzoo._locks import try_lock
 
-__all__ = ["TemporaryFolder", "remove_stale_folders", "remove_tree"]
-
 _PREFIX = "stkzoo-run-"
 #: The folder with all temporary folders of this program, by process id and place. A fork of this
 #: program makes another one.

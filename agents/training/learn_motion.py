@@ -17,7 +17,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -74,8 +74,6 @@ class MotionArguments(RunArguments):
         learning_rate: highest learning rate of Adam.
         learned_motion: whether the plans of the karts use the current network.
     """
-
-    num_layers: ClassVar[int | None] = 2
 
     rounds: int = 30
     hidden: tuple[int, int] = (24, 16)

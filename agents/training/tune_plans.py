@@ -21,11 +21,11 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
@@ -37,7 +37,7 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError, unknown_name
 from stkzoo.tracks import TRAIN_TRACKS
 
-from .common.arguments import QUICK_TRACKS, RunArguments
+from .common.arguments import QUICK_TRACKS, Natural, RunArguments
 from .common.command import limit_threads, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
 from .common.run_folder import LOG, continue_json_lines, keep_arguments, write_json
@@ -136,13 +136,10 @@ class TuningArguments(RunArguments):
         tracks: training tracks, or train_only.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "bots")
-    least: ClassVar[Mapping[str, int]] = {"population": 2}  # CMA-ES compares sets
-    most: ClassVar[Mapping[str, int]] = {"seed": 2**32 - 2}  # that of CMA-ES is larger by one
-
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 2)] = 0  # that of CMA-ES is larger by one
     generations: int = 40
-    population: int = 14
-    bots: int = 0
+    population: Annotated[int, Meta(ge=2)] = 14  # CMA-ES compares sets
+    bots: Natural = 0
     sigma: float = 0.07
     learned_motion: bool = False
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, Any, get_args, get_type_hints
+
+from msgspec import Meta
 
 from stkzoo._arguments import option
+from stkzoo._schema import Share
 from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
@@ -16,6 +19,15 @@ from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 _LEARNING = "learning"
 #: The training tracks except one on which a race takes three times as long.
 QUICK_TRACKS = tuple(track for track in TRAIN_TRACKS if track != "black_forest")
+
+#: Types of numbers with their bounds. By default, whole numbers are at least 1, others above 0.
+Natural = Annotated[int, Meta(ge=0)]
+Coefficient = Annotated[float, Meta(ge=0)]
+Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]  # up to the highest that all libraries accept
+BatchSize = Annotated[int, Meta(ge=2)]  # advantages are normalized
+_DEFAULT_BOUNDS = {int: Meta(ge=1), float: Meta(gt=0)}
+#: Fields in which names of splits, such as ``train_only``, are replaced with their tracks.
+_TRACK_FIELDS = ("tracks", "evaluation_tracks")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,50 +52,40 @@ class RunArguments:
         ConfigError: a number is out of bounds, or a track does not exist.
     """
 
-    #: Integers that may be 0.
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed",)
-    #: Lowest values of integers that must be above 1.
-    least: ClassVar[Mapping[str, int]] = {}
-    #: Highest values of integers; of seeds, the highest that all libraries accept.
-    most: ClassVar[Mapping[str, int]] = {"difficulty": 3, "seed": 2**32 - 1}
-    #: Numbers from 0 to 1, and other numbers that may be 0; all others must be above 0.
-    fractions: ClassVar[tuple[str, ...]] = ()
-    coefficients: ClassVar[tuple[str, ...]] = ()
-    #: Number of hidden layers; ``None`` for any.
-    num_layers: ClassVar[int | None] = None
-    #: Fields in which names of splits, such as ``train_only``, are replaced with their tracks.
-    track_fields: ClassVar[tuple[str, ...]] = ("tracks", "evaluation_tracks")
-
-    seed: int = 0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
+        hints = get_type_hints(type(self), include_extras=True)
         for entry in fields(self):
-            if entry.name in self.track_fields:
-                object.__setattr__(self, entry.name, track_names(getattr(self, entry.name)))
-            if type(entry.default) is int:
-                least = self.least.get(entry.name, int(entry.name not in self.may_be_zero))
-                most = self.most.get(entry.name)
-                check_whole(entry.name, getattr(self, entry.name), least, most)
-            elif type(entry.default) is float:
-                self._check_float(entry.name, getattr(self, entry.name))
+            value, hint = getattr(self, entry.name), hints[entry.name]
+            if entry.name in _TRACK_FIELDS:
+                object.__setattr__(self, entry.name, track_names(value))
             elif entry.name == "hidden":
-                self._check_hidden(getattr(self, entry.name))
+                _check_hidden(value, hint)
+            elif type(entry.default) in _DEFAULT_BOUNDS:
+                _check_bounds(entry.name, value, hint)
 
-    def _check_float(self, name: str, value: float) -> None:
-        if name in self.fractions:
-            check_number(name, value, 0, 1)
-        elif name not in self.coefficients:
-            check_number(name, value)
-        elif not 0 <= value < math.inf:
-            raise ConfigError(f"{name} is {value!r}, expected a number of 0 or more")
 
-    def _check_hidden(self, hidden: Sequence[int]) -> None:
-        for units in hidden:
-            check_whole("hidden", units, 1)
-        if self.num_layers not in (None, len(hidden)):
-            raise ConfigError(
-                f"hidden is {tuple(hidden)}, expected {self.num_layers} layers, such as 256 128"
-            )
+def _check_bounds(name: str, value: Any, hint: Any) -> None:
+    """Checks a number against the bounds of its type."""
+    kind, bounds = get_args(hint) or (hint, _DEFAULT_BOUNDS[hint])
+    if kind is int:
+        check_whole(name, value, bounds.ge, bounds.le)
+    elif bounds.le is not None or bounds.gt is not None:
+        check_number(name, value, high=bounds.le)
+    elif not 0 <= value < math.inf:
+        raise ConfigError(f"{name} is {value!r}, expected a number of 0 or more")
+
+
+def _check_hidden(hidden: Sequence[int], hint: Any) -> None:
+    """Checks the units of hidden layers. A type such as ``tuple[int, int]`` has their number."""
+    for units in hidden:
+        check_whole("hidden", units, 1)
+    layers = get_args(hint)
+    if ... not in layers and len(layers) != len(hidden):
+        raise ConfigError(
+            f"hidden is {tuple(hidden)}, expected {len(layers)} layers, such as 256 128"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +116,11 @@ class PPOArguments(NetworkArguments):
         ent_coef: initial entropy coefficient.
     """
 
-    least: ClassVar[Mapping[str, int]] = {"batch_size": 2}  # advantages are normalized
-    fractions: ClassVar[tuple[str, ...]] = ("gamma", "gae_lambda")
-    coefficients: ClassVar[tuple[str, ...]] = ("ent_coef",)
-
-    gamma: float = option(0.98, metavar="X", group=_LEARNING)
-    gae_lambda: float = option(0.95, metavar="X", group=_LEARNING)
+    batch_size: BatchSize = 512
+    gamma: Share = option(0.98, metavar="X", group=_LEARNING)
+    gae_lambda: Share = option(0.95, metavar="X", group=_LEARNING)
     clip_range: float = option(0.2, metavar="X", group=_LEARNING)
-    ent_coef: float = option(0.0, metavar="X", group=_LEARNING)
+    ent_coef: Coefficient = option(0.0, metavar="X", group=_LEARNING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,16 +140,14 @@ class OverlappedArguments(PPOArguments):
         checkpoint_every: iterations between two checkpoints.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up", "actors")
-
-    batch_size: int = 4096
+    batch_size: BatchSize = 4096
     n_epochs: int = 3
-    actors: int = 0
+    actors: Natural = 0
     on_policy: bool = False
     n_steps: int = 128
     anneal_timesteps: int = 20_000_000
     target_kl: float = 0.02
-    warm_up: int = 10
+    warm_up: Natural = 10
     keep_every: int = 500_000
     checkpoint_every: int = 20
 

@@ -53,7 +53,7 @@ from stkzoo.race.replay import action_of, controls_of
 from stkzoo.wrappers.racing import controls_of_choices
 
 from ..common.actors import end_with_parent
-from ..common.arguments import QUICK_TRACKS, RunArguments, ScriptOptions
+from ..common.arguments import QUICK_TRACKS, Natural, RunArguments, ScriptOptions
 from ..common.command import run_command
 from ..common.fleet import ai_time
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
@@ -79,9 +79,9 @@ class TeacherArguments(ImitationArguments):
         jobs: parallel races; 0 is the number of processors.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "rounds", "difficulty", "jobs")
     free: ClassVar[tuple[str, ...]] = ("rounds", "jobs")
 
+    rounds: Natural = 5
     n_epochs: int = 20
     n_epochs_last: int = 20
     learning_rate: float = 1e-3
@@ -90,7 +90,7 @@ class TeacherArguments(ImitationArguments):
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: int = 1
     karts: int = 3
-    jobs: int = 0
+    jobs: Natural = 0
 
     def __post_init__(self) -> None:
         RunArguments.__post_init__(self)

@@ -22,7 +22,7 @@ from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo._locks import locked_folder
 from stkzoo._os import atomic_write
 from stkzoo._reading import Unreadable, reading
-from stkzoo._schema import Count
+from stkzoo._schema import Count, Level
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
@@ -56,13 +56,12 @@ class ImitationArguments(NetworkArguments):
         difficulty: difficulty of the game's AI, whose times are the reference.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "difficulty")
     #: Fields that may change when a run continues.
     free: ClassVar[tuple[str, ...]] = ("rounds",)
 
     rounds: int = 5
     n_epochs_last: int = 12
-    difficulty: int = 3
+    difficulty: Level = 3
 
 
 @dataclass(frozen=True, slots=True)

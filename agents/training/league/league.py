@@ -25,7 +25,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -34,13 +34,13 @@ from msgspec import Meta
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._os import using_folder, write_text
-from stkzoo._schema import Count, matching
+from stkzoo._schema import Count, Share, matching
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
-from ..common.arguments import PPOArguments, ScriptOptions
+from ..common.arguments import BatchSize, Natural, PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
 from ..common.matches import AI, MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.opponents import Rival
@@ -88,21 +88,13 @@ class LeagueArguments(PPOArguments):
         init: policy file that all players start from; empty starts from the plans.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = (
-        "seed",
-        "exploiters",
-        "league_exploiters",
-        "warm_up",
-        "actors",
-    )
-    num_layers: ClassVar[int | None] = 2
-
-    batch_size: int = 1024
+    hidden: tuple[int, int] = (256, 128)
+    batch_size: BatchSize = 1024
     learning_rate: float = 1e-4
-    gae_lambda: float = 0.85
+    gae_lambda: Share = 0.85
     mains: int = 1
-    exploiters: int = 1
-    league_exploiters: int = 1
+    exploiters: Natural = 1
+    league_exploiters: Natural = 1
     turn: int = 50_000
     matches: int = 8
     patience: int = 4
@@ -112,10 +104,10 @@ class LeagueArguments(PPOArguments):
         metavar="TRACK",
     )
     races: tuple[str, ...] = ("4x6", "2+3x2")
-    actors: int = 0
+    actors: Natural = 0
     n_steps: int = 128
     anneal_timesteps: int = 5_000_000
-    warm_up: int = 5
+    warm_up: Natural = 5
     init: str = ""
 
     def __post_init__(self) -> None:

@@ -25,18 +25,19 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option
 from stkzoo._os import cpu_count
+from stkzoo._schema import Share
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.errors import check_whole
 
 from ..common.actors import ActorPool, SharedArray
-from ..common.arguments import QUICK_TRACKS, OverlappedArguments, ScriptOptions
+from ..common.arguments import QUICK_TRACKS, Coefficient, OverlappedArguments, ScriptOptions
 from ..common.command import run_command
 from ..common.fleet import Finish
 from ..common.learner import RunFacts, train
@@ -67,17 +68,15 @@ class SelfPlayArguments(OverlappedArguments):
         init: policy file to start from; empty starts from the plans.
     """
 
-    coefficients: ClassVar[tuple[str, ...]] = ("ent_coef", "kl_coef", "place_reward")
-    num_layers: ClassVar[int | None] = 2
-
-    gae_lambda: float = 0.85
+    hidden: tuple[int, int] = (256, 128)
+    gae_lambda: Share = 0.85
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
     plans: str = ""
     turn_hold: int | None = None
-    kl_coef: float = 5e-3
+    kl_coef: Coefficient = 5e-3
     learns: tuple[str, ...] = ("begin", "nitro", "fire")
-    place_reward: float = 0.1
+    place_reward: Coefficient = 0.1
     init: str = ""
 
 

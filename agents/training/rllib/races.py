@@ -9,14 +9,15 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from stkzoo import RaceVectorEnv
 from stkzoo._arguments import option
+from stkzoo._schema import Level, Share
 from stkzoo.engine.assets import cache_folder, find_assets, install, pack
 from stkzoo.errors import AssetError, ConfigError
 
-from ..common.arguments import PPOArguments, RunArguments
+from ..common.arguments import Coefficient, Natural, PPOArguments, RunArguments
 
 #: Name of the module that learns.
 MAIN = "main"
@@ -52,29 +53,22 @@ class RLlibArguments(PPOArguments):
         sample_timeout: seconds that an iteration waits for env runners.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = (
-        *("seed", "env_runners", "frozen", "bots", "difficulty"),
-    )
-
-    fractions: ClassVar[tuple[str, ...]] = ("gamma", "gae_lambda", "promote_at")
-    coefficients: ClassVar[tuple[str, ...]] = ("ent_coef", "cpus_per_runner")
-
     n_epochs: int = 6
-    gae_lambda: float = 0.9
-    ent_coef: float = 0.003
+    gae_lambda: Share = 0.9
+    ent_coef: Coefficient = 0.003
     iterations: int = 200
-    env_runners: int = 2
+    env_runners: Natural = 2
     envs_per_runner: int = 1
-    cpus_per_runner: float = 1.0
+    cpus_per_runner: Coefficient = 1.0
     address: str = ""
     pack: str = ""
     tracks: tuple[str, ...] = option(("train",), flag="--track", metavar="TRACK")
-    difficulty: int = 2
+    difficulty: Level = 2
     learners: int = 2
-    frozen: int = 2
-    bots: int = 1
+    frozen: Natural = 2
+    bots: Natural = 1
     slots: int = 5
-    promote_at: float = 0.6
+    promote_at: Share = 0.6
     least_races: int = 20
     max_cycles: int = 1500
     train_batch_size: int = 8000

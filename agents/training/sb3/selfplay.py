@@ -37,19 +37,19 @@ from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
-from stkzoo._schema import Count
+from stkzoo._schema import Count, Share
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
-from ..common.arguments import PPOArguments, ScriptOptions
+from ..common.arguments import Coefficient, Natural, PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command, training_library
 from ..common.network_policy import FIRST_BIASES, initial_weights, save_driver
 from ..common.opponents import RivalPool, bot_name
@@ -108,31 +108,23 @@ class SB3Arguments(PPOArguments):
         supersuit: use SuperSuit instead: plain self-play.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = (
-        *("seed", "hold", "warm_up", "decay_timesteps", "evaluation_races"),
-    )
-
-    fractions: ClassVar[tuple[str, ...]] = (
-        *("gamma", "gae_lambda", "snapshot_share", "grid_share"),
-    )
-
     learning_rate: float = 5e-4
-    ent_coef: float = 0.003
+    ent_coef: Coefficient = 0.003
     races: tuple[str, ...] = ("4x4", "2+2x2")
     tracks: tuple[str, ...] = option(EASY_TO_HARD, flag="--track", metavar="TRACK")
     pass_at: float = 0.7
-    snapshot_share: float = 0.5
-    grid_share: float = 0.3
+    snapshot_share: Share = 0.5
+    grid_share: Share = 0.3
     pool_size: int = 12
     init: str = ""
     n_steps: int = 128
     updates: int = 16
-    hold: int = 11
-    warm_up: int = 0
-    decay_timesteps: int = 1_000_000
+    hold: Natural = 11
+    warm_up: Natural = 0
+    decay_timesteps: Natural = 1_000_000
     keep_every: int = 50_000
     evaluate_every: int = 100_000
-    evaluation_races: int = 6
+    evaluation_races: Natural = 6
     evaluation_tracks: tuple[str, ...] = option(
         EASY_TO_HARD[:3], flag="--evaluation-track", metavar="TRACK"
     )

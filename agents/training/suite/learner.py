@@ -25,7 +25,7 @@ from stkzoo.race.result import versions_now
 from stkzoo.suite import Task, find_task
 
 from ..common.actors import ActorPool, SharedArray
-from ..common.arguments import OverlappedArguments
+from ..common.arguments import BatchSize, Coefficient, Natural, OverlappedArguments
 from ..common.learner import RunFacts, train
 from ..common.ppo import OverlappedPPO
 from ..common.run_folder import write_json
@@ -50,18 +50,16 @@ class TaskArguments(OverlappedArguments):
         num_starts: number of different starts in each process between two checkpoints.
     """
 
-    may_be_zero: ClassVar[tuple[str, ...]] = ("seed", "warm_up", "actors", "num_races")
-
     learning_rate: float = 5e-4
-    batch_size: int = 2048
+    batch_size: BatchSize = 2048
     n_epochs: int = 4
-    ent_coef: float = 0.01
+    ent_coef: Coefficient = 0.01
     target_kl: float = 0.03
-    warm_up: int = 0
+    warm_up: Natural = 0
     checkpoint_every: int = 40
     algorithm: str = "ippo"
     task: str = "solo-1"
-    num_races: int = 0
+    num_races: Natural = 0
     num_starts: int = 40
 
 
