@@ -37,15 +37,6 @@ def test_without_a_terminal_a_batch_prints_a_line_of_progress_every_ten_seconds(
     assert capsys.readouterr().err == "1 of 9 races\n3 of 9 races\n"
 
 
-def test_the_bar_shows_names_as_they_are(capsys, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "120")
-    row = Namespace(driver="[red]:fire:")
-    last = Namespace(track="lighthouse", agents=[row])
-    run_batch(ARGUMENTS, lambda options: options.on_race(BatchProgress(1, 9, last)))
-    assert "lighthouse: [red]:fire:" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("progress", [(), ((3, 18),)])
 def test_interrupted_replays_say_that_nothing_was_saved(progress, capsys):
     def run(**options):

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.engine.assets import cache_folder, find
-from tests.support.processes import run_program
+from stkzoo.engine.assets import find
 
 
 @pytest.fixture
@@ -30,16 +29,6 @@ def test_succeeds_where_a_race_can_run(capsys):
     code, answer, checks = report(capsys)
     assert (code, answer["ready"]) == (0, True)
     assert checks["engine starts"]["found"] == "and sees its 21 tracks"
-
-
-def test_the_engine_starts_with_a_home_folder_of_its_own_as_in_races(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("STKZOO_CACHE", str(cache_folder()))
-    monkeypatch.setenv("HOME", str(tmp_path))
-    for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_CACHE_HOME"):
-        monkeypatch.setenv(name, str(tmp_path / name))
-    _, _, checks = report(capsys)
-    assert checks["engine starts"]["ok"]
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("no_data")
@@ -79,44 +68,12 @@ def test_a_library_that_the_system_lacks_is_named_with_its_remedy(capsys):
     assert checks["engine"]["remedy"] == checks["engine starts"]["remedy"] == remedy
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the names of libraries are those of Linux")
-@pytest.mark.usefixtures("no_library")
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_a_race_without_a_library_of_the_system_names_its_remedy(method, monkeypatch):
-    monkeypatch.setenv("STKZOO_START_METHOD", method)
-    program = "from stkzoo.cli import main; main(['race', 'ai', '--track', 'lighthouse'])"
-    (line, *_) = run_program(program).stderr.splitlines()
-    assert line.endswith("; install your system's package with libglib-9.0.so.0")
-
-
 def test_a_missing_optional_part_does_not_fail(monkeypatch, capsys):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     code, _, checks = report(capsys)
     assert not checks["display"]["ok"]
     assert code == 0
-
-
-@pytest.mark.usefixtures("no_data")
-def test_every_failed_check_has_a_remedy(capsys):
-    _, _, checks = report(capsys)
-    assert all(check["remedy"] for check in checks.values() if not check["ok"])
-
-
-@pytest.mark.usefixtures("no_data")
-def test_without_data_the_remedy_for_the_pack_is_to_install_the_data(capsys):
-    _, _, checks = report(capsys)
-    assert checks["headless pack"]["remedy"] == "stkzoo assets install"
-
-
-@pytest.mark.usefixtures("no_data")
-def test_a_remedy_is_one_line_on_a_narrow_terminal_too(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "40")
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    main(["doctor"])
-    assert "race data, engine starts, headless pack, full data: stkzoo assets install\n" in (
-        capsys.readouterr().out
-    )
 
 
 def test_a_sandbox_that_does_not_work_is_reported(monkeypatch, capsys):
@@ -127,15 +84,6 @@ def test_a_sandbox_that_does_not_work_is_reported(monkeypatch, capsys):
     assert (code, sandbox["ok"]) == (0, False)
     assert sandbox["found"] == "bubblewrap does not work here (no permission)"
     assert sandbox["remedy"]
-
-
-def test_installed_extra_is_found(capsys):
-    assert report(capsys)[2]["extra [sb3]"]["ok"]
-
-
-def test_table_names_the_extras(capsys):
-    main(["doctor"])
-    assert "[sb3]" in capsys.readouterr().out
 
 
 def test_table_ends_with_the_verdict(capsys):

@@ -36,12 +36,6 @@ def test_a_full_stdout_is_one_error_and_the_file_is_kept(tmp_path):
     assert RaceResult.from_json(file.read_text()).steps == 3
 
 
-def test_a_help_reports_a_full_stdout_in_one_line():
-    done = stkzoo("race --help", ">/dev/full")
-    assert "Traceback" not in done.stderr
-    assert len(done.stderr.splitlines()) <= 1
-
-
 def test_a_name_that_the_terminal_cannot_show_is_escaped():
     name = "random@:\N{CHEQUERED FLAG}:fire:"
     done = stkzoo(f"race '{name}' --track lighthouse --max-steps 2", PYTHONIOENCODING="ascii")

@@ -3,8 +3,6 @@
 import contextlib
 import io
 import json
-import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -15,9 +13,8 @@ from PIL import Image
 from rich.console import Console
 
 from stkzoo._installation import install_command
-from stkzoo.cli import COMMANDS, build_parser, main
+from stkzoo.cli import COMMANDS, main
 from stkzoo.tracks import SPLITS
-from tests.support.paths import ROOT
 
 
 def test_tracks_shows_the_data_of_tracks(capsys):
@@ -48,15 +45,6 @@ def test_an_unknown_track_is_reported_with_the_nearest_name(capsys):
     assert "Did you mean 'lighthouse'?" in capsys.readouterr().err
 
 
-def test_lengths_are_rounded_as_on_the_page_of_tracks(capsys):
-    page = (ROOT / "docs" / "reference" / "tracks.md").read_text()
-    names = ("hacienda", "ravenbridge_mansion")  # their lengths end with about half a meter
-    main(["tracks", *names])
-    table = {row[0]: row[2] for row in map(str.split, capsys.readouterr().out.splitlines())}
-    for name in names:
-        assert re.search(rf"\| {name} \| \w+ \| (\d+) \|", page)[1] == table[name]
-
-
 @pytest.mark.slow
 def test_a_map_is_drawn(tmp_path, capsys):
     file = tmp_path / "map.png"
@@ -82,13 +70,6 @@ def test_a_map_is_drawn(tmp_path, capsys):
 def test_impossible_maps_are_refused(words, text, capsys):
     assert main(["tracks", *words]) == 2
     assert text in capsys.readouterr().err
-
-
-def test_a_file_that_cannot_be_written_is_reported_without_temporary_names(capsys):
-    main(["tracks", "lighthouse", "--map", "/nowhere/map.png"])
-    assert "/nowhere/map.png cannot be written: No such file or directory\n" in (
-        capsys.readouterr().err
-    )
 
 
 def test_karts_match_the_game(capsys):
@@ -142,38 +123,6 @@ def test_without_shtab_the_remedy_is_shown(monkeypatch, capsys):
     assert install_command("completion") in capsys.readouterr().err
 
 
-def every_parser(parser, words=()):
-    yield words, parser
-    for action in parser._actions:
-        for name, child in (
-            (getattr(action, "choices", None) or {}).items() if _is_sub(action) else ()
-        ):
-            yield from every_parser(child, (*words, name))
-
-
-def _is_sub(action):
-    return type(action).__name__ == "_SubParsersAction"
-
-
-def test_every_command_has_examples():
-    for words, parser in every_parser(build_parser()):
-        if len(words) == 1:
-            text = parser.format_help()
-            lines = [line for line in text.splitlines() if f"stkzoo {words[0]}" in line]
-            assert len(lines) >= 2, f"stkzoo {' '.join(words)} --help has no example"
-
-
-@pytest.mark.slow
-def test_every_example_in_the_help_texts_can_be_parsed():
-    for _, parser in every_parser(build_parser()):
-        for line in (parser.epilog or "").splitlines():
-            if line.startswith("  stkzoo "):
-                command = line.strip().split("  ")[0].split(" > ")[0].split(" # ")[0]
-                words = shlex.split(command)[1:]
-                if words != ["COMMAND", "--help"]:
-                    build_parser().parse_args(words)
-
-
 def shown(width, columns, rows, **options):
     """Returns a table as a terminal shows it; with the width None, as a pipe gets it."""
     from stkzoo.cli._console import show_table
@@ -194,24 +143,6 @@ ROW = ("1", NAME, "kart_0", "not finished", "880", "-123.4", "1000.55")
 def test_names_and_numbers_are_not_cut_at_any_width(width):
     text = shown(width, COLUMNS, [ROW], left=("driver", "kart"))
     assert all(cell in text for cell in ROW)
-
-
-def test_texts_wrap_between_words_on_a_terminal():
-    row = ("1", "my agent with a long name", *ROW[2:])
-    text = shown(80, COLUMNS, [row], left=("driver", "kart"))
-    assert all(len(line) <= 80 for line in text.splitlines())
-    assert row[1] not in text
-    assert all(word in text for word in row[1].split())
-
-
-def test_a_table_has_a_frame_only_where_it_fits():
-    assert "│" in shown(160, COLUMNS, [ROW], left=("driver", "kart"))
-    assert "│" not in shown(80, COLUMNS, [ROW], left=("driver", "kart"))
-
-
-def test_a_row_is_one_line_in_a_pipe():
-    row = ("1", "my agent with a long name", *ROW[2:])
-    assert len(shown(None, COLUMNS, [row], left=("driver", "kart")).splitlines()) == 2
 
 
 def test_brackets_in_titles_captions_and_cells_are_shown():

@@ -101,22 +101,6 @@ def test_d01_actions_reach_the_kart_of_their_agent(kinds):
             assert by_agent[driver] > 10
 
 
-@pytest.mark.parametrize("steer", [-1.0, 1.0])
-def test_d01_steering_reaches_the_kart_of_its_agent(steer):
-    with race_v0.parallel_env(agents=specs("app"), num_kart=4, track=SHORT_TRACK) as env:
-        for seed in range(4):
-            env.reset(seed=seed)
-            turned = {}
-            for _ in range(UNTIL_MOVING):
-                env.step({"kart_1": action(1.0, steer), "kart_2": action(1.0, -steer)})
-                for agent in ("kart_1", "kart_2"):
-                    kart = env.snapshot.karts[env.race.kart_indices[int(agent[-1])]]
-                    turned.setdefault(agent, float(kart["angular_velocity"][1]))
-                    if abs(kart["angular_velocity"][1]) > abs(turned[agent]):
-                        turned[agent] = float(kart["angular_velocity"][1])
-            assert np.sign(turned["kart_1"]) == -np.sign(turned["kart_2"]) == np.sign(steer)
-
-
 def test_d01_actions_reach_the_right_kart_when_agents_have_different_views():
     view = {"kart_0": "flattened_discrete", "kart_2": "flattened_continuous_actions"}
     with race_v0.parallel_env(num_kart=3, track=SHORT_TRACK, view=view) as env:
@@ -143,9 +127,6 @@ def test_d02_agents_get_the_start_positions_they_request(places):
             taken = env.race.kart_indices
             assert all(place in (None, kart) for place, kart in zip(places, taken, strict=True))
             assert len(set(taken)) == len(taken)
-
-
-# ------------------------------------------------------------------------------------ D04
 
 
 # ---------------------------------------------------------------------------- D05 and D06
@@ -282,9 +263,6 @@ def test_d09_observations_of_mixed_agents_are_in_their_spaces():
     assert "action" in observation["0"]
     assert "action" not in observation["1"]
     env.close()
-
-
-# ------------------------------------------------------------------------------------ D10
 
 
 # ------------------------------------------------------------------------------------ D12
@@ -609,39 +587,27 @@ def test_d18_no_space_is_shared_between_environments(env_id):
 
 BAD_ARGUMENTS = [
     ({"track": "battleisland"}, "unknown track 'battleisland'"),
-    ({"track": ["lighthouse", "nowhere"]}, "'nowhere'"),
     ({"track": {"lighthouse": 1}}, "track is"),
     ({"num_kart": 10**6}, "num_kart is 1000000"),
-    ({"num_kart": True}, "num_kart is True"),
     ({"difficulty": 9}, "difficulty is 9, expected a whole number from 0 to 3"),
-    ({"difficulty": True}, "difficulty is True"),
-    ({"laps": 10**9}, "laps is 1000000000"),
     ({"step_size": 0}, "step_size is 0"),
     ({"step_size": float("nan")}, "step_size is nan"),
-    ({"step_size": "fast"}, "step_size is 'fast'"),
     ({"max_cycles": 10.5}, "max_cycles is 10.5"),
     ({"max_paths": "all"}, "max_paths is 'all'"),
-    ({"num_cameras": 9}, "num_cameras is 9"),
     ({"render_mode": "rgb_arrays"}, "render_mode is 'rgb_arrays'"),
     ({"graphics_config": "ultra"}, "unknown graphics_config 'ultra'"),
     ({"engine_timeout": float("nan")}, "engine_timeout is nan"),
-    ({"view": 5}, "view is 5"),
     ({"view": {"kart_9": "full"}}, "kart_9"),
     ({"view": {"kart_0": "nothing"}}, "unknown view 'nothing'"),
     ({"reward": "placment"}, "Did you mean 'placement'"),
     ({"reward": {"drift": 1.0}}, "unknown reward term 'drift'"),
     ({"reward": {"time": float("nan")}}, "'time' is nan"),
-    ({"reward": {"time": "much"}}, "'time' is 'much'"),
     ({"agents": 0}, "0 agents for 3 karts"),
-    ({"agents": 1.5}, "agents is 1.5"),
-    ({"agents": True}, "agents is True"),
     ({"agents": [AgentSpec()] * 4}, "4 agents for 3 karts"),
     ({"agents": [AgentSpec(rank_start=3)]}, "rank_start of agent 0 is 3"),
-    ({"agents": [AgentSpec(rank_start=0.5)]}, "rank_start of agent 0 is 0.5"),
     ({"agents": [AgentSpec(rank_start=1), AgentSpec(rank_start=1)]}, "rank_start=1"),
     ({"agents": [AgentSpec(kart="gnuu")]}, "Did you mean 'gnu'"),
     ({"agents": [AgentSpec(color=float("nan"))]}, "color of agent 0 is nan"),
-    ({"agents": [AgentSpec(name=5)]}, "name of agent 0 is 5"),
     ({"agents": [AgentSpec(camera_mode="BEHIND")]}, "camera_mode is 'BEHIND'"),
 ]
 
@@ -674,21 +640,15 @@ def test_the_engine_is_not_started_for_invalid_arguments():
 
 BAD_OPTIONS = [
     ({"track": "nowhere"}, "unknown track 'nowhere'"),
-    ({"track": "battleisland"}, "unknown track"),
-    ({"track": 5}, "track is 5"),
     ({"track": []}, "empty list"),
     ({"laps": 0}, "laps is 0"),
-    ({"laps": "2"}, "laps is '2'"),
     ({"difficulty": 9}, "difficulty is 9"),
-    ({"difficulty": None}, "difficulty is None"),
     ({"step_size": float("nan")}, "step_size is nan"),
     ({"max_cycles": 0}, "max_cycles is 0"),
     ({"max_paths": -1}, "max_paths is -1"),
     ({"reverse": 1}, "reverse is 1"),
     ({"num_kart": 4}, "make another environment"),
     ("lighthouse", "options"),
-    (["track"], "options"),
-    (5, "options"),
 ]
 
 

@@ -144,16 +144,13 @@ def ext(code, *header, content=b""):
 
 INVALID = [
     (ext(1, 0, 3, content=b"1234"), "do not match its shape"),
-    (ext(1, 0, 3, content=b"1" * 13), "do not match its shape"),
     (ext(1, 9, 1), "unknown dtype"),
     (ext(1, 0, 1, 1, 1, 1, 1, content=b"1234"), "number of axes"),
-    (msgspec.msgpack.Ext(1, b""), "unknown dtype or number of axes"),
     (msgspec.msgpack.Ext(2, b"\0\2\1"), "unknown dtype or number of axes"),
     (ext(2, 0, content=b"1234"), "neither an array nor rows"),
     (ext(7, 0, content=b"1234"), "neither an array nor rows"),
     (ext(1, 0, 9000, 0), "an axis of length 9000"),
     (None, "Expected `int | str | ext`"),
-    ([1], "Expected `int | str | ext`"),
     ({"a": 1}, "Expected `int | str | ext`"),
 ]
 
@@ -210,12 +207,9 @@ def few(value):
 #: The inputs that take most memory for their length, as functions of a length [bytes].
 WORST = {
     "nested lists": lambda n: b"\x91" * n,
-    "nested maps": lambda n: b"\x81\xa1a" * (n // 3),
     "lists of lists": lambda n: b"\xdd" + struct.pack(">I", n) + b"\x90" * n,
     "a long list that is not there": lambda n: b"\xdd\x7f\xff\xff\xff" + bytes(n),
     "a long map that is not there": lambda n: b"\xdf\x7f\xff\xff\xff" + bytes(n),
-    "tiny maps": repeated({"a": None}),
-    "big numbers": repeated(2**63),
     "empty extensions": repeated(ext(1, 0, 0)),
     "rows of nothing": few(ext(2, 2, 8192, 0)),
     "rows of one byte": few(ext(2, 2, 8192, 1, content=bytes(8192))),

@@ -9,8 +9,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from stkzoo.drivers import Driver, OpponentPool
-from stkzoo.drivers.pool import as_driver
+from stkzoo.drivers import OpponentPool
 from stkzoo.errors import ConfigError
 
 
@@ -135,20 +134,7 @@ def test_a_weight_of_no_opponent_and_a_missing_weight_are_refused():
         draws(pool, 1)
 
 
-def test_add_returns_the_driver():
-    pool = OpponentPool()
-    driver = pool.add(straight, view="racing", name="fast")
-    assert driver is pool.draw(np.random.default_rng(0))
-
-
 @pytest.mark.parametrize(("view", "why"), [("racin", "mean 'racing'"), ("camera", "has pictures")])
 def test_unsupported_views_are_refused(view, why):
     with pytest.raises(ConfigError, match=why):
         OpponentPool().add(straight, view=view)
-
-
-def test_drivers_names_and_policies_can_be_opponents():
-    driver = Driver.of_policy(straight, view="racing", name="fast")
-    assert as_driver(driver) is driver
-    assert as_driver("ai:3").difficulty == 3
-    assert as_driver(straight).name == "straight"

@@ -94,15 +94,6 @@ def test_a_reply_sent_before_its_request_is_refused(channel):
         ours.send(b"now")
 
 
-def test_a_second_reply_to_a_request_is_refused(channel):
-    ours, theirs = channel
-    ours.send(b"now")
-    theirs.sendall(FRAME * 2)
-    assert ours.receive() == REPLY
-    with pytest.raises(ProtocolError, match="came before its request"):
-        ours.send(b"now")
-
-
 @pytest.mark.slow
 def test_an_agent_that_answers_one_step_ahead_is_retired():
     """Its answers to later requests are all there before the requests."""

@@ -403,20 +403,6 @@ def test_an_agent_that_nests_thousands_of_temporary_folders_affects_only_its_kar
     assert agent_folders(own_temporary_folder) == []
 
 
-@needs_bubblewrap
-def test_an_unpacked_agent_that_nests_thousands_of_folders_affects_only_its_kart(
-    bench, own_temporary_folder
-):
-    home, _, write, _ = bench
-    write("nests", NESTS.format(place="module_dir"))
-    agent = shutil.make_archive(str(home / "packed"), "zip", home / "nests", "pystk_actor.py")
-    (home / "adapter.py").write_text("def create_actor(get, *given):\n    return get(*given)\n")
-    settings = {"adapter": str(home / "adapter.py"), "sandbox": "on", "action_timeout": 60.0}
-    result = race("ai", agent, max_steps=5, **settings)
-    assert "ZeroDivisionError" in by_driver(result)["packed"].errors[0].message
-    assert agent_folders(own_temporary_folder) == []
-
-
 WRITES = """
 def get_actor(module_dir, observation_space, action_space):
     for name in "abc":

@@ -54,17 +54,6 @@ def test_failed_decisions_count():
     assert "time budget" in result.agents[0].errors[-1].message
 
 
-@pytest.mark.parametrize("text", ["", "\x1b[2J"])
-def test_a_failure_without_a_printable_message_has_one_in_the_result(text):
-    def make(*_):
-        raise ConfigError(text)
-
-    result = race(Driver.of_actor("failing", make), max_steps=3)
-    (failure,) = result.agents[0].errors
-    assert failure.message.isprintable()
-    assert RaceResult.from_json(result.to_json()) == result
-
-
 def failing_with(message):
     """Returns a driver whose every decision fails, with the message twice in its traceback."""
 

@@ -3,7 +3,6 @@
 import json
 
 import jsonschema
-import numpy as np
 import pytest
 
 from stkzoo.errors import AgentError, ConfigError
@@ -13,7 +12,6 @@ from stkzoo.race import (
     RaceListener,
     RaceResult,
     RaceSettings,
-    find_driver,
     run_race,
 )
 from tests.support.paths import SCHEMAS
@@ -41,25 +39,11 @@ def failing_driver(step):
     return Driver.of_actor("clumsy", make_actor)
 
 
-@pytest.mark.slow
-def test_each_rank_is_given_once(result):
+def test_earlier_finishers_rank_better_and_others_are_unfinished(result):
     assert [row.rank for row in result.agents] == [1, 2, 3, 4]
-
-
-def test_earlier_finishers_rank_better(result):
-    finish_times = [row.finish_time for row in result.agents if row.finish_time is not None]
-    assert len(finish_times) == 3
+    *finish_times, last = [row.finish_time for row in result.agents]
     assert finish_times == sorted(finish_times)
-
-
-def test_karts_that_do_not_finish_are_reported_as_unfinished(result):
-    assert result.agents[-1].driver == "random"
-    assert result.agents[-1].finish_time is None
-    assert not result.is_finished
-
-
-def test_the_result_survives_json(result):
-    assert RaceResult.from_json(result.to_json()) == result
+    assert (result.agents[-1].driver, last, result.is_finished) == ("random", None, False)
 
 
 @pytest.mark.slow
@@ -123,12 +107,6 @@ def test_a_listener_is_called_for_every_step():
     assert ear.result == result
 
 
-def test_a_listener_is_called_from_start_to_end():
-    ear = Ear()
-    result = run_race(["ai"], track="olivermath", listeners=[ear])
-    assert ear.heard[-1].leader_distance == result.race_length
-
-
 def test_names_of_drivers_are_one_printable_line():
     drivers = ["ai@:A\nB\x1b[31m", "heuristic@:C\tD\x07", "ai@:\n"]
     result = run_race(drivers, track="olivermath", max_steps=1)
@@ -161,25 +139,6 @@ def test_listeners_are_closed_after_an_error():
     with pytest.raises(ConfigError, match="Did you mean 'lighthouse'"):
         run_race(["ai"], track="lighthous", listeners=[ear])
     assert ear.calls == ["closed"]
-
-
-def test_the_actions_that_listeners_get_reproduce_the_race():
-    ear = Ear()
-    run_race(["heuristic"], track="olivermath", max_steps=60, seed=2, listeners=[ear])
-    actions = iter([race.actions["kart_0"] for race in ear.heard[1:]])
-    again = Ear()
-    driver = Driver.of_actor("recorded", lambda *_: lambda _: next(actions))
-    run_race([driver], track="olivermath", max_steps=60, seed=2, listeners=[again])
-    for one, other in zip(ear.heard, again.heard, strict=True):
-        np.testing.assert_array_equal(
-            one.observations["kart_0"]["paths_start"][0],
-            other.observations["kart_0"]["paths_start"][0],
-        )
-
-
-def test_an_unknown_driver_is_refused_with_a_suggestion():
-    with pytest.raises(ConfigError, match="Did you mean 'heuristic'"):
-        find_driver("heuristik")
 
 
 def test_a_race_without_drivers_is_refused():
@@ -279,21 +238,6 @@ def test_the_result_matches_the_published_schema(result):
     for race in (result, failed):
         jsonschema.validate(json.loads(race.to_json()), schema)
     assert sorted(row.start_position for row in result.agents) == [1, 2, 3, 4]
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "[]", "{}", "null", '{"type": "race-result", "schema_version": 1, "agents": 3}'],
-)
-def test_an_invalid_result_is_refused(text):
-    with pytest.raises(ConfigError, match="the text has no race result"):
-        RaceResult.from_json(text)
-
-
-def test_a_field_of_a_result_with_another_type_is_refused_and_named(result):
-    text = result.to_json().replace('"rank": 1', '"rank": "first"')
-    with pytest.raises(ConfigError, match=r"got `str` - at `.*rank`"):
-        RaceResult.from_json(text)
 
 
 def test_a_result_of_another_version_is_refused(result):

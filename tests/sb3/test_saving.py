@@ -61,11 +61,6 @@ def test_an_unsupported_policy_is_refused(make, tmp_path):
         save_agent(model, tmp_path / "agent", view="flattened_discrete", name="Refused")
 
 
-def test_a_misspelled_view_is_refused(make, tmp_path):
-    with pytest.raises(ConfigError, match="Did you mean 'racing'"):
-        save_agent(make("racing"), tmp_path / "agent", view="racign", name="Refused")
-
-
 class Doubling(BaseFeaturesExtractor):
     """Features that differ from the observations."""
 

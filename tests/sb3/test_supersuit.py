@@ -7,7 +7,6 @@ import pytest
 import supersuit
 from gymnasium.wrappers import FilterObservation, FlattenObservation
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import DummyVecEnv
 
 from stkzoo import AgentSpec, race_v0
 from stkzoo.views import VIEWS
@@ -59,19 +58,6 @@ def test_ppo_learns_from_a_single_id():
         model.learn(256)
         assert changed(before, model)
         assert model.num_timesteps == 256
-
-
-@pytest.mark.slow
-def test_ppo_learns_from_two_races_in_one_process():
-    def make():
-        return gym.make("supertuxkart/flattened_discrete-v0", **OPTIONS)
-
-    envs = DummyVecEnv([make, make])
-    model = PPO("MultiInputPolicy", envs, **LEARNING)
-    before = weights(model)
-    model.learn(256)
-    assert changed(before, model)
-    envs.close()
 
 
 @pytest.mark.slow

@@ -6,8 +6,6 @@ import copy
 import os
 import pickle
 import signal
-import subprocess
-import sys
 
 import gymnasium as gym
 import numpy as np
@@ -20,7 +18,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from stkzoo import AgentSpec, ConfigError, RaceVectorEnv, Start
 from stkzoo.env.vec.batch_race import BatchRace
-from stkzoo.sb3 import ActiveDictRolloutBuffer, ActiveRolloutBuffer, RaceVecEnv
+from stkzoo.sb3 import ActiveDictRolloutBuffer, RaceVecEnv
 from tests.support.views import marked
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
@@ -66,16 +64,6 @@ def test_ppo_learns_by_self_play():
     assert changed(before, model)
     assert model.num_timesteps == 128
     assert {episode["l"] for episode in model.ep_info_buffer} == {30}
-    envs.close()
-
-
-@pytest.mark.slow
-def test_ppo_learns_from_flat_observations():
-    envs = make(view="flattened_continuous_actions", flat_observations=True)
-    model = PPO("MlpPolicy", envs, rollout_buffer_class=ActiveRolloutBuffer, **LEARNING)
-    before = weights(model)
-    model.learn(128)
-    assert changed(before, model)
     envs.close()
 
 
@@ -190,28 +178,6 @@ def test_flat_observations_are_those_of_gymnasium():
     plain.close()
 
 
-class NamedKart(gym.Wrapper):
-    """Observes a text; the action is a number."""
-
-    def __init__(self, env):
-        super().__init__(env)
-        self.action_space = gym.spaces.Discrete(2)
-        text, number = gym.spaces.Text(6, charset="abc"), gym.spaces.Box(-1, 1, (2,))
-        self.observation_space = gym.spaces.Dict({"number": number, "text": text})
-
-    def reset(self, **arguments):
-        _, info = self.env.reset(**arguments)
-        return {"number": np.ones(2, np.float32), "text": "cab"}, info
-
-
-def test_texts_are_flattened_as_gymnasium_does():
-    envs = make(view=NamedKart, flat_observations=True)
-    space = envs.races.single_observation_space
-    seen = {"number": np.ones(2, np.float32), "text": "cab"}
-    assert np.array_equal(envs.reset(), [gym.spaces.flatten(space, seen)] * 4)
-    envs.close()
-
-
 def test_each_slot_has_the_seed_of_its_race():
     envs = make()
     assert envs.seed(4) == [4, 4, 5, 5]
@@ -251,16 +217,6 @@ def test_a_reset_that_was_refused_does_not_affect_the_next():
     envs.close()
 
 
-def test_set_options_applies_to_one_reset():
-    envs = make()
-    envs.set_options({"track": "zengarden"})
-    envs.reset()
-    assert {race.track for race in envs.get_attr("race")} == {"zengarden"}
-    envs.reset()
-    assert {race.track for race in envs.get_attr("race")} == {"olivermath"}
-    envs.close()
-
-
 def test_different_options_in_one_race_are_refused():
     envs = make()
     envs.set_options([{"track": "zengarden"}, {}, {}, {}])
@@ -270,16 +226,6 @@ def test_different_options_in_one_race_are_refused():
     envs.reset()
     tracks = [race.track for race in envs.get_attr("race")]
     assert tracks == ["zengarden"] * 2 + ["olivermath"] * 2
-    envs.close()
-
-
-def test_options_for_another_number_of_slots_are_refused():
-    envs = make()
-    envs.set_options([{}] * 3)
-    with pytest.raises(ConfigError, match=r"options for 3 slots, expected .* a list of 4"):
-        envs.reset()
-    envs.set_options([None] * 4)
-    envs.reset()
     envs.close()
 
 
@@ -329,15 +275,6 @@ def test_idle_steps_of_races_are_not_learned_from():
     assert 0 < len(batch.actions) == sum(active) < 680
     assert batch.observations["continuous"].any(dim=1).all()
     envs.close()
-
-
-@pytest.mark.slow
-def test_importing_stkzoo_does_not_import_stable_baselines3():
-    code = "import stkzoo, stkzoo.env.vec.env, sys; print(*sys.modules)"
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    ).stdout
-    assert not {"stable_baselines3", "torch"} & set(loaded.split())
 
 
 # ---------------------------------------------------------------------- infos

@@ -3,13 +3,10 @@
 import subprocess
 
 import pytest
-import zmq
 
 from stkzoo.drivers.driver import find_driver
-from stkzoo.drivers.messages import encode
 from stkzoo.race import RaceListener, run_race
 from stkzoo.race.remote import RemoteDriverGroup
-from stkzoo.race.remote.protocol import VERSION, Hello
 from tests.support.floods import (
     HALF_GREETING,
     connect_all,
@@ -86,16 +83,3 @@ def test_clients_that_reset_immediately_leave_no_open_descriptors():
         reset_at_once(plain(address), 500)
         assert remote_race(address, steps=3) == []
         assert wait_until(lambda: num_descriptors(process.pid) <= before)
-
-
-def test_clients_with_the_same_identity_do_not_disturb_a_race():
-    with server_thread([find_driver("random")]) as server, zmq.Context() as context:
-        twins = [context.socket(zmq.DEALER) for _ in range(5)]
-        for twin in twins:
-            twin.setsockopt(zmq.IDENTITY, b"twin")
-            twin.setsockopt(zmq.LINGER, 0)
-            twin.connect(server.address)
-            twin.send(encode(Hello(VERSION, "")))
-        assert remote_race(server.address, steps=3) == []
-        for twin in twins:
-            twin.close()

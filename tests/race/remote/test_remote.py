@@ -112,31 +112,6 @@ def test_a_stopped_server_affects_only_its_own_karts():
 
 
 @pytest.mark.slow
-def test_a_server_restarted_during_a_race_continues_it(tmp_path):
-    agent = write_agent(tmp_path, "ada")
-    with server_process(agent) as (process, address), RemoteDriverGroup([address]) as group:
-        restarts = []
-
-        def restart():
-            process.kill()
-            process.wait()
-            restarts.append(server_process(agent, address=address.removeprefix("tcp://")))
-            restarts[0].__enter__()
-
-        try:
-            result = run_race(
-                [*group.drivers, "ai"],
-                listeners=[Watcher(10, restart)],
-                max_steps=40,
-                error_handling="restart",
-                **TRACK,
-            )
-        finally:
-            restarts[0].__exit__(None, None, None)
-    assert len(rows(result)["kart_0"].errors) == 1
-
-
-@pytest.mark.slow
 def test_a_server_restarted_between_races_serves_the_next_race(tmp_path):
     agent = write_agent(tmp_path, "ada")
     with server_process(agent) as (_, address):

@@ -55,13 +55,6 @@ def test_a_ghost_follows_the_winner(race):
     assert ghost.place_at(ghost.times[-1] + 0.1) is None
 
 
-def test_a_ghost_waits_on_the_grid_until_the_race_starts(race):
-    ghost = ghost_of(load_replay(race[0]))
-    assert ghost.times[0] == 0
-    assert (np.diff(ghost.times) > 0).all()
-    np.testing.assert_array_equal(ghost.place_at(0.0), ghost.places[0])
-
-
 def test_the_map_shows_a_ring_where_the_ghost_is(race):
     path, watcher = race
     ghost = ghost_of(load_replay(path))
@@ -86,13 +79,6 @@ def test_a_replay_that_differs_has_no_ghost(race):
     controls[60:, 0, 1] = 1.0
     with pytest.raises(ReplayError, match="no ghost: its race differs after step 6"):
         ghost_of(replace(replay, controls=controls))
-
-
-def test_a_ghost_needs_the_map(race, tmp_path, capsys):
-    words = ["replay", str(race[0]), "--video", str(tmp_path / "race.mp4")]
-    words += ["--ghost", str(race[0]), "--render-backend", "engine"]
-    assert main(words) == 2
-    assert "a ghost is drawn on the map only" in capsys.readouterr().err
 
 
 def test_a_video_with_a_ghost_can_be_made(race, tmp_path):

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import signal
 import subprocess
 import sys
 import tracemalloc
@@ -13,22 +12,19 @@ import pytest
 
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
-from stkzoo.race import RaceListener, RaceSettings, run_race
+from stkzoo.race import RaceListener, run_race
 from stkzoo.race.replay import ReplayError, ReplayWriter, file, load_replay, play_replay
 from stkzoo.race.replay.file import DIGEST_SIZE
-from stkzoo.race.result import versions_now
 from tests.support.paths import AGENTS
 
 
 class Positions(RaceListener):
-    """Records the locations of all karts in each step, and everything else a listener receives."""
+    """Records the locations of all karts and the failures in each step."""
 
     def __init__(self):
-        self.locations, self.failures, self.names, self.result = [], {}, {}, None
-        self.failures_by_step = []
+        self.locations, self.failures, self.failures_by_step = [], {}, []
 
     def started(self, race):
-        self.names = dict(race.names)
         self.stepped(race)
 
     def stepped(self, race):
@@ -37,9 +33,6 @@ class Positions(RaceListener):
         self.locations.append(b"".join(part.tobytes() for part in parts))
         self.failures = race.failures
         self.failures_by_step.append(race.failures)
-
-    def ended(self, result):
-        self.result = result
 
 
 def record(path, *drivers, **settings):
@@ -99,30 +92,8 @@ def test_a_new_process_reproduces_the_race(recorded):
     assert "All 500 steps are as recorded, to the last bit." in done.stdout
 
 
-def test_a_replay_that_a_viewer_stops_is_reported_as_stopped(small, monkeypatch, capsys):
-    class Viewer(RaceListener):
-        def stepped(self, race):
-            if race.steps == 7:
-                race.stop("stopped")
-
-    monkeypatch.setattr("stkzoo.cli.replay.viewing_listeners", lambda _: [Viewer()])
-    assert main(["replay", str(small)]) == 0
-    shown = capsys.readouterr().out
-    assert "Stopped: the first 7 of 30 steps are as recorded, to the last bit." in shown
-
-
 def test_a_replay_is_small(recorded):
     assert recorded[0].stat().st_size < 200_000
-
-
-@pytest.mark.slow
-def test_a_replay_of_a_replay_has_the_same_contents(recorded, tmp_path):
-    again = tmp_path / "again.stkz"
-    play_replay(load_replay(recorded[0]), listeners=[ReplayWriter(again)])
-    one, two = load_replay(recorded[0]), load_replay(again)
-    assert np.array_equal(one.controls, two.controls)
-    assert np.array_equal(one.digests, two.digests)
-    assert (one.agents, one.start_positions) == (two.agents, two.start_positions)
 
 
 def test_digests_are_computed_as_documented(recorded):
@@ -134,61 +105,28 @@ def test_digests_are_computed_as_documented(recorded):
     assert b"".join(chain) == load_replay(path).digests.tobytes()
 
 
-def test_reverse_grid_and_difficulty_are_kept(tmp_path):
-    path = tmp_path / "race.stkz"
-    settings = RaceSettings(
-        track="olivermath", reverse=True, difficulty=3, seed=9, max_steps=40, max_paths=5
-    )
-    drivers = ["ai", "heuristic", "ai"]
-    listeners = [ReplayWriter(path)]
-    run_race(drivers, listeners=listeners, settings=settings, start_positions=[3, 1, 2])
+@pytest.mark.parametrize(
+    "settings",
+    [{"reverse": True, "difficulty": 3, "max_paths": 5}, {"mode": "time_trial", "kart": "pidgin"}],
+    ids=["reverse", "time trial"],
+)
+def test_settings_and_grid_are_kept(tmp_path, settings):
+    path, grid = tmp_path / "race.stkz", (3, 1, 2)
+    race = {"track": "olivermath", "seed": 9, "max_steps": 40, "start_positions": grid, **settings}
+    record(path, "ai", "heuristic", "ai", **race)
     replay = load_replay(path)
-    assert replay.start_positions == (3, 1, 2)
-    assert (replay.reverse, replay.difficulty, replay.max_paths) == (True, 3, 5)
+    assert replay.start_positions == grid
+    assert {name: getattr(replay, name) for name in settings} == settings
     assert play_replay(replay).is_exact
 
 
-def test_mode_and_kart_are_kept(tmp_path):
-    path = tmp_path / "race.stkz"
-    result, _ = record(
-        path,
-        *("heuristic", "ai"),
-        track="olivermath",
-        mode="time_trial",
-        kart="pidgin",
-        max_steps=40,
-    )
-    replay = load_replay(path)
-    assert (replay.mode, replay.kart, result.mode) == ("time_trial", "pidgin", "time_trial")
-    assert replay.kart_types == ("pidgin", "pidgin")
-    assert play_replay(replay).is_exact
-
-
-def test_a_replay_without_a_mode_is_a_normal_race(tmp_path):
-    path, older = tmp_path / "race.stkz", tmp_path / "older.stkz"
-    record(path, "heuristic", track="olivermath", max_steps=20)
-    with zipfile.ZipFile(path) as new, zipfile.ZipFile(older, "w") as old:
-        for name in new.namelist():
-            data = new.read(name)
-            if name == "race.json":
-                values = json.loads(data)
-                del values["mode"], values["kart"], values["result"]["mode"]
-                data = json.dumps(values).encode()
-            old.writestr(name, data)
-    replay = load_replay(older)
+def test_a_replay_without_a_mode_is_a_normal_race(small):
+    with zipfile.ZipFile(small) as archive:
+        values = json.loads(archive.read("race.json"))
+    del values["mode"], values["kart"], values["result"]["mode"]
+    replay = load_replay(repacked(small, race_json=json.dumps(values).encode()))
     assert (replay.mode, replay.kart) == ("normal", None)
     assert play_replay(replay).is_exact
-
-
-def test_errors_are_reported_again(tmp_path):
-    path = tmp_path / "race.stkz"
-    agent = str(AGENTS / "hostile" / "once.py")
-    result, then = record(path, agent, "ai", track="lighthouse", seed=1, max_steps=20)
-    now = Positions()
-    assert play_replay(load_replay(path), listeners=[now]).is_exact
-    assert result.has_errors
-    assert (now.result, now.failures["kart_0"]) == (result, then.failures["kart_0"])
-    assert now.names == then.names
 
 
 def test_errors_are_reported_at_their_steps(tmp_path):
@@ -255,28 +193,11 @@ def test_a_result_that_differs_from_the_race_is_reported(small, capsys):
     assert "the file was changed" in capsys.readouterr().err
 
 
-def test_a_replay_that_differs_names_the_other_versions_of_this_machine(small, capsys):
-    versions = {**versions_now(), "libc": "glibc 2.41"}
-    repacked(small, about={"seed": 3, "versions": versions})
-    assert main(["replay", str(small)]) == 1
-    error = capsys.readouterr().err
-    assert "libc glibc 2.41; here: libc " in error
-    repacked(small, about={"versions": versions_now()})
-    assert main(["replay", str(small)]) == 1
-    assert "here:" not in capsys.readouterr().err
-
-
 def test_another_engine_version_is_an_error(small):
     repacked(small, about={"versions": {"pystk2": "0.7.1"}})
     with pytest.raises(ReplayError, match=r"pip install PySuperTuxKart2==0\.7\.1"):
         play_replay(load_replay(small))
     assert play_replay(load_replay(small), any_engine=True).is_exact
-
-
-def test_a_missing_track_is_an_error(small):
-    repacked(small, about={"track": "atlantis"})
-    with pytest.raises(ReplayError, match="track 'atlantis' is not among"):
-        play_replay(load_replay(small))
 
 
 # ------------------------------------------------------------------ files
@@ -324,14 +245,6 @@ def test_each_member_of_a_replay_has_a_size_limit(small, monkeypatch):
     monkeypatch.setitem(file._MAX_MEMBER, "race.json", 20)
     with pytest.raises(ReplayError, match=r"race\.json has more than"):
         load_replay(small)
-
-
-def test_a_replay_that_would_be_too_large_to_read_is_not_written(small, monkeypatch):
-    replay, before = load_replay(small), small.read_bytes()
-    monkeypatch.setitem(file._MAX_MEMBER, "race.json", 20)
-    with pytest.raises(ReplayError, match=r"cannot be written .*race\.json has more than 20 bytes"):
-        file.save_replay(replay, small)
-    assert small.read_bytes() == before
 
 
 def test_a_replay_with_more_steps_than_its_race_stops_at_the_first_difference(small):
@@ -433,33 +346,6 @@ def test_a_race_that_never_started_keeps_the_older_file(small):
 # ------------------------------------------------------------------ the command
 
 
-@pytest.mark.slow
-def test_an_interrupted_race_leaves_a_partial_replay(tmp_path):
-    path, agent = tmp_path / "race.stkz", tmp_path / "pystk_actor.py"
-    agent.write_text(
-        "def get_actor(folder, _, space):\n"
-        "    def act(state, observation):\n"
-        "        print('driving')\n"
-        "        return space.sample()\n"
-        "    return act\n"
-    )
-    words = ["race", str(tmp_path), "--max-steps", "1000000", "--replay", str(path)]
-    words += ["--show-output"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "stkzoo", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    ) as program:
-        assert any("driving" in line for line in program.stdout)
-        program.send_signal(signal.SIGINT)
-        program.communicate(timeout=60)
-    assert program.returncode == 130
-    replay = load_replay(path)
-    assert replay.is_partial
-    assert play_replay(replay).is_exact
-
-
 def test_race_replay_and_info(tmp_path, capsys):
     path = str(tmp_path / "race.stkz")
     words = ["--track", "lighthouse", "--max-steps", "20", "--seed", "1", "--replay", path]
@@ -470,12 +356,6 @@ def test_race_replay_and_info(tmp_path, capsys):
     assert main(["replay", path, "--json"]) == 0
     form = json.loads(capsys.readouterr().out)
     assert (form["is_exact"], form["result"]["seed"]) == (True, 1)
-
-
-def test_the_description_of_a_replay_refuses_options_that_need_a_race(small, tmp_path, capsys):
-    video = tmp_path / "race.mp4"
-    assert main(["replay", str(small), "--info", "--video", str(video), "--web", "--window"]) == 2
-    assert "--info runs nothing; leave out --window, --video, --web" in capsys.readouterr().err
 
 
 def test_one_replay_file_for_several_races_is_a_usage_error(tmp_path, capsys):
@@ -489,12 +369,4 @@ def test_a_replay_becomes_a_map_video_without_the_render_process(small, tmp_path
     video = tmp_path / "race.mp4"
     words = ["--video", str(video), "--render-backend", "map", "--render-sub-steps", "1"]
     assert main(["replay", str(small), *words]) == 0
-    assert video.read_bytes()[4:8] == b"ftyp"
-
-
-@pytest.mark.slow
-def test_a_replay_becomes_a_video(small, tmp_path):
-    video = tmp_path / "race.mp4"
-    size = ["--width", "160", "--height", "90", "--render-sub-steps", "1"]
-    assert main(["replay", str(small), "--video", str(video), "--cameras", "1", *size]) == 0
     assert video.read_bytes()[4:8] == b"ftyp"

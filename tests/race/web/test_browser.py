@@ -119,23 +119,6 @@ def test_an_agents_observation_is_a_tree_that_opens(reader):
 
 
 @pytest.mark.slow
-def test_two_viewers_see_the_same(reader):
-    with WatchedRace() as race:
-        open_on_the_grid(reader, race)
-        first = reader.browser.current_window_handle
-        reader.browser.switch_to.new_window("tab")
-        try:
-            open_on_the_grid(reader, race)
-            reader.until(lambda: race.page.num_viewers == 2)
-            reader.click("#step")
-            reader.until(lambda: step_of(reader) == 1)
-        finally:
-            reader.browser.close()
-            reader.browser.switch_to.window(first)
-        reader.until(lambda: step_of(reader) == 1)
-
-
-@pytest.mark.slow
 def test_the_page_reconnects_for_the_next_race(reader):
     with WatchedRace() as race:
         open_on_the_grid(reader, race)
@@ -146,21 +129,6 @@ def test_the_page_reconnects_for_the_next_race(reader):
         reader.until(is_mode(reader, "paused"))
         reader.click("#step")
         reader.until(lambda: step_of(reader) == 1)
-
-
-@pytest.mark.slow
-def test_the_chosen_kart_stays_after_a_new_connection(reader):
-    chosen = "return document.getElementById('agent').value"
-    with WatchedRace() as race:
-        open_on_the_grid(reader, race)
-        first = reader.run(chosen)
-        reader.press("n")
-        reader.until(lambda: reader.run(chosen) != first)
-        port = race.page.port
-    reader.until(is_mode(reader, "over"))
-    with WatchedRace(port=port):
-        reader.until(is_mode(reader, "paused"))
-        assert reader.run(chosen) != first
 
 
 @pytest.mark.slow
@@ -181,17 +149,6 @@ def test_the_page_fits_the_screen_and_all_elements_have_names(reader, width, is_
             assert place["x"] >= 0
             assert place["x"] + place["width"] <= width
         assert reader.errors() == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("width", [360, 1600])
-def test_the_page_fits_the_screen_with_long_names(reader, width):
-    with WatchedRace(["ai@:" + 100 * "W", "random"]) as race:
-        open_on_the_grid(reader, race, width=width)
-        reader.click("#stop")
-        reader.until(is_mode(reader, "over"))
-        reader.until(lambda: "WWW" in reader.text("#notice"))
-        assert reader.run("return document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.slow

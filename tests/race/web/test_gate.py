@@ -2,7 +2,6 @@
 
 import asyncio
 import socket
-import time
 
 import aiohttp
 import pytest
@@ -88,19 +87,6 @@ def test_an_incomplete_request_times_out(page, held, monkeypatch):
     assert wait_until(lambda: num_open(held) == 0)
 
 
-def test_an_unread_answer_times_out(page, held, monkeypatch):
-    monkeypatch.setattr("stkzoo.race.web.gate._LIFETIME", 0.2)
-    page._server._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 2048)
-    one = socket.socket()
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-    one.connect(("127.0.0.1", page.port))
-    held.append(one)
-    one.sendall(request("/page.js"))
-    time.sleep(0.1)
-    gate = page._server._gate
-    assert wait_until(lambda: all(t.is_closing() for t in gate._visitors))
-
-
 def test_a_connection_serves_one_request(page):
     answer = talk(page, request("/theme.js") * 20)
     assert answer.count(b"HTTP/1.1 200") == 1
@@ -112,8 +98,6 @@ def test_a_connection_serves_one_request(page):
     [
         "Content-Length: 5\r\nTransfer-Encoding: chunked\r\n",
         "Content-Length: 0\r\nContent-Length: 60\r\n",
-        "Transfer-Encoding: chunked, identity\r\n",
-        "Content-Length: +60\r\n",
         "Content-Length : 60\r\n",
         " folded: 1\r\n",
     ],
@@ -160,16 +144,6 @@ def test_a_viewer_that_floods_the_page_with_messages_is_disconnected(page):
 
     assert asyncio.run(flood(lambda one: one.send_str('{"type": "pause"}'))) == 1008
     assert asyncio.run(flood(lambda one: one.ping())) == 1008
-
-
-def test_a_ping_is_answered(page):
-    with socket.create_connection(("127.0.0.1", page.port), timeout=10) as one:
-        one.sendall(upgrade_request())
-        one.settimeout(10)
-        one.sendall(b"\x89\x84" + b"\0" * 4 + b"ping")
-        answer = b""
-        while b"\x8a\x04ping" not in answer:
-            answer += one.recv(1 << 16)
 
 
 def test_too_many_viewers_are_refused(page, held):

@@ -1,7 +1,6 @@
 """The live page: its files, its messages and its controls (D30)."""
 
 import asyncio
-import mimetypes
 import signal
 import socket
 import subprocess
@@ -18,11 +17,11 @@ from stkzoo._installation import install_command
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceResult, run_race
-from stkzoo.race.replay import ReplayWriter, load_replay, play_replay
 from stkzoo.race.web import SPEEDS, LivePage
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.feed import COLUMNS, TraceLog
 from stkzoo.race.web.messages import encoded, plain
+from tests.support.floods import upgrade_request
 from tests.support.processes import run_program, wait_until
 from tests.support.web_race import WatchedRace, viewer
 
@@ -52,30 +51,6 @@ def test_the_package_serves_all_files_of_the_page(page):
         assert "http://" not in content
         assert "https://" not in content
     assert 'src="page.js"' in text
-
-
-@pytest.mark.parametrize(
-    ("file", "kind"),
-    [
-        ("", "text/html; charset=utf-8"),
-        ("page.js", "text/javascript; charset=utf-8"),
-        ("page.css", "text/css; charset=utf-8"),
-        ("icon.svg", "image/svg+xml; charset=utf-8"),
-    ],
-)
-def test_the_types_of_files_do_not_depend_on_the_machine(file, kind, monkeypatch):
-    for suffix in (".html", ".js", ".css", ".svg"):
-        monkeypatch.setitem(mimetypes.types_map, suffix, "text/plain")
-    page = LivePage(port=0)
-    headers, _ = fetch(page.url + file)
-    page.closed()
-    assert headers["Content-Type"] == kind
-
-
-def test_the_clock_of_the_page_does_not_interrupt_screen_readers(page):
-    _, text = fetch(page.url)
-    assert 'id="clock" role="timer"' in text
-    assert "<output" not in text  # a live region, which is read at each change
 
 
 @pytest.mark.parametrize("path", ["nothing", "..%2fserver.py", "static/page.js", "__init__.py"])
@@ -222,24 +197,6 @@ def test_stop_on_the_grid_ends_a_race_that_waits():
         assert race.join().steps == 0
 
 
-def test_stop_before_the_grid_is_not_forgotten():
-    page = LivePage(port=0)
-    page.control.stop()
-    result = run_race(["ai"], listeners=[page], track="olivermath")
-    assert (result.status, result.steps) == ("stopped", 0)
-
-
-def test_one_page_can_show_one_race_after_another():
-    control = RaceControl(speed=None)
-    for _ in range(2):
-        control.begin()
-        assert control.wait_turn(0.1)
-        control.stop()
-        assert not control.wait_turn(0.1)
-        control.finish()
-        control.stop()  # the race is over, so this closes the page
-
-
 def test_an_agents_observation_is_sent_to_viewers_that_request_it():
     async def scenario(one, other):
         await one.next("moment")
@@ -325,11 +282,7 @@ def test_a_viewer_that_reads_nothing_delays_nobody_and_is_disconnected(monkeypat
         race.page._server._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         with socket.create_connection(("127.0.0.1", race.page.port), timeout=10) as sleeper:
             sleeper.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            sleeper.sendall(
-                f"GET /live?version=1 HTTP/1.1\r\nHost: 127.0.0.1:{race.page.port}\r\n"
-                "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-                "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode()
-            )
+            sleeper.sendall(upgrade_request())
             assert sleeper.recv(12) == b"HTTP/1.1 101"
             assert wait_until(lambda: race.page.num_viewers == 1)
             race.watch(scenario)
@@ -346,51 +299,6 @@ def test_a_failing_agent_is_reported(tmp_path):
         assert "no way" in race.watch(scenario)["kart_1"]
 
 
-@pytest.mark.slow
-def test_the_page_can_stay_open_after_the_race():
-    async def scenario(one):
-        await one.send("run")
-        await one.mode("over")
-        await one.next("result")
-        await one.silence(0.3)
-
-    async def late(one):
-        result = await one.next("result")
-        assert one.kinds[:2] == ["hello", "race"]
-        await one.send("stop")
-        await one.next("bye")
-        return result["result"]["steps"]
-
-    with WatchedRace(steps=5, stay=True) as race:
-        race.watch(scenario)
-        assert race.watch(late) == 5
-        assert race.join().status == "max_steps"
-
-
-def test_replays_are_shown_too(tmp_path):
-    file = tmp_path / "race.stkz"
-    run_race(["heuristic", "ai"], listeners=[ReplayWriter(file)], track="olivermath", max_steps=20)
-    page = LivePage(port=0, speed=None, paused=True)
-    played = []
-    replaying = threading.Thread(
-        target=lambda: played.append(play_replay(load_replay(file), listeners=[page]))
-    )
-
-    async def scenario():
-        async with aiohttp.ClientSession() as session, viewer(session, page.url) as one:
-            form = await one.next("race")
-            await one.send("run")
-            await one.next("bye")
-            return [kart["name"] for kart in form["karts"]], one.kinds
-
-    replaying.start()
-    names, kinds = asyncio.run(scenario())
-    replaying.join(30)
-    assert sorted(names) == ["ai", "heuristic"]
-    assert "result" in kinds
-    assert played[0].is_exact
-
-
 # ---------------------------------------------------------------- strangers
 
 
@@ -398,11 +306,9 @@ def test_replays_are_shown_too(tmp_path):
     ("headers", "text"),
     [
         ({"Host": "race.example"}, "unknown host name"),
-        ({"Host": "race.example:8000"}, "unknown host name"),
         ({"Host": "user@127.0.0.1"}, "unknown host name"),
         ({"Host": "127.0.0.1:x"}, "unknown host name"),
         ({"Origin": "http://race.example"}, "from itself only"),
-        ({"Origin": "https://127.0.0.1"}, "from itself only"),
         ({"Origin": "null"}, "from itself only"),
     ],
 )
@@ -432,16 +338,11 @@ BAD_MESSAGES = [
     "",
     "run",
     "[]",
-    "null",
     "[" * 900,
     '{"type": "explode"}',
-    '{"type": ["run"]}',
     '{"type": "speed", "value": 3}',
-    '{"type": "speed", "value": "4"}',
     '{"type": "speed", "value": NaN}',
-    '{"type": "speed", "value": true}',
     '{"type": "watch", "agent": "kart_99"}',
-    '{"type": "watch", "agent": {}}',
     b'{"type": "run"}',
     b"\x80\x04\x95",
 ]
