@@ -14,9 +14,8 @@ from stkzoo.agents.planning.driver import (
 )
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT
-from stkzoo.agents.pretrained import action_filter
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
-from stkzoo.agents.pretrained.ensemble import EnsemblePolicy, join_members, members_of
+from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
@@ -124,16 +123,6 @@ def test_several_networks_are_averaged(views):
     assert len({int(begin) for best in undecided for begin in best[:, 0]}) > 1
 
 
-def test_several_networks_are_stored_in_one_file():
-    joined = join_members([small_network(seed=1), small_network(seed=2)], [])
-    found, policies = members_of(joined, "both")
-    seen = np.random.default_rng(0).normal(size=(3, action_filter.INPUT_SIZE)).astype(np.float32)
-    for driver, seed in zip(found, (1, 2), strict=True):
-        assert (driver.logits(seen) == MlpDriver(small_network(seed=seed)).logits(seen)).all()
-    assert policies == []
-    assert members_of(small_network(), "one that drives") == ([], [])
-
-
 @pytest.fixture
 def files(tmp_path):
     """Writes the networks of two training runs and returns the paths."""
@@ -189,25 +178,12 @@ def test_agents_are_compared_with_policies(files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("weight", "message"),
-    [
-        (None, "several networks"),
-        (-1.0, "ensemble_weight is -1"),
-        (np.nan, "ensemble_weight is nan"),
-    ],
+    ("weight", "message"), [(None, "several networks"), (np.nan, "ensemble_weight is nan")]
 )
 def test_invalid_ensembles_are_refused(files, tmp_path, weight, message):
     with pytest.raises(ConfigError, match=message):
         export_policy(files, "wise", tmp_path / "wise", weight)
     assert not (tmp_path / "wise").exists()
-
-
-def test_a_card_with_an_invalid_weight_is_refused(files, tmp_path):
-    folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
-    card = json.loads((folder / "card.json").read_text())
-    (folder / "card.json").write_text(json.dumps({**card, "ensemble_weight": "much"}))
-    with pytest.raises(ConfigError, match="ensemble_weight is 'much', expected a number"):
-        read_policy(folder)
 
 
 def plan_policy(seed):
@@ -227,13 +203,6 @@ def test_the_learned_logits_of_policies_over_plans_are_added_to_the_prior(views)
         assert (both.best(view) == plain.best(raised)).all()
         differences += (both.best(view) != plain.best(view)).sum()
     assert differences > 10
-
-
-def test_an_ensemble_of_one_policy_over_plans_acts_like_that_policy(views):
-    policy = RacingPolicy(plan_policy(2))
-    assert all(
-        (EnsemblePolicy([], 1.0, [policy]).best(view) == policy.best(view)).all() for view in views
-    )
 
 
 @pytest.fixture
@@ -267,18 +236,11 @@ def test_the_folder_of_an_ensemble_adds_its_members(files, plan_file, tmp_path):
     assert one["runs"] == other["runs"]
 
 
-@pytest.mark.parametrize(
-    ("runs", "problem"),
-    [
-        (5, "Expected `array`"),
-        ([{"kart_steps": "many", "history": []}], r"Expected `int .*\.kart_steps`"),
-    ],
-)
-def test_a_card_with_damaged_runs_is_refused(runs, problem, files, tmp_path):
+def test_a_card_with_damaged_runs_is_refused(files, tmp_path):
     folder = export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
     card = json.loads((folder / "card.json").read_text())
-    (folder / "card.json").write_text(json.dumps({**card, "runs": runs}))
-    with pytest.raises(ConfigError, match=f"card.json' is no card of a learned agent .{problem}"):
+    (folder / "card.json").write_text(json.dumps({**card, "runs": 5}))
+    with pytest.raises(ConfigError, match=r"card\.json' is no card of a learned agent"):
         export_policy([folder], "again", tmp_path / "again", ensemble_weight=1.0)
     assert not (tmp_path / "again" / "card.json").exists()
 
@@ -288,8 +250,6 @@ def test_only_an_ensemble_can_use_other_plans(files, plan_file, tmp_path):
     plans.write_text(json.dumps({"learned_motion": True, "margin": 0.5}))
     folder = export_policy(files, "wise", tmp_path / "wise", 1.0, plans)
     assert read_numbers(folder) == DriverParameters(learned_motion=True, margin=0.5)
-    result = run_race([str(folder)], track="olivermath", seed=1, max_steps=60)
-    assert result.agents[0].errors == ()
     mixed = export_policy([*files, plan_file], "mixed", tmp_path / "mixed", 1.0, plans)
     assert read_numbers(mixed) == read_numbers(folder)
     with pytest.raises(ConfigError, match="add --ensemble-weight 1"):
@@ -310,10 +270,3 @@ def test_policies_of_runs_with_different_plans_are_refused(plan_file, tmp_path):
     files = [plan_file, other / "policy-000000789.safetensors"]
     with pytest.raises(ConfigError, match="runs with different plans"):
         export_policy(files, "wise", tmp_path / "wise", ensemble_weight=1.0)
-
-
-def test_weights_of_another_kind_are_refused_as_a_member(tmp_path):
-    file = tmp_path / "odd.safetensors"
-    save_weights(file, {"w0": np.zeros((2, 2), np.float32)})
-    with pytest.raises(ConfigError, match="another version of stkzoo or another program"):
-        export_policy([file], "wise", tmp_path / "wise", ensemble_weight=1.0)

@@ -43,15 +43,6 @@ def test_the_kernel_matches_the_oracle(is_tanh, count):
     np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
-def test_outputs_match_pytorch():
-    torch = pytest.importorskip("torch")
-    layers, inputs = layers_of(1), inputs_of(2, 30)
-    x = torch.from_numpy(inputs[:, : SIZES[0]])
-    for number, (matrix, bias) in enumerate(layers):
-        x = (torch.tanh(x) if number else x) @ torch.from_numpy(matrix) + torch.from_numpy(bias)
-    np.testing.assert_allclose(evaluated(kernel.Mlp(layers, True), inputs), x.numpy(), atol=1e-5)
-
-
 @pytest.mark.parametrize("is_tanh", [True, False])
 def test_a_row_does_not_depend_on_its_batch(is_tanh):
     network, inputs = kernel.Mlp(layers_of(3), is_tanh), inputs_of(4, 11)
@@ -83,27 +74,3 @@ def test_tanh_is_exact_to_a_few_bits_and_saturates():
     inputs = numbers.astype(np.float32)[:, None]
     found = evaluated(kernel.Mlp(((one, zero), (one, zero)), True), inputs, 1)
     np.testing.assert_allclose(found, np.tanh(inputs.astype(np.float64)), atol=2e-7)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda *_: (),
-        lambda first, second: (first, (second[0], second[1][:0])),
-        lambda first, second: (first, (second[0][:-1], second[1])),
-        lambda first, second: (second, first),
-    ],
-    ids=["none", "no outputs", "a row too few", "exchanged"],
-)
-def test_layers_that_do_not_fit_are_refused(change):
-    with pytest.raises(ValueError, match=r"no layers|do not fit"):
-        kernel.Mlp(change(*layers_of(0)[:2]), True)
-
-
-@pytest.mark.parametrize(
-    ("inputs", "outputs"), [((4, 49), (4, 7)), ((4, 50), (3, 7)), ((0, 50), (1, 7))]
-)
-def test_rows_that_do_not_fit_are_refused(inputs, outputs):
-    network = kernel.Mlp(layers_of(0), True)
-    with pytest.raises(ValueError, match="50 inputs and 7 outputs do not fit"):
-        network.evaluate(np.zeros(inputs, np.float32), np.zeros(outputs, np.float32))

@@ -68,19 +68,3 @@ def test_vectors_are_stacked_and_padded():
     assert ours[:, :, 0].tolist() == [[1, 1], [2, np.inf], [np.inf, np.inf]]
     with pytest.raises(ValueError, match="same number of vectors"):
         kernel.stack_vectors(rows, np.inf, np.empty((2, 2, 3), np.float32))
-
-
-@pytest.mark.parametrize(
-    "starts", [(np.zeros((4, 2), "f4"),), ((np.zeros(2),),), ((None,),), (3,), (np.zeros((3, 3)),)]
-)
-def test_segments_of_another_shape_are_refused(starts):
-    ends, widths = (np.zeros((4, 3), "f4"),), (np.zeros((4, 1), "f4"),)
-    with pytest.raises((TypeError, ValueError)):
-        traced(kernel.trace_roads, (starts, ends, widths))
-
-
-@pytest.mark.parametrize("most", [0, -1, 129, 2**40])
-def test_the_number_of_segments_is_bounded(most):
-    lines, first = np.empty((7, NUM_POINTS, 4), "f4"), np.empty((7, 2, 3), "f4")
-    with pytest.raises(ValueError, match="do not fit"):
-        kernel.trace_roads(*roads_of(0), most, _RULES, lines, first)

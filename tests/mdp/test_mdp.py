@@ -42,14 +42,6 @@ def forked_track():
     )
 
 
-def test_a_snapshot_survives_serialization():
-    snapshot = make_snapshot(3, 2, speed=[1, 2, 3])
-    again = Snapshot(snapshot.data)
-    assert again == snapshot
-    assert again.karts["speed"].tolist() == [1, 2, 3]
-    assert len(again.items) == 2
-
-
 def test_nodes_ahead_are_sorted_by_driving_distance():
     ahead = forked_track().nodes_ahead(np.array([0, 1]))
     assert ahead.tolist() == [[0, 1, 2, 3, 4], [1, 4, 0, 2, 3]]
@@ -191,8 +183,6 @@ def test_a_weight_that_is_no_finite_number_is_refused(weight):
         ("placment", "Did you mean 'placement'"),
         (3, "reward is 3"),
         ({"plce": 1.0}, "Did you mean 'place'"),
-        ({"time": "much"}, "'much'"),
-        ({"time": float("nan")}, "nan"),
     ],
 )
 def test_invalid_rewards_are_refused(choice, message):

@@ -7,7 +7,6 @@ import pytest
 from stkzoo.agents.training.common.arguments import track_names
 from stkzoo.agents.training.imitation.distill import DistillationArguments
 from stkzoo.agents.training.league.league import LeagueArguments
-from stkzoo.agents.training.learn_motion import MotionArguments
 from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD
 from stkzoo.agents.training.sb3.selfplay import SB3Arguments
@@ -46,22 +45,12 @@ def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
     ("kind", "given", "text"),
     [
         (SelfPlayArguments, {"learning_rate": math.nan}, "learning_rate is nan, .* above 0"),
-        (SelfPlayArguments, {"learning_rate": math.inf}, "learning_rate is inf, .* above 0"),
-        (SelfPlayArguments, {"clip_range": -1.0}, "clip_range is -1.0, .* above 0"),
         (SelfPlayArguments, {"gamma": 7.0}, "gamma is 7.0, .* from 0 to 1"),
         (SelfPlayArguments, {"kl_coef": -0.1}, "kl_coef is -0.1, .* of 0 or more"),
-        (DistillationArguments, {"difficulty": 4}, "difficulty is 4, .* from 0 to 3"),
         (SelfPlayArguments, {"seed": 2**32}, "seed is 4294967296, .* from 0 to 4294967295"),
-        (SelfPlayArguments, {"batch_size": 1}, "batch_size is 1, .* of 2 or more"),
-        (SelfPlayArguments, {"hidden": (0, 8)}, "hidden is 0, .* of 1 or more"),
         (SelfPlayArguments, {"hidden": (8, 8, 8)}, r"hidden is \(8, 8, 8\), expected 2 layers"),
-        (LeagueArguments, {"hidden": (8,)}, r"hidden is \(8,\), expected 2 layers"),
-        (SB3Arguments, {"grid_share": math.nan}, "grid_share is nan, .* from 0 to 1"),
         (SB3Arguments, {"n_steps": 1, "races": ("1",)}, "expected 2 or more steps"),
-        (TuningArguments, {"sigma": 0.0}, "sigma is 0.0, .* above 0"),
         (TuningArguments, {"seed": 2**32 - 1}, "seed is 4294967295, .* from 0 to 4294967294"),
-        (TuningArguments, {"population": 1}, "population is 1, .* of 2 or more"),
-        (MotionArguments, {"hidden": (24,)}, r"hidden is \(24,\), expected 2 layers"),
     ],
 )
 def test_numbers_out_of_bounds_are_refused(kind, given, text):

@@ -15,8 +15,6 @@ from stkzoo.agents.training.common.matches import match_driver
 from stkzoo.agents.training.common.starts import Lineup
 from stkzoo.agents.training.evaluate import evaluate
 from stkzoo.agents.training.imitation import distill
-from stkzoo.errors import ConfigError
-from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES
 from tests.support.fleets import begin_at
 
@@ -129,17 +127,3 @@ def test_a_killed_run_resumes_with_its_round(run, tmp_path, monkeypatch):
     assert distill.run(SMALL, tmp_path) == log
     ours, theirs = (load_weights(f / "policy.safetensors") for f in (tmp_path, folder))
     assert all((ours[name] == theirs[name]).all() for name in theirs)
-
-
-def test_other_arguments_are_refused_in_the_folder_of_a_run(run, capsys):
-    folder, _ = run
-    with pytest.raises(ConfigError, match="steps was 300, now 400"):
-        distill.run(distill.DistillationArguments(steps=400), folder)
-    assert distill.main(["--output", str(folder), "--steps", "0"]) == 1
-    assert "steps" in capsys.readouterr().err
-
-
-def test_the_agent_of_a_run_races(run):
-    folder, _ = run
-    result = run_race([str(folder / "agent"), "ai"], track="olivermath", max_steps=40)
-    assert result.steps == 40

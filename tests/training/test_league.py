@@ -258,13 +258,6 @@ def test_resuming_with_other_arguments_is_refused(tmp_path):
         League(tmp_path, LeagueArguments(**SMALL, seed=1))
 
 
-def test_initial_weights_of_a_different_network_are_refused(tmp_path):
-    save_weights(tmp_path / "plans", RacingPolicy.of_plans_alone().weights)
-    arguments = LeagueArguments(**SMALL, init=str(tmp_path / "plans"))
-    with pytest.raises(ConfigError, match="give --hidden 1 1"):
-        League(tmp_path / "league", arguments)
-
-
 @pytest.mark.slow
 def test_an_exploiter_starts_over_after_the_initial_weights_were_deleted(tmp_path):
     init = tmp_path / "init.safetensors"
@@ -369,12 +362,3 @@ def test_league_is_a_command_with_its_own_help(capsys):
     assert "stkzoo league --output leagues/first" in capsys.readouterr().out
     assert command_line(["league"]) == 2
     assert "--output" in capsys.readouterr().err
-
-
-def test_a_file_as_output_is_an_error_with_a_remedy(tmp_path, capsys):
-    file = tmp_path / "file"
-    file.touch()
-    assert command_line(["league", "--output", str(file)]) == 1
-    error = capsys.readouterr().err
-    assert f"the league's folder {file} cannot be used: " in error
-    assert "choose another --output" in error

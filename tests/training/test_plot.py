@@ -12,10 +12,8 @@ from stkzoo.errors import ConfigError
     ("line", "match"),
     [
         ({"kart_steps": None, "reward": 1.0}, "kart_steps"),
-        ({"round": None, "loss": 1.0}, "round"),
         ({"round": 1, "time_ratio": 1.0, "error": None}, "has a time_ratio and no error"),
         ({"round": 1, "loss": "low"}, "loss"),
-        ({"loss": 1.0}, "has neither kart_steps nor round"),
     ],
 )
 def test_a_damaged_line_of_a_log_is_an_error(tmp_path, line, match):

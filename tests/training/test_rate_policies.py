@@ -26,7 +26,6 @@ from stkzoo.agents.training.rate import (
     run_drivers,
 )
 from stkzoo.errors import ConfigError
-from stkzoo.wrappers.racing import CHOICES, SIZE
 from tests.support.networks import small_network
 
 
@@ -75,11 +74,8 @@ def test_all_policies_race_equally_often_and_on_all_tracks():
     assert draw_match(names, 5) == matches[5]
 
 
-def test_all_policies_race_on_the_given_tracks(run, tmp_path, monkeypatch, capsys):
-    def without_driving(matches, _):
-        return [MatchRecord(0, each.track, each.reverse, [*each.drivers]) for each in matches]
-
-    monkeypatch.setattr(rate, "play_records", without_driving)
+@pytest.mark.usefixtures("drawn")
+def test_all_policies_race_on_the_given_tracks(run, tmp_path, capsys):
     folder = tmp_path / "out"
     words = [str(run), "--every=0", f"--output={folder}"]
     assert main([*words, "--matches=5", "--track", "mines", "hacienda"]) == 0
@@ -177,27 +173,6 @@ def test_learning_progress_is_the_share_of_duels_won_by_longer_training():
 def test_too_few_policies_are_refused(run, tmp_path, capsys):
     assert main([str(run), "--every=9000000", f"--output={tmp_path / 'out'}"]) == 1
     assert "expected 4 or more" in capsys.readouterr().err
-
-
-@pytest.mark.matrix
-def test_policies_of_stable_baselines_can_be_rated_too(tmp_path):
-    """The last policy drives straight ahead, which is better than standing still."""
-    folder = tmp_path / "from_nothing"
-    folder.mkdir()
-    for number, steps in enumerate((0, 1_000_100, 2_000_200, 3_000_300)):
-        weights = {
-            "mlp_extractor.policy_net.0.weight": np.zeros((1, SIZE), np.float32),
-            "mlp_extractor.policy_net.0.bias": np.zeros(1, np.float32),
-            "action_net.weight": np.zeros((sum(CHOICES), 1), np.float32),
-            "action_net.bias": np.zeros(sum(CHOICES), np.float32),
-        }
-        weights["action_net.bias"][[10, CHOICES[0] + (0 if number == 3 else 1)]] = 5.0
-        save_weights(folder / f"policy-{steps:09d}.safetensors", weights)
-    assert main([str(folder), f"--output={tmp_path / 'out'}", "--matches=1"]) == 0
-    kept = json.loads((tmp_path / "out" / "ratings.json").read_text())
-    value = {row["name"]: row["value"] for row in kept["ratings"]}
-    assert {*value} == {START, "ai", *(f"from_nothing {n}.00" for n in (1, 2, 3))}
-    assert value["ai"] > value["from_nothing 3.00"] > max(value[START], value["from_nothing 2.00"])
 
 
 def test_runs_of_all_scripts_are_rated_together(run):

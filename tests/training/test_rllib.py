@@ -14,8 +14,6 @@ import pytest
 from stkzoo._installation import install_command
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.common.arguments import ScriptOptions
-from stkzoo.agents.training.common.command import run_command
 from stkzoo.agents.training.rllib import selfplay
 from stkzoo.agents.training.rllib.races import (
     MAIN,
@@ -27,7 +25,7 @@ from stkzoo.agents.training.rllib.races import (
 from stkzoo.agents.training.rllib.sampler import RaceSampler, sb3_names
 from stkzoo.agents.training.rllib.selfplay import main
 from stkzoo.engine.assets import find_assets
-from stkzoo.errors import AssetError, ConfigError
+from stkzoo.errors import AssetError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 from tests.support.networks import small_network
 
@@ -45,10 +43,6 @@ def test_a_new_snapshot_replaces_the_oldest_one():
         *("past_0", "past_1", "past_2"),
         *("past_0", "past_1"),
     ]
-
-
-def test_without_past_versions_there_is_one_module():
-    assert RLlibArguments(learners=4, frozen=0, slots=5).modules == [MAIN]
 
 
 def test_the_share_of_pairs_won_counts_all_pairs():
@@ -175,26 +169,10 @@ def test_a_race_at_its_time_limit_is_truncated_before_the_next_one():
     assert moments(fragments[1]) == [[4, 0, 1], [4, 1, 1]]
 
 
-def test_idle_slots_make_no_steps():
-    fragments = [f for f in sampler_of(FakeRaces([2, 9, 9, 9, 9, 9])).sample(27) if f.slot == 0]
-    assert [fragment.begin for fragment in fragments] == [0, 0]
-    assert [len(fragment) for fragment in fragments] == [2, 2]
-    assert moments(fragments[1])[0] == [0, 0, 1]
-
-
 def test_each_kart_is_driven_by_the_network_of_its_module():
     races = FakeRaces([9] * 6)
     sampler_of(races, main=[2], past_0=[4], past_1=[4]).sample(8)
     assert races.acted[0][:, 0].tolist() == [2, 2, 4, 2, 2, 4]
-
-
-def test_new_weights_apply_from_the_next_step():
-    races = FakeRaces([9] * 6)
-    sampler = sampler_of(races, main=[2])
-    sampler.sample(4)
-    sampler.load({MAIN: MlpDriver(small_network([3], inputs=SIZE))})
-    sampler.sample(4)
-    assert [acted[0, 0] for acted in races.acted] == [2, 3]
 
 
 def test_log_probabilities_match_the_actions():
@@ -221,10 +199,6 @@ def test_a_race_that_crashes_is_truncated_and_has_no_result():
     fragments = sampler.sample(20)
     assert [f.is_truncated for f in fragments if f.slot == 0] == [True, False]
     assert [result.reward for result in sampler.results] == [35.0]
-
-
-def test_nothing_is_installed_where_the_data_exists():
-    ensure_assets()
 
 
 def test_a_node_without_data_needs_a_pack(tmp_path, monkeypatch):
@@ -260,18 +234,6 @@ def test_learned_weights_have_the_names_of_stable_baselines3():
     assert len(weights) == len(state)
     assert "mlp_extractor.value_net.2.bias" in weights
     assert MlpDriver(weights).best(np.zeros((1, SIZE), np.float32)).shape == (1, 5)
-
-
-def test_the_command_line_is_parsed():
-    words = ["--output", "run", "--track", "train", "--hidden", "64", "32"]
-    found = []
-    kinds = ScriptOptions, RLlibArguments
-    run_command("rllib.selfplay", None, lambda *given: found.extend(given), kinds, words)
-    options, arguments = found
-    assert options.output.name == "run"
-    assert arguments.hidden == (64, 32)
-    assert len(arguments.tracks) == 15
-    assert arguments.learners == 2
 
 
 class FakeAlgorithm:
@@ -334,11 +296,7 @@ def test_the_policy_is_never_older_than_the_checkpoint(tmp_path, monkeypatch):
     ("words", "text"),
     [
         (["--iterations", "0"], "iterations is 0"),
-        (["--learners", "0"], "learners is 0"),
-        (["--slots", "0"], "slots is 0"),
-        (["--difficulty", "4"], "difficulty is 4, expected a whole number from 0 to 3"),
         (["--bots", "18"], "more than 20 karts"),
-        (["--promote-at", "1.5"], "promote_at is 1.5"),
         (["--train-batch-size", "256"], "batch_size is 512, expected at most 256"),
     ],
 )
@@ -351,8 +309,3 @@ def test_invalid_arguments_are_reported(words, text, capsys):
 def test_without_ray_the_error_says_what_to_install(tmp_path, capsys):
     assert main(["--output", str(tmp_path / "run")]) == 1
     assert install_command("rllib") in capsys.readouterr().err
-
-
-def test_past_versions_need_a_slot():
-    with pytest.raises(ConfigError, match="frozen is -1"):
-        RLlibArguments(frozen=-1)

@@ -34,7 +34,6 @@ from stkzoo.wrappers.racing import (
     surroundings_of,
 )
 
-STRAIGHT = CHOICES[1] // 2
 SIDE = np.array([-1, 1, 1], np.float32)
 
 
@@ -100,20 +99,6 @@ def test_the_prior_alone_drives_forward():
     for env, *_ in driven_race(150):
         moment = env.snapshot
     assert (moment.karts["overall_distance"] > 120).all()
-
-
-def test_a_batch_of_karts_has_the_views_of_single_karts():
-    for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
-        if count % 20:
-            continue
-        for kart in range(3):
-            alone = PlanDriver(1)
-            remind(alone, {name: row[[kart]] for name, row in remembered(drivers).items()})
-            seen = alone.view(*rows_of(own, around, [kart]))
-            np.testing.assert_allclose(seen.inputs[0], view.inputs[kart], atol=1e-3)
-            np.testing.assert_allclose(seen.prior[0], view.prior[kart], atol=1e-2)
-    assert view.inputs.shape == (3, INPUT_SIZE)
-    assert np.isfinite(view.inputs).all()
 
 
 @pytest.mark.parametrize("name", ["ace", "scout"])
@@ -246,16 +231,6 @@ def test_an_offset_holds_for_the_given_number_of_steps():
     drawn = np.array(made[: len(made) // 4 * 4])[:, :, 1].reshape(-1, 4, 3)
     assert (drawn == drawn[:, :1]).all()
     assert len(np.unique(drawn[:, 0])) == CHOICES[1]
-
-
-def test_a_new_race_holds_no_offset():
-    choose, _ = offsets_of(1)
-    *_, (*_, drivers, _) = driven_race(40, rules=HOLD, choose=choose)
-    drivers.act(choose(np.zeros((3, sum(CHOICES)), np.float32)))
-    drivers.forget(np.array([0, 2]))
-    held, left = drivers.memory.held()
-    assert left[[0, 2]].tolist() == held[[0, 2]].tolist() == [0, 0]
-    assert left[1] > 0
 
 
 def test_an_offset_of_one_step_is_not_an_input():

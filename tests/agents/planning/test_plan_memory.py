@@ -51,18 +51,3 @@ def test_write_memory_matches_the_oracle(seed):
     plan_memory.write_memory(rules, memory, theirs, first)
     np.testing.assert_array_equal(ours, theirs)
     assert not ours[:, [0, 1, -1]].any()
-
-
-@pytest.mark.parametrize("first", [-1, 4, 2**40])
-def test_write_memory_does_not_write_beyond_a_row(first):
-    rules, memory, out, _ = write_arguments(0)
-    with pytest.raises(ValueError, match="too short"):
-        _planning.write_memory(rules, memory, out, first)
-
-
-@pytest.mark.parametrize(("place", "size"), [(0, 3), (1, 7), (2, 5), (3, 1)])
-def test_age_memory_refuses_arrays_that_do_not_fit(place, size):
-    arguments = list(age_arguments(0, count=2))
-    arguments[place] = np.zeros(size, arguments[place].dtype)
-    with pytest.raises(ValueError, match=r"fit|must be"):
-        _planning.age_memory(*arguments)

@@ -183,28 +183,3 @@ def test_the_prior_needs_no_inputs():
     *given, prior, inputs, first = present_arguments(0)
     _planning.present_plans(*given, prior, inputs, first)
     assert (alone == prior).all()
-
-
-@pytest.mark.parametrize(
-    ("place", "value", "error"),
-    [
-        (0, np.zeros(3), ValueError),
-        (1, np.zeros((2, 3)), TypeError),
-        (2, np.zeros((3, 2), np.float32), ValueError),
-        (3, (), TypeError),
-        (4, (1, 2, 3, 4, 5, 6), TypeError),
-        (7, (), TypeError),
-    ],
-)
-def test_survey_road_refuses_arrays_that_do_not_fit(place, value, error):
-    arguments = list(scene_arguments(0, count=2))
-    arguments[place] = value
-    with pytest.raises(error):
-        _planning.survey_road(*arguments)
-
-
-@pytest.mark.parametrize("first", [-1, INPUT_SIZE, 2**40])
-def test_present_plans_does_not_write_beyond_a_row(first):
-    *arguments, _ = present_arguments(0)
-    with pytest.raises(ValueError, match="too short"):
-        _planning.present_plans(*arguments, first)

@@ -93,12 +93,6 @@ class Ways:
         return self.free & (self.lanes[0] == self.lanes[-1])
 
 
-def test_a_plan_reaches_its_lane_and_stays_on_the_road():
-    ways = Ways(straight_road(offset=-2.0))
-    assert ways.across[-1, ways.kept] == pytest.approx(5.0 * ways.lanes[0, ways.kept], abs=0.6)
-    assert np.abs(ways.across[:, ways.free]).max() < 5.5
-
-
 @pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
 @pytest.mark.parametrize("side", [-1, 1])
 def test_plans_reach_farther_to_the_side_with_more_room(side, motion):
@@ -154,12 +148,6 @@ def test_the_inner_side_of_a_bend_is_shorter():
     ways = Ways(right_bend())
     along = ways.along[-1, ways.kept][np.argsort(ways.lanes[0, ways.kept])]
     assert along[-1] > along[len(along) // 2] > along[0]
-
-
-def test_brakes_cost_distance():
-    ways = Ways(straight_road())
-    brakes = ways.maneuvers == BRAKE
-    assert ways.along[-1, brakes].max() < ways.along[-1, ~brakes].min()
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -274,28 +262,3 @@ def test_results_do_not_depend_on_the_batch(weigh, motion):
         alone = np.empty((3, 1, 4), np.float32)
         weigh(table, rules, motion, *(array[kart : kart + 1] for array in of_karts), alone)
         assert (alone[:, 0] == together[:, kart]).all()
-
-
-@pytest.mark.parametrize(
-    ("place", "value", "error"),
-    [
-        (0, (), TypeError),
-        (1, np.zeros(3), ValueError),
-        (2, learned_motion()[:-1], TypeError),
-        (2, (np.zeros(3), *learned_motion()[1:]), ValueError),
-        (2, (*learned_motion()[:-1], np.zeros(4, np.float32)), ValueError),
-        (2, (learned_motion()[0], *learned_motion()[3:], *learned_motion()[1:3]), ValueError),
-        (2, (0 * learned_motion()[0], *learned_motion()[1:]), ValueError),
-        (3, np.array([10_000]), IndexError),
-        (4, np.zeros((1, 3), np.float32), ValueError),
-        (5, np.zeros((1, 4, 36)), TypeError),
-        (5, np.zeros((1, 3, 35), np.float32), ValueError),
-        (6, np.zeros(7), ValueError),
-        (8, np.zeros((3, 1, 4)), TypeError),
-    ],
-)
-def test_weigh_plans_refuses_arrays_that_do_not_fit(place, value, error):
-    arguments = [*random_arguments(0, count=1), np.empty((3, 1, 4), np.float32)]
-    arguments[place] = value
-    with pytest.raises(error):
-        _planning.weigh_plans(*arguments)
