@@ -327,12 +327,6 @@ def test_a_kart_far_off_the_road_requests_a_rescue():
     assert np.flatnonzero(calls).tolist() == [10]
 
 
-def test_an_error_for_an_agent_of_an_older_version_says_what_to_do(policy):
-    weights = {name: value.numpy() for name, value in policy.state_dict().items()}
-    with pytest.raises(ConfigError, match=r"stkzoo\.agents\.training\.export"):
-        MlpDriver(weights).seat()
-
-
 def test_an_error_for_a_run_of_an_older_version_says_what_to_do(tmp_path):
     SB3Run(tmp_path, SB3Arguments(**SMALL)).close()
     file = tmp_path / "arguments.json"
