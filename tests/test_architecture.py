@@ -272,12 +272,6 @@ def test_all_public_names_are_listed_and_sorted():
     assert all(hasattr(stkzoo, name) for name in stkzoo.__all__)
 
 
-def test_the_version_matches_the_package():
-    from importlib.metadata import version
-
-    assert stkzoo.__version__ == version("stkzoo")
-
-
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no_such_thing"):
         stkzoo.no_such_thing  # noqa: B018

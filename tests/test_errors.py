@@ -87,11 +87,6 @@ def test_a_number_out_of_its_bounds_is_refused(value):
         errors.check_number("share", value, 0, 1)
 
 
-def test_a_number_within_bounds_is_returned_as_a_float():
-    assert [errors.check_number("share", value, 0, 1) for value in (0, 0.5, 1)] == [0.0, 0.5, 1.0]
-    assert errors.check_number("reach", float("inf"), is_finite=False) == float("inf")
-
-
 class Broken:
     def __repr__(self):
         raise ValueError
@@ -111,11 +106,8 @@ def test_a_short_value_is_shown_as_its_repr(value):
 
 HUGE = {
     "text": "x" * 10_000_000,
-    "bytes": bytes(10_000_000),
-    "list": [0] * 1_000_000,
     "tuple of texts": ("x" * 10_000_000,) * 100,
     "dict": {str(number): [0] * 1000 for number in range(10_000)},
-    "long key": {"x" * 10_000_000: 1},
     "nested": [[[["x" * 100_000] * 1000] * 1000] * 1000],
     "array": np.zeros(1_000_000, np.int8),
     "array of many axes": np.zeros([7] * 8, np.int8),
@@ -147,14 +139,10 @@ def test_a_value_whose_repr_fails_is_named():
     ("make", "wrong", "meant"),
     [
         (race_v0.parallel_env, "numkart", "num_kart"),
-        (race_v0.env, "tracks", "track"),
         (lambda **options: gym.make("supertuxkart/simple-v0", **options), "lap", "laps"),
-        (lambda **options: gym.make("supertuxkart/multi-full-v0", **options), "agent", "agents"),
         (lambda **options: stkzoo.RaceVectorEnv(2, **options), "revers", "reverse"),
         (lambda **options: run_race(["ai"], **options), "max_step", "max_steps"),
         (stkzoo.AgentSpec, "rankstart", "rank_start"),
-        (stkzoo.Start, "distanc", "distance"),
-        (stkzoo.OpponentPool, "weigths", "weights"),
         (RaceSettings, "trak", "track"),
         (stkzoo.MonoAgentWrapperAdapter, "wraper_factories", "wrapper_factories"),
     ],

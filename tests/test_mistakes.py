@@ -13,7 +13,7 @@ import stkzoo
 from stkzoo import race_v0
 from stkzoo.cli import main
 from stkzoo.errors import MAX_LINE, StkzooError
-from stkzoo.race import RaceSettings, run_race
+from stkzoo.race import run_race
 
 #: Command line, and a part of the first line of its message. ``{here}`` is a folder of examples.
 COMMANDS = [
@@ -21,74 +21,46 @@ COMMANDS = [
     ("race", "no drivers; name some"),
     ("race heuristik", "Did you mean 'heuristic'?"),
     ("race ai --trak lighthouse", "Did you mean '--track'?"),
-    ("race ai --tracks lighthouse", "Did you mean '--track'?"),
-    ("race ai --track lighthose", "Did you mean 'lighthouse'?"),
     ("race ai --track moon", "unknown track 'moon'. Choose a name from the list:"),
     ("race ai --track", "--track: expected one argument; see `stkzoo race --help`"),
     ("race ai --laps 0", "laps is 0, expected a whole number from 1 to 1000"),
     ("race ai --laps two", "--laps: 'two' is not a whole number"),
-    ("race ai --difficulty 4", "difficulty is 4, expected a whole number from 0 to 3"),
-    ("race ai --difficulty hard", "--difficulty: 'hard' is not a whole number"),
-    ("race ai:7", "ai:7"),
     ("race ai --seed -1", "seed is -1, expected a whole number of 0 or more"),
-    ("race ai --races 0", "--races is 0, expected 1 or more"),
     ("race ai ai --num-karts 1", "--num-karts is 1, but 2 drivers are named"),
     ("race ai --num-karts 1000", "num_kart"),
-    ("race ai --max-steps 0", "max_steps is 0, expected a whole number of 1 or more"),
     ("race ai --action-timeout -1", "action_timeout is -1.0, expected a number of seconds above 0"),
     ("race ai --error-handling ignore", "'ignore' is not one of raise, catch, retire, restart"),
     ("race --demo ai", "leave out --demo or the drivers"),
     ("race ai --cameras 2", "--cameras does nothing without --video; add --video"),
-    ("race ai --web-port 80", "--web-port does nothing without --web; add --web"),
-    ("race ai --video film.txt", "film.txt"),
     ("race ai --video {here}/none/film.mp4", "film.mp4"),
-    ("race ai --video a.mp4 --races 2", "--video makes a video of one race; leave out --races"),
     ("race ai --replay a.stkz --races 2", "--replay keeps one race; leave out --races"),
     ("race ai --output {here}", "it is not a regular file; choose another name"),
-    ("race ai --output /proc/x.json", "/proc/x.json"),
     ("race ai --output {here}/none/x.json", "x.json"),
     ("race ai --output a.stkz --replay a.stkz", "give each a file of its own"),
-    ("race {here}/none.zip", "none.zip"),
     ("race {here}/empty", "pystk_actor.py"),
     ("race {here}/classless", "get_actor"),
     ("race {here}/broken", "SyntaxError"),
     ("race {here}/no_view", "env_name"),
     ("race {here}/text.zip", "text.zip"),
     ("race {here}/deep.zip", "pystk_actor.py"),
-    ("race {here}/pystk_actor.txt", "pystk_actor.txt"),
-    ("race ai --adapter none.py", "none.py"),
     ("check", "the following arguments are required: AGENT"),
-    ("check ai", "ai"),
     ("new {here}/empty/../classless", "is not empty; choose another folder"),
-    ("new {here}/text.zip", "text.zip"),
     ("replay {here}/none.stkz", "none.stkz"),
-    ("replay {here}/text.zip", "text.zip"),
     ("tracks lighthose", "Did you mean 'lighthouse'?"),
     ("tracks --map map.png", "lighthouse"),
     ("keys new open --folder {here}", "open.secret"),
     ("keys new open/x", "expected letters, digits, _ . and -"),
     ("keys show none.secret", "none.secret cannot be read: No such file or directory; make one"),
-    ("keys show text.zip", "has an invalid line, expected 'public' or 'secret'"),
-    ("race-server ai --secret none.secret", "make one with: stkzoo keys new"),
     ("race-server ai --secret open.secret", "first: chmod 600 open.secret"),
     ("race-server ai --secret text.zip", "has an invalid line, expected 'public' or 'secret'"),
     ("race-server random --address 127.0.0.1:{port}", "choose another address, or end the program"),
     ("race-server random --address *:5555", "give the server a key of its own (--secret)"),
-    ("race-server ai --threads 0", "threads is 0, expected a whole number of 1 or more"),
     ("race-server ai", "name it on the client"),
-    ("race-server heuristik", "Did you mean 'heuristic'?"),
     ("race-client", "no servers; give --server ADDRESS or --servers FILE"),
     ("race-client --servers none.txt", "the list of servers none.txt cannot be read"),
     ("race-client --server 127.0.0.1:1 --connect-timeout 0.1", "start it, or check its address"),
     ("race ai --web --web-port {port}", "choose another port (0 takes a free one)"),
-    ("race ai --web --web-port 99999", "port is 99999, expected a whole number from 0 to 65535"),
-    ("race -track lighthouse ai", "Did you mean '--track'?"),
-    ("race ai --difficulty=2.5", "--difficulty: '2.5' is not a whole number"),
-    ("race ai --start-timeout soon", "--start-timeout: 'soon' is not a number"),
-    ("race ai --laps 99999999999999", "laps is 99999999999999, expected"),
-    ("race ai --max-paths -5", "max_paths is -5, expected a whole number"),
     ("race ai --video a.mp4 --width 0", "expected (width, height) from 32 to 4096 pixels each"),
-    ("race ai --video a.mp4 --cameras 20", "cameras is 20, expected a whole number from 1 to 8"),
     ("race ai:4", "expected ai:0, ai:1, ai:2, ai:3"),
     ("race ai@:", "has no name after @:; write one or leave it out"),
     (
@@ -101,9 +73,6 @@ COMMANDS = [
         "tournament",
         "a tournament needs at least two agents, such as my_agent and ai; this one has 0",
     ),
-    ("tournament ai heuristik", "Did you mean 'heuristic'?"),
-    ("tournament ai random --track lighthose", "Did you mean 'lighthouse'?"),
-    ("tournament ai random --races 0", "races is 0, expected a whole number from 1 to 100000"),
     ("tournament ai random --per-race 5", "per_race is 5, expected a whole number from 2 to 2"),
     ("tournament ai random --output text.zip", "Not a directory; choose another --output"),
     ("tournament --resume none", "none/plan.json has no tournament plan"),
@@ -114,37 +83,20 @@ COMMANDS = [
         "--resume keeps the arguments of its tournament; leave out --track, --races, --laps",
     ),
     ("report none", "none/plan.json has no tournament plan (No such file or directory)"),
-    ("report damaged", "damaged/plan.json has no tournament plan"),
     ("benchmark", "no agent; name one, such as heuristic"),
-    ("benchmark heuristik", "Did you mean 'heuristic'?"),
-    ("benchmark ai --track lighthose", "Did you mean 'lighthouse'?"),
-    ("benchmark ai --seeds 0", "seeds is 0, expected a whole number from 1 to 10000"),
     ("benchmark ai --forms PXA", "race form 'PXA' is unknown; expected P for each kart"),
     ("benchmark --compare none", "expected the --output of `stkzoo benchmark`"),
     (
         "benchmark --compare none --track hacienda --seeds 7 --jobs 2 --sandbox off",
         "--compare runs no races; leave out --track, --seeds, --jobs, --sandbox",
     ),
-    (
-        "benchmark --baseline --difficulty 2 --directions forward --forms P --seeds 1 --inline",
-        "--baseline has races of its own; leave out --difficulty, --forms, --directions, --inline",
-    ),
     ("benchmark --compare rated", "choose the file or folder of a benchmark"),
-    ("benchmark --compare damaged", "damaged/plan.json has no benchmark plan"),
-    ("demos heuristik", "Did you mean 'heuristic'?"),
     ("demos ai --view racin", "Did you mean 'racing'?"),
-    ("demos ai --track lighthose", "Did you mean 'lighthouse'?"),
     ("demos ai --output demos.csv", "expected a path that ends in .safetensors"),
     ("play --dataset x.safetensors --view simpl", "Did you mean 'simple'?"),
     ("play --rate 7", "rate is 7, expected one of 10, 12, 15, 20, 30, 60"),
-    ("replay {here}", "it is not a regular file"),
-    ("new agent --view simpel", "Did you mean 'simple'?"),
-    ("check ai --max-steps 0", "ai"),
     ("league", "the following arguments are required: --output"),
-    ("tracks --sort speed", "--sort: 'speed' is not one of name, length, time, items"),
     ("assets install --from none.tar.xz", "there is no file 'none.tar.xz'"),
-    ("assets instal", "Did you mean 'install'?"),
-    ("completion powershell", "'powershell' is not one of"),
 ]
 
 
@@ -164,7 +116,6 @@ def here(tmp_path_factory):
         if source:
             (folder / name / "pystk_actor.py").write_text(source)
     (folder / "text.zip").write_text("no zip")
-    (folder / "pystk_actor.txt").write_text("")
     with zipfile.ZipFile(folder / "deep.zip", "w") as archive:
         archive.writestr("readme.txt", "")
     with zipfile.ZipFile(folder / "empty.zip", "w"):
@@ -212,11 +163,7 @@ EXTRAS = [
     ("race ai --web", "aiohttp", "the live page needs aiohttp"),
     ("race-client --server 127.0.0.1:1", "zmq", "networked races need zmq"),
     ("tournament ai random --output new", "openskill", "ratings need openskill"),
-    ("benchmark random --output new", "matplotlib", "or leave the plot out (--no-plot)"),
     ("demos ai --format minari", "minari", "or write --format safetensors"),
-    ("league --output new", "torch", "learning needs torch"),
-    ("play", "pygame", "the window needs pygame"),
-    ("completion bash", "shtab", "completion needs shtab"),
 ]
 
 
@@ -244,9 +191,7 @@ def test_missing_game_data_is_explained(capsys, monkeypatch, tmp_path):
 RETURNED = [
     ("None", "is None; expected a dict with the keys acceleration, brake"),
     ("{'steer': 0.0}", "lacks acceleration, brake"),
-    ("{**space.sample(), 'jump': 1}", "has unknown keys jump"),
     ("{**space.sample(), 'steer': float('nan')}", "action['steer'] of agent 'kart_0' is nan"),
-    ("{**space.sample(), 'brake': 7}", "action['brake'] of agent 'kart_0' is 7"),
 ]
 
 
@@ -272,11 +217,8 @@ CALLS = [
     (lambda: make(num_kart=0), "num_kart is 0, expected a whole number from 1 to 256"),
     (lambda: make(num_kart="3"), "num_kart is '3', expected a whole number"),
     (lambda: make(num_kart=2, num_karts=2), "give one of them"),
-    (lambda: make(num_cart=2), "Did you mean 'num_kart'?"),
     (lambda: make(num_agents=2), "unknown argument 'num_agents'"),
-    (lambda: make(laps=0), "laps is 0"),
     (lambda: make(track="lighthose"), "Did you mean 'lighthouse'?"),
-    (lambda: make(track=[]), "expected at least one name"),
     (lambda: make(track=3), "track is 3, expected a name, names or None"),
     (lambda: make(view="simpel"), "Did you mean 'simple'?"),
     (lambda: make(view=("simple", {"state_itms": 3})), "Did you mean 'state_items'?"),
@@ -285,37 +227,23 @@ CALLS = [
     (lambda: make(opponents="heuristik"), "expected a list such as ['pretrained:ace', 'ai:3']"),
     (lambda: make(agents=5, num_kart=3), "raise num_kart or drop agents"),
     (lambda: make(agents=[{"nam": "Ada"}]), "Did you mean 'name'?"),
-    (lambda: make(agents=["kart_0"]), "expected an AgentSpec or a mapping of its fields"),
     (lambda: make(render_mode="rgb"), "rgb_array"),
-    (lambda: make(max_cycles=-1), "max_cycles is -1"),
-    (lambda: make(step_size=60), "step_size is 60"),
     (lambda: make(reverse="yes"), "reverse is 'yes', expected True, False or None"),
     (lambda: make().step({}), "reset"),
-    (lambda: make().reset(seed="x"), "seed is 'x', expected a whole number of 0 or more"),
     (lambda: make().reset(seed=1.5), "seed is 1.5, expected a whole number of 0 or more"),
     (lambda: make().action_space("Kart_0"), "Did you mean 'kart_0'?"),
-    (lambda: make(num_kart=300), "num_kart is 300, expected a whole number from 1 to 256"),
-    (lambda: make(laps=1.5), "laps is 1.5, expected a whole number"),
-    (lambda: race_v0.env(num_cart=1), "Did you mean 'num_kart'?"),
-    (lambda: run_race(["ai"], track="lighthose"), "Did you mean 'lighthouse'?"),
     (lambda: run_race(["none/agent.zip"]), "there is no agent 'none/agent.zip'; expected a folder"),
-    (lambda: make().reset(seed=-1), "seed is -1"),
     (lambda: make().reset(options={"trak": "lighthouse"}), "Did you mean 'track'?"),
     (lambda: make().reset(options={"num_kart": 5}), "make another environment"),
     (lambda: make().reset(options="lighthouse"), "expected a dict from names of options"),
     (lambda: gymnasium.make("supertuxkart/simple-v0", trak="x"), "Did you mean 'track'?"),
     (lambda: stkzoo.make_stkrace_vec(1, env_kwarg={}), "Did you mean 'env_kwargs'?"),
-    (lambda: stkzoo.make_stkrace_vec(0), "num_envs is 0"),
     (lambda: stkzoo.register_view("my view", "simple"), "letters, digits and underscores"),
     (lambda: stkzoo.register_view("simple", "full"), "choose another name"),
     (lambda: stkzoo.RaceVectorEnv("two"), "num_races is 'two'"),
     (lambda: stkzoo.RaceVectorEnv(1, view="full"), "choose view="),
-    (lambda: stkzoo.RaceVectorEnv(1, trak="x"), "Did you mean 'track'?"),
     (lambda: run_race([]), "driver"),
-    (lambda: run_race("heuristic"), "heuristic"),
-    (lambda: run_race(["heuristik"]), "Did you mean 'heuristic'?"),
     (lambda: run_race(["ai"], lap=1), "Did you mean 'laps'?"),
-    (lambda: RaceSettings(trak="x"), "Did you mean 'track'?"),
 ]
 
 
@@ -330,15 +258,11 @@ def test_a_mistake_in_python_is_explained(call, expected):
 ACTIONS = [
     ({}, "kart_0"),
     ({"kart_0": 10**6}, "1000000"),
-    ({"kart_0": 1.5}, "1.5"),
     ({"kart_0": np.zeros(2)}, "kart_0"),
-    ({"kart_0": None}, "None"),
     ({"kart_0": "left"}, "is 'left'; expected"),
-    ({"kart_0": -1}, "is -1; expected"),
     ({"kart_0": np.nan}, "is nan; expected"),
     ({"kart_9": 0}, "no action for agent 'kart_0'; actions came for 'kart_9'"),
     ([0], "[0]"),
-    (0, "0"),
 ]
 
 

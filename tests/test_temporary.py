@@ -117,7 +117,3 @@ def test_folders_without_permissions_are_removed():
     """
     done = run_program(code)
     assert done.stdout == "False\n", done.stderr
-
-
-def test_a_missing_folder_is_no_error(tmp_path):
-    remove_tree(tmp_path / "missing")

@@ -102,10 +102,6 @@ class CuttingServer:
             def __init__(self, *arguments: object) -> None:
                 super().__init__(*arguments, directory=str(folder))  # type: ignore[arg-type]
 
-            def do_CONNECT(self) -> None:
-                outer.num_cuts += 1
-                self.close_connection = True
-
             def copyfile(self, source: object, outputfile: object) -> None:
                 data = source.read()  # type: ignore[attr-defined]
                 if self.path.endswith(".deb") and outer.num_cuts < cuts:

@@ -6,7 +6,9 @@ import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Member", "alive", "family", "marked"]
+from tests.support.processes import process_exists
+
+__all__ = ["Member", "family", "marked"]
 
 #: Parts of command lines, and the role of a process with that command line.
 _KINDS = (
@@ -42,7 +44,7 @@ def family(program: int) -> list[Member]:
     while generation:
         following: dict[int, str] = {}
         for parent, kind in generation.items():
-            for pid in filter(alive, _children(parent)):
+            for pid in filter(process_exists, _children(parent)):
                 following[pid] = "race" if kind == "fork server" else _kind(pid)
                 members.append(Member(pid, parent, following[pid]))
         generation = following
@@ -54,17 +56,10 @@ def marked(text: str) -> list[int]:
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if text.encode() in (folder / "environ").read_bytes() and alive(int(folder.name)):
-                found.append(int(folder.name))
+            environment, pid = (folder / "environ").read_bytes(), int(folder.name)
+            if text.encode() in environment and process_exists(pid):
+                found.append(pid)
     return sorted(found)
-
-
-def alive(pid: int) -> bool:
-    """Returns whether a process exists and is not a zombie."""
-    with contextlib.suppress(OSError):
-        text = Path(f"/proc/{pid}/stat").read_text()
-        return text[text.rindex(")") + 2] not in "ZX"
-    return False
 
 
 def _children(pid: int) -> list[int]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +13,9 @@ import stkzoo
 from stkzoo import AgentSpec, race_v0
 from stkzoo.engine import fork_client
 from tests.support.paths import AGENTS
+from tests.support.playing import fingerprint
 
-__all__ = ["FORMS", "Form", "digest"]
+__all__ = ["FORMS", "Form"]
 
 #: Engine timeout of a step [s]; short, so that a stopped game is detected soon.
 ENGINE_TIMEOUT = 4.0
@@ -88,7 +87,7 @@ class Form:
         """Returns a digest of one short race with a fixed seed."""
         parts = [self._env.reset(seed=_TRACE_SEED)]
         parts.extend(self._step(self._env) for _ in range(_TRACE_STEPS))
-        return digest(parts)
+        return fingerprint(parts)
 
     @property
     def num_crashes(self) -> int:
@@ -137,29 +136,6 @@ class ParallelForm(Form):
                 copy.close()
 
 
-class TurnsForm(Form):
-    """The turn-based (AEC) environment."""
-
-    name = "AEC"
-
-    def make(self) -> Any:
-        return race_v0.env(
-            num_kart=2, track=TRACK, view="flattened_discrete", engine_timeout=ENGINE_TIMEOUT
-        )
-
-    def _step(self, env: Any) -> Any:
-        seen = []
-        for _ in env.agents:
-            seen.append(env.last())
-            env.step(700)
-        return seen
-
-    def trace(self) -> str:
-        """Returns a digest of the steps only, because ``reset`` returns nothing."""
-        self._env.reset(seed=_TRACE_SEED)
-        return digest([self._step(self._env) for _ in range(_TRACE_STEPS)])
-
-
 class GymnasiumForm(Form):
     """One kart through Gymnasium."""
 
@@ -205,32 +181,6 @@ class VectorForm(Form):
 
     def _step(self, env: Any) -> Any:
         return env.step(np.full(env.num_envs, 700))
-
-
-class Sb3Form(VectorForm):
-    """The vector environment for Stable-Baselines3."""
-
-    name = "RaceVecEnv"
-
-    def make(self) -> Any:
-        from stkzoo.sb3 import RaceVecEnv
-
-        return RaceVecEnv(
-            2, num_kart=2, track=TRACK, max_cycles=12, prefetch=True, engine_timeout=ENGINE_TIMEOUT
-        )
-
-    def reset(self) -> None:
-        """Starts races with the next seed."""
-        self._seed += 1
-        self._env.seed(self._seed)
-        self._env.reset()
-
-    def trace(self) -> str:
-        """Returns a digest without infos, which contain times."""
-        self._env.seed(_TRACE_SEED)
-        parts = [self._env.reset()]
-        parts.extend(self._step(self._env)[:3] for _ in range(_TRACE_STEPS))
-        return digest(parts)
 
 
 class DrawnForm(Form):
@@ -306,39 +256,13 @@ class RunnerForm(Form):
         return repr([(row.agent, row.distance, row.reward) for row in self.last.agents])
 
 
-def digest(values: Any) -> str:
-    """Returns a digest of nested lists, tuples and dicts of arrays and numbers."""
-    sums = hashlib.sha256()
-    _feed(values, sums.update)
-    return sums.hexdigest()
-
-
-def _feed(value: Any, update: Callable[[bytes], None]) -> None:
-    if isinstance(value, dict):
-        for key in sorted(value):
-            update(str(key).encode())
-            _feed(value[key], update)
-    elif isinstance(value, (list, tuple)):
-        update(str(len(value)).encode())
-        for item in value:
-            _feed(item, update)
-    elif isinstance(value, np.ndarray) and value.dtype != object:
-        update(f"{value.dtype}{value.shape}".encode() + value.tobytes())
-    elif isinstance(value, np.ndarray):
-        _feed(value.tolist(), update)
-    else:
-        update(repr(value).encode())
-
-
 #: All forms by name. Those that render or run agents take longer.
 FORMS: dict[str, type[Form]] = {
     kind.name: kind
     for kind in (
         ParallelForm,
-        TurnsForm,
         GymnasiumForm,
         VectorForm,
-        Sb3Form,
         DrawnForm,
         RunnerForm,
     )

@@ -33,8 +33,6 @@ _RACES = 4
 
 _SCRIPT = """
 import sys
-import numpy as np
-import stkzoo
 from stkzoo import StkzooError, race_v0
 
 def drive(make, step):
@@ -59,12 +57,6 @@ drive(
 )
 """
 
-_VECTOR = """
-drive(
-    lambda: stkzoo.RaceVectorEnv(2, num_kart=2, track="olivermath", max_cycles=20),
-    lambda env: env.step(np.full(4, 700)),
-)
-"""
 
 _VIDEO = """
 from stkzoo.race import run_race
@@ -157,7 +149,6 @@ PROGRAMS: dict[str, Program] = {
     for program in (
         Program("a program", ("-c", _SCRIPT + _PARALLEL), _ALL, _nothing),
         Program("a program that spawns", ("-c", _SCRIPT + _PARALLEL), _ALL, _nothing, _SPAWN),
-        Program("a program of many races", ("-c", _SCRIPT + _VECTOR), _ALL, _nothing),
         Program("stkzoo race", (*_RACE, *_KEPT), (*_ALL, "agent"), _race_files),
         Program("a video", ("-c", _SCRIPT + _VIDEO), (*_ALL, "encoder"), _video_file),
         Program(

@@ -20,15 +20,12 @@ pytestmark = pytest.mark.slow
 #: Relative frequency of each form and program among drawn faults.
 WEIGHTS = {
     "ParallelEnv": 6,
-    "AEC": 2,
     "Gymnasium id": 3,
     "RaceVectorEnv": 5,
-    "RaceVecEnv": 2,
     "drawn by the game": 1,
     "run_race": 3,
     "a program": 2,
     "a program that spawns": 1,
-    "a program of many races": 1,
     "stkzoo race": 2,
     "a video": 1,
     "stkzoo tournament": 1,

@@ -17,7 +17,7 @@ from stkzoo import race_v0
 from stkzoo.race import RaceListener, RaceResult, run_race
 from stkzoo.race.replay import load_replay
 from tests.chaos.family import family
-from tests.chaos.forms import digest
+from tests.support.playing import fingerprint
 from tests.support.processes import children_of, fork_server_of_races, wait_until
 
 pytestmark = pytest.mark.slow
@@ -32,7 +32,7 @@ def make():
 def trace(env):
     parts = [env.reset(seed=1)]
     parts.extend(env.step(dict.fromkeys(env.agents, 700)) for _ in range(20))
-    return digest(parts)
+    return fingerprint(parts)
 
 
 def interrupt_when(condition):
@@ -75,7 +75,7 @@ def test_a_reset_recovers_from_an_interrupted_vector_step():
     def seen():
         parts = [envs.reset(seed=1)]
         parts.extend(envs.step(actions) for _ in range(10))
-        return digest(parts)
+        return fingerprint(parts)
 
     expected = seen()
     stopped = envs.races[1]._session.pid

@@ -166,26 +166,6 @@ def test_an_archive_that_does_not_fit_is_reported_and_leaves_nothing(archive, tm
 
 
 @mounts
-def test_a_pack_that_does_not_fit_leaves_no_archive(archive, tmp_path):
-    code = """
-        import sys
-        from stkzoo.engine.assets import pack
-        from stkzoo.errors import AssetError
-        fill()
-        try:
-            pack(output=PLACE / "pack.tar.xz")
-        except AssetError as error:
-            print("No space left" in str(error))
-        print(names())
-    """
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    done = on_disk("full", disk, code)
-    assert done.stdout.splitlines() == ["True", "[]"], done.stderr
-    assert archive.exists()
-
-
-@mounts
 def test_a_read_only_cache_can_be_used_but_not_installed_into(archive, tmp_path):
     code = """
         import sys
@@ -225,18 +205,6 @@ def test_an_interrupted_download_leaves_nothing_and_can_be_repeated(machine, mon
         assert assets.visible(machine / "cache") == []
         server.num_cuts = 3
         assert install(source="debian").tracks == ("alps", "beach")
-
-
-def test_an_interrupted_download_of_pystk2_raises_an_error(machine, monkeypatch):
-    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
-    with CuttingServer(machine, cuts=0).serving() as server:
-        for name in ("https_proxy", "HTTPS_PROXY", "http_proxy", "HTTP_PROXY"):
-            monkeypatch.setenv(name, server.address)
-        monkeypatch.setenv("no_proxy", "")
-        with pytest.raises(AssetError, match="the download of pystk2 failed"):
-            install(source="upstream")
-        assert server.num_cuts >= 1
-    assert assets.visible(machine / "cache") == []
 
 
 # ---------------------------------------------------------------------- installs

@@ -20,7 +20,8 @@ from stkzoo.engine import fork_client, process, render_session, session
 from stkzoo.errors import EngineError, StkzooError
 from tests.chaos.family import family
 from tests.chaos.faults import Fault, Strike
-from tests.chaos.forms import ENGINE_TIMEOUT, FORMS, TRACK, Form, digest
+from tests.chaos.forms import ENGINE_TIMEOUT, FORMS, TRACK, Form
+from tests.support.playing import fingerprint
 from tests.support.processes import wait_until
 
 __all__ = ["Outcome", "Trials"]
@@ -265,10 +266,10 @@ class _Witness:
         self._env.close()
 
     def _begin(self) -> str:
-        return digest(self._env.reset(seed=3))
+        return fingerprint(self._env.reset(seed=3))
 
     def _step(self) -> str:
-        return digest(self._env.step({"kart_0": 700}))
+        return fingerprint(self._env.step({"kart_0": 700}))
 
 
 def _open_files() -> int:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo._os import write_zip
-from stkzoo.suite import TASKS, Task
+from stkzoo.suite import Task
 from stkzoo.suite.entry import ENTRY_FILE, replay_digest
 
 #: Six races of about 400 steps: alone, and against a driver of the population.
@@ -24,11 +24,6 @@ SMALL = Task(
     forms=("P", "PB"),
     seeds=1,
 )
-
-
-def add_small_task() -> None:
-    """Adds the task to the suite of this process."""
-    TASKS[SMALL.name] = SMALL
 
 
 def read_entry(folder: Path) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, new_state, read_polic
 from stkzoo.agents.training.common.matches import MatchRecord
 from stkzoo.agents.training.common.opponents import Rival
 from stkzoo.agents.training.common.run_folder import (
-    read_json_lines,
     read_run_file,
 )
 from stkzoo.agents.training.export import export_policy
@@ -31,18 +30,10 @@ from stkzoo.env.scenario import Scenario
 from stkzoo.evaluation import (
     load_demonstrations,
     plan_benchmark,
-    plan_time_trial,
     plan_tournament,
 )
-from stkzoo.evaluation.benchmark.ai_times import AiTimes, load_ai_times
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult
 from stkzoo.evaluation.benchmark.run import race_outcomes
-from stkzoo.evaluation.benchmark.time_trial import (
-    TimeTrialPlan,
-    TimeTrialRace,
-    TimeTrialResult,
-    time_trial_orders,
-)
 from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.tournament.film import FilmRecorder, MapFilm, draw_film
@@ -188,33 +179,6 @@ def _entry() -> Entry:
     plan = _entry_plan()
     races = race_outcomes(plan, _results(len(plan.races())))
     return Entry(plan, races, replays=("0" * 64,) * len(races))
-
-
-def _time_trial() -> TimeTrialPlan:
-    return plan_time_trial("heuristic", split=[_TRACK])
-
-
-def _time_trial_result() -> TimeTrialResult:
-    plan = _time_trial()
-    (order,) = time_trial_orders(plan)
-    race = TimeTrialRace(
-        number=0,
-        track=_TRACK,
-        index=0,
-        seed=order.settings.seed,
-        status="finished",
-        time=100.0,
-        ratio=1.15,
-        laps=4,
-        rescues=1,
-        errors=0,
-    )
-    return TimeTrialResult(plan, (race,))
-
-
-def _few_ai_times() -> Document:
-    times = load_ai_times()
-    return type(times)(times.versions, times.times[:3])
 
 
 # ---------------------------------------------------------------------- zips and arrays
@@ -390,10 +354,6 @@ def _store_secret(folder: Path, data: bytes) -> Path:
     return file
 
 
-def _lines(kind: Any) -> Callable[[Path], object]:
-    return lambda file: read_json_lines(file, kind)
-
-
 def _json(name: str, file: str, content: Any, read: Callable[[Path], object]) -> FileKind:
     return FileKind(name, partial(json.dumps, content), _as(file), read)
 
@@ -405,9 +365,7 @@ def _all_kinds() -> list[FileKind]:
         _document(RaceResult, lambda: _race()[0]),
         _document(TournamentResult, _tournament_result),
         _document(BenchmarkResult, _benchmark_result),
-        _document(TimeTrialResult, _time_trial_result),
         _document(Entry, _entry),
-        _document(AiTimes, _few_ai_times),
         _document(MapFilm, lambda: _race()[1]),
         FileKind(
             "replay",
@@ -431,8 +389,6 @@ def _all_kinds() -> list[FileKind]:
         ),
         _json("assets marker", MARKER, marker, lambda file: read_marker(file.parent)),
         FileKind("league", _league_text, _as("league.json"), _read_league),
-        _json("matches", "matches.jsonl", asdict(MatchRecord(0, _TRACK, False, ["a"])),
-              _lines(MatchRecord)),
         FileKind("checkpoint", _facts_text, _store_checkpoint, _read_checkpoint),
         FileKind("public key", lambda: _key_texts()[1], _as("a.public"),
                  lambda file: read_publics([file]), is_json=False),

@@ -81,7 +81,9 @@ def fingerprint(value):
 
 def _hash(value, update):
     name = type(value).__name__
-    if isinstance(value, (np.ndarray, np.generic)):
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        _hash(value.tolist(), update)
+    elif isinstance(value, (np.ndarray, np.generic)):
         update(f"{name} {value.dtype.str} {value.shape} ".encode() + value.tobytes())
     elif isinstance(value, Mapping):
         update(f"{name} {len(value)} ".encode())

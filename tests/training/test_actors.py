@@ -2,8 +2,6 @@
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -13,20 +11,6 @@ import pytest
 from stkzoo.agents.training.common import actors
 from stkzoo.agents.training.common.actors import ActorPool, SharedArray
 from stkzoo.errors import ConfigError, EngineCrashed, StkzooError
-from tests.support.paths import ROOT
-from tests.support.processes import process_exists, wait_until
-
-#: A learner that prints the process ids of its actors and then waits.
-LEARNER = """
-import test_actors as here
-
-if __name__ == "__main__":
-    pool = here.ActorPool(here.Counter, [(here.SharedArray((1,), int), 0)] * 2)
-    pool.call("add", [(1,), (2,)])
-    pool.send("sleep", [(600,)] * 2)
-    print(*pool.pids, flush=True)
-    pool.receive()
-"""
 
 
 class Counter:
@@ -109,20 +93,3 @@ def test_a_killed_actor_is_reported(pool, monkeypatch):
     os.kill(pool.pids[0], signal.SIGKILL)
     with pytest.raises(StkzooError, match="code -9; the same command continues"):
         pool.receive()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_actors_end_with_the_learner(tmp_path):
-    program = tmp_path / "learner.py"
-    program.write_text(LEARNER)
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests" / "training")])
-    with subprocess.Popen(
-        [sys.executable, str(program)],
-        env={**os.environ, "PYTHONPATH": paths},
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as learner:
-        pids = [int(word) for word in learner.stdout.readline().split()]
-        learner.kill()
-    assert len(pids) == 2
-    assert wait_until(lambda: not any(map(process_exists, pids)), 20)

@@ -1,8 +1,6 @@
 """The parameters of plans are tuned, on training tracks only."""
 
 import json
-import os
-import subprocess
 import sys
 from dataclasses import asdict, replace
 
@@ -12,7 +10,6 @@ import pytest
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.training import tune_plans
 from stkzoo.agents.training.tune_plans import BOUNDS, drive_all, from_unit, to_unit
-from tests.support.processes import children_of, process_exists, wait_until
 
 
 def command(folder, generations):
@@ -81,13 +78,3 @@ def test_tuning_resumes_where_it_stopped(tmp_path, monkeypatch, capsys):
     assert (parts / "best.json").read_text() == best
     assert tune_plans.main([*command(parts, 3)[3:], "--sigma", "0.3"]) == 1
     assert "sigma was" in capsys.readouterr().err
-
-
-@pytest.mark.matrix
-@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_killing_the_tuning_leaves_no_processes(tmp_path):
-    with subprocess.Popen(command(tmp_path, 50)) as program:
-        assert wait_until(lambda: children_of(program.pid), 30)
-        (fork_server,) = children_of(program.pid)
-        program.kill()
-    assert wait_until(lambda: not process_exists(fork_server), 10)

@@ -34,11 +34,6 @@ def straight_road(offset=0.0, **edges):
     return road_of(-offset, LINE_MARKS, **edges)
 
 
-def right_bend():
-    way = LINE_MARKS / RADIUS
-    return road_of(RADIUS * (1 - np.cos(way)), RADIUS * np.sin(way))
-
-
 class Ways:
     """The available plans of one kart and their paths, from the reference implementation.
 
@@ -127,14 +122,6 @@ def test_the_cost_begins_at_the_edge_of_that_side(side, weigh, motion):
     assert danger(-narrow - 3.0) > 0
 
 
-def test_a_plan_can_change_its_lane():
-    ways = Ways(straight_road())
-    changes = ways.free & (ways.lanes[0] < -0.5) & (ways.lanes[-1] > 0.5)
-    assert changes.any()
-    assert (ways.across[5, changes] < -1.0).all()  # after 0.8 s
-    assert (ways.across[-1, changes] > 3.0).all()
-
-
 def test_a_plan_reaches_its_item():
     ways = Ways(straight_road(), items=(3.3, -1.7))
     for item, across in enumerate((3.3, -1.7)):
@@ -142,12 +129,6 @@ def test_a_plan_reaches_its_item():
         assert ways.across[-1, chosen] == pytest.approx(across, abs=0.5)
     spans = plan_table(RULES.lane_changes).spans
     assert ways.along[-1].max() == pytest.approx(SPEED * spans.sum(), rel=0.02)
-
-
-def test_the_inner_side_of_a_bend_is_shorter():
-    ways = Ways(right_bend())
-    along = ways.along[-1, ways.kept][np.argsort(ways.lanes[0, ways.kept])]
-    assert along[-1] > along[len(along) // 2] > along[0]
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -165,14 +146,6 @@ def test_in_the_network_boosts_are_faster_and_brakes_are_slower():
     assert ways.along[-1, ways.boosts == 0].max() > SPEED * 2.0
     assert ways.along[-1, ways.maneuvers == BRAKE].max() < SPEED * 1.9
     assert boosted.sum() <= 1
-
-
-@pytest.mark.parametrize("side", [-1, 1])
-def test_the_network_drifts_to_the_side_of_the_drift(side):
-    ways = Ways(straight_road(), state=(side, 3, 0), motion=learned_motion())
-    drifting = ways.drifts[:4].all(axis=0)
-    assert drifting.any()
-    assert (ways.across[3, drifting] * side > 0).all()
 
 
 def random_arguments(seed, count=9, motion=()):
