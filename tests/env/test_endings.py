@@ -1,10 +1,8 @@
 """Options that end an episode early, and the reason that infos give."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-import stkzoo
 from stkzoo import ConfigError, Start, race_v0
 from stkzoo.env.options import RaceOptions
 
@@ -78,27 +76,6 @@ def test_a_race_is_truncated_some_steps_after_the_first_finish():
             assert (first[1:3], first[3]["ended_by"]) == ((True, False), "finish")
             assert (last[1:3], last[3]["ended_by"]) == ((False, True), "first_finish")
             assert last[0] - first[0] == steps
-
-
-def test_every_kind_of_environment_accepts_the_options():
-    chosen = {"num_kart": 2, "track": "lighthouse", "end_when_stuck": 0.5, "events": True}
-    env = gym.make("supertuxkart/simple-v0", **chosen)
-    _, info = env.reset(seed=1)
-    assert info["event/overtake"] == info["episode/event/off_road"] == 0
-    terminated = False
-    while not terminated:
-        _, _, terminated, truncated, info = env.step(drive(0.0))
-        assert not truncated
-    assert info["ended_by"] == "stuck"
-    env.close()
-    envs = stkzoo.RaceVectorEnv(1, view="box_continuous", **chosen)
-    _, infos = envs.reset(seed=1)
-    assert infos["episode/event/kart_contact"].tolist() == [0, 0]
-    ends = np.zeros(2, bool)
-    while not ends.all():
-        _, _, ends, _, infos = envs.step(np.zeros((2, 2), "f4"))
-    assert infos["final_info"]["ended_by"].tolist() == ["stuck"] * 2
-    envs.close()
 
 
 def test_infos_contain_nothing_that_was_not_requested():

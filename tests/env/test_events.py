@@ -95,14 +95,6 @@ def test_vector_environments_report_totals_at_the_end_and_restart_at_zero():
     assert infos["episode/event/kart_contact"].tolist() == [0, 0]
 
 
-def test_opponents_cause_events():
-    settings = {**SETTINGS, "agents": 1, "num_kart": 2, "start": RAM}
-    with race_v0.parallel_env(**settings, opponents=[lambda _: ACTIONS["kart_1"]]) as env:
-        env.reset(seed=1)
-        infos, _ = run(env, 40)
-        assert infos["kart_0"]["episode/event/kart_contact"] > 0
-
-
 def test_a_reward_term_sees_events():
     def bump(step):
         return -step.event("kart_contact")

@@ -14,7 +14,6 @@ from pettingzoo.test import (
     seed_test,
 )
 from pettingzoo.test.state_test import state_test
-from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from stkzoo import RaceParallelEnv, race_v0
 from stkzoo.views import VIEWS
@@ -80,18 +79,6 @@ def test_both_apis_have_a_state():
         aec.close()
 
 
-def test_rendering_an_aec_env_without_a_mode_warns():
-    env = make_aec()
-    env.reset(seed=1)
-    with pytest.warns(UserWarning, match="render"):
-        assert env.render() is None
-    env.close()
-
-
-def test_an_aec_env_checks_the_order_of_calls():
-    assert isinstance(make_aec(), OrderEnforcingWrapper)
-
-
 def test_an_aec_env_drives_the_same_race():
     with make(view="simple", max_cycles=30) as parallel:
         observations, _ = parallel.reset(seed=5)
@@ -128,10 +115,6 @@ def test_the_registry_makes_aec_envs_and_forwards_max_cycles():
 def _action(env, agent):
     is_over = env.terminations[agent] or env.truncations[agent]
     return None if is_over else env.action_space(agent).sample()
-
-
-def test_the_module_exports_its_three_factories():
-    assert race_v0.__all__ == ["env", "parallel_env", "raw_env"]
 
 
 @pytest.mark.parametrize("factory", [race_v0.parallel_env, race_v0.env])

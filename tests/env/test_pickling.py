@@ -129,12 +129,6 @@ def test_a_copy_plays_the_same_race(name, library, moment):
         assert race(again) == (race_of(name) if moment == "before" else race(env))
 
 
-@pytest.mark.parametrize("name", NOT_PICKLED)
-def test_plain_pickle_fails_because_of_gymnasiums_wrapper(name):
-    with ALL[name]() as env, pytest.raises((AttributeError, pickle.PicklingError), match="Flatten"):
-        pickle.dumps(env)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", marked(ALL, [*STACKS, IDS[0], IDS[-1]]))
 def test_a_spec_rebuilds_the_whole_stack(name):
@@ -224,20 +218,6 @@ def test_the_aec_environment_is_copied(library):
         for _ in range(12):
             each.step(484)
             prints.append(fingerprint(list(each.last())))
-        each.close()
-        results.append(prints)
-    assert results[0] == results[1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("library", COPIES)
-def test_the_vector_environment_is_copied(library):
-    envs = stkzoo.RaceVectorEnv(2, **RACE, view="flattened_discrete")
-    again = COPIES[library](envs)
-    results = []
-    for each in (envs, again):
-        prints = [fingerprint(list(each.reset(seed=2)))]
-        prints += [fingerprint(list(each.step(np.full(4, 484)))) for _ in range(10)]
         each.close()
         results.append(prints)
     assert results[0] == results[1]

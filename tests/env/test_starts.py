@@ -15,7 +15,6 @@ from stkzoo import (
     StartCurriculum,
     race_v0,
 )
-from stkzoo.agents.heuristic import create_state
 from stkzoo.engine.starting import CenterLine
 from stkzoo.env.starts import draw_starts
 
@@ -60,7 +59,6 @@ def coast(env, steps, throttle=0.0):
         ("lighthouse", Start(distance=30.0)),
         ("lighthouse", Start(distance=400.0, speed=15.0, offset=2.0)),
         ("lighthouse", Start(distance=870.0, speed=3.0, heading=0.4)),
-        ("zengarden", Start(share=0.5, speed=8.0)),
         ("olivermath", Start(share=0.3, offset=-3.0)),
         ("lighthouse", Start(distance=-10.0)),
     ],
@@ -102,20 +100,6 @@ def test_a_heading_turns_the_kart_to_the_right():
             fronts.append(kart["front"] - kart["location"])
         yaws = [np.arctan2(front[0], front[2]) for front in fronts]
         assert yaws[1] - yaws[0] == pytest.approx(0.5, abs=0.05)
-
-
-def test_a_kart_that_starts_late_in_the_lap_finishes():
-    driver = create_state()
-    with race(track="zengarden") as env:
-        observations, infos = env.reset(seed=1, options={"start": Start(share=0.85, speed=10.0)})
-        ended = {"kart_0": False}
-        for _ in range(300):
-            action = driver.drive(observations["kart_0"])
-            observations, _, ended, _, infos = env.step({"kart_0": action})
-            if not env.agents:
-                break
-        assert ended == {"kart_0": True}
-        assert infos["kart_0"]["finish_time"] < 20.0
 
 
 def test_a_race_of_two_laps_does_not_end_after_one():
@@ -202,12 +186,11 @@ def test_starts_work_in_this_process_and_with_gymnasium():
     with race(use_subprocess=False) as env:
         env.reset(seed=1, options={"start": 300.0})
         assert env.snapshot.karts[0]["overall_distance"] == pytest.approx(300.0, abs=3.0)
-    env = gym.make("supertuxkart/simple-v0", num_kart=1, track="lighthouse", start=Start(share=0.5))
-    env.reset(seed=1)
-    assert env.unwrapped.core.snapshot.karts[0]["overall_distance"] == pytest.approx(440, abs=3)
-    env.reset(seed=1, options={"start": 100.0})
-    assert env.unwrapped.core.snapshot.karts[0]["overall_distance"] == pytest.approx(100, abs=3)
-    env.close()
+    with gym.make("supertuxkart/simple-v0", num_kart=1, track="lighthouse", start=440.0) as env:
+        for options, distance in ((None, 440.0), ({"start": 100.0}, 100.0)):
+            env.reset(seed=1, options=options)
+            kart = env.unwrapped.core.snapshot.karts[0]
+            assert kart["overall_distance"] == pytest.approx(distance, abs=3.0)
 
 
 # ------------------------------------------------------------------ arguments
@@ -219,12 +202,9 @@ def test_starts_work_in_this_process_and_with_gymnasium():
         ("grid?", "start is 'grid\\?', expected None for the grid"),
         (True, "start is True"),
         ({}, "empty mapping"),
-        ({"kart_0": {"kart_1": 3.0}}, "unknown field of a start 'kart_1'"),
         (float("nan"), "distance of a start is nan"),
-        ([3.0], "start is \\[3.0\\]"),
         ({"distanc": 3.0}, "unknown field of a start 'distanc'. Did you mean 'distance'"),
-        ({"kart_0": {}}, "start is {}, expected None for the grid"),
-        ({"speed": 3.0}, "needs either a distance"),
+        ({"kart_7": 3.0}, "kart_7"),
         ({"share": [0.5, 0.2]}, r"expected \(lowest, highest\)"),
     ],
 )
@@ -233,21 +213,13 @@ def test_invalid_starts_are_refused_before_the_race(start, message):
         race(start=start)
 
 
-def test_a_start_of_an_unknown_agent_is_refused():
-    with race() as env, pytest.raises(ConfigError, match="kart_7"):
-        env.reset(options={"start": {"kart_7": 3.0}})
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, "either a distance"),
         ({"distance": 1.0, "share": 0.5}, "either a distance"),
         ({"share": 1.5}, "share of a start is 1.5"),
         ({"share": 0.5, "speed": -1.0}, "speed of a start is -1"),
-        ({"share": 0.5, "speed": 99.0}, "from 0 to 25"),
         ({"share": 0.5, "heading": 4.0}, "heading of a start is 4"),
-        ({"distance": "5"}, "distance of a start is '5'"),
     ],
 )
 def test_invalid_numbers_of_a_start_are_refused(arguments, message):
@@ -255,49 +227,31 @@ def test_invalid_numbers_of_a_start_are_refused(arguments, message):
         Start(**arguments)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"share": (0.5, 0.2)}, "expected \\(lowest, highest\\)"),
-        ({"speed": 3.0}, "speed is 3.0"),
-        ({"speed": (0.0, 50.0)}, "speed of a start is 50"),
-    ],
-)
-def test_invalid_bounds_are_refused(arguments, message):
-    with pytest.raises(ConfigError, match=message):
-        RandomStart(**arguments)
+def test_invalid_bounds_are_refused():
+    with pytest.raises(ConfigError, match=r"speed is 3\.0"):
+        RandomStart(speed=3.0)
+    with pytest.raises(ConfigError, match="speed of a start is 50"):
+        RandomStart(speed=(0.0, 50.0))
 
 
 @pytest.mark.parametrize(
     "start",
     [
         300.0,
-        "random",
-        Start(share=0.5, speed=12.0, heading=-0.2),
         RandomStart(share=(0.2, 0.4), speed=(5.0, 6.0)),
-        {"kart_0": Start(distance=50.0), "1": RandomStart()},
-        {"share": 0.5, "speed": 12.0},
-        {0: {"distance": 50.0}, 1: {"share": [0.1, 0.2]}},
+        {"kart_0": Start(distance=50.0, speed=12.0), "1": {"share": [0.1, 0.2]}},
     ],
 )
 def test_a_start_survives_json(start):
     make = {"num_kart": 2, "track": "lighthouse", "start": start, "agents": 2}
     with gym.make("supertuxkart/multi-full-v0", **make) as env:
         again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-        options = [each.unwrapped.core.options for each in (env, again)]
         states = []
         for each in (env, again):
             each.reset(seed=1)
             states.append(each.unwrapped.core.state())
         again.close()
-    assert {str(key): at for key, at in dict_of(options[0].start).items()} == dict_of(
-        options[1].start
-    )
     np.testing.assert_array_equal(*states)
-
-
-def dict_of(start):
-    return start if isinstance(start, dict) else {"": start}
 
 
 def test_random_starts_stay_within_their_bounds():
@@ -315,22 +269,16 @@ def test_a_curriculum_moves_back_with_success():
     assert [curriculum.report(success) for success in (False, False, True)] == [False, False, True]
     assert curriculum.start().share == (0.0, 1.0)
     assert [curriculum.report(True) for _ in range(4)] == [False] * 4
-    with pytest.raises(ConfigError, match="stages is 0"):
-        StartCurriculum(0)
-    with pytest.raises(ConfigError, match="promote_at is 2"):
-        StartCurriculum(promote_at=2)
+    for invalid in ({"stages": 0}, {"promote_at": 2}, {"start": {"share": 0.5}}):
+        with pytest.raises(
+            ConfigError, match=r"stages is 0|promote_at is 2|expected a RandomStart"
+        ):
+            StartCurriculum(**invalid)
 
 
 def test_a_curriculum_advances_at_exactly_its_success_rate():
     curriculum = StartCurriculum(window=100, promote_at=0.55)
     assert [curriculum.report(n < 55) for n in range(100)] == [False] * 99 + [True]
-
-
-def test_a_curriculum_accepts_the_fields_of_its_start():
-    curriculum = StartCurriculum(start={"speed": [3.0, 5.0]})
-    assert curriculum.start() == RandomStart(share=(0.9, 1.0), speed=(3.0, 5.0))
-    with pytest.raises(ConfigError, match="expected a RandomStart or its fields"):
-        StartCurriculum(start={"share": 0.5})
 
 
 # ------------------------------------------------------------------ scenarios
@@ -403,15 +351,6 @@ def test_invalid_scenarios_are_refused(tmp_path):
         env.reset(options={"scenario": scenario})
 
 
-def test_a_scenario_of_a_race_without_agents_is_refused():
-    with race(max_cycles=2) as env:
-        env.reset(seed=1)
-        coast(env, 2)
-        scenario = env.scenario()
-        with pytest.raises(ApiOrderError, match="no agent can act"):
-            env.reset(options={"scenario": scenario})
-
-
 def test_a_scenario_that_does_not_reproduce_its_race_is_an_error():
     with race() as env:
         env.reset(seed=1)
@@ -438,12 +377,3 @@ def test_a_random_start_that_is_refused_is_drawn_again():
         beside = RandomStart(share=(0.3, 0.3), offset=(18.0, 20.0))
         with pytest.raises(ConfigError, match="from the center line"):
             env.reset(seed=1, options={"start": beside})
-
-
-@pytest.mark.slow
-def test_a_random_start_is_found_where_one_draw_in_twelve_fits():
-    wish = RandomStart(offset=(-60.0, 0.0))
-    with race() as env:
-        env.reset(seed=2, options={"start": wish})
-        (start,) = env._episode.setup.starts
-        assert start.offset > -6.0

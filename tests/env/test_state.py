@@ -102,16 +102,6 @@ def test_saving_does_not_change_the_race(env):
         assert drive(env, number, number + 10) == expected[number - 30 : number - 20]
 
 
-def test_states_of_restored_states_are_the_same(env):
-    first = started(env).save_state()
-    expected = drive(env)
-    for _ in range(3):
-        env.restore_state(first)
-        first = env.save_state()
-    env.restore_state(first)
-    assert drive(env) == expected
-
-
 def test_restoring_repeats_the_unseeded_resets_that_follow(env):
     state = started(env).save_state()
     env.reset()
@@ -153,14 +143,6 @@ def test_a_clone_continues_independently(env):
         assert drive(env) == expected
 
 
-def test_a_clone_outlives_its_original(env):
-    clone = started(env).clone()
-    expected = drive(env)
-    env.close()
-    assert drive(clone) == expected
-    clone.close()
-
-
 def test_lookahead_does_not_change_the_environment(env):
     expected = drive(started(env))
     started(env)
@@ -168,13 +150,8 @@ def test_lookahead_does_not_change_the_environment(env):
         drive(branch, 31, 50)
         branch.action_space("kart_0").sample()
         branch.reset()
-    assert drive(env) == expected
-
-
-def test_the_branch_of_a_lookahead_is_closed_when_it_ends(env):
-    started(env)
-    with env.lookahead() as branch:
         pid = branch._session.pid
+    assert drive(env) == expected
     assert wait_until(lambda: not process_exists(pid))
 
 
@@ -199,26 +176,12 @@ def test_a_reset_to_a_state_starts_its_counts_at_zero(env):
     )
 
 
-def test_a_seed_given_with_a_state_determines_the_races_after_it(env):
-    state = started(env).save_state()
-    seeds = []
-    for _ in range(2):
-        env.reset(seed=8, options={"state": state})
-        env.reset()
-        seeds.append(env.race.seed)
-    assert seeds[0] == seeds[1]
-
-
-def test_a_reset_to_a_state_accepts_a_new_step_limit(env):
-    state = started(env).save_state()
-    env.reset(options={"state": state, "max_cycles": 5})
-    assert len(drive(env)) == 5
-
-
-def test_a_reset_to_a_state_refuses_another_track(env):
+def test_a_reset_to_a_state_accepts_a_new_step_limit_but_no_other_track(env):
     state = started(env).save_state()
     with pytest.raises(ConfigError, match="track"):
         env.reset(options={"state": state, "track": "zengarden"})
+    env.reset(options={"state": state, "max_cycles": 5})
+    assert len(drive(env)) == 5
 
 
 def test_a_reset_to_a_race_that_is_over_is_refused():
@@ -228,12 +191,11 @@ def test_a_reset_to_a_race_that_is_over_is_refused():
             env.reset(options={"state": state})
 
 
-@pytest.mark.parametrize("state", [7, "state", {}])
-def test_anything_but_a_state_is_refused(env, state):
+def test_anything_but_a_state_is_refused(env):
     with pytest.raises(ConfigError, match="save_state"):
-        env.reset(options={"state": state})
+        env.reset(options={"state": 7})
     with pytest.raises(ConfigError, match="save_state"):
-        env.restore_state(state)
+        env.restore_state("state")
 
 
 # ---------------------------------------------------------------------- Gymnasium
@@ -290,22 +252,9 @@ class Remembering(gym.Wrapper):
         self.seen = [0]
 
     def step(self, action):
-        observation, reward, terminated, truncated, info = super().step(action)
+        *parts, info = super().step(action)
         self.seen.append(self.seen[-1] + 1)
-        noise = float(self.np_random.random())
-        return (
-            observation,
-            reward,
-            terminated,
-            truncated,
-            info | {"seen": len(self.seen), "n": noise},
-        )
-
-
-class Uncopyable(gym.Wrapper):
-    def __init__(self, env):
-        super().__init__(env)
-        self.lock = threading.Lock()
+        return *parts, info | {"seen": len(self.seen), "noise": float(self.np_random.random())}
 
 
 def test_the_memory_of_wrappers_is_part_of_the_state():
@@ -318,14 +267,13 @@ def test_the_memory_of_wrappers_is_part_of_the_state():
         assert drive(env) == expected
 
 
-def test_a_clone_does_not_share_the_memory_of_wrappers():
-    with make(view=Remembering) as env, started(env).clone() as clone:
-        drive(clone)
-        assert env.step(actions_at(env, 30))[4]["kart_0"]["seen"] == 32
-
-
 def test_a_wrapper_that_cannot_be_copied_is_named():
-    with make(view={"kart_1": Uncopyable}) as env:
+    def locked(env):
+        env = gym.Wrapper(env)
+        env.lock = threading.Lock()
+        return env
+
+    with make(view={"kart_1": locked}) as env:
         env.reset(seed=1)
         with pytest.raises(AgentException, match=r"kart_1.*copied"):
             env.save_state()
@@ -422,16 +370,6 @@ def test_more_states_than_max_snapshots_are_refused():
         env.save_state()
 
 
-@pytest.mark.slow
-def test_unreferenced_states_do_not_count():
-    with make(max_snapshots=2) as env:
-        started(env)
-        for _ in range(5):
-            env.save_state()
-            gc.collect()
-        assert env.num_snapshots == 0
-
-
 def test_a_closed_state_cannot_be_restored(env):
     state = started(env).save_state()
     with state:
@@ -478,20 +416,14 @@ def restore(env, state):
     env.restore_state(state)
 
 
-def follow(env, state):
-    with make(agents=2) as other:
-        other.restore_state(state)
-        env.follow(other)
-
-
 def reset(env, state):
     env.reset(options={"state": state})
 
 
 @pytest.mark.parametrize(
     ("go_on", "place"),
-    [(restore, "_go_on_from"), (follow, "_go_on_from"), (reset, "_from_state")],
-    ids=["restore", "follow", "reset"],
+    [(restore, "_go_on_from"), (reset, "_from_state")],
+    ids=["restore", "reset"],
 )
 def test_only_a_reset_goes_on_after_an_interrupt_between_two_moments(
     env, monkeypatch, go_on, place
@@ -567,23 +499,15 @@ def test_many_states_leave_no_process_and_no_open_file_behind(env):
     started(env).save_state().close()
     before = children_of(fork_server_pid())
     files = len(os.listdir("/proc/self/fd"))
+    files_of_game = set()
     for _ in range(100):
         with env.save_state() as state:
             env.restore_state(state)
             env.step(actions_at(env, 30))
+        files_of_game.add(len(os.listdir(f"/proc/{env._session.pid}/fd")))
     assert wait_until(lambda: len(children_of(fork_server_pid())) == 1), before
     assert len(os.listdir("/proc/self/fd")) == files
-
-
-def test_a_long_chain_of_copies_does_not_leak_open_files(env):
-    started(env)
-    files = []
-    for _ in range(5):
-        with env.save_state() as state:
-            env.restore_state(state)
-            env.step(actions_at(env, 0))
-        files.append(len(os.listdir(f"/proc/{env._session.pid}/fd")))
-    assert files == [files[0]] * 5
+    assert len(files_of_game) == 1
 
 
 def test_unreferenced_states_and_clones_end(env):

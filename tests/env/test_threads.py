@@ -59,18 +59,6 @@ class Single(Parallel):
         yield from (self.env.reset, self.step, self.env.close, self.env.save_state)
 
 
-class Multi(Single):
-    """The multi-agent Gymnasium environment."""
-
-    def __init__(self):
-        self.env = stkzoo.STKRaceMultiEnv(**{**OPTIONS, "view": "full"})
-        self.core = self.env.core
-        self.turn = self.core._turn
-
-    def step(self):
-        return self.env.step(self.env.action_space.sample())
-
-
 class Vector(Single):
     """The Gymnasium vector environment."""
 
@@ -85,18 +73,7 @@ class Vector(Single):
         yield from (self.env.reset, self.step, self.env.close, lambda: self.env.set_options({}))
 
 
-class StableBaselines(Vector):
-    """The vector environment for Stable-Baselines3."""
-
-    def __init__(self):
-        self.env = pytest.importorskip("stkzoo.sb3").RaceVecEnv(2, **OPTIONS)
-        self.core, self.turn = self.env.races.races[1], self.env.races._turn
-
-    def calls(self):
-        yield from (self.env.reset, self.step, self.env.close)
-
-
-FORMS = [Parallel, Single, Multi, Vector, StableBaselines]
+FORMS = [Parallel, Single, Vector]
 
 
 def is_stepping(turn):

@@ -5,7 +5,6 @@ import signal
 
 import numpy as np
 import pytest
-from gymnasium import ActionWrapper
 from gymnasium.wrappers import RescaleAction
 
 from stkzoo import ActionError, AgentSpec, RaceVectorEnv, Start
@@ -230,23 +229,6 @@ def test_a_rejected_batch_does_not_turn_the_wheels():
         traces.append(trace)
     envs.close()
     assert same(*traces)
-
-
-def test_a_rejected_batch_reaches_no_wrapper():
-    seen = []
-
-    class Spy(ActionWrapper):
-        def action(self, action):
-            seen.append(action)
-            return action
-
-    view = lambda env: Spy(VIEWS["flattened_discrete"](env))  # noqa: E731
-    envs = RaceVectorEnv(2, **OPTIONS | {"start": None}, view=view)
-    envs.reset(seed=1)
-    with pytest.raises(ActionError, match="kart_1 of race 1"):
-        envs.step([700, 700, 700, 1120])
-    assert seen == []
-    envs.close()
 
 
 @pytest.mark.usefixtures("_each_form")

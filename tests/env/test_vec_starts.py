@@ -4,6 +4,7 @@ import copy
 import os
 import pickle
 import signal
+from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
@@ -15,8 +16,16 @@ from tests.support.processes import process_exists, wait_until
 RACE = {"num_kart": 2, "agents": 2, "track": "lighthouse", "view": "racing", "max_cycles": 5}
 
 
-def make(num_starts=2, **options):
-    return RaceVectorEnv(2, num_starts=num_starts, **RACE | options)
+@pytest.fixture
+def make():
+    """Makes environments, and closes them after the test."""
+    with ExitStack() as stack:
+
+        def make(num_starts=2, **options):
+            envs = RaceVectorEnv(2, num_starts=num_starts, **RACE | options)
+            return stack.enter_context(closing(envs))
+
+        yield make
 
 
 def drive(envs, seed, steps=30):
@@ -38,105 +47,81 @@ def engine_seeds(envs):
     return [race.race.seed for race in envs.races]
 
 
-def test_a_few_starts_are_kept_and_repeated():
+def test_a_few_starts_are_kept_and_repeated(make):
     envs = make(num_starts=3)
-    try:
-        envs.reset(seed=1)
-        met = set(engine_seeds(envs))
-        for _ in range(12):
-            for _ in range(5):
-                envs.step(envs.action_space.sample())
-            met |= set(engine_seeds(envs))
-        assert len(met) == 3
-        assert len(waiting(envs)) == 3
-    finally:
-        envs.close()
+    envs.reset(seed=1)
+    met = set(engine_seeds(envs))
+    for _ in range(12):
+        for _ in range(5):
+            envs.step(envs.action_space.sample())
+        met |= set(engine_seeds(envs))
+    assert len(met) == 3
+    assert len(waiting(envs)) == 3
 
 
-def test_a_copied_start_gives_the_same_race_as_a_new_one():
+def test_a_copied_start_gives_the_same_race_as_a_new_one(make):
     copied, started = make(), make()
-    try:
-        for race in started.races:
-            race.starts = None  # the same seeds, but the game starts each race
-        for ours, theirs in zip(drive(copied, 3), drive(started, 3), strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-    finally:
-        copied.close()
-        started.close()
+    for race in started.races:
+        race.starts = None  # the same seeds, but the game starts each race
+    for ours, theirs in zip(drive(copied, 3), drive(started, 3), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 @pytest.mark.parametrize("moment", ["before", "amid"])
 @pytest.mark.parametrize("library", [copy.deepcopy, lambda envs: pickle.loads(pickle.dumps(envs))])
-def test_a_copied_environment_repeats_the_same_starts(moment, library):
+def test_a_copied_environment_repeats_the_same_starts(make, moment, library):
     envs = make()
     if moment == "amid":
         drive(envs, 3)
-    again = library(envs)
-    try:
+    with closing(library(envs)) as again:
         for ours, theirs in zip(drive(again, 3), drive(envs, 3), strict=True):
             np.testing.assert_array_equal(ours, theirs)
         assert len(waiting(again)) == 2
         assert not set(waiting(again)) & set(waiting(envs))
-    finally:
-        envs.close()
-        again.close()
 
 
-def test_the_seed_determines_the_starts():
+def test_the_seed_determines_the_starts(make):
     envs = make()
-    try:
-        first, again, other = drive(envs, 1), drive(envs, 1), drive(envs, 2)
-        assert all((a == b).all() for a, b in zip(first, again, strict=True))
-        assert any((a != b).any() for a, b in zip(first, other, strict=True))
-    finally:
-        envs.close()
+    first, again, other = drive(envs, 1), drive(envs, 1), drive(envs, 2)
+    assert all((a == b).all() for a, b in zip(first, again, strict=True))
+    assert any((a != b).any() for a, b in zip(first, other, strict=True))
 
 
 @pytest.mark.parametrize("seed", [None, [None, None]])
-def test_a_reset_without_seeds_keeps_the_starts(seed):
+def test_a_reset_without_seeds_keeps_the_starts(make, seed):
     envs = make()
-    try:
-        drive(envs, 1)
-        met = set(waiting(envs))
-        assert len(met) == 2
-        for _ in range(4):
-            envs.reset(seed=seed)
-        assert set(waiting(envs)) == met
-    finally:
-        envs.close()
+    drive(envs, 1)
+    met = set(waiting(envs))
+    assert len(met) == 2
+    for _ in range(4):
+        envs.reset(seed=seed)
+    assert set(waiting(envs)) == met
 
 
-def test_new_options_apply_to_the_next_races_and_old_starts_end():
+def test_new_options_apply_to_the_next_races_and_old_starts_end(make):
     envs = make(num_starts=2)
-    try:
-        drive(envs, 1)
-        before = waiting(envs)
-        envs.set_options({"track": "hacienda"})
-        for _ in range(30):
-            envs.step(envs.action_space.sample())
-        assert {race.race.track for race in envs.races} == {"hacienda"}
-        assert len(waiting(envs)) == 2
-        assert wait_until(lambda: not any(map(process_exists, before)))
-    finally:
-        envs.close()
+    drive(envs, 1)
+    before = waiting(envs)
+    envs.set_options({"track": "hacienda"})
+    for _ in range(30):
+        envs.step(envs.action_space.sample())
+    assert {race.race.track for race in envs.races} == {"hacienda"}
+    assert len(waiting(envs)) == 2
+    assert wait_until(lambda: not any(map(process_exists, before)))
 
 
-def test_a_start_that_was_killed_is_started_again():
+def test_a_start_that_was_killed_is_started_again(make):
     envs, other = make(num_starts=1), make(num_starts=1)
-    try:
-        drive(envs, 1)
-        (pid,) = waiting(envs)
-        os.kill(pid, signal.SIGKILL)
-        assert wait_until(lambda: not process_exists(pid))
-        for ours, theirs in zip(drive(envs, 1), drive(other, 1), strict=True):
-            np.testing.assert_array_equal(ours, theirs)
-        assert envs.num_crashes == 0
-    finally:
-        envs.close()
-        other.close()
+    drive(envs, 1)
+    (pid,) = waiting(envs)
+    os.kill(pid, signal.SIGKILL)
+    assert wait_until(lambda: not process_exists(pid))
+    for ours, theirs in zip(drive(envs, 1), drive(other, 1), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert envs.num_crashes == 0
 
 
-def test_closing_ends_the_starts():
+def test_closing_ends_the_starts(make):
     envs = make()
     drive(envs, 1)
     pids = waiting(envs)
@@ -145,23 +130,20 @@ def test_closing_ends_the_starts():
     assert wait_until(lambda: not any(map(process_exists, pids)))
 
 
-def test_random_starts_repeat_too():
+def test_random_starts_repeat_too(make):
     envs = make(num_starts=1, start="random")
-    try:
-        drive(envs, 1)
-        assert len(set(engine_seeds(envs))) == 1
-        assert len(waiting(envs)) == 1
-    finally:
-        envs.close()
+    drive(envs, 1)
+    assert len(set(engine_seeds(envs))) == 1
+    assert len(waiting(envs)) == 1
 
 
 @pytest.mark.parametrize("number", [0, -1, 1.5, "many"])
-def test_invalid_numbers_of_starts_are_refused(number):
+def test_invalid_numbers_of_starts_are_refused(make, number):
     with pytest.raises(ConfigError, match="num_starts"):
         make(num_starts=number)
 
 
-def test_num_starts_is_an_error_where_races_cannot_be_copied(monkeypatch):
+def test_num_starts_is_an_error_where_races_cannot_be_copied(make, monkeypatch):
     monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
     with pytest.raises(ConfigError, match="only on Linux without STKZOO_START_METHOD=spawn"):
         make()
