@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import pickle
-from threading import Lock
 
 import gymnasium as gym
 import pytest
@@ -10,7 +9,7 @@ from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 from pettingzoo import ParallelEnv
 from pettingzoo.test import parallel_api_test
 
-from stkzoo import AgentSpec, STKRaceMultiEnv, race_v0
+from stkzoo import STKRaceMultiEnv, race_v0
 from stkzoo.errors import AgentException, ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.wrappers import (
@@ -76,13 +75,6 @@ def form(request):
     return FORMS[request.param]
 
 
-@pytest.mark.parametrize(("make", "kind"), [(SmallRace, ParallelEnv), (MultiEnv, gym.Wrapper)])
-def test_the_adapter_has_the_kind_of_its_environment(make, kind):
-    adapter = MonoAgentWrapperAdapter(make(), wrapper_factories={})
-    assert isinstance(adapter, MonoAgentWrapperAdapter)
-    assert isinstance(adapter, kind)
-
-
 class Bonus(MonoAgentWrapperAdapter):
     """A user's subclass, with its own arguments."""
 
@@ -107,12 +99,9 @@ def test_a_subclass_has_the_kind_of_its_environment(form):
     assert_same(copied.step(actions)[0], env.step(actions)[0])
 
 
-def test_other_objects_are_refused():
+def test_other_objects_and_environments_of_one_agent_are_refused():
     with pytest.raises(ConfigError, match=r"ParallelEnv or a gymnasium\.Env, not 3"):
         MonoAgentWrapperAdapter(3, wrapper_factories={})
-
-
-def test_a_gym_env_without_a_dict_of_agents_is_refused():
     with pytest.raises(ConfigError, match="Dict space by agent"):
         MonoAgentWrapperAdapter(gym.make("CartPole-v1"), wrapper_factories={})
 
@@ -158,7 +147,7 @@ def test_agents_can_be_named_in_three_ways(form, name):
     assert isinstance(space_of(env, agents[0])[1], spaces.Dict)
 
 
-@pytest.mark.parametrize("name", ["kart_7", 2, "kart", -1, None, True])
+@pytest.mark.parametrize("name", ["kart_7", 2, None, True])
 def test_an_unknown_agent_is_refused_and_the_error_lists_the_known_ones(form, name):
     make, agents = form
     with pytest.raises(ConfigError, match=f"unknown agent .*{agents[0]}, {agents[1]}"):
@@ -175,9 +164,7 @@ def test_an_agent_that_is_named_twice_is_refused(form):
     ("view", "message"),
     [
         (3, "view is 3, expected one of full"),
-        ("simpel", "Did you mean 'simple'"),
         (("simple", {"state_itmes": 3}), "Did you mean 'state_items'"),
-        (("simple", {"state_items": 0}), "state_items is 0, expected a whole number"),
     ],
 )
 def test_an_invalid_view_is_refused(form, view, message):
@@ -185,12 +172,10 @@ def test_an_invalid_view_is_refused(form, view, message):
         MonoAgentWrapperAdapter(form[0](), {0: view})
 
 
-@pytest.mark.parametrize("name", [1, "1", "id"])
-def test_views_can_be_given_by_name_and_options(form, name):
+def test_views_can_be_given_by_name_and_options(form):
     make, agents = form
-    name = agents[1] if name == "id" else name
-    env = MonoAgentWrapperAdapter(make(), {name: ("simple", {"state_items": 2}), 0: "flattened"})
-    same = MonoAgentWrapperAdapter(make(), {name: two_items, 0: lambda env: wrap(env, "flattened")})
+    env = MonoAgentWrapperAdapter(make(), {1: ("simple", {"state_items": 2}), 0: "flattened"})
+    same = MonoAgentWrapperAdapter(make(), {1: two_items, 0: lambda env: wrap(env, "flattened")})
     observations, expected = (each.reset(seed=1)[0] for each in (env, same))
     assert_same(observations, expected)
     assert observations[agents[1]]["items_position"].shape == (2, 3)
@@ -198,21 +183,9 @@ def test_views_can_be_given_by_name_and_options(form, name):
         assert space_of(env, agent) == space_of(same, agent)
 
 
-def test_a_factory_can_be_a_method_of_an_object_that_cannot_be_copied(form):
-    class Trainer:
-        def __init__(self):
-            self.lock = Lock()
-
-        def wrap(self, env):
-            return simple(env)
-
-    MonoAgentWrapperAdapter(form[0](), wrapper_factories={0: Trainer().wrap}).reset(seed=1)
-
-
-@pytest.mark.parametrize("factories", [[simple], simple, None])
-def test_factories_that_are_not_a_mapping_are_refused(form, factories):
+def test_factories_that_are_not_a_mapping_are_refused():
     with pytest.raises(ConfigError, match="has to be a mapping from agents to views"):
-        MonoAgentWrapperAdapter(form[0](), wrapper_factories=factories)
+        MonoAgentWrapperAdapter(SmallRace(), wrapper_factories=[simple])
 
 
 def test_spaces_of_an_unknown_agent_are_refused():
@@ -234,30 +207,18 @@ def test_the_environment_gets_actions_in_its_own_space(form):
     assert race.last_actions["kart_0"]["acceleration"].tolist() == [1.0]
 
 
-def test_the_gym_adapter_keeps_originals_under_separate_keys():
-    env = MonoAgentWrapperAdapter(MultiEnv(), wrapper_factories={0: simple}, keep_original=True)
-    observations, _ = env.reset(seed=1)
-    assert set(observations) == {"0", "1", "original/0", "original/1"}
-    assert observations in env.observation_space
-
-
-def test_the_parallel_adapter_keeps_originals_inside_the_observation():
-    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: simple}, keep_original=True)
-    observations, _ = env.reset(seed=1)
-    assert set(observations["kart_0"]) == {"observation", "original"}
-    assert observations["kart_0"] in env.observation_space("kart_0")
-
-
 def test_originals_are_copies_that_wrappers_cannot_change(form):
     make, agents = form
     env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: Wiper}, keep_original=True)
     observations, _ = env.reset(seed=1)
     for _ in range(2):
-        original = (
-            observations[agents[0]]["original"]
-            if isinstance(env, ParallelEnv)
-            else observations[f"original/{agents[0]}"]
-        )
+        if isinstance(env, ParallelEnv):
+            assert observations["kart_0"] in env.observation_space("kart_0")
+            changed, original = (observations["kart_0"][key] for key in ("observation", "original"))
+        else:
+            assert observations in env.observation_space
+            changed, original = (observations[key] for key in ("0", "original/0"))
+        assert not changed["velocity"].any()
         assert original["velocity"].all()
         observations = env.step(samples(env, agents))[0]
 
@@ -271,29 +232,14 @@ def test_agents_that_have_left_are_skipped(form):
     assert set(env.step(samples(env, agents))[0]) == {agents[1]}
 
 
-def test_a_truncated_agent_leaves_the_parallel_adapter():
-    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: lambda env: TimeLimit(env, 1)})
+def test_a_truncated_agent_leaves_the_parallel_adapter_and_its_kart_coasts():
+    limits = {0: lambda env: TimeLimit(env, 1), 1: lambda env: TimeLimit(env, 2)}
+    env = MonoAgentWrapperAdapter(SmallRace(), limits)
     env.reset(seed=1)
-    truncations = env.step(samples(env, env.agents))[3]
-    assert truncations == {"kart_0": True, "kart_1": False}
+    assert env.step(samples(env, env.agents))[3] == {"kart_0": True, "kart_1": False}
     assert env.agents == ["kart_1"]
     assert set(env.step(samples(env, env.agents))[0]) == {"kart_1"}
-
-
-def test_the_kart_of_a_truncated_agent_coasts():
-    env = MonoAgentWrapperAdapter(SmallRace(), wrapper_factories={0: lambda env: TimeLimit(env, 1)})
-    env.reset(seed=1)
-    for _ in range(2):
-        env.step(samples(env, env.agents))
     assert env.unwrapped.last_actions["kart_0"]["acceleration"].tolist() == [0.0]
-
-
-def test_stepping_after_the_end_returns_nothing():
-    env = MonoAgentWrapperAdapter(
-        SmallRace(), wrapper_factories={n: lambda env: TimeLimit(env, 1) for n in range(2)}
-    )
-    env.reset(seed=1)
-    env.step(samples(env, env.agents))
     assert env.agents == []
     assert env.step({}) == ({}, {}, {}, {}, {})
 
@@ -316,35 +262,6 @@ def test_wrappers_can_add_to_infos(form):
     info = env.step(samples(env, agents))[4]
     infos = info if isinstance(env, ParallelEnv) else info["infos"]
     assert infos[agents[0]]["episode"]["l"] == 1
-
-
-@pytest.mark.parametrize("method", ["wrap", "reset", "observation", "action"])
-def test_a_failure_names_its_agent(form, method):
-    make, agents = form
-
-    def fail(*_, **__):
-        raise ValueError("oh dear")
-
-    base = {"observation": gym.ObservationWrapper, "action": gym.ActionWrapper}
-    failing = type("Failing", (base.get(method, gym.Wrapper),), {method: fail})
-    factory = fail if method == "wrap" else failing
-
-    def run():
-        env = MonoAgentWrapperAdapter(make(), wrapper_factories={1: factory})
-        env.reset(seed=1)
-        env.step(samples(env, agents))
-
-    with pytest.raises(AgentException, match="oh dear") as caught:
-        run()
-    assert caught.value.key == agents[1]
-
-
-def test_actions_of_agents_that_the_game_drives_are_optional():
-    agents = [AgentSpec(), AgentSpec(use_ai=True)]
-    with race_v0.parallel_env(agents=agents, num_kart=2, track="lighthouse") as race:
-        env = MonoAgentWrapperAdapter(race, wrapper_factories={0: simple, 1: simple})
-        env.reset(seed=1)
-        assert set(env.step({"kart_0": STEADY})[0]) == {"kart_0", "kart_1"}
 
 
 @pytest.mark.parametrize("make", [race_v0.parallel_env, STKRaceMultiEnv])
@@ -444,17 +361,6 @@ def test_a_state_includes_the_memory_of_the_wrappers(two_karts, is_nested):
         assert env.agents == ["kart_0", "kart_1"]
         assert returns_in(env, 3) == [first]
         assert first[1] == 6
-
-
-def test_a_state_of_the_adapter_is_restored_without_the_wrappers(two_karts):
-    env = MonoAgentWrapperAdapter(two_karts, {})
-    env.reset(seed=1)
-    with STKRaceMultiEnv(num_kart=2) as other, env.save_state() as state:
-        other.restore_state(state)
-        _, _, terminated, truncated, info = other.step(other.action_space.sample())
-        assert not terminated
-        assert not truncated
-        assert info["done"] == {"0": False, "1": False}
 
 
 def test_a_state_of_other_wrappers_is_refused(two_karts):

@@ -11,13 +11,12 @@ import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import (
     FrameStackObservation,
-    NormalizeObservation,
     RecordEpisodeStatistics,
     TimeLimit,
     TransformAction,
 )
 
-from stkzoo.errors import ActionError, AgentException, ConfigError
+from stkzoo.errors import ActionError, AgentException
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.views import AgentChain, AgentChains
 from stkzoo.wrappers import (
@@ -171,16 +170,6 @@ def test_agents_that_are_left_out_of_a_step_are_left_out_of_the_results():
     assert all(list(result) == ["kart_2", "kart_0"] for result in results)
 
 
-def test_equal_views_are_grouped():
-    chains = make_chains(view("simple"), view("full"), view("simple"), Counter, view("full"))
-    moment = RandomMoment(np.random.default_rng(0))
-    groups = chains._roster(moment.seats(list(chains.action_spaces))).groups
-    assert [group.agents for group in groups] == [
-        ("kart_0", "kart_2"),
-        ("kart_1", "kart_3", "kart_4"),
-    ]
-
-
 def test_a_shipped_wrapper_inside_a_users_own_is_compiled():
     chains = make_chains(lambda env: Counter(PolarObservations(ConstantSizedObservations(env))))
     (chain,) = chains._chains.values()
@@ -226,17 +215,12 @@ def test_chains_with_different_arguments_are_separate():
 BAD = [
     ({"steer": float("nan")}, r"action\['steer'\] of agent 'kart_1' is nan.*from -1.0 to 1.0"),
     ({"acceleration": float("inf")}, r"action\['acceleration'\].*is inf.*from 0.0 to 1.0"),
-    ({"steer": 1.01}, "1.01.*a number from -1.0 to 1.0"),
     ({"steer": -1.00001}, "-1.00001"),
-    ({"acceleration": -0.5}, "-0.5"),
     ({"steer": [0.1, 0.2]}, r"\[0.1, 0.2\]"),
     ({"steer": "left"}, "'left'"),
-    ({"steer": None}, "None"),
     ({"steer": [[0.1], [0.1, 0.2]]}, "steer"),
     ({"brake": 2}, r"action\['brake'\].*is 2.*a whole number from 0 to 1"),
-    ({"brake": -1}, "-1"),
     ({"brake": 0.5}, "0.5.*whole number"),
-    ({"brake": float("nan")}, "nan"),
     ({"brake": 10**30}, "brake"),
     ({"fire": np.array([0, 1])}, "fire"),
     ({"jump": 1}, "unknown keys jump; expected exactly the keys acceleration"),
@@ -250,13 +234,6 @@ def test_an_invalid_entry_is_refused_by_name(change, text):
     with pytest.raises(ActionError, match=text) as caught:
         decoded(chains, actions, ["kart_0", "kart_1"])
     assert caught.value.agent == "kart_1"
-
-
-def test_a_missing_key_is_refused_by_name():
-    chains = make_chains(None)
-    action = {key: value for key, value in STEADY.items() if key != "fire"}
-    with pytest.raises(ActionError, match="lacks fire"):
-        decoded(chains, {"kart_0": action}, ["kart_0"])
 
 
 @pytest.mark.parametrize("action", [None, 3, [0, 1], "go"])
@@ -300,7 +277,8 @@ def test_actions_that_are_not_a_dict_by_agent_are_refused():
 
 def test_actions_of_agents_that_have_left_are_ignored():
     chains = make_chains(None, None)
-    controls = decoded(chains, {"kart_0": STEADY, "kart_1": "rubbish"}, ["kart_0"])
+    actions = MappingProxyType({"kart_0": STEADY, "kart_1": "rubbish"})  # any mapping will do
+    controls = decoded(chains, actions, ["kart_0"])
     assert controls["acceleration"].tolist() == [1.0]
 
 
@@ -312,12 +290,6 @@ def test_actions_of_an_ignored_agent_have_no_effect(actions, factory):
     race.reset()
     race.step({**actions, "kart_1": STEADY})
     assert race.controls["acceleration"].tolist() == [0.0, 1.0]
-
-
-def test_actions_can_be_any_mapping():
-    chains = make_chains(None, None, ai={"kart_0"})
-    controls = decoded(chains, MappingProxyType({"kart_1": STEADY}), ["kart_0", "kart_1"])
-    assert controls["acceleration"].tolist() == [0.0, 1.0]
 
 
 def test_actions_are_checked_before_any_wrapper_sees_one():
@@ -366,12 +338,6 @@ def test_a_stateful_observation_wrapper_restarts_at_reset():
     assert race.reset()[0]["kart_0"] == 1
 
 
-def test_a_reward_wrapper_changes_the_reward_of_its_agent_only():
-    race = Race(make_chains(None, TenTimes, None))
-    race.reset()
-    assert race.step(race.sample())[1] == {"kart_0": 1.0, "kart_1": 20.0, "kart_2": 3.0}
-
-
 def test_frames_are_stacked():
     chains = make_chains(
         lambda env: FrameStackObservation(flat_observation(env), 3), flat_observation
@@ -384,29 +350,12 @@ def test_frames_are_stacked():
     assert np.array_equal(second[2], race.moment.full(race.agents)[0]["velocity"])
 
 
-def test_frames_of_a_built_in_view_are_stacked():
-    chains = make_chains(lambda env: FrameStackObservation(wrap(env, "flattened_discrete"), 2))
-    race = Race(chains)
-    race.reset()
-    observation = race.step({"kart_0": 3})[0]["kart_0"]
-    assert observation in chains.observation_spaces["kart_0"]
-    assert observation["continuous"].shape[0] == 2
-
-
 def test_a_time_limit_truncates_its_agent_only():
     race = Race(make_chains(lambda env: TimeLimit(env, 2), None))
     race.reset()
     ends = [race.step(race.sample())[3] for _ in range(2)]
     assert ends[0] == {"kart_0": False, "kart_1": False}
     assert ends[1] == {"kart_0": True, "kart_1": False}
-
-
-def test_a_time_limit_restarts_at_reset():
-    race = Race(make_chains(lambda env: TimeLimit(env, 2)))
-    race.reset()
-    race.step(race.sample())
-    race.reset()
-    assert race.step(race.sample())[3] == {"kart_0": False}
 
 
 def test_episode_statistics_are_recorded():
@@ -431,14 +380,6 @@ def test_a_wrapper_with_its_own_step_changes_actions_and_rewards():
     assert rewards == {"kart_0": -4.0, "kart_1": 2.0}
 
 
-def test_normalized_observations_work():
-    chains = make_chains(lambda env: NormalizeObservation(flat_observation(env)))
-    race = Race(chains)
-    race.reset()
-    observation = race.step(race.sample())[0]["kart_0"]
-    assert observation in chains.observation_spaces["kart_0"]
-
-
 def test_reset_seeds_each_wrapper_differently():
     class Noise(gym.ObservationWrapper):
         def __init__(self, env):
@@ -449,19 +390,10 @@ def test_reset_seeds_each_wrapper_differently():
             return self.np_random.random(1).astype(np.float32)
 
     race = Race(make_chains(Noise, Noise))
-    first, second = race.reset(seed=5)[0], race.reset(seed=5)[0]
+    first, second = race.reset(seed=5)[0], race.reset(seed=np.int64(5))[0]
     assert_same(first, second)
     assert first["kart_0"] != first["kart_1"]
     assert race.reset()[0]["kart_0"] != first["kart_0"]
-
-
-def test_an_integer_of_numpy_seeds_the_wrappers():
-    class Noise(gym.ObservationWrapper):
-        def observation(self, _):
-            return self.np_random.random(1)
-
-    race = Race(make_chains(Noise))
-    assert_same(race.reset(seed=np.int64(5))[0], race.reset(seed=5)[0])
 
 
 def test_options_reach_the_wrappers():
@@ -509,7 +441,7 @@ class FailsAfterwards(gym.Wrapper):
 
 @pytest.mark.parametrize(
     "factory",
-    [fail, lambda env: 3, lambda env: None, lambda env: kart_env()],  # noqa: ARG005
+    [fail, lambda env: 3, lambda env: kart_env()],  # noqa: ARG005
 )
 def test_a_factory_that_fails_names_its_agent(factory):
     with pytest.raises(AgentException, match="'kart_1' failed to wrap") as caught:
@@ -517,51 +449,30 @@ def test_a_factory_that_fails_names_its_agent(factory):
     assert caught.value.key == "kart_1"
 
 
-@pytest.mark.parametrize("method", ["reset", "observation"])
-def test_a_wrapper_that_fails_at_reset_names_its_agent(method):
-    race = Race(make_chains(None, failing(method)))
-    with pytest.raises(AgentException, match="ValueError: oh dear") as caught:
-        race.reset()
-    assert caught.value.key == "kart_1"
-    assert isinstance(caught.value.__cause__, ValueError)
-
-
-@pytest.mark.parametrize("factory", [failing("step"), FailsAfterwards])
-def test_a_wrapper_that_fails_in_its_step_names_its_agent(factory):
+@pytest.mark.parametrize(
+    "factory", [failing("reset"), failing("observation"), failing("step"), FailsAfterwards]
+)
+def test_a_wrapper_that_fails_names_its_agent(factory):
     race = Race(make_chains(None, factory))
-    race.reset()
     with pytest.raises(AgentException, match="ValueError: oh dear") as caught:
-        race.step(race.sample())
+        race.reset(), race.step(race.sample())
     assert caught.value.key == "kart_1"
     assert isinstance(caught.value.__cause__, ValueError)
-
-
-def odd_step(step):
-    return type("Odd", (gym.Wrapper,), {"step": step})
 
 
 @pytest.mark.parametrize(
-    ("step", "text"),
+    ("method", "function", "text"),
     [
-        (lambda self, action: (0, 0.0, False, False, {}), "without a call"),  # noqa: ARG005
-        (lambda self, action: (self.env.step(action), self.env.step(action))[1], "twice"),
-        (lambda self, action: (self.env.step(action), self.env.reset()), "middle of a race"),
+        ("step", lambda self, action: (0, 0.0, False, False, {}), "without a call"),  # noqa: ARG005
+        ("step", lambda self, action: (self.env.step(action), self.env.step(action))[1], "twice"),
+        ("step", lambda self, action: (self.env.step(action), self.env.reset()), "middle of a"),
+        ("reset", lambda self, **_: self.env.step(STEADY), "outside its own step"),
     ],
 )
-def test_a_wrapper_must_step_the_race_exactly_once(step, text):
-    race = Race(make_chains(odd_step(step)))
-    race.reset()
+def test_a_wrapper_must_step_the_race_exactly_once(method, function, text):
+    race = Race(make_chains(type("Odd", (gym.Wrapper,), {method: function})))
     with pytest.raises(AgentException, match=text):
-        race.step(race.sample())
-
-
-def test_a_wrapper_cannot_step_the_race_in_its_reset():
-    def reset(self, **_):
-        return self.env.step(STEADY)
-
-    race = Race(make_chains(type("Odd", (gym.Wrapper,), {"reset": reset})))
-    with pytest.raises(AgentException, match="outside its own step"):
-        race.reset()
+        race.reset(), race.step(race.sample())
 
 
 def test_a_race_continues_after_a_failure_and_a_reset():
@@ -580,17 +491,6 @@ def test_a_race_continues_after_a_failure_and_a_reset():
         race.step(race.sample())
     race.reset()
     assert race.step(race.sample())[3] == {"kart_0": False, "kart_1": False}
-
-
-def test_factories_for_unknown_agents_are_refused():
-    with pytest.raises(ConfigError, match="unknown agent 'kart_9'"):
-        AgentChains(
-            {"kart_0": kart_observation_space()},
-            {"kart_0": kart_action_space()},
-            {"kart_9": None},
-            ignored=(),
-            columns=tuple(kart_action_space()),
-        )
 
 
 # ---------------------------------------------------------------- threads and pickles
@@ -630,6 +530,18 @@ def test_a_waiting_thread_ends_with_its_step(ending):
         race.chains.close()
 
 
+def test_the_number_of_segments_that_a_chain_uses_follows_its_innermost_wrapper():
+    class Mine(ConstantSizedObservations):
+        pass
+
+    def three(env):
+        return PolarObservations(ConstantSizedObservations(env, state_paths=3))
+
+    for factory, expected in ((three, 3), (None, None), (Mine, None)):
+        chain = AgentChain("kart_0", kart_observation_space(), kart_action_space(), factory)
+        assert chain.paths_used() == expected
+
+
 @pytest.mark.parametrize("is_mid_step", [False, True])
 def test_chains_can_be_pickled_during_a_race(is_mid_step):
     chains = make_chains(
@@ -646,34 +558,3 @@ def test_chains_can_be_pickled_during_a_race(is_mid_step):
     race = Race(chains, seed=3)
     actions = race.sample()
     assert_same(copied.step(actions)[0], race.step(actions)[0])
-
-
-def test_chains_without_agents_decode_nothing():
-    chains = make_chains(None)
-    assert decoded(chains, {}, [])["steer"].shape == (0,)
-
-
-class TestPathsUsed:
-    """Tests how many track segments a chain uses."""
-
-    @staticmethod
-    def paths_used(factory):
-        spaces_of_kart = kart_observation_space(), kart_action_space()
-        return AgentChain("kart_0", *spaces_of_kart, factory).paths_used()
-
-    def test_follows_the_innermost_wrapper(self):
-        assert (
-            self.paths_used(
-                lambda env: PolarObservations(ConstantSizedObservations(env, state_paths=3))
-            )
-            == 3
-        )
-
-    def test_is_all_without_wrappers(self):
-        assert self.paths_used(None) is None
-
-    def test_is_all_for_a_user_wrapper(self):
-        class Mine(ConstantSizedObservations):
-            pass
-
-        assert self.paths_used(Mine) is None

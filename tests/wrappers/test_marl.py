@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from pettingzoo.test import parallel_api_test
-from pettingzoo.utils import parallel_to_aec
 
 from stkzoo import ActionError, ConfigError, race_v0
 from stkzoo.views import VIEWS
@@ -31,22 +30,6 @@ def some_actions(env):
 # ------------------------------------------------------------------ box views
 
 
-@pytest.mark.parametrize("view", ["box_discrete", "box_continuous"])
-def test_a_box_view_has_numbers_and_one_hot_choices(view):
-    flat = {"box_discrete": "flattened_discrete", "box_continuous": "flattened_continuous_actions"}
-    with race(num_kart=2, view={"kart_0": view, "kart_1": flat[view]}) as env:
-        assert env.action_space("kart_0") == env.action_space("kart_1")
-        env.reset(seed=1)
-        seen, _ = env.reset(seed=1, options={"track": "lighthouse"})
-        vector = seen["kart_0"]
-        assert vector.dtype == np.float32
-        assert vector.shape == env.observation_space("kart_0").shape == (164,)
-        sizes = env.observation_space("kart_1")["discrete"].nvec
-        ends = 92 + np.cumsum(sizes)
-        for begin, end in zip(ends - sizes, ends, strict=True):
-            assert sorted(vector[begin:end]) == [0.0] * (end - begin - 1) + [1.0]
-
-
 @pytest.mark.slow
 def test_a_box_view_matches_the_flattened_view():
     views = {}
@@ -60,11 +43,6 @@ def test_a_box_view_matches_the_flattened_view():
         np.testing.assert_allclose(box[:92], flat["continuous"], rtol=1e-5, atol=1e-5)
         chosen = [np.argmax(part) for part in np.split(box[92:], np.cumsum(sizes)[:-1])]
         assert chosen == flat["discrete"].tolist()
-
-
-def test_a_box_view_needs_a_flattened_view():
-    with pytest.raises(Exception, match="needs a flattened view"):
-        race(view=JoinedObservations)
 
 
 # ------------------------------------------------------------------ masks
@@ -136,11 +114,6 @@ def test_a_multidiscrete_mask_joins_the_masks_of_its_choices():
         assert action[3] == action[4] == 0
 
 
-def test_masks_need_discrete_actions():
-    with pytest.raises(Exception, match="wraps flattened_multidiscrete"):
-        race(view=masked("flattened"))
-
-
 # ------------------------------------------------------------------ partial observations
 
 
@@ -170,13 +143,21 @@ def test_karts_far_away_or_behind_are_hidden():
         assert len(observations["kart_2"]["karts_position"]) == 3
 
 
-def test_limited_sight_works_inside_flat_views():
-    def view(env):
-        return VIEWS["box_discrete"](PartialObservations(env, radius=30.0))
-
-    with race(view=view) as env:
-        observations, _ = env.reset(seed=1)
-        assert env.observation_space("kart_0").contains(observations["kart_0"])
+@pytest.mark.parametrize(
+    ("view", "text"),
+    [
+        (lambda env: PartialObservations(VIEWS["simple"](env)), "needs a list"),
+        (
+            lambda env: PartialObservations(PolarObservations(env), angle=1.0),
+            r"polar positions under .*inside PolarObservations",
+        ),
+        (masked("flattened"), "wraps flattened_multidiscrete"),
+        (JoinedObservations, "needs a flattened view"),
+    ],
+)
+def test_a_wrapper_in_the_wrong_place_is_refused(view, text):
+    with pytest.raises(ConfigError, match=text):
+        race(view=view)
 
 
 @pytest.mark.parametrize(
@@ -190,16 +171,6 @@ def test_limited_sight_works_inside_flat_views():
 def test_limited_sight_refuses_invalid_options(options, text):
     with pytest.raises(Exception, match=text):
         race(view=lambda env: PartialObservations(env, **options))
-
-
-def test_limited_sight_needs_lists():
-    with pytest.raises(Exception, match="needs a list"):
-        race(view=lambda env: PartialObservations(VIEWS["simple"](env)))
-
-
-def test_limited_sight_refuses_polar_positions():
-    with pytest.raises(ConfigError, match=r"polar positions under .*inside PolarObservations"):
-        race(view=lambda env: PartialObservations(PolarObservations(env), angle=1.0))
 
 
 # ------------------------------------------------------------------ teams
@@ -235,30 +206,14 @@ def test_a_mate_that_was_terminated_no_longer_races_but_one_that_was_truncated_d
         while team.agents:
             actions = {a: still if a == "kart_0" else driving for a in team.agents}
             message = np.ones(1, np.float32)
-            seen, *_ = team.step(
+            seen, rewards, *_, infos = team.step(
                 {agent: {"action": act, "message": message} for agent, act in actions.items()}
             )
+            own = [info["reward/own"] for info in infos.values()]  # nothing for one that has left
+            assert rewards["kart_1"] == pytest.approx(sum(own) / 3)
         assert set(seen) == {"kart_1", "kart_2"}  # kart_0 was terminated earlier
         assert seen["kart_1"]["observation"]["mates"][:, -1].tolist() == [0, 1]
         assert seen["kart_1"]["heard"].tolist() == [0, 1]
-
-
-@pytest.mark.slow
-def test_agents_that_have_left_earn_nothing_for_their_team():
-    one = {"kart_0": 0.99, "kart_1": 0.1}
-    options = {"num_kart": 2, "view": "flattened_discrete", "track": "olivermath"}
-    with race(**options, max_cycles=400) as env:
-        team = Teams(env, teams=[[0, 1]])
-        team.reset(seed=1, options={"start": {a: 480.0 * s for a, s in one.items()}})
-        gone = False
-        while team.agents:
-            present = list(team.agents)
-            _, rewards, _, _, infos = team.step(dict.fromkeys(present, 4 + 160 * 3))
-            assert set(rewards) == set(infos) == set(present)
-            if present == ["kart_1"]:
-                gone = True
-                assert rewards["kart_1"] == pytest.approx(infos["kart_1"]["reward/own"] / 2)
-        assert gone
 
 
 def test_teammates_are_where_the_full_view_shows_them():
@@ -298,7 +253,6 @@ def test_spaces_of_an_unknown_agent_are_refused(make):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"teams": []}, "expected a list of teams"),
         ({"teams": [[0, 1], [2]]}, "'kart_3' is in 0 teams"),
         ({"teams": [[0, 1], [1, 2, 3]]}, "'kart_1' is in 2 teams"),
         ({"teams": [[0, 1, 2, 3, 4]]}, "unknown agent 4"),
@@ -369,7 +323,7 @@ def test_an_invalid_message_is_refused_before_the_race_advances():
         assert inner.snapshot.karts.tobytes() == before
 
 
-@pytest.mark.parametrize("message", ["abc", [1, [2]], {"a": 1}, 1j, None, [0.5], [10**400, 0]])
+@pytest.mark.parametrize("message", ["abc", [1, [2]], None, [0.5], [10**400, 0]])
 def test_a_message_that_is_no_vector_is_refused(message):
     with race(num_kart=2, view="flattened_discrete") as inner:
         env = MessageChannel(inner, size=2)
@@ -405,21 +359,6 @@ def test_channels_around_teams_pass_pettingzoos_test():
         parallel_api_test(env, num_cycles=40)
 
 
-def test_teams_and_messages_work_in_the_aec_api():
-    with race(num_kart=2, view="flattened_discrete", max_cycles=20) as inner:
-        env = MessageChannel(Teams(inner, teams=[[0, 1]], observe=True), words=3)
-        aec, steps = parallel_to_aec(env), 0
-        aec.reset(seed=1)
-        for agent in aec.agent_iter():
-            observation, _, terminated, truncated, info = aec.last()
-            assert observation in aec.observation_space(agent)
-            assert info["team"] == 0
-            over = terminated or truncated
-            aec.step(None if over else {"action": 484, "message": steps % 3})
-            steps += 1
-        assert steps == 2 * 21
-
-
 def talking_teams():
     return MessageChannel(Teams(race(view="flattened_discrete"), teams=TEAMS, share=0.5), size=1)
 
@@ -437,15 +376,3 @@ def test_a_clone_has_the_teams_and_messages():
             for part, same in zip(one, other, strict=True):
                 np.testing.assert_equal(part, same)
         assert "reward/team" in ahead[-1]["kart_0"]
-
-
-def test_teams_do_not_change_the_race():
-    ends = []
-    for wrap in (lambda env: env, lambda env: Teams(env, teams=[[0, 1]], observe=True)):
-        with race(num_kart=2, view="flattened_discrete") as inner:
-            env = wrap(inner)
-            env.reset(seed=4)
-            for _ in range(30):
-                env.step(dict.fromkeys(env.agents, 484))
-            ends.append(inner.state().tobytes())
-    assert ends[0] == ends[1]
