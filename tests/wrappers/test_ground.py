@@ -14,6 +14,7 @@ from stkzoo import race_v0
 from stkzoo.drivers.files import declared, find_files
 from stkzoo.engine.track import TrackMap
 from stkzoo.errors import AgentError, ConfigError
+from stkzoo.evaluation import DemoView
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.names import GroundKind
 from stkzoo.race import find_driver, run_race
