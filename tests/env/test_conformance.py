@@ -1,6 +1,7 @@
 """Rules for parallel environments that the checks of PettingZoo and Gymnasium do not cover."""
 
 import copy
+import itertools
 import math
 import random
 import warnings
@@ -124,24 +125,11 @@ def test_no_arrays_share_memory(view):
             for step in play(env, 11)
             for name, part in {"actions": step.actions, **step.parts}.items()
             for found in arrays_in(part, f"step {step.number}: {name}")
+            if found[1].size
         ]
-    assert [(path, other) for (path, _), (other, _) in overlaps(arrays)] == []
-
-
-def overlaps(arrays):
-    """Yields the pairs of arrays that share memory."""
-    spans = sorted(
-        (*np.lib.array_utils.byte_bounds(array), number)
-        for number, (_, array) in enumerate(arrays)
-        if array.size
-    )
-    active = []  # ends and numbers of arrays that may still overlap
-    for start, end, number in spans:
-        active = [(other_end, other) for other_end, other in active if other_end > start]
-        for _, other in active:
-            if np.shares_memory(arrays[number][1], arrays[other][1]):
-                yield arrays[number], arrays[other]
-        active.append((end, number))
+    arrays.sort(key=lambda found: np.lib.array_utils.byte_bounds(found[1]))
+    for (path, array), (other, neighbor) in itertools.pairwise(arrays):
+        assert not np.shares_memory(array, neighbor), f"{path} and {other}"
 
 
 @each_view_and_a_walked_one

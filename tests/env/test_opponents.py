@@ -282,15 +282,6 @@ def test_a_scenario_draws_opponents_of_the_same_kinds_from_a_pool():
                 assert env.race.opponents == (first, "ai")
 
 
-def test_a_vector_refuses_a_scenario_with_other_opponents_before_its_race():
-    with against(["ai"]) as env:
-        env.reset(seed=1)
-        scenario = env.scenario()
-    envs = RaceVectorEnv(1, **RACE, num_kart=2, opponents=["pursuit"])
-    with closing(envs), pytest.raises(ConfigError, match="different ones"):
-        envs.set_options({"scenario": scenario})
-
-
 def keeps(_, __, ___):
     seen = []
     return lambda observation: seen.append(observation) or {}
@@ -373,11 +364,6 @@ def test_environments_with_opponents_pass_the_checkers():
     with gym.make(env_id, num_kart=2, track="lighthouse", opponents=[forward]) as env:
         check_env(env.unwrapped, skip_render_check=True)
         assert env.unwrapped.core.race.opponents == ("forward",)
-
-
-def test_without_opponents_no_drivers_are_created():
-    with race_v0.parallel_env(**RACE, num_kart=2) as env:
-        assert env._opponents is None
 
 
 @pytest.mark.parametrize(

@@ -289,13 +289,6 @@ def test_a_state_of_other_wrappers_is_refused_and_the_race_continues(env):
         assert drive(env) == expected
 
 
-def test_stateless_views_may_differ(env):
-    state = started(env).save_state()
-    with make(view="flattened", agents=2) as other:
-        other.restore_state(state)
-        assert other.snapshot.data == env.snapshot.data
-
-
 # ---------------------------------------------------------------------- refusals
 
 
@@ -574,22 +567,3 @@ def test_a_forked_copy_of_the_program_does_not_end_states():
         print(len(env.agents))
     """
     assert run_program(code).stdout.split() == ["True", "3"]
-
-
-def test_environments_in_threads_can_restore_the_same_state(env):
-    state = started(env).save_state()
-    expected = drive(env)
-    results = []
-
-    def race():
-        with make(agents=2) as own:
-            for _ in range(3):
-                own.restore_state(state)
-                results.append(drive(own))
-
-    threads = [threading.Thread(target=race) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert results == [expected] * 9

@@ -11,7 +11,6 @@ from pettingzoo.test import parallel_api_test
 
 from stkzoo import STKRaceMultiEnv, race_v0
 from stkzoo.errors import AgentException, ConfigError
-from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     MonoAgentWrapperAdapter,
@@ -106,19 +105,6 @@ def test_other_objects_and_environments_of_one_agent_are_refused():
         MonoAgentWrapperAdapter(gym.make("CartPole-v1"), wrapper_factories={})
 
 
-def test_each_agent_has_its_own_wrappers(form):
-    make, agents = form
-    env = MonoAgentWrapperAdapter(
-        make(), wrapper_factories={agents[0]: simple, agents[1]: discrete}
-    )
-    observations, _ = env.reset(seed=1)
-    assert set(observations[agents[1]]) == {"continuous", "discrete"}
-    for _ in range(2):
-        for agent, observation in observations.items():
-            assert observation in space_of(env, agent)[0]
-        observations = env.step(samples(env, agents))[0]
-
-
 def test_steps_match_the_reference():
     theirs = import_reference("wrappers").MonoAgentWrapperAdapter(
         MultiEnv(),
@@ -194,17 +180,6 @@ def test_spaces_of_an_unknown_agent_are_refused():
         for space in (of.observation_space, of.action_space):
             with pytest.raises(ConfigError, match=r"unknown agent 'kart_9'.*Known: kart_0, kart_1"):
                 space("kart_9")
-
-
-def test_the_environment_gets_actions_in_its_own_space(form):
-    make, agents = form
-    env = MonoAgentWrapperAdapter(make(), wrapper_factories={0: discrete})
-    env.reset(seed=1)
-    env.step({agents[0]: 6 * 160 + 4, agents[1]: STEADY})
-    race = env.unwrapped if isinstance(env, ParallelEnv) else env.unwrapped.race
-    assert race.last_actions["kart_0"] in kart_action_space()
-    assert race.last_actions["kart_0"]["steer"].tolist() == [1.0]
-    assert race.last_actions["kart_0"]["acceleration"].tolist() == [1.0]
 
 
 def test_originals_are_copies_that_wrappers_cannot_change(form):

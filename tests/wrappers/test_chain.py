@@ -25,7 +25,7 @@ from stkzoo.wrappers import (
     FlattenerWrapper,
     PolarObservations,
 )
-from tests.support.generic_env import VIEWS, Counter, RandomMoment, assert_same, kart_env, wrap
+from tests.support.generic_env import Counter, RandomMoment, assert_same, kart_env, wrap
 
 
 def make_chains(*factories, ai=()):
@@ -116,39 +116,6 @@ def threads():
 
 
 # ---------------------------------------------------------------- views
-
-
-@pytest.mark.parametrize("name", VIEWS)
-def test_observations_equal_those_of_the_wrappers_one_by_one(name):
-    chains = make_chains(*[view(name)] * 3)
-    race = Race(chains)
-    race.reset()
-    observations = race.step(race.sample())[0]
-    alone = wrap(kart_env(), name)
-    for agent, base in zip(race.agents, race.moment.full(race.agents), strict=True):
-        stack = []
-        env = alone
-        while isinstance(env, gym.Wrapper):
-            stack.append(env)
-            env = env.env
-        for wrapper in reversed(stack):
-            base = wrapper.observation(base)
-        assert_same(observations[agent], base)
-
-
-@pytest.mark.parametrize("name", VIEWS)
-def test_decoded_actions_equal_those_of_the_wrappers_one_by_one(name):
-    chains = make_chains(*[view(name)] * 3)
-    actions = Race(chains).sample()
-    controls = decode(chains, actions, list(actions))
-    env = wrap(kart_env(), name)
-    for row, base in zip(controls, actions.values(), strict=True):
-        wrapper = env
-        while isinstance(wrapper, gym.Wrapper):
-            base = wrapper.action(base) if hasattr(wrapper, "action") else base
-            wrapper = wrapper.env
-        expected = [np.float32(np.ravel(base[key])[0]) for key in kart_action_space()]
-        assert row.tolist() == expected
 
 
 def test_rows_follow_the_order_of_the_agents():
@@ -406,19 +373,6 @@ def test_options_reach_the_wrappers():
 
     Race(make_chains(Spy)).reset(options={"track": "lighthouse"})
     assert seen == [{"track": "lighthouse", "step_size": RandomMoment.step_size}]
-
-
-def test_the_given_infos_are_not_changed():
-    chains = make_chains(RecordEpisodeStatistics)
-    race = Race(chains)
-    race.reset()
-    decoded(chains, race.sample(), ["kart_0"])
-    info = {"position": 1}
-    parts = [{"kart_0": value} for value in (None, 1.0, True, False, info)]
-    seats = race.moment.seats(["kart_0"])
-    chains.finish(seats, (chains.observe(seats, race.moment), *parts[1:]))
-    assert info == {"position": 1}
-    assert len(parts[-1]["kart_0"]) > 1
 
 
 # ---------------------------------------------------------------- failures

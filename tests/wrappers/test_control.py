@@ -11,9 +11,6 @@ from hypothesis import strategies as st
 
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
 from stkzoo.agents.pursuit.driver import PursuitDriver, PursuitState
-from stkzoo.drivers import Driver
-from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.race import run_race
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     FlattenerWrapper,
@@ -473,19 +470,6 @@ def test_a_view_uses_the_step_of_its_race(inner):
     assert angles == pytest.approx([0.05] * 4)
 
 
-def test_views_of_opponents_use_the_step_of_their_race():
-    view = ControlView(observe="full", control_input=("speed", "steering_speed"))
-    driver = Driver.of_policy(lambda _: {"control": np.array([1.0, 5.0], np.float32)}, view)
-    race = {"agents": 1, "num_kart": 2, "track": "lighthouse", "step_size": 0.05}
-    with race_v0.parallel_env(**race, opponents=[driver]) as env:
-        env.reset(seed=1)
-        (kart,) = env.race.opponent_indices
-        most = env.snapshot.karts["max_steer_angle"][kart]
-        env.step({"kart_0": env.action_space("kart_0").sample()})
-        steer = env.scenario().controls[0, kart, CONTROLS.index("steer")]
-    assert steer * most == pytest.approx(0.05)
-
-
 @pytest.mark.parametrize("speed", [1e6, 3e38])
 def test_the_pursuit_driver_needs_little_memory_for_an_impossible_speed(speed):
     """A client of a server can send any observation."""
@@ -501,10 +485,3 @@ def test_the_pursuit_driver_needs_little_memory_for_an_impossible_speed(speed):
     finally:
         tracemalloc.stop()
     assert np.isfinite(action["control"]).all()
-
-
-def test_the_pursuit_driver_can_be_chosen_by_name():
-    result = run_race(["pursuit", "ai"], track="lighthouse", seed=1, max_steps=150)
-    pursuit = next(agent for agent in result.agents if agent.driver == "pursuit")
-    assert pursuit.num_errors == 0
-    assert pursuit.distance > 100.0

@@ -25,9 +25,7 @@ from stkzoo.wrappers.racing import (
     RoadTable,
     choices_of_action,
     controls_of_choices,
-    racing_features,
     road_line,
-    surroundings_of,
 )
 from stkzoo.wrappers.racing.road import MARKS, NUM_POINTS, STEP
 
@@ -102,19 +100,6 @@ def test_a_batch_of_several_races_matches_single_races():
         first = BatchedRacingView(roads[:1]).observe([one.snapshot], [0], [places_of(one)])
         second = BatchedRacingView(roads[1:]).observe([two.snapshot], [0], [places_of(two)])
     np.testing.assert_allclose(both, np.concatenate([first, second]), atol=1e-6)
-
-
-@pytest.mark.parametrize("max_paths", [None, 10])
-def test_the_named_view_matches_its_wrappers(max_paths):
-    with race(view="racing", max_paths=max_paths) as env:
-        observations, _ = env.reset(seed=5)
-        for _ in range(40):
-            seen = np.stack([observations[agent] for agent in env.agents])
-            made = racing_features(*surroundings_of(env.observe_batch(env.agents)))
-            np.testing.assert_allclose(seen, made, atol=1e-4)
-            observations, *_ = env.step({a: env.action_space(a).sample() for a in env.agents})
-        observations[env.agents[0]][:] = 9.0
-        assert max(observations[agent].max() for agent in env.agents[1:]) < 9.0
 
 
 def mirrored(observation):
