@@ -174,12 +174,14 @@ def test_a_place_without_ground_is_refused_and_the_next_race_starts():
         coast(env, 2)
 
 
-def test_a_speed_above_the_top_speed_is_refused():
-    with (
-        race(difficulty=0) as env,
-        pytest.raises(ConfigError, match="karts reach 15 m/s at difficulty 0"),
-    ):
-        env.reset(seed=1, options={"start": Start(distance=300.0, speed=25.0)})
+def test_speeds_above_the_top_speed_and_unknown_agents_are_refused():
+    with race(difficulty=0) as env:
+        for start, message in (
+            (Start(distance=300.0, speed=25.0), "karts reach 15 m/s at difficulty 0"),
+            ({"kart_7": 3.0}, "kart_7"),
+        ):
+            with pytest.raises(ConfigError, match=message):
+                env.reset(seed=1, options={"start": start})
 
 
 def test_starts_work_in_this_process_and_with_gymnasium():
@@ -204,7 +206,6 @@ def test_starts_work_in_this_process_and_with_gymnasium():
         ({}, "empty mapping"),
         (float("nan"), "distance of a start is nan"),
         ({"distanc": 3.0}, "unknown field of a start 'distanc'. Did you mean 'distance'"),
-        ({"kart_7": 3.0}, "kart_7"),
         ({"share": [0.5, 0.2]}, r"expected \(lowest, highest\)"),
     ],
 )
