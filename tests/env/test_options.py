@@ -1,6 +1,5 @@
 """The race mode, on the real engine and in all kinds of environments."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -79,17 +78,6 @@ def test_the_same_seed_gives_the_same_race_with_bots(mode):
         assert runs[0] == runs[1]
 
 
-def test_a_saved_time_trial_continues_as_before():
-    with race(mode="time_trial", agents=1) as env:
-        env.reset(seed=3)
-        states(env, 40)
-        with env.save_state() as state:
-            first = states(env, 30)
-            env.restore_state(state)
-            assert env.race.mode == "time_trial"
-            assert states(env, 30) == first
-
-
 def test_a_scenario_keeps_the_mode(tmp_path):
     path = tmp_path / "moment.zip"
     with race(mode="time_trial") as env:
@@ -101,10 +89,3 @@ def test_a_scenario_keeps_the_mode(tmp_path):
         env.reset(options={"scenario": stkzoo.Scenario.load(path)})
         assert env.race.mode == "time_trial"
         assert env.snapshot.karts["location"].tobytes() == here
-
-
-def test_gymnasium_ids_accept_the_mode():
-    env = gym.make("supertuxkart/full-v0", disable_env_checker=True, mode="time_trial", **SMALL)
-    observation, _ = env.reset(seed=1)
-    env.close()
-    assert observation["powerup_type"] == PowerupType.ZIPPER

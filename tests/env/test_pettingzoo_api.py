@@ -11,7 +11,6 @@ from pettingzoo.test import (
     max_cycles_test,
     parallel_api_test,
     parallel_seed_test,
-    seed_test,
 )
 from pettingzoo.test.state_test import state_test
 
@@ -58,13 +57,6 @@ def test_aec_api(view, factory):
     env = factory(num_kart=3, track="olivermath", view=view, max_cycles=100)
     api_test(env, num_cycles=120)
     env.close()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("factory", [race_v0.env, race_v0.raw_env])
-def test_aec_seeds(factory):
-    make_short = functools.partial(factory, num_kart=3, track="olivermath", max_cycles=60)
-    seed_test(make_short, num_cycles=100)
 
 
 def test_max_cycles_applies_to_both_apis():

@@ -130,13 +130,6 @@ def test_closing_ends_the_starts(make):
     assert wait_until(lambda: not any(map(process_exists, pids)))
 
 
-def test_random_starts_repeat_too(make):
-    envs = make(num_starts=1, start="random")
-    drive(envs, 1)
-    assert len(set(engine_seeds(envs))) == 1
-    assert len(waiting(envs)) == 1
-
-
 @pytest.mark.parametrize("number", [0, -1, 1.5, "many"])
 def test_invalid_numbers_of_starts_are_refused(make, number):
     with pytest.raises(ConfigError, match="num_starts"):

@@ -11,7 +11,6 @@ from gymnasium.envs.registration import EnvSpec
 
 import stkzoo
 from stkzoo import ConfigError, MonoAgentWrapperAdapter, race_v0
-from stkzoo.sb3 import RaceVecEnv
 
 RACE = {"num_kart": 2, "track": "lighthouse"}
 OPTIONS = {"state_items": 2, "steer_steps": 3}
@@ -47,15 +46,6 @@ def test_an_id_accepts_the_options_of_its_view_as_keywords(expected):
             same(first(each), expected)
 
 
-def test_the_adapter_accepts_view_options(expected):
-    env = race_v0.parallel_env(**RACE, agents=1)
-    env = MonoAgentWrapperAdapter(env, {"0": VIEW})
-    observations, _ = env.reset(seed=3)
-    ours = observations["kart_0"]["continuous"], env.action_space("kart_0").n
-    same(ours, expected, tolerance=2e-6)  # computed by NumPy, not by the kernel
-    env.close()
-
-
 def test_the_adapter_with_named_views_survives_json():
     base = gym.make("supertuxkart/multi-full-v0", **RACE)
     env = MonoAgentWrapperAdapter(base, {"0": VIEW, "1": "simple"})
@@ -77,13 +67,6 @@ def test_vector_environments_accept_view_options(make, expected):
     envs = make()
     observations, _ = envs.reset(seed=3)
     same((observations["continuous"][0], envs.single_action_space.n), expected)
-    envs.close()
-
-
-def test_stable_baselines_environments_accept_view_options(expected):
-    envs = RaceVecEnv(1, **RACE, agents=1, view=VIEW)
-    envs.seed(3)
-    same((envs.reset()["continuous"][0], envs.action_space.n), expected)
     envs.close()
 
 

@@ -363,18 +363,6 @@ def test_reset_seeds_each_wrapper_differently():
     assert race.reset()[0]["kart_0"] != first["kart_0"]
 
 
-def test_options_reach_the_wrappers():
-    seen = []
-
-    class Spy(gym.Wrapper):
-        def reset(self, *, seed=None, options=None):
-            seen.append(options)
-            return super().reset(seed=seed, options=options)
-
-    Race(make_chains(Spy)).reset(options={"track": "lighthouse"})
-    assert seen == [{"track": "lighthouse", "step_size": RandomMoment.step_size}]
-
-
 # ---------------------------------------------------------------- failures
 
 

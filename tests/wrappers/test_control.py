@@ -213,21 +213,6 @@ def test_controls_are_always_valid_for_the_game(
         assert np.isfinite(memory).all()
 
 
-@pytest.mark.parametrize("kinds", KINDS)
-def test_a_batch_equals_its_rows(kinds):
-    action = CarAction(kinds)
-    rng = np.random.default_rng(1)
-    asked = rng.uniform(action.space.low, action.space.high, (2, 7, 2))
-    speed, most = rng.uniform(-5, 25, (2, 7)), rng.uniform(0.05, 0.4, (2, 7))
-    memory = np.stack([rng.uniform(-0.1, 0.1, (2, 7)), rng.uniform(-1, 1, (2, 7))], axis=-1)
-    controls, after = action.act(asked, speed, most, memory)
-    assert controls.shape == (2, 7, 3)
-    for row in np.ndindex(2, 7):
-        alone, alone_after = action.act(asked[row], speed[row], most[row], memory[row])
-        assert np.array_equal(controls[row], alone)
-        assert np.array_equal(after[row], alone_after)
-
-
 def test_wheels_do_not_exceed_their_steering_speed():
     action = CarAction(["speed", "steering_angle"])
     controls, memory = action.act(np.array([0.4, 0.0]), 0.0, 0.4, action.memory(), 0.1)
@@ -346,15 +331,6 @@ def test_a_kart_can_stop_and_drive_backward():
         assert abs(speeds[-1]) < 0.1
         speeds, _ = drive(env, [0.0, -4.0], 25)
         assert np.mean(speeds[-10:]) == pytest.approx(-4.0, abs=1.5)
-
-
-def test_an_acceleration_is_kept_on_average():
-    view = ControlView(observe="full", control_input=("accl", "steering_angle"))
-    with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
-        for accl, start in ((4.0, 3.0), (-6.0, 18.0)):
-            env.reset(seed=1, options={"start": Start(distance=190.0, speed=start)})
-            speeds, _ = drive(env, [0.0, accl], 15)
-            assert (speeds[-1] - start) / 1.5 == pytest.approx(accl, abs=1.0)
 
 
 @pytest.mark.parametrize("radius", [4.0, 6.5])
