@@ -6,9 +6,6 @@ import os
 import pytest
 
 from stkzoo._locks import locked_folder, try_lock
-from stkzoo._temporary import TemporaryFolder, remove_stale_folders
-from stkzoo.engine.assets import Progress
-from stkzoo.engine.assets.staging import lock
 from stkzoo.errors import ConfigError
 
 
@@ -52,24 +49,6 @@ def test_other_errors_are_raised(descriptor, monkeypatch):
     fail_with(errno.EIO, monkeypatch)
     with pytest.raises(OSError, match="Input/output error"):
         try_lock(descriptor)
-
-
-@pytest.mark.usefixtures("without_locks")
-def test_the_cache_can_be_changed_without_locks(tmp_path):
-    class Refusing(Progress):
-        def note(self, text):
-            pytest.fail(text)
-
-    with lock(tmp_path / "cache", Refusing()):
-        pass
-
-
-@pytest.mark.usefixtures("without_locks")
-def test_temporary_folders_are_used_but_not_cleaned_up_without_locks(tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with TemporaryFolder("test") as folder:
-        remove_stale_folders()
-        assert folder.path.exists()
 
 
 def test_a_folder_is_used_by_one_program_at_a_time(tmp_path):

@@ -33,8 +33,3 @@ def test_the_search_path_names_the_current_folder_of_an_interactive_session(monk
 def test_the_search_path_can_leave_out_the_current_folder(monkeypatch):
     monkeypatch.setattr(sys, "path", ["", "/elsewhere"])
     assert search_path(has_current=False) == ["/elsewhere"]
-
-
-def test_the_search_path_leaves_out_entries_that_are_no_text(monkeypatch, tmp_path):
-    monkeypatch.setattr(sys, "path", [tmp_path, "/elsewhere"])
-    assert search_path() == ["/elsewhere"]

@@ -1,7 +1,6 @@
 """Untrusted files are read in bounded memory, and any damage raises one error."""
 
 import io
-import json
 import os
 import struct
 import tracemalloc
@@ -202,12 +201,6 @@ def test_every_error_is_replaced_by_one_that_names_the_file(error):
 def test_a_long_reason_is_truncated():
     with pytest.raises(ConfigError) as caught, reading("a", "b"):
         raise ValueError("x" * 100_000)
-    assert len(str(caught.value)) < 400
-
-
-def test_a_long_invalid_value_is_not_in_the_message():
-    with pytest.raises(ConfigError) as caught, reading("a", "b"):
-        read_json(json.dumps("x" * 100_000)[:-1], Any)
     assert len(str(caught.value)) < 400
 
 

@@ -1,8 +1,8 @@
 """Readers of untrusted input for fuzzing, with initial inputs.
 
 Each target processes bytes: input must be read, or raise the reader's own error. Any other
-exception is a defect. Besides all kinds of files in :mod:`tests.support.file_kinds`, there are
-messages, and archives, whose files must stay inside their folder.
+exception is a defect. There are messages, archives, whose files must stay inside their folder, and
+files with several parts.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from stkzoo.engine.assets.headless import read_archive
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.errors import AssetError, ConfigError, ProtocolError, StkzooError
 from stkzoo.race.remote.protocol import Act, Acted, Answer, ClientMessage, ServerMessage
-from tests.support.file_kinds import KINDS, FileKind
+from tests.support.file_kinds import KINDS
 
 __all__ = ["TARGETS", "Target"]
 
@@ -194,16 +194,6 @@ def _archive_seeds() -> list[bytes]:
 # ---------------------------------------------------------------------- files
 
 
-def _text_target(kind: FileKind) -> Target:
-    """Returns a target for the text of a file, which may be one part of an archive."""
-
-    def feed(data: bytes) -> None:
-        with _folder() as folder, suppress(StkzooError):
-            kind.read(kind.store(folder, data))
-
-    return Target(kind.name, feed, lambda: [kind.valid().encode()])
-
-
 def _feed_binary_file(data: bytes) -> None:
     """Checks that a damaged binary file is read or refused by each reader of such files."""
     with _folder() as folder:
@@ -239,6 +229,5 @@ TARGETS: dict[str, Target] = {
         Target("agent zips", _feed_agent_zip, _agent_zip_seeds),
         Target("asset archives", _feed_archive, _archive_seeds),
         Target("binary files", _feed_binary_file, _binary_file_seeds),
-        *map(_text_target, KINDS.values()),
     )
 }

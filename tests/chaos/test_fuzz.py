@@ -61,7 +61,7 @@ def test_much_mutated_input_is_read_or_raises_the_readers_own_error(name):
 
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not here")
 def test_atheris_feeds_a_reader(tmp_path):
-    command = [sys.executable, "-m", "tests.chaos.fuzzing", "race-result", "-runs=500"]
+    command = [sys.executable, "-m", "tests.chaos.fuzzing", "messages", "-runs=500"]
     variables = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         command, cwd=tmp_path, env=variables, capture_output=True, text=True, check=False

@@ -26,7 +26,6 @@ CODE = [p for folder in ("stkzoo", "agents", "wrappers") for p in ROOT.glob(f"{f
 COMMAND = re.compile(r"^[^#\n]*?(pip install [^\n`{]+)|`(pip install [^`{]+)`", re.M)
 BRACKETS = re.compile(r"\[([\w,-]+)\]")
 FROM_WHEEL = 'pip install "stkzoo[sb3] @ file://$(echo $PWD/dist/stkzoo-*.whl)"'
-PROGRAM = "import runpy; print(runpy.run_path('stkzoo/_installation.py')['install_command']('web'))"
 
 
 def instructions():
@@ -141,18 +140,6 @@ def test_the_libraries_of_extras_can_be_installed_together(place, extra):
     assert code == 0, said[-2000:]
     assert "PySuperTuxKart2" in said
     assert "nvidia" not in said
-
-
-@pytest.mark.matrix
-def test_the_install_command_in_messages_works(place):
-    checkout, python = place
-    code, said = run("pip install --quiet --no-deps .", checkout, python)
-    assert code == 0, said
-    code, command = run(f'{python} -c "{PROGRAM}"', checkout, python)
-    assert code == 0, command
-    assert "aiohttp" in command
-    code, said = run(command, checkout, python, PIP_DRY_RUN="1", PIP_NO_DEPS="1")
-    assert code == 0, said
 
 
 @pytest.mark.slow

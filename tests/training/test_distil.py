@@ -1,7 +1,6 @@
 """Distillation of plans into one network."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,22 +58,6 @@ def test_labels_from_the_plans_drive_like_the_plans(fleet):
     assert there > 200
     assert way_of(fleet) == pytest.approx(there, rel=0.1)
     assert drifted > 20
-
-
-def test_the_examples_of_a_kart_are_consecutive(monkeypatch):
-    monkeypatch.setattr(distill, "_LINEUPS", ((2, 0, 2),))
-    rows = iter(range(1000))
-
-    class NumberedRaces(distill.LabelledRaces):
-        @property
-        def seen(self):
-            return np.array([[slot, next(rows)] for slot in range(4)], np.float32)
-
-    monkeypatch.setattr(distill, "LabelledRaces", NumberedRaces)
-    arguments = replace(SMALL, steps=12)
-    lesson = distill._drive(arguments, 0, None, lambda *_: None)
-    assert lesson.observations[:, 0].tolist() == [0] * 3 + [1] * 3 + [2] * 3 + [3] * 3
-    assert (np.diff(lesson.observations[:3, 1]) > 0).all()
 
 
 def test_mirrored_races_can_be_disabled(fleet):

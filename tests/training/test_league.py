@@ -31,7 +31,6 @@ from stkzoo.agents.training.league.players import (
     new_players,
 )
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT, ActorArguments
-from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments
 from stkzoo.cli import main as command_line
 from stkzoo.errors import ConfigError
 from tests.support.browser import Reader, open_browser
@@ -233,25 +232,6 @@ def test_rivals_add_no_training_data():
         actor.close()
 
 
-@pytest.mark.matrix
-def test_the_league_gets_the_duels_of_all_actors(tmp_path):
-    names = ("tracks", "batch_size", "hidden", "n_epochs")
-    shared = {name: SMALL[name] for name in names}
-    arguments = SelfPlayArguments(
-        **shared, races=("2x2", "1+1x1"), actors=2, n_steps=450, warm_up=0
-    )
-    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
-    learner = LeagueLearner(tmp_path, arguments, matchmaker, [1])
-    try:
-        learner.iterate()
-    finally:
-        learner.close()
-    duels = sum(rival.races for rival in matchmaker.pool.opponents)
-    reported = matchmaker.state()["reported"]
-    assert duels == len(reported) >= 2
-    assert set(reported) <= {0.0, 1.0}  # one kart against one
-
-
 def test_resuming_with_other_arguments_is_refused(tmp_path):
     League(tmp_path, LeagueArguments(**SMALL))
     with pytest.raises(ConfigError, match="seed was 0, now 1"):
@@ -326,15 +306,6 @@ def test_the_page_loads_no_external_files():
     assert "<b>" not in page(
         odd, [MatchRecord(1, "olivermath", False, ["<b>", "ai"])], {"<b>": [1, 0, 2]}
     )
-
-
-def test_the_matrix_shows_only_some_of_many_members():
-    members = MEMBERS + [{**MEMBERS[3], "name": f"main-{n:03d}"} for n in range(3, 60)]
-    ratings = {member["name"]: [25.0, 20.0, 30.0] for member in members}
-    text = page(members, MATCHES, ratings)
-    matrix = text[text.index('class="who"') : text.index("Standings")]
-    assert matrix.count('scope="row"') <= 16
-    assert "main-059" in matrix  # the newest
 
 
 @pytest.mark.slow

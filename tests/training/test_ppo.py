@@ -17,17 +17,16 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.fleet import Fleet
 from stkzoo.agents.training.common.matches import match_driver
 from stkzoo.agents.training.common.ppo import advantages_of
-from stkzoo.agents.training.common.run_folder import plan_parameters, run_parameters
+from stkzoo.agents.training.common.run_folder import run_parameters
 from stkzoo.agents.training.common.starts import Lineup
-from stkzoo.agents.training.evaluate import evaluate, newest_policy
 from stkzoo.agents.training.evaluate import main as evaluate_main
+from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.ppo.network import ActorCritic, initial_weights
 from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
 from tests.support.networks import small_network
-from tests.support.paths import ROOT
 from tests.support.training import run_and_kill, words_of
 
 SMALL = {
@@ -41,7 +40,6 @@ SMALL = {
     "warm_up": 1,
     "checkpoint_every": 2,
 }
-BY_HAND = str(ROOT / "benchmarks" / "results" / "tuning" / "by-hand.json")
 TIMES = ("wait_s", "learn_s", "kart_steps_per_s")
 
 
@@ -181,29 +179,6 @@ def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_
     assert np.allclose(ours, theirs, atol=1e-4)
 
 
-@pytest.mark.slow
-def test_a_fleet_starts_the_same_races_with_the_same_seed():
-    """Earlier races of the fleet do not matter."""
-    chance = np.random.default_rng(0)
-    forms = [Lineup(2, 1), Lineup(1, 0)]
-    one, other = (Fleet(forms, ["lighthouse"]) for _ in range(2))
-    try:
-        one.begin(9)
-        for _ in range(30):
-            one.send(np.stack([chance.integers(0, n, 3) for n in CHOICES], axis=1))
-            one.receive()
-        assert (one.begin(0).inputs == other.begin(0).inputs).all()
-        for _ in range(20):
-            choices = np.stack([chance.integers(0, n, 3) for n in CHOICES], axis=1)
-            one.send(choices), other.send(choices)
-            (here, outcome), (there, same) = one.receive(), other.receive()
-            assert (here.inputs == there.inputs).all()
-            assert (here.prior == there.prior).all()
-            assert (outcome.rewards == same.rewards).all()
-    finally:
-        one.close(), other.close()
-
-
 def test_distance_is_rewarded_and_a_race_ends_at_the_finish():
     """Takes the most likely choices of the plans."""
     fleet = Fleet([Lineup(1, 0)], ["olivermath"])
@@ -239,30 +214,6 @@ def test_advantages_end_where_races_end():
     assert gains[7] == pytest.approx(1.0 + 0.9 * 5.0)
     assert gains[6] == pytest.approx(1.0 + 0.9 * (1.0 + 0.9 * 5.0))
     assert gains[-1] == pytest.approx(1.0)
-
-
-@pytest.mark.slow
-def test_policies_are_compared_in_the_same_races():
-    prior = match_driver("prior")
-    once, again = evaluate([prior, prior], ["olivermath"], 1, bots=1)
-    assert once == again
-    assert len(once) == 2  # both directions
-    assert all(0.5 < finish.counted_ratio < 2.0 for (finish,) in once)
-
-
-@pytest.mark.matrix
-def test_plans_use_the_parameters_of_their_run(tmp_path):
-    arguments = SelfPlayArguments(**SMALL | {"plans": BY_HAND})
-    learner = PPOLearner(tmp_path, arguments)
-    file = learner.save_policy()
-    learner.close()
-    assert run_parameters(file) == plan_parameters(BY_HAND) != DriverParameters()
-    card = json.loads((export_policy(file, "swift", tmp_path / "swift") / "card.json").read_text())
-    assert card["rules"] == asdict(plan_parameters(BY_HAND))
-    assert newest_policy(str(tmp_path)) == str(file)
-    drivers = [match_driver(name) for name in (f"prior:{BY_HAND}", "prior", file)]
-    results = evaluate(drivers, ["olivermath"], 1, bots=0)
-    assert results[0] == results[2] != results[1]
 
 
 def test_the_newest_policy_of_a_run_that_keeps_no_others_is_its_only_one(tmp_path):

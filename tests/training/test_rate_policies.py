@@ -14,7 +14,6 @@ from stkzoo.agents.training.common.fleet import Finish
 from stkzoo.agents.training.common.matches import (
     Match,
     MatchRecord,
-    network_driver,
     play_matches,
 )
 from stkzoo.agents.training.rate import (
@@ -58,14 +57,6 @@ def test_policies_with_almost_as_many_steps_have_names_of_their_own(run):
     assert names == ["first 0.000100", "first 1.000100", "first 1.000200", "first 2.000200"]
 
 
-@pytest.mark.parametrize(
-    ("words", "text"), [("--matches=-5", "matches is -5"), ("--every=-1", "every is -1")]
-)
-def test_invalid_numbers_are_reported(words, text, run, tmp_path, capsys):
-    assert main([str(run), f"--output={tmp_path / 'out'}", words]) == 1
-    assert text in capsys.readouterr().err
-
-
 def test_all_policies_race_equally_often_and_on_all_tracks():
     names = [f"p{n}" for n in range(7)]
     matches = [draw_match(names, number) for number in range(28)]
@@ -107,23 +98,6 @@ def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, drawn):
     steps = {name: [at for at, _ in points] for name, points in drawn.items()}
     expected = [0.0, 0.0001, 1.0001, 2.0002]
     assert steps == {"first": expected, "first b": expected}
-
-
-def test_without_plans_start_has_the_kart_steps_of_the_first_policy(tmp_path, drawn, monkeypatch):
-    runs = [tmp_path / "first", tmp_path / "second"]
-    for run, millions in zip(runs, ((0.5, 1.0), (0.25, 1.0)), strict=True):
-        run.mkdir()
-        for steps in millions:
-            save_weights(run / f"policy-{steps * 1e6:09.0f}.safetensors", small_network())
-    compared = []
-    monkeypatch.setattr(rate, "learning_progress", lambda _, steps: compared.append(steps))
-    words = [*map(str, runs), "--every=0", "--matches=14", f"--output={tmp_path / 'out'}"]
-    assert main(words) == 0
-    assert {name: [at for at, _ in points] for name, points in drawn.items()} == {
-        "first": [0.5, 0.5, 1.0],
-        "second": [0.25, 1.0],
-    }
-    assert compared[0][START] == compared[0]["first 0.50"] == 500_000
 
 
 @pytest.mark.parametrize("name", ["policy", "mine"])
@@ -185,19 +159,6 @@ def test_runs_of_all_scripts_are_rated_together(run):
     (finishes,) = play_matches([match], drivers)
     assert sorted(finish.rank for finish in finishes) == [1, 2, 3]
     assert match.order(finishes)[-1] == "network"  # it does not follow the road
-
-
-@pytest.mark.matrix
-def test_a_driver_with_two_karts_counts_with_the_better_one():
-    def choose(pedal):
-        return network_driver(lambda seen: np.tile([10, pedal, 0, 0, 0], (len(seen), 1)))
-
-    match = Match(("stand", "go", "go"), "snowmountain", number=1)
-    (finishes,) = play_matches([match], {"go": choose(0), "stand": choose(1)})
-    assert match.order(finishes) == ["bot:3", "go", "stand"]
-    assert all(finish.ratio is None for finish in finishes)
-    stand, *go = (finish.estimate for finish in finishes)
-    assert 1 < min(go) < stand
 
 
 def test_ranks_without_a_driver_belong_to_the_ai():

@@ -4,6 +4,8 @@ Ray needs an older Gymnasium than the tests; ``python -m benchmarks.ecosystem`` 
 """
 
 import importlib.util
+import os
+import signal
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stkzoo import RaceVectorEnv, Start
 from stkzoo._installation import install_command
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights
@@ -18,14 +21,11 @@ from stkzoo.agents.training.rllib import selfplay
 from stkzoo.agents.training.rllib.races import (
     MAIN,
     RLlibArguments,
-    ensure_assets,
     make_races,
     win_share,
 )
 from stkzoo.agents.training.rllib.sampler import RaceSampler, sb3_names
 from stkzoo.agents.training.rllib.selfplay import main
-from stkzoo.engine.assets import find_assets
-from stkzoo.errors import AssetError
 from stkzoo.wrappers.racing import CHOICES, SIZE
 from tests.support.networks import small_network
 
@@ -51,170 +51,58 @@ def test_the_share_of_pairs_won_counts_all_pairs():
     assert win_share([1, 2], []) is None
 
 
-def test_races_follow_the_arguments():
-    arguments = RLlibArguments(
-        tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7, envs_per_runner=2
-    )
-    with closing(make_races(arguments)) as races:
-        observations, _ = races.reset(seed=1)
-        assert observations.shape == (6, SIZE)
-        assert races.races[0].options.num_kart == 5
-        assert {race.race.track for race in races.races} == {"lighthouse"}
-        sampler = RaceSampler(races, arguments, seed=1)
-        sampler.load(dict.fromkeys(arguments.modules, MlpDriver(small_network(inputs=SIZE))))
-        fragments = sampler.sample(2 * 2 * 7)
-        assert [len(fragment) for fragment in fragments] == [7] * 4
-        assert all(f.is_truncated and not f.is_terminated for f in fragments)
+RACES = RLlibArguments(
+    tracks=("lighthouse",), learners=2, frozen=1, bots=2, max_cycles=7, envs_per_runner=2
+)
 
 
-class FakeRaces:
-    """Two races with three slots each; observations are slot, step and number of the race.
-
-    Slot ``s`` finishes after ``lengths[s]`` steps, or is truncated at step 5.
-    """
-
-    num_races, num_agents, num_envs = 2, 3, 6
-
-    def __init__(self, lengths, crash_at=None):
-        self._lengths, self._crash_at = np.array(lengths), crash_at
-        self._ages, self._starts = np.zeros(6, int), np.zeros(6, int)
-        self._steps = 0
-        self.racing = np.zeros(6, bool)
-        self.acted = []
-
-    def _observations(self):
-        seen = np.zeros((6, SIZE), np.float32)
-        seen[:, :3] = np.stack([np.arange(6), self._ages, self._starts], axis=1)
-        return seen
-
-    def reset_slots(self, seeds, options):
-        assert len(seeds) == len(options) == 2
-        self.racing = np.ones(6, bool)
-        return SimpleNamespace(observations=self._observations())
-
-    def step_async(self, actions):
-        self.acted.append(actions)
-
-    def wait_slots(self):
-        active = self.racing
-        self._steps += 1
-        self._ages += active
-        crashed = np.repeat([self._steps == self._crash_at, False], 3)
-        terminations = active & (self._ages == self._lengths) & ~crashed
-        truncations = active & ~terminations & ((self._ages == 5) | crashed)
-        self.racing = active & ~terminations & ~truncations
-        final = self._observations()
-        finals = {
-            slot: (final[slot], {"position": slot % 3 + 1})
-            for slot in np.flatnonzero(terminations | truncations).tolist()
-        }
-        for race in (slice(0, 3), slice(3, 6)):
-            if not self.racing[race].any():
-                self._ages[race], self.racing[race] = 0, True
-                self._starts[race] += 1
-        return SimpleNamespace(
-            active=active,
-            rewards=active * np.arange(6.0),
-            terminations=terminations,
-            truncations=truncations,
-            crashed=crashed,
-            finals=finals,
-            observations=self._observations() * self.racing[:, None],
-        )
-
-
-def sampler_of(races, **likes):
-    """Returns a sampler for two learners and a past version; ``likes`` gives preferred choices."""
-    sampler = RaceSampler(races, RLlibArguments(learners=2, frozen=1, slots=2), seed=3)
-    for module in (MAIN, "past_0", "past_1"):
-        network = small_network(likes.get(module, ()), inputs=SIZE)
-        sampler.load({module: MlpDriver(network)})
+def sampler_of(races, arguments, likes=()):
+    """Returns a sampler whose networks prefer some choices."""
+    sampler = RaceSampler(races, arguments, seed=1)
+    network = MlpDriver(small_network(likes, inputs=SIZE))
+    sampler.load(dict.fromkeys(arguments.modules, network))
     return sampler
 
 
-def moments(fragment):
-    """Returns the slot, step and race number from each observation of a fragment."""
-    return fragment.observations[:, :3].astype(int).tolist()
-
-
-def test_only_the_learners_karts_are_recorded():
-    fragments = sampler_of(FakeRaces([9] * 6)).sample(8)
-    assert [fragment.slot for fragment in fragments] == [0, 1, 3, 4]
-    assert all(len(fragment) == 2 for fragment in fragments)
-
-
-def test_an_unfinished_episode_continues_in_the_next_sample():
-    sampler = sampler_of(FakeRaces([9] * 6))
-    first, second = (sampler.sample(8)[1] for _ in range(2))
-    assert moments(first) == [[1, 0, 0], [1, 1, 0], [1, 2, 0]]
-    assert moments(second) == [[1, 2, 0], [1, 3, 0], [1, 4, 0]]
-    assert [first.begin, second.begin] == [0, 2]
-    assert not any(f.is_terminated or f.is_truncated for f in (first, second))
-
-
-def test_a_kart_that_finishes_is_terminated_at_its_last_observation():
-    fragments = sampler_of(FakeRaces([2, 9, 9, 9, 9, 9])).sample(16)
-    first = fragments[0]
-    assert moments(first) == [[0, 0, 0], [0, 1, 0], [0, 2, 0]]
-    assert first.is_terminated
-    assert not first.is_truncated
-    assert first.rewards.tolist() == [0.0, 0.0]
-
-
-def test_a_race_at_its_time_limit_is_truncated_before_the_next_one():
-    fragments = [f for f in sampler_of(FakeRaces([9] * 6)).sample(24) if f.slot == 4]
-    assert [len(fragment) for fragment in fragments] == [5, 1]
-    assert moments(fragments[0])[-1] == [4, 5, 0]
-    assert [fragment.is_truncated for fragment in fragments] == [True, False]
-    assert moments(fragments[1]) == [[4, 0, 1], [4, 1, 1]]
-
-
-def test_each_kart_is_driven_by_the_network_of_its_module():
-    races = FakeRaces([9] * 6)
-    sampler_of(races, main=[2], past_0=[4], past_1=[4]).sample(8)
-    assert races.acted[0][:, 0].tolist() == [2, 2, 4, 2, 2, 4]
-
-
-def test_log_probabilities_match_the_actions():
-    fragment = sampler_of(FakeRaces([9] * 6)).sample(8)[0]
-    expected = np.zeros(len(fragment))
-    for choice, logits in enumerate(np.split(fragment.logits, np.cumsum(CHOICES)[:-1], axis=1)):
+def test_the_steps_of_the_learners_karts_are_recorded_to_the_end_of_their_races():
+    with closing(make_races(RACES)) as races:
+        assert races.races[0].options.num_kart == 5
+        sampler = sampler_of(races, RACES, likes=[2])
+        first, second = sampler.sample(16), sampler.sample(16)
+    assert [fragment.slot for fragment in first] == [0, 1, 3, 4]
+    assert all(len(fragment) == 4 and not fragment.is_truncated for fragment in first)
+    last, following = second[:2]  # those of the first kart
+    assert (last.begin, len(last), last.is_truncated, last.is_terminated) == (4, 3, True, False)
+    assert (last.observations[0] == first[0].observations[-1]).all()
+    assert (following.slot, following.begin, len(following)) == (0, 0, 1)
+    assert (last.observations[-1] != following.observations[0]).any()
+    assert len(sampler.results) == 2
+    assert (last.actions[:, 0] == 2).all()
+    expected = np.zeros(len(last))
+    for choice, logits in enumerate(np.split(last.logits, np.cumsum(CHOICES)[:-1], axis=1)):
         odds = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
-        expected += np.log(odds[np.arange(len(odds)), fragment.actions[:, choice]])
-    np.testing.assert_allclose(fragment.log_probabilities, expected, rtol=1e-5)
+        expected += np.log(odds[np.arange(len(odds)), last.actions[:, choice]])
+    np.testing.assert_allclose(last.log_probabilities, expected, rtol=1e-5)
 
 
-def test_results_cover_whole_races():
-    sampler = sampler_of(FakeRaces([9] * 6))
-    sampler.sample(12)
-    assert sampler.results == []
-    sampler.sample(12)
-    first, second = sampler.results
-    assert first == (5.0, 1.0)
-    assert second.reward == 5 * (3.0 + 4.0)
+def test_a_kart_that_finishes_is_terminated():
+    near_finish = {"start": Start(share=0.97, speed=15.0), "track": "lighthouse"}
+    straight = [10, *np.cumsum(CHOICES[:-1])]  # at full throttle
+    with closing(RaceVectorEnv(1, num_kart=1, view="racing", **near_finish)) as races:
+        sampler = sampler_of(races, RLlibArguments(learners=1, frozen=0, bots=0), straight)
+        fragment, *_ = sampler.sample(100)
+    assert (fragment.is_terminated, fragment.is_truncated) == (True, False)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="kills by signal")
 def test_a_race_that_crashes_is_truncated_and_has_no_result():
-    sampler = sampler_of(FakeRaces([9] * 6, crash_at=3))
-    fragments = sampler.sample(20)
+    with closing(make_races(RACES)) as races:
+        sampler = sampler_of(races, RACES)
+        sampler.sample(8)
+        os.kill(races.races[0]._session.pid, signal.SIGKILL)
+        fragments = sampler.sample(24)
     assert [f.is_truncated for f in fragments if f.slot == 0] == [True, False]
-    assert [result.reward for result in sampler.results] == [35.0]
-
-
-def test_a_node_without_data_needs_a_pack(tmp_path, monkeypatch):
-    empty = tmp_path / "cache"
-    monkeypatch.setenv("STKZOO_CACHE", str(empty))
-    monkeypatch.setenv("SUPERTUXKART_DATADIR", "")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    try:
-        find_assets()
-    except AssetError:
-        with pytest.raises(AssetError, match="give --pack FILE"):
-            ensure_assets()
-        with pytest.raises(AssetError):
-            ensure_assets(archive=str(tmp_path / "no.tar.xz"))
-    else:
-        ensure_assets()  # the game is installed on this system
+    assert len(sampler.results) == 1
 
 
 def test_learned_weights_have_the_names_of_stable_baselines3():
@@ -274,22 +162,11 @@ def test_a_run_that_is_killed_while_it_writes_a_checkpoint_continues(tmp_path, m
         patch.setattr(Path, "rename", killed)
         with pytest.raises(KeyboardInterrupt):
             selfplay._save(FakeAlgorithm(10), tmp_path)
+    assert load_weights(tmp_path / "policy.safetensors")["action_net.bias"] == [10]
     assert restored(tmp_path, monkeypatch) == 5
     selfplay._save(FakeAlgorithm(10), tmp_path)
     assert restored(tmp_path, monkeypatch) == 10
     assert [path.name for path in selfplay._checkpoints(tmp_path)] == ["checkpoint-000010"]
-
-
-def test_the_policy_is_never_older_than_the_checkpoint(tmp_path, monkeypatch):
-    selfplay._save(FakeAlgorithm(5), tmp_path)
-
-    def killed(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Path, "rename", killed)
-    with pytest.raises(KeyboardInterrupt):
-        selfplay._save(FakeAlgorithm(10), tmp_path)
-    assert load_weights(tmp_path / "policy.safetensors")["action_net.bias"] == [10]
 
 
 @pytest.mark.parametrize(

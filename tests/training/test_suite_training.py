@@ -23,7 +23,6 @@ from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from stkzoo.suite import find_task
-from stkzoo.wrappers.racing import SIZE
 
 SMALL = {
     "task": "solo-1",
@@ -115,18 +114,6 @@ def test_a_task_with_messages_is_refused_before_anything_starts(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_central_critic_sees_the_time_and_distance_of_a_long_race():
-    size = find_task("team-2v2").state_size
-    network = TaskNetwork((8, 8), 0, size)
-    rows = np.zeros((3, SIZE + size), np.float32)
-    rows[:, SIZE] = 10, 200, 400  # time [s]
-    rows[:, -1] = 100, 2000, 3500  # distance of the last kart [m]
-    seen = network.normalized(rows)
-    for column in (SIZE, -1):
-        assert (np.diff(seen[:, column]) > 1).all()
-    assert not seen[:, :SIZE].any()
-
-
 def test_members_of_a_team_get_the_mean_of_their_rewards():
     shares = reward_shares(find_task("team-2v2"))
     own = np.array([4.0, 1.0, 3.0, 2.0])
@@ -144,8 +131,6 @@ def test_a_rollout_has_shared_rewards_and_the_learners_own_values():
     actor.begin([5])
     try:
         driven = actor.drive(0, *network.weights())
-        race = actor._races.races[0]
-        track, reverse = race.race.track, race.race.reverse
     finally:
         actor.close()
     rollout = memory.array()[0]
@@ -157,16 +142,12 @@ def test_a_rollout_has_shared_rewards_and_the_learners_own_values():
     assert (rollout["rewards"][:, 0] == rollout["rewards"][:, 3]).all()
     assert (rollout["rewards"][:, 1] == rollout["rewards"][:, 2]).all()
     assert (rollout["rewards"][:, 0] != rollout["rewards"][:, 1]).any()
-    logits = network.policy(network.torch.from_numpy(rollout["inputs"][3].copy()))
-    assert logits.shape == (4, 31)
     columns = network.tensors(rollout[3])
     log_probability, entropy, _, values = network.evaluate(columns)
     told = rollout["log_probability"][3]
     assert np.allclose(log_probability.detach().numpy(), told, atol=1e-4)
     assert np.allclose(values.detach().numpy() * 10.0, rollout["values"][3], atol=1e-4)
     assert (entropy > 0).all()
-    assert track in find_task("team-2v2").train_tracks
-    assert reverse in (False, True)
 
 
 @pytest.mark.slow
@@ -327,16 +308,9 @@ def test_an_unknown_algorithm_is_refused(capsys):
 
 
 @pytest.mark.parametrize("words", [("train", "solo-1", "ippo"), ("exploit", "heuristic")])
-@pytest.mark.parametrize(
-    ("option", "value", "message"),
-    [
-        ("--kart-steps", "0", "kart_steps is 0, expected a whole number of 1 or more"),
-        ("--seed", "1" * 22, f"seed is {'1' * 22}, expected a whole number from 0 to"),
-    ],
-)
-def test_numbers_out_of_bounds_are_refused(tmp_path, capsys, words, option, value, message):
-    assert main(["suite", *words, option, value, "--output", str(tmp_path / "run")]) == 2
-    assert message in capsys.readouterr().err
+def test_numbers_out_of_bounds_are_refused(tmp_path, capsys, words):
+    assert main(["suite", *words, "--seed", "1" * 22, "--output", str(tmp_path / "run")]) == 2
+    assert "expected a whole number from 0 to" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 

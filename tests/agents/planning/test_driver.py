@@ -27,8 +27,6 @@ from stkzoo.agents.planning.plans import (
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import (
-    BatchedRacingView,
-    RoadTable,
     Surroundings,
     racing_lines_of,
     surroundings_of,
@@ -113,19 +111,6 @@ def test_decisions_do_not_depend_on_the_batch_size(name):
             seen = driver.look(*rows_of(own, around, [kart]))
             decided, _ = driver.act(policy.best(seen))
             np.testing.assert_array_equal(decided[0], controls[kart])
-
-
-def test_batched_views_match_the_full_view():
-    batched_view = None
-    for count, (env, own, around, *_) in enumerate(driven_race(90)):
-        batched_view = batched_view or BatchedRacingView([RoadTable(env.track_map)])
-        if count % 15:
-            continue
-        karts = np.array(env.race.kart_indices)
-        own_too, around_too = batched_view.surroundings([env.snapshot], [0], [karts], ALL_LOOKS)
-        here, there = PlanDriver(3).view(own, around), PlanDriver(3).view(own_too, around_too)
-        np.testing.assert_allclose(here.inputs, there.inputs, atol=1e-3)
-        np.testing.assert_allclose(here.prior, there.prior, atol=1e-2)
 
 
 def test_plans_on_the_racing_line_follow_it():
