@@ -108,13 +108,6 @@ def test_demo_says_where_to_go_next(capsys):
 
 
 @pytest.mark.slow
-def test_command_writes_json(tmp_path):
-    file = tmp_path / "result.json"
-    assert main(["race", "ai", "--track", "olivermath", "--output", str(file)]) == 0
-    assert RaceResult.from_json(file.read_text()).agents[0].driver == "ai"
-
-
-@pytest.mark.slow
 def test_command_writes_only_json_to_stdout_on_request(capsys):
     assert main(["race", "ai", "--track", "olivermath", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["track"] == "olivermath"

@@ -245,17 +245,6 @@ def test_the_race_can_be_read_from_the_unwrapped_environment(on_stkzoo):
     ]
 
 
-def test_tracks_are_available_before_a_race(on_stkzoo):
-    code = """
-    from pystk2_gymnasium.envs import BaseSTKRaceEnv, STKRaceEnv
-
-    print("lighthouse" in STKRaceEnv.TRACKS, BaseSTKRaceEnv.TRACKS == STKRaceEnv.TRACKS)
-    env = STKRaceEnv(track=STKRaceEnv.TRACKS[0])
-    print(env.TRACKS == STKRaceEnv.TRACKS, env.current_track)
-    """
-    assert on_stkzoo(code).splitlines() == ["True True", "True None"]
-
-
 def test_each_agent_can_have_its_own_wrappers(on_stkzoo):
     code = """
     from pystk2_gymnasium import AgentSpec, MonoAgentWrapperAdapter
@@ -313,24 +302,6 @@ def test_a_custom_wrapper_of_actions_and_observations_works(on_stkzoo):
     env.close()
     """
     assert on_stkzoo(code) == "True 0"
-
-
-def test_spaces_can_be_flattened_by_hand(on_stkzoo):
-    code = """
-    from pystk2_gymnasium.wrappers import SpaceFlattener
-
-    env = gym.make("supertuxkart/simple-v0", track="lighthouse")
-    flattener = SpaceFlattener(env.observation_space)
-    observation, _ = env.reset(seed=1)
-    print(flattener.discrete_keys, flattener.only_discrete, flattener.only_continuous)
-    print(len(flattener.discrete(observation)), sorted(flattener.space))
-    env.close()
-    """
-    assert on_stkzoo(code).splitlines() == [
-        "['attachment', 'items_type', 'jumping', 'phase', 'powerup_count', 'powerup_type'] "
-        "False False",
-        "10 ['continuous', 'discrete']",
-    ]
 
 
 def test_vector_environments_can_be_made(on_stkzoo):

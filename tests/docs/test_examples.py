@@ -72,6 +72,9 @@ PARSED = {
 }
 
 
+OTHER_PROGRAMS = ["pip", "apt", "sudo", "python3", ".", "cd", "git", "ray", "tensorboard", "conda"]
+
+
 def enter_folder(path, monkeypatch):
     """Creates a folder with the agents that the pages mention, and changes to it."""
     agent, team, *_ = (b for b in blocks("docs/reference/agents.md", "python") if b.file)
@@ -121,18 +124,7 @@ def try_command(words):
     program, *rest = words
     if program == "stkzoo":
         try_stkzoo(rest)
-    elif program in (
-        "pip",
-        "apt",
-        "sudo",
-        "python3",
-        ".",
-        "cd",
-        "git",
-        "ray",
-        "tensorboard",
-        "conda",
-    ):
+    elif program in OTHER_PROGRAMS:
         extras = re.search(r"(?:stkzoo|\.)\[([\w,-]+)\]", " ".join(rest))
         for extra in extras[1].split(",") if extras else ():
             assert re.search(rf"^{extra} = \[", (ROOT / "pyproject.toml").read_text(), re.M), words

@@ -19,7 +19,7 @@ from stkzoo.drivers.files import find_files
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import plan_tournament
 from stkzoo.race import find_driver, run_race
-from tests.support.paths import AGENTS, ROOT
+from tests.support.paths import AGENTS
 
 FORMS = ("plain", "alpha", "beta", "wrapped", "weights", "reference")
 
@@ -122,16 +122,6 @@ def test_an_agent_in_an_inner_folder_of_a_zip_is_named(inside, tmp_path):
 def test_an_agent_in_a_folder_imports_the_modules_beside_it():
     """D29."""
     assert load(AGENTS / "plain").name == "Plain"
-
-
-def test_a_package_without_pystk_actor_can_be_an_agent():
-    assert load(ROOT / "agents" / "heuristic").name == "heuristic"
-
-
-@pytest.mark.slow
-def test_an_agent_without_a_name_is_named_after_its_file():
-    driver = str(AGENTS / "module_home" / "bare_module_agent.py")
-    assert names_of(run_race([driver], track="lighthouse", max_steps=2)) == {"bare_module_agent"}
 
 
 @pytest.mark.slow

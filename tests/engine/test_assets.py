@@ -20,7 +20,7 @@ from stkzoo.engine.assets.headless import (
     PLACEHOLDER_PNG,
 )
 from stkzoo.engine.assets.scenes import SCENES_VERSION
-from stkzoo.engine.assets.staging import check_space, discard, lock
+from stkzoo.engine.assets.staging import check_space, lock
 from stkzoo.engine.assets.tree import MARKER, write_marker
 from stkzoo.errors import AssetError, ConfigError
 
@@ -207,14 +207,6 @@ class TestInstalling:
     def test_builds_the_pack_from_existing_data(self):
         assert install().source == "headless pack"
 
-    @pytest.mark.usefixtures("cache")
-    @pytest.mark.parametrize("place", ["headless", "system"])
-    @pytest.mark.usefixtures("headless")
-    def test_uses_the_folder_in_the_environment(self, cache, monkeypatch, place):
-        (cache / place).rename(cache.parent / "named")
-        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(cache.parent / "named"))
-        assert install().root == cache.parent / "named"
-
     def test_unknown_source_is_refused(self):
         with pytest.raises(ConfigError, match="Did you mean 'debian'"):
             install(source="debain")
@@ -374,22 +366,11 @@ class TestHeadlessPack:
         assert (track / "road.PNG").read_bytes() == PLACEHOLDER_PNG
         assert (track / "sky.jpg").read_bytes() == PLACEHOLDER_JPEG
 
-    @pytest.mark.usefixtures("cache")
-    def test_needs_full_data(self):
-        with pytest.raises(AssetError, match="full data"):
-            pack()
-
     @pytest.mark.usefixtures("system")
     def test_pack_with_scenes_of_another_version_is_built_again(self, headless):
         write_marker(headless, "headless pack", headless=True)
         assert find_assets().scenes != SCENES_VERSION
         assert install().scenes == SCENES_VERSION
-
-    def test_pack_with_other_scenes_is_used_without_full_data(self, headless, monkeypatch):
-        monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
-        discard(find.own_folder("system"))
-        write_marker(headless, "headless pack", headless=True)
-        assert pack() == find_assets().root == headless
 
     def test_incomplete_full_data_is_refused(self, system, cache):
         (system / "tracks" / "beach" / "quads.xml").write_bytes(b"<quads>")

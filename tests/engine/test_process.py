@@ -23,7 +23,7 @@ from stkzoo.engine.session import LocalSession, WorkerSession
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
 from tests.support.paths import ROOT
-from tests.support.processes import children_of, process_exists, run_program, wait_until
+from tests.support.processes import process_exists, run_program, wait_until
 
 PLAYER = KartSetup(is_bot=False)
 BOT = KartSetup()
@@ -155,26 +155,6 @@ def test_a_crash_because_of_damaged_data_says_how_to_replace_it(name, root, tmp_
     with pytest.raises(EngineCrashed, match="replace it: `stkzoo assets install --force`"):
         session.start(SETUP)
     session.close()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has a fork server")
-def test_a_crash_is_reported_while_the_fork_server_is_stopped(session):
-    session.start(SETUP)
-    fork_server = session._process.fork_server
-    fork_server._control.settimeout(0.5)
-    server = fork_server._process.pid
-    os.kill(server, signal.SIGSTOP)
-    try:
-        os.kill(session.pid, signal.SIGKILL)
-        with pytest.raises(EngineCrashed, match="the game's process was lost"):
-            drive_on(session)
-    finally:
-        os.kill(server, signal.SIGCONT)
-    session.start(SETUP)
-    os.kill(session.pid, signal.SIGKILL)
-    with pytest.raises(EngineCrashed, match="ended by SIGKILL"):  # despite the late reply
-        drive_on(session)
-    fork_server._control.settimeout(5.0)
 
 
 @pytest.mark.slow
@@ -386,14 +366,6 @@ def test_restarts_in_this_process_leave_no_open_file_and_no_folder(root, tmp_pat
     """
     lines = run_program(code, env={**os.environ, "TMPDIR": str(tmp_path)}).stdout.splitlines()
     assert lines == [lines[0]] * 3
-
-
-@pytest.mark.slow
-def test_fast_restarts_leave_no_processes_behind(root, session):
-    for _ in range(30):
-        session.start(RaceSetup("olivermath", (PLAYER,)))
-    fork_server = fork_client.start_fork_server(root)
-    assert wait_until(lambda: len(children_of(fork_server._process.pid)) == 1)
 
 
 def test_a_step_before_the_start_says_reset(root):

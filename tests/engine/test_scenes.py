@@ -173,16 +173,6 @@ class TestRandomNumbers:
         scene = thin(data, instances(2, "group"), plant=LEVELS + TREE + TRUNK, group=group)
         assert self.num_draws(scene) == 2 * 3 * 2
 
-    def test_levels_with_the_same_name_in_two_library_objects_add_up(self, data):
-        more = LEVELS.replace("40", "300")  # farther than 200, so there are four levels
-        scene = thin(
-            data,
-            instances(1) + instances(2, "other"),
-            plant=TRUNK + LEVELS,
-            other=more + TREE + TRUNK,
-        )
-        assert self.num_draws(scene) == 2 * 4
-
     def test_object_with_a_random_hue_still_draws_it(self, data):
         (entry,) = thin(data, GHOST.format("leaf"))
         assert entry.get("model") == "leaf.spm"

@@ -128,12 +128,6 @@ def test_a_check_runs_no_adapter_that_the_dataset_names(driven, rival):
     assert not hasattr(builtins, "rival_was_here")
 
 
-def test_demonstrations_of_an_agent_that_is_gone_can_be_checked(driven):
-    _, demos = driven
-    agent = {**demos.plan["agents"][0], "source": "/nowhere/agent.zip"}
-    assert check_demonstrations(replace(demos, plan={**demos.plan, "agents": [agent]})).is_exact
-
-
 def test_recorded_actions_are_the_nearest_to_the_controls(driven):
     _, demos = driven
     as_told = controls_of_choices(demos.columns["actions"])
@@ -196,23 +190,12 @@ def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
     demos = record_demonstrations("pursuit", output=tmp_path / "d.safetensors", view=view, **how)
     spaces = DemoView(view)
     episode = load_demonstrations(tmp_path / "d.safetensors")[0]
-    for moment in (0, len(episode) - 1):
-        seen, done = _moment(episode.observations, moment), _moment(episode.actions, moment)
-        assert set(seen) == set(spaces.observation_space) if isinstance(seen, dict) else True
-        assert spaces.action_space.contains(_as_in(spaces.action_space, done))
+    assert all(action in spaces.action_space for action in episode.actions)
+    if view == "flattened_discrete":
+        assert set(episode.observations) == set(spaces.observation_space)
+    else:
+        assert all(seen in spaces.observation_space for seen in episode.observations)
     assert demos.num_steps == 25
-
-
-def _moment(tree, number):
-    if isinstance(tree, dict):
-        return {key: _moment(part, number) for key, part in tree.items()}
-    return tree[number]
-
-
-def _as_in(space, value):
-    if isinstance(value, dict):
-        return {key: _as_in(space[key], part) for key, part in value.items()}
-    return value if value.ndim else int(value)
 
 
 def test_repeating_a_call_records_nothing_again(driven):

@@ -149,12 +149,6 @@ def test_better_agents_are_rated_better():
     assert all(rating.low < rating.value < rating.high for rating in ratings)
 
 
-def test_an_agent_without_races_has_the_default_rating():
-    rating = rate([[0, 1]], 3)[2]
-    assert rating.value == 25
-    assert rating.low < 23 < 27 < rating.high
-
-
 @pytest.mark.parametrize("module", ["openskill.models", "matplotlib.figure"])
 def test_a_missing_library_is_an_error_before_the_first_race(module, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
@@ -199,36 +193,6 @@ def test_the_command_counts_failures_without_removal_by_race(tmp_path, capsys):
 
 
 # ------------------------------------------------------------------ interruptions
-
-
-@pytest.mark.slow
-def test_a_tournament_killed_halfway_and_resumed_runs_all_races(tmp_path):
-    folder = tmp_path / "league"
-    command = [sys.executable, "-m", "stkzoo", "tournament", *THREE, "--output", str(folder)]
-    words = ["--races", "8", "--max-steps", "10", "--track", "lighthouse", "--jobs", "2"]
-    program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
-    is_over = lambda: program.poll() is not None  # noqa: E731
-    is_half = lambda: len(races_in(folder)) >= 3  # noqa: E731
-    wait_until(lambda: is_half() or is_over(), seconds=300)
-    workers = children_of(program.pid)
-    program.kill()
-    said = program.communicate(timeout=60)[1]
-    assert program.returncode == -signal.SIGKILL, said
-    assert wait_until(lambda: not any(map(process_exists, workers)))
-    half = {name: (folder / "races" / name).read_bytes() for name in races_in(folder)}
-    assert workers
-    assert 3 <= len(half) < 8
-    done = subprocess.run(
-        [sys.executable, "-m", "stkzoo", "tournament", "--resume", str(folder)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    expected = [f"{number:05d}.json" for number in range(8)]
-    assert sorted(file.name for file in (folder / "races").iterdir()) == expected
-    assert all((folder / "races" / name).read_bytes() == text for name, text in half.items())
-    assert load_tournament(folder).is_complete
 
 
 @pytest.mark.slow

@@ -136,17 +136,6 @@ def test_it_wraps_a_single_agent_id_and_its_spec_rebuilds_it():
             np.testing.assert_array_equal(again.reset(seed=1)[0]["image"], first["image"])
 
 
-def test_observations_that_are_not_a_dict_get_a_key():
-    def view(env):
-        return CameraObservations(
-            gym.wrappers.FlattenObservation(VIEWS["flattened_discrete"](env)), **ON_MAP
-        )
-
-    with race_v0.parallel_env(**RACE, view=view) as env:
-        observations = list(drive(env, 2))[-1]
-    assert set(observations["kart_0"]) == {"observation", "image"}
-
-
 @pytest.mark.slow
 def test_restored_states_have_their_images():
     with race(**ON_MAP, every=3) as env:

@@ -128,14 +128,6 @@ def test_a_folder_of_results_cannot_be_the_folder_of_the_report(two_runs, tmp_pa
     assert {*tmp_path.glob("*.json")} == {*two_runs}
 
 
-def test_a_figure_of_an_earlier_report_is_removed(two_runs, tmp_path):
-    folder = tmp_path / "report"
-    folder.mkdir()
-    (folder / "improvement.svg").touch()
-    write_suite_report(two_runs, folder)  # a single algorithm has no comparison
-    assert not (folder / "improvement.svg").exists()
-
-
 @pytest.mark.slow
 def test_two_algorithms_are_compared(tmp_path):
     for name in ("ippo", "mappo"):
