@@ -20,7 +20,7 @@ from stkzoo.mdp.observations import observe_karts
 from stkzoo.mdp.rewards import as_reward
 from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.views.plan import Seats
-from stkzoo.wrappers import Discretizer, PolarObservations
+from stkzoo.wrappers import Discretizer
 from tests.support.paths import ROOT
 from tests.support.views import EACH_ID, marked
 
@@ -244,18 +244,6 @@ def test_d08_flattened_views_have_exactly_two_keys():
 # ------------------------------------------------------------------------------------ D09
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", EACH_ID)
-def test_d09_observations_of_ai_agents_are_in_their_space(env_id):
-    env = gym.make(env_id, agent=AgentSpec(use_ai=True), track=SHORT_TRACK)
-    observation, _ = env.reset(seed=1)
-    for _ in range(80):
-        assert env.observation_space.contains(observation)
-        assert env.action_space.contains(observation["action"])
-        observation, *_ = env.step(env.action_space.sample())
-    env.close()
-
-
 def test_d09_observations_of_mixed_agents_are_in_their_spaces():
     env = gym.make(MULTI_ID, agents=specs("ap"), track=SHORT_TRACK)
     observation, _ = env.reset(seed=1)
@@ -266,18 +254,6 @@ def test_d09_observations_of_mixed_agents_are_in_their_spaces():
 
 
 # ------------------------------------------------------------------------------------ D12
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env_id", ["supertuxkart/simple-v0", MULTI_ID])
-def test_d12_a_track_given_at_reset_applies_to_that_episode(env_id):
-    env = gym.make(env_id, num_kart=2, track=SHORT_TRACK)
-    env.reset(seed=0, options={"track": "olivermath"})
-    chosen = env.unwrapped.current_track
-    env.reset()
-    after = env.unwrapped.current_track
-    env.close()
-    assert (chosen, after) == ("olivermath", SHORT_TRACK)
 
 
 @pytest.mark.parametrize(
@@ -309,28 +285,6 @@ def test_d12_the_dict_of_agents_needs_no_arguments():
     env = stkzoo.STKRaceMultiEnv(track=SHORT_TRACK)
     assert list(env.reset(seed=0)[0]) == ["0", "1", "2"]
     env.close()
-
-
-# ------------------------------------------------------------------------------------ D13
-
-
-def test_d13_wrappers_do_not_change_the_original_observations():
-    env = MonoAgentWrapperAdapter(
-        gym.make(MULTI_ID, agents=2, num_kart=2, track=SHORT_TRACK),
-        keep_original=True,
-        wrapper_factories={"0": PolarObservations, "1": PolarObservations},
-    )
-    plain = gym.make(MULTI_ID, agents=2, num_kart=2, track=SHORT_TRACK)
-    observation, _ = env.reset(seed=5)
-    expected, _ = plain.reset(seed=5)
-    for _ in range(5):
-        for agent in "01":
-            assert same(observation[f"original/{agent}"], expected[agent])
-            assert not same(observation[agent], expected[agent])
-        actions = {agent: action(1.0) for agent in "01"}
-        observation, expected = env.step(actions)[0], plain.step(actions)[0]
-    env.close()
-    plain.close()
 
 
 # ------------------------------------------------------------------------------------ D14
@@ -461,23 +415,6 @@ def test_d16_segments_are_sorted_by_driving_distance(name):
     assert (order[:, 0] == nodes).all()
     assert (np.sort(order, axis=1) == nodes).all()
     assert np.diff(reachable, axis=1).min() > -1e-2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", marked(["cocoa_temple", "stk_enterprise"], ["cocoa_temple"]))
-def test_d16_the_simple_view_has_the_five_nearest_segments(name):
-    env = gym.make("supertuxkart/simple-v0", agent=AgentSpec(use_ai=True), num_kart=1, track=name)
-    observation, _ = env.reset(seed=0)
-    core = env.unwrapped.core
-    meters = driving_distances(core.track_map)
-    for _ in range(400):
-        nearest = np.sort(meters[core.snapshot.karts["node"][0]])[:5]
-        begin = observation["paths_distance"][:, 0]
-        length = core.track_map.length
-        gaps = (begin - begin[0] + 1) % length - 1  # two branches may begin at the same place
-        assert gaps == pytest.approx(nearest, abs=1e-2)
-        observation, *_ = env.step(env.action_space.sample())
-    env.close()
 
 
 def test_d16_changing_an_observation_does_not_affect_later_ones():
@@ -659,18 +596,6 @@ def test_invalid_options_are_refused_and_the_race_continues(running_race, option
 def test_an_invalid_seed_is_refused(running_race, seed):
     with pytest.raises(ConfigError, match=f"seed is {seed!r}"):
         running_race.reset(seed=seed)
-
-
-def test_specs_changed_after_construction_are_checked_at_reset():
-    env = stkzoo.STKRaceMultiEnv(agents=2, num_kart=3, track=SHORT_TRACK)
-    env.reset(seed=0)
-    env.agents[0].rank_start = 7
-    with pytest.raises(ConfigError, match="rank_start of agent 0 is 7"):
-        env.reset()
-    env.agents[0].rank_start = 2
-    env.reset()
-    assert env.kart_indices[0] == 2
-    env.close()
 
 
 def test_integers_of_numpy_are_accepted():

@@ -1,15 +1,11 @@
 """The examples of docs/how-to/works-with.md run with each installed library."""
 
-import functools
-import importlib.util
 import os
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
-import stkzoo
 from tests.support.paths import ROOT
 from tests.support.views import marked
 
@@ -31,33 +27,6 @@ def test_an_example_runs(script):
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "steps" in done.stdout or "races over" in done.stdout
-
-
-def test_cleanrl_evaluates_the_last_observation_of_a_truncated_episode(monkeypatch):
-    path = EXAMPLES / "cleanrl_ppo.py"
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
-    evaluated, last = [], []
-
-    class RecordingAgent(script.Agent):
-        def forward(self, seen, *others):
-            evaluated.extend(row.tobytes() for row in seen.numpy())
-            return super().forward(seen, *others)
-
-    class ShortRaces(stkzoo.RaceVectorEnv):
-        def step(self, actions):
-            *found, infos = super().step(actions)
-            last.extend(infos["final_obs"][slot] for slot in np.flatnonzero(found[3]))
-            return *found, infos
-
-    monkeypatch.setattr(script, "Agent", RecordingAgent)
-    monkeypatch.setattr(stkzoo, "RaceVectorEnv", functools.partial(ShortRaces, max_cycles=6))
-    options = ["--races=1", "--karts=2", "--horizon=8", "--total-steps=16"]
-    monkeypatch.setattr(sys, "argv", [path.name, *options])
-    script.main()
-    assert len(last) == 2
-    assert {each["observation"].tobytes() for each in last} <= {*evaluated}
 
 
 def test_the_page_has_a_row_for_every_example():

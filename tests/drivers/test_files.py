@@ -101,14 +101,6 @@ def test_a_package_can_have_the_name_of_a_library(name, tmp_path):
     assert sys.modules[name] is library
 
 
-def test_the_folder_views_of_macos_do_not_hide_the_agent_in_a_zip(tmp_path):
-    path = zip_of(AGENTS / "alpha" / "stk_actor", tmp_path / "agent.zip", "repository/")
-    with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr(".DS_Store", "")
-        archive.writestr("__MACOSX/repository/._pystk_actor.py", "")
-    assert load(path).name == "Alpha"
-
-
 @pytest.mark.parametrize("inside", ["team/agent/", "agent/"])
 def test_an_agent_in_an_inner_folder_of_a_zip_is_named(inside, tmp_path):
     path = zip_of(AGENTS / "alpha" / "stk_actor", tmp_path / "agent.zip", inside)

@@ -69,10 +69,6 @@ def test_a_hostile_agents_failure_is_reported(hostile_race, name, kind, message)
     assert message in row.errors[0].message
 
 
-def test_the_last_output_of_a_dead_agent_is_kept(hostile_race):
-    assert "goodbye, cruel race" in by_driver(hostile_race)["exits"].errors[0].trace
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("handling", ["retire", "restart", "catch"])
 def test_a_race_ends_when_all_its_agents_have_failed(handling):

@@ -504,11 +504,6 @@ class TestCommandLine:
         assert main(["assets", "status", "--names"]) == 0
         assert "alps, beach" in capsys.readouterr().out
 
-    @pytest.mark.usefixtures("cache")
-    def test_status_fails_without_data(self, capsys):
-        assert main(["assets", "status"]) == 1
-        assert "stkzoo assets install" in capsys.readouterr().err
-
     @pytest.mark.usefixtures("system")
     def test_install_says_where_the_data_is(self, capsys):
         assert main(["assets", "install"]) == 0

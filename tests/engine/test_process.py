@@ -180,21 +180,6 @@ def test_a_step_after_the_crash_says_reset(session):
 
 
 @pytest.mark.slow
-def test_a_crash_does_not_affect_other_sessions(root, session):
-    other = WorkerSession(root)
-    expected = trajectory(other)
-    session.start(SETUP)
-    other.start(SETUP)
-    parts = []
-    for step in range(80):
-        if step == 40:
-            os.kill(session.pid, signal.SIGKILL)
-        parts.append(other.step(full_throttle()).data)
-    assert b"".join(parts) == expected
-    other.close()
-
-
-@pytest.mark.slow
 def test_a_killed_fork_server_is_replaced(root, session):
     expected = trajectory(session)
     fork_server = fork_client.start_fork_server(root)

@@ -189,22 +189,6 @@ def test_the_window_follows_the_race(display):
     assert moments == history(25)
 
 
-@pytest.mark.slow
-def test_the_name_of_a_kart_is_drawn_above_it():
-    if who_draws() == "map":
-        pytest.skip("the map has names in its panel only")
-    pictures = []
-    for name in ("", "Ada Lovelace\n\ud800" * 500):
-        agents = [AgentSpec(name=name), AgentSpec(), AgentSpec()]
-        options = {"render_backend": "engine", "render_size": (160, 120)}
-        with small_race(agents=agents, render_mode="rgb_array", **options) as env:
-            env.reset(seed=1)
-            pictures.append(env.render())
-    is_changed = (pictures[0] != pictures[1]).any(axis=2)
-    assert is_changed[20:40].mean() > 0.05
-    assert is_changed[60:].mean() < 0.01
-
-
 # ------------------------------------------------------------------ cameras
 
 

@@ -186,17 +186,6 @@ def test_stop_ends_the_race_with_a_result():
     }
 
 
-def test_stop_on_the_grid_ends_a_race_that_waits():
-    async def scenario(one):
-        await one.next("moment")
-        await one.send("stop")
-        await one.next("result")
-
-    with WatchedRace() as race:
-        race.watch(scenario)
-        assert race.join().steps == 0
-
-
 def test_an_agents_observation_is_sent_to_viewers_that_request_it():
     async def scenario(one, other):
         await one.next("moment")
@@ -476,18 +465,6 @@ def test_observations_of_all_types_become_json():
 
 
 # ---------------------------------------------------------------- the command
-
-
-def test_the_command_prints_the_address_of_the_page_and_exits(capsys, tmp_path):
-    """D30: no clicks are necessary."""
-    file = tmp_path / "result.json"
-    words = ["race", "ai", "ai", "--track", "olivermath", "--max-steps", "5", "--web"]
-    words += ["--web-port", "0", "--web-speed", "max", "--races", "2", "--output", str(file)]
-    assert main(words) == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if "live page" in line]
-    assert len(lines) == 2
-    assert lines[0] == lines[1]
-    assert lines[0].startswith("live page: http://127.0.0.1:")
 
 
 @pytest.mark.slow
