@@ -89,10 +89,7 @@ def test_infos_contain_nothing_that_was_not_requested():
     ("name", "value"),
     [
         ("end_when_stuck", 0),
-        ("end_when_wrong_way", "5"),
         ("end_off_road", float("nan")),
-        ("end_off_road", True),
-        ("end_when_first_finishes", -1),
         ("end_when_first_finishes", 1.5),
         ("events", 1),
     ],

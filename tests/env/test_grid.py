@@ -33,31 +33,26 @@ def test_every_kart_has_a_setup_and_bots_fill_the_grid():
     assert sum(kart.is_bot for kart in setup.karts) == 3
 
 
-def test_the_window_follows_the_agents_that_the_ai_does_not_drive():
-    agents = [AgentSpec(use_ai=True), AgentSpec(), AgentSpec()]
-    assert cameras(agents, has_window=True) == [CameraMode.AUTO, CameraMode.ON, CameraMode.ON]
+AI, PLAYER, SHOWN = AgentSpec(use_ai=True), AgentSpec(), AgentSpec(camera_mode=CameraMode.ON)
+OFF, ON = CameraMode.AUTO, CameraMode.ON
+
+
+@pytest.mark.parametrize(
+    ("agents", "num_cameras", "expected"),
+    [
+        ([AI, PLAYER, PLAYER], 0, [OFF, ON, ON]),  # those that the AI does not drive
+        ([AI, AI], 0, [ON, OFF]),  # one, even if the AI drives all
+        ([PLAYER, SHOWN], 0, [OFF, ON]),  # explicit choices
+        ([PLAYER, PLAYER], 1, [OFF, OFF]),
+    ],
+)
+def test_the_window_follows_agents(agents, num_cameras, expected):
+    assert cameras(agents, has_window=True, num_cameras=num_cameras) == expected
 
 
 def test_the_window_shows_at_most_eight_agents():
     shown = cameras([AgentSpec() for _ in range(12)], num_kart=12, has_window=True)
     assert shown.count(CameraMode.ON) == 8
-
-
-def test_the_window_follows_an_agent_even_if_the_ai_drives_all():
-    agents = [AgentSpec(use_ai=True), AgentSpec(use_ai=True)]
-    assert cameras(agents, has_window=True) == [CameraMode.ON, CameraMode.AUTO]
-
-
-@pytest.mark.parametrize(
-    ("agents", "options"),
-    [
-        ([AgentSpec(), AgentSpec(camera_mode=CameraMode.ON)], {}),
-        ([AgentSpec(), AgentSpec()], {"num_cameras": 1}),
-    ],
-)
-def test_explicit_camera_choices_are_kept(agents, options):
-    expected = [agent.camera_mode for agent in agents]
-    assert cameras(agents, has_window=True, **options) == expected
 
 
 def test_agent_specs_may_be_changed_until_the_next_reset():

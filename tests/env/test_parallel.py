@@ -11,7 +11,6 @@ from stkzoo import race_v0
 from stkzoo.engine.session import WorkerSession
 from stkzoo.env import parallel
 from stkzoo.env.episode import Episode
-from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.views import AgentChains
 
@@ -84,20 +83,6 @@ def test_a_default_step_runs_at_most_six_modules():
         env.reset(seed=1)
         env.step(actions_of(env))
         assert len(modules_of_a_step(env)) <= 6
-
-
-def test_a_parallel_step_equals_its_two_halves():
-    """Vector environments call the halves separately: first for all races, then they wait."""
-    with race_v0.parallel_env(num_kart=2, track="lighthouse") as env:
-        env.reset(seed=1)
-        actions = actions_of(env)
-        state = env.save_state()
-        _, *whole = env.step(actions)
-        env.restore_state(state)
-        RaceParallelEnv.step_async(env, actions)
-        _, *halves = env.step_wait()
-        assert whole == halves
-        state.close()
 
 
 def broken(_):

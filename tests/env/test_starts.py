@@ -9,6 +9,7 @@ from stkzoo import (
     AgentSpec,
     ApiOrderError,
     ConfigError,
+    EngineError,
     RandomStart,
     Scenario,
     Start,
@@ -171,6 +172,8 @@ def test_starts_work_in_this_process_and_with_gymnasium():
     with race(use_subprocess=False) as env:
         env.reset(seed=1, options={"start": 300.0})
         assert env.snapshot.karts[0]["overall_distance"] == pytest.approx(300.0, abs=3.0)
+        with pytest.raises(EngineError, match="use_subprocess"):
+            env.save_state()
     with gym.make("supertuxkart/simple-v0", num_kart=1, track="lighthouse", start=440.0) as env:
         for options, distance in ((None, 440.0), ({"start": 100.0}, 100.0)):
             env.reset(seed=1, options=options)

@@ -109,15 +109,6 @@ def test_restoring_repeats_the_unseeded_resets_that_follow(env):
     assert env.race.seed == expected
 
 
-def test_the_step_count_of_the_episode_is_part_of_the_state():
-    with make(max_cycles=40) as env:
-        state = started(env).save_state()
-        drive(env)
-        assert not env.agents
-        env.restore_state(state)
-        assert len(drive(env, 30, 100)) == 10
-
-
 # ---------------------------------------------------------------------- clones
 
 
@@ -286,22 +277,6 @@ def test_a_state_of_other_karts_or_agents_is_refused(env, options):
     other = make(**{"agents": 2, **options})
     with pytest.raises(ConfigError, match="karts and 2 agents"):
         other.restore_state(state)
-
-
-def test_a_race_in_this_process_cannot_be_saved():
-    code = """
-        from stkzoo import race_v0
-        from stkzoo.errors import EngineError
-        env = race_v0.parallel_env(track="olivermath", use_subprocess=False)
-        env.reset(seed=1)
-        for method in (env.save_state, env.clone):
-            try:
-                method()
-            except EngineError as error:
-                print("use_subprocess" in str(error))
-        env.step({agent: env.action_space(agent).sample() for agent in env.agents})
-    """
-    assert run_program(code).stdout.split() == ["True", "True"]
 
 
 def test_a_race_of_a_spawned_process_cannot_be_saved_but_continues(env, monkeypatch):

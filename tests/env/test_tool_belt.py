@@ -282,16 +282,6 @@ def test_make_vec_returns_a_race_vector_with_the_spaces_of_the_id(view):
     envs.close()
 
 
-def test_make_vec_accepts_the_keywords_of_the_id():
-    agent = stkzoo.AgentSpec(name="me", kart="gnu", rank_start=0)
-    envs = make_vec("flattened", num=1, agent=agent, track="hacienda", num_kart=4)
-    envs.reset(seed=1)
-    (race,) = envs.unwrapped.races
-    assert (race.race.track, race.race.kart_indices) == ("hacienda", (0,))
-    assert len(race.snapshot.karts) == 4
-    envs.close()
-
-
 def test_make_vec_with_lists_of_varying_length_suggests_another_id():
     with pytest.raises(ConfigError, match=r'differ in size.*choose view="simple"'):
         make_vec("full")

@@ -183,16 +183,6 @@ def test_all_races_start_a_step_before_any_is_waited_for():
 # ---------------------------------------------------------------------- seeds
 
 
-def test_a_list_of_seeds_has_one_for_each_race():
-    envs = make()
-    envs.reset(seed=[8, 3])
-    by_list = [race.race for race in envs.races]
-    envs.reset(seed=3)
-    assert envs.races[0].race == by_list[1]
-    assert envs.races[1].race != by_list[0]
-    envs.close()
-
-
 @pytest.mark.parametrize("prefetch", [True, False])
 def test_set_options_applies_from_the_next_race_until_it_is_changed(prefetch):
     envs = make(max_cycles=2, prefetch=prefetch)

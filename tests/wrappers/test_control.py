@@ -6,8 +6,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
 from stkzoo.agents.pursuit.driver import PursuitDriver, PursuitState
@@ -178,39 +176,6 @@ def test_the_engine_agrees_with_the_measured_kart_parameters():
 
 
 # ------------------------------------------------------------------ pure functions
-
-
-numbers = st.floats(-1.0, 1.0, width=32)
-
-
-@pytest.mark.parametrize("kinds", KINDS)
-@pytest.mark.parametrize("normalize_act", [False, True])
-@settings(max_examples=60, deadline=None)
-@given(
-    first=numbers,
-    second=numbers,
-    speed=st.floats(-12, 40),
-    angle=st.floats(0, 0.6),
-    step_size=st.sampled_from([0.01, 0.1, 0.5]),
-)
-def test_controls_are_always_valid_for_the_game(
-    kinds, normalize_act, first, second, speed, angle, step_size
-):
-    action = CarAction(kinds, normalize=normalize_act)
-    asked = action.space.low + (np.array([first, second]) + 1) / 2 * (
-        action.space.high - action.space.low
-    )
-    memory = action.memory()
-    for _ in range(3):
-        controls, memory = action.act(
-            asked, np.float64(speed), np.float64(angle), memory, step_size
-        )
-        throttle, steer, brake = controls
-        assert 0.0 <= throttle <= 1.0
-        assert -1.0 <= steer <= 1.0
-        assert brake in (0.0, 1.0)
-        assert not (brake and throttle)
-        assert np.isfinite(memory).all()
 
 
 def test_wheels_do_not_exceed_their_steering_speed():

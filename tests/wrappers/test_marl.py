@@ -240,17 +240,6 @@ def test_teammates_are_where_the_full_view_shows_them():
 
 
 @pytest.mark.parametrize(
-    "make", [MessageChannel, lambda env: Teams(env, teams=[[0, 1, 2, 3]], observe=True)]
-)
-def test_spaces_of_an_unknown_agent_are_refused(make):
-    env = make(race())
-    for space in (env.observation_space, env.action_space):
-        with pytest.raises(ConfigError, match="unknown agent 'kart_9'"):
-            space("kart_9")
-    env.close()
-
-
-@pytest.mark.parametrize(
     ("options", "text"),
     [
         ({"teams": [[0, 1], [2]]}, "'kart_3' is in 0 teams"),

@@ -164,10 +164,6 @@ def test_agents_from_files_can_request_motion(tmp_path, inline):
             lambda: ConstantSizedObservations(gym.make("supertuxkart/full-v0"), karts_motion=True),
             "karts_motion needs an environment that observes how the other karts move",
         ),
-        (
-            lambda: gym.make("supertuxkart/simple-v0", karts_motion="yes"),
-            "karts_motion is 'yes', expected True or False",
-        ),
     ],
 )
 def test_environments_without_motion_are_refused(make, message):

@@ -190,31 +190,26 @@ def test_at_a_fork_the_line_follows_the_connected_branch():
 def test_items_are_observed_in_the_right_places():
     with race(num_kart=1, track="lighthouse", max_cycles=300) as env:
         view = RacingObservations(OneKart(env))
-        goods = 0
+        good_kinds = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
+        num_goods = 0
         for observations in itertools.islice(moments(env, steps=150), 0, None, 10):
             full = observations["kart_0"]
-            one = view.observation(full)
-            good_kinds = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
-            places = [
-                (place, kind)
-                for place, kind in zip(full["items_position"], full["items_type"], strict=True)
-                if kind in good_kinds
-                and place[2] > 0.5
-                and abs(place[1]) < 6
-                and np.linalg.norm(place) < 60
-            ]
-            if not places:
-                assert part(one, "goods_nearness")[0, 0] == 0
-                continue
-            goods += 1
-            place, kind = places[0]
-            distance = np.linalg.norm(place)
-            assert part(one, "goods_nearness")[0, 0] == pytest.approx(1 / (1 + distance / 5), 1e-4)
-            assert part(one, "goods_beside")[0, 0] == pytest.approx(
-                np.clip(place[0] / 5, -5, 5), abs=1e-4
+            nearness, beside, kind = (
+                part(view.observation(full), f"goods_{name}")[0]
+                for name in ("nearness", "beside", "type")
             )
-            assert part(one, "goods_type")[0].argmax() == good_kinds.index(kind)
-    assert goods > 3
+            for place, item in zip(full["items_position"], full["items_type"], strict=True):
+                distance = np.linalg.norm(place)
+                is_ahead = place[2] > 0.5 and abs(place[1]) < 6 and distance < 60
+                if item in good_kinds and is_ahead:
+                    num_goods += 1
+                    assert nearness[0] == pytest.approx(1 / (1 + distance / 5), 1e-4)
+                    assert beside[0] == pytest.approx(np.clip(place[0] / 5, -5, 5), abs=1e-4)
+                    assert kind.argmax() == good_kinds.index(item)
+                    break
+            else:
+                assert nearness[0] == 0
+    assert num_goods > 3
 
 
 def test_choices_map_to_the_games_actions_and_back():
