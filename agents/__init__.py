@@ -13,5 +13,3 @@ A driver is a package with
 
 These packages use only interfaces that are available to your own drivers.
 """
-
-__all__: list[str] = []

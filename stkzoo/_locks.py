@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -60,7 +59,7 @@ def locked_folder(folder: Path, noun: str) -> Iterator[None]:
     """
     with using_folder(folder, noun):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = open(folder / LOCK, "a", opener=_open_without_waiting)  # noqa: SIM115
+        lock = open(folder / LOCK, "a")  # noqa: SIM115
     with lock:
         with using_folder(folder, noun):
             is_locked = try_lock(lock.fileno())
@@ -73,8 +72,3 @@ def locked_folder(folder: Path, noun: str) -> Iterator[None]:
             for part in folder.glob(pattern):
                 part.unlink(missing_ok=True)
         yield
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    """Opens a file; a pipe without a reader is an error."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)

@@ -4,5 +4,3 @@ A package contains ``weights.safetensors`` (the network), ``card.json`` (the dig
 training, results and limits), and the functions of an agent (:mod:`stkzoo.agents`). ``python -m
 stkzoo.agents.training.export`` makes one.
 """
-
-__all__: list[str] = []

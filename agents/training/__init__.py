@@ -1,3 +1,1 @@
 """Programs that train and tune drivers."""
-
-__all__: list[str] = []

@@ -262,10 +262,10 @@ def _runs_of(source: Path) -> list[dict[str, Any]]:
 def _run_of_member(league: Path, name: str) -> dict[str, Any]:
     """Returns the training run of a league's member, by the league's file."""
     with reading(f"{str(league)!r} cannot be read", "the file that the league wrote"):
-        found = read_run_file(_LearnedLeague, league)
-        steps = {member.name: member.kart_steps for member in found.members}
-        msgspec.convert(found.arguments, _LearnedArguments)
-    return {"kart_steps": steps.get(name), "history": [{"from": 0, "arguments": found.arguments}]}
+        content = read_run_file(dict[str, Any], league)
+        steps = {member["name"]: member["kart_steps"] for member in content["members"]}
+        history = [{"from": 0, "arguments": content["arguments"]}]
+    return {"kart_steps": steps.get(name), "history": history}
 
 
 def _describe(run: dict[str, Any]) -> str:
@@ -299,22 +299,6 @@ class _Run:
 
     kart_steps: Count | None
     history: tuple[_Learned, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _LearnedMember:
-    """A member of a league."""
-
-    name: str
-    kart_steps: Count
-
-
-@dataclass(frozen=True, slots=True)
-class _LearnedLeague:
-    """The file of a league."""
-
-    arguments: dict[str, Any]
-    members: tuple[_LearnedMember, ...]
 
 
 @dataclass(frozen=True, slots=True)

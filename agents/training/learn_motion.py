@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from stkzoo._arguments import option
 from stkzoo._os import make_folder
+from stkzoo.agents.planning import BoolArray, FloatArray
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.memory import PlanMemory
 from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, RELEASE_TURN, WEIGHTS, MotionState
@@ -38,9 +39,6 @@ from .common.arguments import RunArguments, ScriptOptions
 from .common.command import ProgressBar, run_command, training_torch
 from .common.fleet import RaceFleet
 from .common.starts import Lineup
-
-FloatArray = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
 
 #: Number of the first starting point; other programs use other numbers.
 _FIRST_NUMBER = 9000

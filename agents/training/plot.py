@@ -8,7 +8,6 @@ ratings from evaluations during training.
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ from msgspec import Meta
 from stkzoo._arguments import option, positional
 from stkzoo._reading import Unreadable, reading
 from stkzoo._schema import Count, Positive
-from stkzoo.errors import check_number
 from stkzoo.evaluation import GRAY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
@@ -175,25 +173,9 @@ def read_figures(folder: str | Path) -> list[dict[str, Any]]:
     log = require_log(folder)
     with reading(f"{str(Path(folder) / LOG)!r} cannot be drawn", "the log of a run"):
         for number, line in enumerate(log, 1):
-            _check_line(line, f"line {number}")
+            if "kart_steps" not in line and "round" not in line:
+                raise Unreadable(f"line {number} has neither kart_steps nor round")
     return log
-
-
-def _check_line(line: Mapping[str, Any], place: str) -> None:
-    """Checks the figures of a line of a log.
-
-    Raises:
-        Unreadable: a figure is missing.
-        ConfigError: a figure is not a number.
-    """
-    if "kart_steps" not in line and "round" not in line:
-        raise Unreadable(f"{place} has neither kart_steps nor round")
-    drawn = {"error", *(name for _, names in _PANELS for name in names)}
-    for name in line.keys() & (drawn | {"kart_steps", "round"}):
-        if line[name] is not None or name not in drawn:
-            check_number(f"{name} of {place}", line[name], -math.inf)
-    if line.get("time_ratio") is not None and line.get("error") is None:
-        raise Unreadable(f"{place} has a time_ratio and no error")
 
 
 def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

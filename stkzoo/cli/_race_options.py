@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from stkzoo._arguments import CommandParser, add_options, changed_options, option
@@ -157,12 +157,10 @@ def _check_unused(arguments: argparse.Namespace, kind: type, needed: str) -> Non
     Raises:
         ConfigError: such an option is given.
     """
-    for entry in fields(kind):
-        if getattr(arguments, entry.name) != entry.default:
-            option = "--" + entry.name.replace("_", "-")
-            raise ConfigError(
-                f"{option} does nothing without {needed}; add {needed}, or leave it out"
-            )
+    if unused := changed_options(arguments, kind):
+        raise ConfigError(
+            f"{unused[0]} does nothing without {needed}; add {needed}, or leave it out"
+        )
 
 
 def _window() -> RaceListener:

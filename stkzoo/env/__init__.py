@@ -1,3 +1,1 @@
 """The environments: the parallel environment, and the Gymnasium and vector environments on top."""
-
-__all__: list[str] = []

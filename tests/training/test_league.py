@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,12 +20,14 @@ from stkzoo.agents.training.common.matches import (
     play_records,
     rate_orders,
 )
+from stkzoo.agents.training.common.opponents import Rival
 from stkzoo.agents.training.common.starts import parse_races
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.league.league import League, LeagueArguments, main
 from stkzoo.agents.training.league.learner import LeagueActor, LeagueLearner
 from stkzoo.agents.training.league.page import page
 from stkzoo.agents.training.league.players import (
+    LeagueMember,
     Player,
     PlayerMatchmaker,
     draw_matches,
@@ -51,10 +54,10 @@ SMALL = {
     "hidden": (16, 16),
 }
 MEMBERS = [
-    {"name": "start", "player": "", "kart_steps": 0, "league_steps": 0},
-    {"name": "main-001", "player": "main", "kart_steps": 10, "league_steps": 10},
-    {"name": "exploiter-001", "player": "exploiter", "kart_steps": 10, "league_steps": 20},
-    {"name": "main-002", "player": "main", "kart_steps": 20, "league_steps": 30},
+    LeagueMember("start", "", 0, 0, 0),
+    LeagueMember("main-001", "main", 0, 10, 10),
+    LeagueMember("exploiter-001", "exploiter", 0, 10, 20),
+    LeagueMember("main-002", "main", 0, 20, 30),
 ]
 MATCHES = [
     MatchRecord(1, "olivermath", False, ["main-001", "ai", "start"]),
@@ -90,25 +93,25 @@ def draws(kind, pool=(), count=300):
 def test_a_main_player_meets_itself_and_all_members():
     met = draws("main")
     assert 100 < met.count(None) < 200
-    assert set(met) == {None, *(member["name"] for member in MEMBERS)}
+    assert set(met) == {None, *(member.name for member in MEMBERS)}
 
 
 def test_an_exploiter_meets_the_newest_main_player():
     assert set(draws("exploiter")) == {"main-002"}
-    hopeless = {"name": "main-002", "beaten": 0.05, "races": 30}
+    hopeless = Rival("main-002", 0.05, 30)
     assert set(draws("exploiter", [hopeless])) == {"main-001", "main-002"}
 
 
 def test_a_league_exploiter_meets_members_that_it_does_not_beat():
-    pool = [{"name": member["name"], "beaten": 1.0, "races": 30} for member in MEMBERS]
-    pool[1]["beaten"] = 0.1
+    pool = [Rival(member.name, 1.0, 30) for member in MEMBERS]
+    pool[1].beaten = 0.1
     met = draws("league-exploiter", pool)
     assert met.count("main-001") > 200
     assert set(met) > {"main-001"}
 
 
 def test_an_exploiter_that_won_or_trained_long_starts_over():
-    exploiter = Player("exploiter", "exploiter", turns=1, kart_steps=50, pool=[{}])
+    exploiter = Player("exploiter", "exploiter", turns=1, kart_steps=50, pool=[Rival("main-001")])
     assert not exploiter.is_done(0.5, patience=2)
     assert exploiter.is_done(0.9, patience=2)
     exploiter.turns = 2
@@ -123,7 +126,7 @@ def test_an_exploiter_that_won_or_trained_long_starts_over():
 
 
 def test_the_newest_member_meets_members_it_has_met_least():
-    names = [member["name"] for member in MEMBERS]
+    names = [member.name for member in MEMBERS]
     tracks = ["olivermath", "lighthouse"]
     random = np.random.default_rng(0)
     matches = draw_matches("main-002", [*names, "other"], MATCHES, tracks, 3, random)
@@ -302,7 +305,7 @@ def test_the_page_loads_no_external_files():
     text = page(MEMBERS, MATCHES, RATINGS)
     assert "http" not in text
     assert "<script" not in text
-    odd = [{**MEMBERS[1], "name": "<b>"}]
+    odd = [replace(MEMBERS[1], name="<b>")]
     assert "<b>" not in page(
         odd, [MatchRecord(1, "olivermath", False, ["<b>", "ai"])], {"<b>": [1, 0, 2]}
     )

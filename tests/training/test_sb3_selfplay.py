@@ -6,6 +6,7 @@ import subprocess
 import sys
 from contextlib import closing
 
+import msgspec
 import numpy as np
 import pytest
 from stable_baselines3 import PPO
@@ -23,7 +24,7 @@ from stkzoo.agents.training.imitation.network import make_network
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.rate import evaluate_policy, read_evaluations
 from stkzoo.agents.training.sb3 import races as sb3_races
-from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum
+from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
 from stkzoo.agents.training.sb3.selfplay import SB3Arguments, SB3Run, main
 from stkzoo.errors import ConfigError
@@ -113,7 +114,7 @@ def test_stages_open_tracks_then_directions():
     assert not curriculum.update(0.9)
     assert not curriculum.is_reversible
     again = Curriculum(("one", "two"), pass_at=0.5, window=2)
-    again.restore(json.loads(json.dumps(curriculum.state())))
+    again.restore(msgspec.convert(curriculum.state(), CurriculumState))
     assert again.update(0.9)
     assert again.is_reversible
     drawn = {again.draw(np.random.default_rng(seed)) for seed in range(40)}

@@ -22,7 +22,6 @@ from msgspec import Meta
 from stkzoo._locks import locked_folder
 from stkzoo._schema import Count
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.errors import ConfigError
 
 from .actors import ActorPool
 from .arguments import OverlappedArguments
@@ -75,12 +74,6 @@ class RunFacts:
     history: Annotated[list[dict[str, Any]], Meta(min_length=1)]
     kart_steps: Count
     iteration: Count
-
-    def __post_init__(self) -> None:
-        for chapter in self.history:
-            parts = chapter.get("arguments"), chapter.get("rules", {})
-            if not all(isinstance(part, dict) for part in parts):
-                raise ConfigError("history has no arguments or rules")
 
 
 class LearningNetwork(ABC):

@@ -8,11 +8,10 @@ anyway. Here, the weight is (1 - p)^2 + 0.02, so that every opponent can be draw
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from stkzoo._schema import Count, Share
@@ -103,11 +102,10 @@ class RivalPool:
         """Returns the pool as JSON values."""
         return [asdict(opponent) for opponent in self.opponents]
 
-    def restore(self, state: Sequence[Mapping[str, Any]]) -> None:
+    def restore(self, rivals: Sequence[Rival]) -> None:
         """Restores a :meth:`state`.
 
         Raises:
             msgspec.ValidationError: the state is damaged.
         """
-        rivals = msgspec.convert(state, tuple[Rival, ...])
-        self._opponents = {rival.name: rival for rival in rivals}
+        self._opponents = {rival.name: replace(rival) for rival in rivals}

@@ -12,17 +12,13 @@ import json
 import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
-
-import msgspec
-from msgspec import Meta
+from typing import Any, TypeVar
 
 from stkzoo._locks import LOCK
 from stkzoo._os import make_folder, write_text, write_whole, writing
 from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
-from stkzoo._schema import Count
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.errors import ConfigError
 
@@ -145,18 +141,8 @@ def plan_parameters(file: str | Path, kart_steps: int | None = None) -> DriverPa
     with reading(f"{str(file)!r} has no parameters of plans", "a best.json or arguments.json"):
         content: Any = load_json(file, Any)
         if isinstance(content, list):
-            content = msgspec.convert(chapters_of(content, kart_steps), _Chapters)[-1].rules
+            content = chapters_of(content, kart_steps)[-1]["rules"]
         return DriverParameters.from_json(content)
-
-
-@dataclass(frozen=True, slots=True)
-class _Chapter:
-    """The parameters of a part of a run."""
-
-    rules: dict[str, Any]
-
-
-_Chapters = Annotated[tuple[_Chapter, ...], Meta(min_length=1)]
 
 
 def chapters_of(history: Sequence[Any], kart_steps: int | None) -> Sequence[Any]:
@@ -295,10 +281,6 @@ def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
     return lines
 
 
-def _write_lines(file: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    write_text(file, "".join(map(_json_line, lines)))
-
-
 def _json_line(line: Mapping[str, Any]) -> str:
     """Returns a line of a log. JSON has no infinite numbers and no NaN; they become null."""
     finite = {
@@ -306,14 +288,6 @@ def _json_line(line: Mapping[str, Any]) -> str:
         for name, value in line.items()
     }
     return json.dumps(finite) + "\n"
-
-
-@dataclass(frozen=True, slots=True)
-class _Iteration:
-    """Fields that every line of a training log has."""
-
-    iteration: Count
-    kart_steps: Count = 0
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
@@ -339,7 +313,7 @@ def require_log(folder: str | Path) -> list[dict[str, Any]]:
 
 def write_log(folder: Path, log: Sequence[Mapping[str, Any]]) -> None:
     """Writes the whole log of a run atomically."""
-    _write_lines(folder / LOG, log)
+    write_text(folder / LOG, "".join(map(_json_line, log)))
 
 
 class TrainingLog:
@@ -355,8 +329,7 @@ class TrainingLog:
 
     def __init__(self, folder: Path, iteration: int) -> None:
         self._file = folder / LOG
-        lines = zip(read_log(folder), read_json_lines(self._file, _Iteration), strict=True)
-        kept = [line for line, known in lines if known.iteration <= iteration]
+        kept = [line for line in read_log(folder) if line["iteration"] <= iteration]
         write_log(folder, kept)
         self.last: dict[str, Any] = kept[-1] if kept else {}
         self._writer: Any = None

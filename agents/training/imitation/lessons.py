@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -22,9 +21,9 @@ from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo._locks import locked_folder
 from stkzoo._os import atomic_write
 from stkzoo._reading import Unreadable, reading
-from stkzoo._schema import Count, Level
+from stkzoo._schema import Level
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
-from stkzoo.wrappers.racing import CHOICES, SIZE
+from stkzoo.wrappers.racing import SIZE
 
 from ..common.arguments import NetworkArguments, ScriptOptions
 from ..common.command import ProgressBar
@@ -112,19 +111,8 @@ class Lesson:
             for entry in fields(cls):
                 if entry.name not in found:
                     raise Unreadable(f"it has no {entry.name}")
-            actions, seen = found["actions"], found["observations"]
-            if actions.shape != (len(seen), len(CHOICES)) or actions.dtype != np.int8:
-                raise Unreadable(
-                    f"actions has the shape {actions.shape}, expected {len(seen)} rows"
-                )
-            if seen.ndim != 2 or seen.dtype != np.float32:
-                raise Unreadable("observations are not rows of float32")
-            if not np.isfinite(seen).all() or not np.isfinite(found["ratios"]).all():
-                raise Unreadable("observations or ratios are not finite numbers")
-            if (actions < 0).any() or (actions >= CHOICES).any():
-                raise Unreadable("actions are not valid choices")
-            ratios = msgspec.convert(found["ratios"].tolist(), tuple[float, ...])
-            return cls(seen, actions, ratios, msgspec.convert(found["finished"].tolist(), Count))
+            ratios, finished = tuple(found["ratios"].tolist()), int(found["finished"])
+            return cls(found["observations"], found["actions"], ratios, finished)
 
 
 def run_rounds(

@@ -1,3 +1,1 @@
 """A league of players that train against past selves of all players."""
-
-__all__: list[str] = []

@@ -27,14 +27,13 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._os import using_folder, write_text
-from stkzoo._schema import Count, Share, matching
+from stkzoo._schema import Count, Share
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
@@ -42,8 +41,7 @@ from stkzoo.evaluation import require_openskill
 
 from ..common.arguments import BatchSize, Natural, PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command
-from ..common.matches import AI, MatchRecord, plan_match_driver, play_records, rate_orders
-from ..common.opponents import Rival
+from ..common.matches import MatchRecord, plan_match_driver, play_records, rate_orders
 from ..common.run_folder import LEAGUE, TrainingLog, check_resumed, read_run_file, write_json
 from ..common.starts import parse_races
 from ..ppo.network import initial_weights
@@ -53,6 +51,7 @@ from .page import page
 from .players import (
     START,
     DuelResults,
+    LeagueMember,
     Player,
     PlayerMatchmaker,
     draw_matches,
@@ -128,46 +127,15 @@ class LeagueArguments(PPOArguments):
 
 @dataclass(slots=True)
 class _LeagueState:
-    """State of a league between two turns."""
-
-    turn: int = 0
-    kart_steps: int = 0
-    players: list[Player] = field(default_factory=list)
-    members: list[dict[str, Any]] = field(default_factory=list)
-    matches: list[MatchRecord] = field(default_factory=list)
-    ratings: dict[str, list[float]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class _Member:
-    """A past self in the file."""
-
-    name: Annotated[str, matching(r"[a-z0-9-]+")]
-    player: str
-    turn: Count
-    kart_steps: Count
-    league_steps: Count
-
-
-@dataclass(frozen=True, slots=True)
-class _LeagueFile:
-    """The content of ``league.json``; see :class:`_LeagueState`."""
+    """State of a league between two turns, the content of ``league.json``."""
 
     arguments: dict[str, Any]
-    turn: Count
-    kart_steps: Count
     players: Annotated[list[Player], Meta(min_length=1, max_length=100)]
-    members: Annotated[list[_Member], Meta(min_length=1)]
-    matches: list[MatchRecord]
-    ratings: dict[str, tuple[float, float, float]]
-
-    def __post_init__(self) -> None:
-        names = {member.name for member in self.members}
-        for player in self.players:
-            msgspec.convert(player.pool, list[Rival])
-        met = {name for match in self.matches for name in match.order} | set(self.ratings)
-        if unknown := met - names - {AI}:
-            raise ConfigError(f"there is no member {min(unknown)[:60]!r}")
+    turn: Count = 0
+    kart_steps: Count = 0
+    members: list[LeagueMember] = field(default_factory=list)
+    matches: list[MatchRecord] = field(default_factory=list)
+    ratings: dict[str, list[float]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -213,13 +181,12 @@ class League:
         self._policies = _MemberPolicies(self.folder / _MEMBERS)
         with using_folder(self.folder, "league"):
             self._policies.folder.mkdir(parents=True, exist_ok=True)
-        self._state = _LeagueState()
         if (self.folder / LEAGUE).exists():
-            self._restore()
+            self._state = read_run_file(_LeagueState, self.folder / LEAGUE)
+            check_resumed(self.folder, self._state.arguments, asdict(arguments))
             return
-        self._state.players = new_players(
-            arguments.mains, arguments.exploiters, arguments.league_exploiters
-        )
+        players = new_players(arguments.mains, arguments.exploiters, arguments.league_exploiters)
+        self._state = _LeagueState(asdict(arguments), players)
         save_weights(self._policies.file(START), _start_weights(arguments))
         self._admit(START, "", 0)
         self._save()
@@ -276,11 +243,11 @@ class League:
                     done = state.kart_steps + learner.kart_steps - player.kart_steps
                     report(done, player.name, line)
             if is_played:  # interrupted between writing the checkpoint and the league's state
-                matchmaker.restore(asdict(read_run_file(DuelResults, folder / _DUELS)))
+                matchmaker.restore(read_run_file(DuelResults, folder / _DUELS))
             else:
                 write_json(folder / _DUELS, matchmaker.state())
                 learner.save_checkpoint()
-            player.pool = matchmaker.pool.state()
+            player.pool = matchmaker.pool.opponents
             state.kart_steps += learner.kart_steps - player.kart_steps
             player.kart_steps = learner.kart_steps
             name = f"{player.name}-{player.total_turns + 1:03d}"
@@ -289,20 +256,13 @@ class League:
             learner.close()
 
     def _admit(self, name: str, player: str, kart_steps: int) -> None:
-        self._state.members.append(
-            {
-                "name": name,
-                "player": player,
-                "turn": self._state.turn,
-                "kart_steps": kart_steps,
-                "league_steps": self._state.kart_steps,
-            }
-        )
+        state = self._state
+        state.members.append(LeagueMember(name, player, state.turn, kart_steps, state.kart_steps))
 
     def _play_matches(self, name: str) -> None:
         """Plays the newest member's matches and rates all members."""
         state, arguments = self._state, self.arguments
-        names = [member["name"] for member in state.members]
+        names = [member.name for member in state.members]
         random = np.random.default_rng([arguments.seed, state.turn, 1])
         matches = draw_matches(
             name, names, state.matches, arguments.tracks, arguments.matches, random
@@ -319,20 +279,7 @@ class League:
         state = self._state
         if state.ratings:
             write_text(self.page, page(state.members, state.matches, state.ratings))
-        content = {"version": _VERSION, "arguments": asdict(self.arguments), **asdict(state)}
-        write_json(self.folder / LEAGUE, content)
-
-    def _restore(self) -> None:
-        found = read_run_file(_LeagueFile, self.folder / LEAGUE)
-        check_resumed(self.folder, found.arguments, asdict(self.arguments))
-        self._state = _LeagueState(
-            found.turn,
-            found.kart_steps,
-            found.players,
-            [asdict(member) for member in found.members],
-            found.matches,
-            {name: list(rating) for name, rating in found.ratings.items()},
-        )
+        write_json(self.folder / LEAGUE, {"version": _VERSION, **asdict(state)})
 
 
 def _start_weights(arguments: LeagueArguments) -> Mapping[str, Any]:

@@ -7,14 +7,13 @@ import io
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from stkzoo.errors import import_extra
 from stkzoo.evaluation import INK
 
 from ..common.matches import AI, MatchRecord, payoff
 from ..plot import rating_figure
-from .players import START
+from .players import START, LeagueMember
 
 #: Maximum number of rows of the matrix.
 _MOST_ROWS = 16
@@ -45,7 +44,7 @@ td{padding:.25rem .5rem;text-align:right;white-space:nowrap}
 
 
 def page(
-    members: Sequence[Mapping[str, Any]],
+    members: Sequence[LeagueMember],
     matches: Sequence[MatchRecord],
     ratings: Mapping[str, Sequence[float]],
 ) -> str:
@@ -57,8 +56,8 @@ def page(
         matches: matches so far.
         ratings: rating, lower and upper end of its interval by name, including the game's AI.
     """
-    players = sorted({str(member["player"]) for member in members} - {""}, key=_kind)
-    steps = max((int(member["league_steps"]) for member in members), default=0)
+    players = sorted({member.player for member in members} - {""}, key=_kind)
+    steps = max((member.league_steps for member in members), default=0)
     shown = _shown(members, ratings)
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>League</title>
@@ -85,16 +84,14 @@ def _kind(player: str) -> tuple[int, str]:
     return order.index(player.partition("-")[0]), player
 
 
-def _shown(
-    members: Sequence[Mapping[str, Any]], ratings: Mapping[str, Sequence[float]]
-) -> list[str]:
+def _shown(members: Sequence[LeagueMember], ratings: Mapping[str, Sequence[float]]) -> list[str]:
     """Returns names for the matrix, best first: the start, the AI, and evenly chosen others."""
-    newest = {str(member["player"]): str(member["name"]) for member in members if member["player"]}
-    others = [str(m["name"]) for m in members if m["player"] and m["name"] not in newest.values()]
+    newest = {member.player: member.name for member in members if member.player}
+    others = [m.name for m in members if m.player and m.name not in newest.values()]
     count = max(_MOST_ROWS - 2 - len(newest), 1)
     if len(others) > count:
         others = [others[math.floor(number * len(others) / count)] for number in range(count)]
-    first = [str(member["name"]) for member in members if not member["player"]]
+    first = [member.name for member in members if not member.player]
     names = {name for name in (*first, AI, *newest.values(), *others) if name in ratings}
     return sorted(names, key=lambda name: -ratings[name][0])
 
@@ -103,16 +100,16 @@ def _shown(
 
 
 def _chart(
-    members: Sequence[Mapping[str, Any]],
+    members: Sequence[LeagueMember],
     players: Sequence[str],
     ratings: Mapping[str, Sequence[float]],
 ) -> str:
     """Returns an SVG of the ratings over kart-steps in the page's colors."""
     curves: dict[str, list[tuple[float, Sequence[float]]]] = {player: [] for player in players}
     for member in members:
-        if member["player"] and member["name"] in ratings:
-            at = member["league_steps"] / 1e6
-            curves[str(member["player"])].append((at, ratings[member["name"]]))
+        if member.player and member.name in ratings:
+            at = member.league_steps / 1e6
+            curves[member.player].append((at, ratings[member.name]))
     names = {START: "start", AI: "the AI"}
     levels = {shown: ratings[name][0] for name, shown in names.items() if name in ratings}
     text = io.StringIO()
@@ -157,8 +154,8 @@ def _cell(one: str, other: str, matches: Sequence[MatchRecord]) -> str:
     )
 
 
-def _standings(members: Sequence[Mapping[str, Any]], ratings: Mapping[str, Sequence[float]]) -> str:
-    steps = {str(member["name"]): int(member["kart_steps"]) for member in members}
+def _standings(members: Sequence[LeagueMember], ratings: Mapping[str, Sequence[float]]) -> str:
+    steps = {member.name: member.kart_steps for member in members}
     rows = []
     for place, name in enumerate(sorted(ratings, key=lambda name: -ratings[name][0]), 1):
         value, low, high = ratings[name]

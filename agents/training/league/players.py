@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
@@ -52,7 +52,7 @@ class Player:
     turns: Count = 0
     past_turns: Count = 0
     kart_steps: Count = 0
-    pool: list[dict[str, Any]] = field(default_factory=list)
+    pool: list[Rival] = field(default_factory=list)
 
     @property
     def total_turns(self) -> int:
@@ -79,6 +79,25 @@ class Player:
         self.past_turns += self.turns
         self.turns = self.kart_steps = 0
         self.pool = []
+
+
+@dataclass(frozen=True, slots=True)
+class LeagueMember:
+    """A past self in a league.
+
+    Attributes:
+        name: name of its policy's file.
+        player: the player whose past self it is; empty for the policy that all start from.
+        turn: turns that had been played.
+        kart_steps: kart-steps that its generation had learned from.
+        league_steps: kart-steps of all players until then.
+    """
+
+    name: Annotated[str, matching(r"[a-z0-9-]+")]
+    player: str
+    turn: Count
+    kart_steps: Count
+    league_steps: Count
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,16 +154,16 @@ class PlayerMatchmaker:
     def __init__(
         self,
         player: Player,
-        members: Sequence[Mapping[str, Any]],
+        members: Sequence[LeagueMember],
         policy: Callable[[str], RacingPolicy],
     ) -> None:
         self._player, self.policy = player, policy
         self.pool = RivalPool(_ENDLESS)
         self.pool.restore(player.pool)
         for member in members:
-            self.pool.add(member["name"])
-        self._all = [str(member["name"]) for member in members]
-        self._mains = [str(m["name"]) for m in members if m["player"].partition("-")[0] == MAIN]
+            self.pool.add(member.name)
+        self._all = [member.name for member in members]
+        self._mains = [m.name for m in members if m.player.partition("-")[0] == MAIN]
         self._reported: list[float] = []
 
     def draw(self, random: np.random.Generator) -> str | None:
@@ -173,10 +192,10 @@ class PlayerMatchmaker:
         """Returns the results of the duels as JSON values."""
         return {"pool": self.pool.state(), "reported": self._reported}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, results: DuelResults) -> None:
         """Restores a :meth:`state`."""
-        self.pool.restore(state["pool"])
-        self._reported = list(state["reported"])
+        self.pool.restore(results.pool)
+        self._reported = list(results.reported)
 
 
 def draw_matches(

@@ -1,3 +1,1 @@
 """Self-play with PPO over plans, in many parallel races."""
-
-__all__: list[str] = []

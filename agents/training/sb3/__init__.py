@@ -1,3 +1,1 @@
 """Self-play with Stable-Baselines3."""
-
-__all__: list[str] = []

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
-import msgspec
 import numpy as np
-from msgspec import Meta
 
 from stkzoo._schema import Count
 
@@ -97,21 +95,20 @@ class Curriculum:
         """Returns the curriculum's state as JSON values."""
         return {"stage": self.stage, "paces": list(self._paces)}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: CurriculumState) -> None:
         """Restores a :meth:`state`.
 
         Raises:
             msgspec.ValidationError: the state is damaged.
         """
-        known = msgspec.convert(state, _CurriculumState)
-        self.stage = min(known.stage, len(self.tracks))
+        self.stage = min(state.stage, len(self.tracks))
         self._paces.clear()
-        self._paces.extend(known.paces)
+        self._paces.extend(state.paces)
 
 
 @dataclass(frozen=True, slots=True)
-class _CurriculumState:
+class CurriculumState:
     """State of a curriculum, as in its file."""
 
     stage: Count
-    paces: Annotated[tuple[float, ...], Meta(max_length=100_000)]
+    paces: tuple[float, ...]

@@ -52,7 +52,7 @@ from stkzoo.evaluation import require_openskill
 from ..common.arguments import Coefficient, Natural, PPOArguments, ScriptOptions
 from ..common.command import ProgressBar, run_command, training_library
 from ..common.network_policy import FIRST_BIASES, initial_weights, save_driver
-from ..common.opponents import RivalPool, bot_name
+from ..common.opponents import Rival, RivalPool, bot_name
 from ..common.run_folder import (
     TrainingLog,
     keep_arguments,
@@ -67,7 +67,7 @@ from ..common.starts import parse_races
 from ..export import export_policy
 from ..plot import RunRatings
 from ..rate import RATINGS
-from .curriculum import EASY_TO_HARD, Curriculum
+from .curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 from .evaluation import BackgroundEvaluation
 
 #: Arguments that have the same name in Stable-Baselines3's PPO.
@@ -151,9 +151,9 @@ class SB3Facts:
     kart_steps: Count
     iteration: Count
     rounds: Count
-    curriculum: dict[str, Any]
-    bots: list[dict[str, Any]]
-    snapshots: list[dict[str, Any]]
+    curriculum: CurriculumState
+    bots: list[Rival]
+    snapshots: list[Rival]
     recent: list[dict[str, Any]]
 
 

@@ -7,7 +7,7 @@ half of the karts, rounded down. The learner does not train on those.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -189,4 +189,4 @@ class PastSelfPlay(TaskLearner):
 
     def _restore(self, facts: Any, state: dict[str, Any], may_change: bool) -> None:
         super()._restore(facts, state, may_change)
-        self._pool.restore([asdict(rival) for rival in facts.pool])
+        self._pool.restore(facts.pool)

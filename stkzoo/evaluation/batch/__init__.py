@@ -3,5 +3,3 @@
 Benchmarks, tournaments and demonstrations are built on this package. :mod:`stkzoo.evaluation`
 exports its public names.
 """
-
-__all__: list[str] = []

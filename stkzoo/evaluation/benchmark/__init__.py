@@ -1,3 +1,1 @@
 """Benchmarks: the same races for every agent, and metrics with intervals."""
-
-__all__: list[str] = []

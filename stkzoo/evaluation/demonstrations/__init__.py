@@ -1,3 +1,1 @@
 """Demonstrations: datasets of recorded observations and actions of drivers."""
-
-__all__: list[str] = []
