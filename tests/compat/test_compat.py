@@ -276,34 +276,6 @@ def test_each_agent_can_have_its_own_wrappers(on_stkzoo):
     ]
 
 
-def test_a_custom_wrapper_of_actions_and_observations_works(on_stkzoo):
-    code = """
-    import copy
-    from pystk2_gymnasium.definitions import ActionObservationWrapper
-
-    class Steered(ActionObservationWrapper):
-        def __init__(self, env, **kwargs):
-            super().__init__(env, **kwargs)
-            self._action_space = gym.spaces.Discrete(3)
-            self._observation_space = copy.deepcopy(self.env.observation_space)
-            self._observation_space["is_slow"] = gym.spaces.Discrete(2)
-
-        def action(self, choice):
-            return {**action(), "steer": np.array([choice - 1.0], np.float32)}
-
-        def observation(self, observation):
-            return {**observation, "is_slow": int(observation["velocity"][2] < 1)}
-
-    env = Steered(gym.make("supertuxkart/simple-v0", track="lighthouse"))
-    env.reset(seed=1)
-    for _ in range(60):
-        observation, *_ = env.step(1)
-    print(env.observation_space.contains(observation), observation["is_slow"])
-    env.close()
-    """
-    assert on_stkzoo(code) == "True 0"
-
-
 def test_vector_environments_can_be_made(on_stkzoo):
     code = """
     from pystk2_gymnasium import make_stkrace_vec

@@ -3,13 +3,11 @@
 import contextlib
 import ctypes
 import hashlib
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stkzoo.engine import process
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.process import LIBM
 from stkzoo.engine.session import WorkerSession
@@ -68,16 +66,3 @@ def libraries_of_a_race():
 def test_the_process_of_a_race_loads_them(monkeypatch, method):
     monkeypatch.setenv("STKZOO_START_METHOD", method)
     assert f"{LIBM}\n" in libraries_of_a_race()
-
-
-def test_the_folder_may_have_a_space_and_the_user_may_load_other_libraries(monkeypatch, tmp_path):
-    monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
-    libm, own = tmp_path / "two words" / LIBM.name, tmp_path / "own.so"
-    libm.parent.mkdir()
-    shutil.copy(LIBM, libm)
-    shutil.copy(LIBM, own)
-    monkeypatch.setattr(process, "LIBM", libm)
-    monkeypatch.setenv("LD_PRELOAD", str(own), prepend=" ")
-    maps = libraries_of_a_race()
-    assert f"{libm}\n" in maps
-    assert f"{own}\n" in maps

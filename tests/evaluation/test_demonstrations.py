@@ -198,16 +198,6 @@ def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
     assert demos.num_steps == 25
 
 
-def test_repeating_a_call_records_nothing_again(driven):
-    file, demos = driven
-    told = []
-    again = record_demonstrations(
-        "pursuit", output=file, seeds=(3, 4), rivals=["ai"], on_race=told.append, **SHORT
-    )
-    assert told == []
-    np.testing.assert_array_equal(again.columns["controls"], demos.columns["controls"])
-
-
 def test_other_demonstrations_are_not_overwritten(driven):
     file, _ = driven
     with pytest.raises(ConfigError, match=r"other demonstrations.*seeds is"):

@@ -5,8 +5,6 @@ import json
 import os
 import re
 import shutil
-import signal
-import subprocess
 import sys
 
 import jsonschema
@@ -32,7 +30,7 @@ from stkzoo.evaluation.tournament.plan import joined_plan, resumed_plan
 from stkzoo.race import RaceResult, RaceSettings
 from tests.support.adversaries import write_sore_loser
 from tests.support.paths import AGENTS, SCHEMAS
-from tests.support.processes import children_of, process_exists, wait_until
+from tests.support.processes import children_of
 from tests.support.remote_race import write_agent
 
 SCHEMA = SCHEMAS / "tournament-result.schema.json"
@@ -231,21 +229,6 @@ def test_resuming_a_plan_runs_the_agents_that_it_names(tmp_path):
     assert not mark.exists()
     resume_tournament(folder, plot=False)
     assert mark.exists()
-
-
-@pytest.mark.slow
-def test_ctrl_c_shows_how_to_resume(tmp_path):
-    folder = tmp_path / "cup"
-    command = [sys.executable, "-m", "stkzoo", "tournament", "ai", "heuristic"]
-    words = ["--output", str(folder), "--races", "50", "--track", "lighthouse"]
-    program = subprocess.Popen([*command, *words], stderr=subprocess.PIPE, text=True)
-    assert wait_until(lambda: races_in(folder), seconds=60)
-    workers = children_of(program.pid)
-    program.send_signal(signal.SIGINT)
-    said = program.communicate(timeout=60)[1]
-    assert program.returncode == 130, said
-    assert "races are saved; run the same command to resume" in said
-    assert wait_until(lambda: not any(map(process_exists, workers)))
 
 
 KILLER = """
