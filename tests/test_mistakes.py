@@ -22,31 +22,21 @@ COMMANDS = [
     ("race heuristik", "Did you mean 'heuristic'?"),
     ("race ai --trak lighthouse", "Did you mean '--track'?"),
     ("race ai --track moon", "unknown track 'moon'. Choose a name from the list:"),
-    ("race ai --track", "--track: expected one argument; see `stkzoo race --help`"),
-    ("race ai --laps 0", "laps is 0, expected a whole number from 1 to 1000"),
     ("race ai --laps two", "--laps: 'two' is not a whole number"),
-    ("race ai --seed -1", "seed is -1, expected a whole number of 0 or more"),
     ("race ai ai --num-karts 1", "--num-karts is 1, but 2 drivers are named"),
-    ("race ai --num-karts 1000", "num_kart"),
     ("race ai --action-timeout -1", "action_timeout is -1.0, expected a number of seconds above 0"),
     ("race ai --error-handling ignore", "'ignore' is not one of raise, catch, retire, restart"),
     ("race --demo ai", "leave out --demo or the drivers"),
     ("race ai --cameras 2", "--cameras does nothing without --video; add --video"),
-    ("race ai --video {here}/none/film.mp4", "film.mp4"),
     ("race ai --replay a.stkz --races 2", "--replay keeps one race; leave out --races"),
     ("race ai --output {here}", "it is not a regular file; choose another name"),
-    ("race ai --output {here}/none/x.json", "x.json"),
     ("race ai --output a.stkz --replay a.stkz", "give each a file of its own"),
     ("race {here}/empty", "pystk_actor.py"),
-    ("race {here}/classless", "get_actor"),
     ("race {here}/broken", "SyntaxError"),
     ("race {here}/no_view", "env_name"),
-    ("race {here}/text.zip", "text.zip"),
     ("race {here}/deep.zip", "pystk_actor.py"),
     ("check", "the following arguments are required: AGENT"),
     ("new {here}/empty/../classless", "is not empty; choose another folder"),
-    ("replay {here}/none.stkz", "none.stkz"),
-    ("tracks lighthose", "Did you mean 'lighthouse'?"),
     ("tracks --map map.png", "lighthouse"),
     ("keys new open --folder {here}", "open.secret"),
     ("keys new open/x", "expected letters, digits, _ . and -"),
@@ -60,20 +50,17 @@ COMMANDS = [
     ("race-client --servers none.txt", "the list of servers none.txt cannot be read"),
     ("race-client --server 127.0.0.1:1 --connect-timeout 0.1", "start it, or check its address"),
     ("race ai --web --web-port {port}", "choose another port (0 takes a free one)"),
-    ("race ai --video a.mp4 --width 0", "expected (width, height) from 32 to 4096 pixels each"),
     ("race ai:4", "expected ai:0, ai:1, ai:2, ai:3"),
     ("race ai@:", "has no name after @:; write one or leave it out"),
     (
         "race {here}/args",
         "get_actor takes (); expected (module_dir, observation_space, action_space",
     ),
-    ("race {here}/empty.zip", "empty.zip"),
     ("race {here}/extra", "install it, or put it into the agent's folder"),
     (
         "tournament",
         "a tournament needs at least two agents, such as my_agent and ai; this one has 0",
     ),
-    ("tournament ai random --per-race 5", "per_race is 5, expected a whole number from 2 to 2"),
     ("tournament ai random --output text.zip", "Not a directory; choose another --output"),
     ("tournament --resume none", "none/plan.json has no tournament plan"),
     ("tournament --resume measured", "choose the file or folder of a tournament"),
@@ -91,9 +78,7 @@ COMMANDS = [
         "--compare runs no races; leave out --track, --seeds, --jobs, --sandbox",
     ),
     ("benchmark --compare rated", "choose the file or folder of a benchmark"),
-    ("demos ai --view racin", "Did you mean 'racing'?"),
     ("demos ai --output demos.csv", "expected a path that ends in .safetensors"),
-    ("play --dataset x.safetensors --view simpl", "Did you mean 'simple'?"),
     ("play --rate 7", "rate is 7, expected one of 10, 12, 15, 20, 30, 60"),
     ("league", "the following arguments are required: --output"),
     ("assets install --from none.tar.xz", "there is no file 'none.tar.xz'"),
@@ -118,8 +103,6 @@ def here(tmp_path_factory):
     (folder / "text.zip").write_text("no zip")
     with zipfile.ZipFile(folder / "deep.zip", "w") as archive:
         archive.writestr("readme.txt", "")
-    with zipfile.ZipFile(folder / "empty.zip", "w"):
-        pass
     plans = {"rated": "tournament-plan", "measured": "benchmark-plan"}
     for name, kind in plans.items():
         (folder / name).mkdir()
@@ -218,7 +201,6 @@ CALLS = [
     (lambda: make(num_kart="3"), "num_kart is '3', expected a whole number"),
     (lambda: make(num_kart=2, num_karts=2), "give one of them"),
     (lambda: make(num_agents=2), "unknown argument 'num_agents'"),
-    (lambda: make(track="lighthose"), "Did you mean 'lighthouse'?"),
     (lambda: make(track=3), "track is 3, expected a name, names or None"),
     (lambda: make(view="simpel"), "Did you mean 'simple'?"),
     (lambda: make(view=("simple", {"state_itms": 3})), "Did you mean 'state_items'?"),
@@ -227,13 +209,11 @@ CALLS = [
     (lambda: make(opponents="heuristik"), "expected a list such as ['pretrained:ace', 'ai:3']"),
     (lambda: make(agents=5, num_kart=3), "raise num_kart or drop agents"),
     (lambda: make(agents=[{"nam": "Ada"}]), "Did you mean 'name'?"),
-    (lambda: make(render_mode="rgb"), "rgb_array"),
     (lambda: make(reverse="yes"), "reverse is 'yes', expected True, False or None"),
     (lambda: make().step({}), "reset"),
     (lambda: make().reset(seed=1.5), "seed is 1.5, expected a whole number of 0 or more"),
     (lambda: make().action_space("Kart_0"), "Did you mean 'kart_0'?"),
     (lambda: run_race(["none/agent.zip"]), "there is no agent 'none/agent.zip'; expected a folder"),
-    (lambda: make().reset(options={"trak": "lighthouse"}), "Did you mean 'track'?"),
     (lambda: make().reset(options={"num_kart": 5}), "make another environment"),
     (lambda: make().reset(options="lighthouse"), "expected a dict from names of options"),
     (lambda: gymnasium.make("supertuxkart/simple-v0", trak="x"), "Did you mean 'track'?"),
@@ -242,8 +222,6 @@ CALLS = [
     (lambda: stkzoo.register_view("simple", "full"), "choose another name"),
     (lambda: stkzoo.RaceVectorEnv("two"), "num_races is 'two'"),
     (lambda: stkzoo.RaceVectorEnv(1, view="full"), "choose view="),
-    (lambda: run_race([]), "driver"),
-    (lambda: run_race(["ai"], lap=1), "Did you mean 'laps'?"),
 ]
 
 
@@ -260,7 +238,6 @@ ACTIONS = [
     ({"kart_0": 10**6}, "1000000"),
     ({"kart_0": np.zeros(2)}, "kart_0"),
     ({"kart_0": "left"}, "is 'left'; expected"),
-    ({"kart_0": np.nan}, "is nan; expected"),
     ({"kart_9": 0}, "no action for agent 'kart_0'; actions came for 'kart_9'"),
     ([0], "[0]"),
 ]

@@ -166,11 +166,6 @@ def test_a_term_of_your_own_can_use_a_built_in_one():
         assert all(info["reward/rank"] == info["reward/twice"] for info in infos.values())
 
 
-def test_weights_can_be_numbers_of_numpy():
-    reward = as_reward({"time": np.float32(2.0), "place": np.int64(0)})
-    assert reward.weights == {"time": 2.0, "place": 0.0}
-
-
 @pytest.mark.parametrize("weight", ["much", None, float("inf")])
 def test_a_weight_that_is_no_finite_number_is_refused(weight):
     with pytest.raises(ConfigError, match=r"reward term 'mine' is .* a finite number"):

@@ -1,10 +1,14 @@
-"""Runs training commands in this program, and kills them in a fork of it."""
+"""Runs training commands in this program, kills them in a fork of it, and reads what they wrote."""
 
+import json
 import os
 import signal
 import warnings
 
+from stkzoo.agents.pretrained.weights import load_weights
 from tests.support.processes import wait_until
+
+_TIMES = ("wait_s", "learn_s", "kart_steps_per_s")
 
 
 def words_of(folder, settings, **more):
@@ -16,6 +20,17 @@ def words_of(folder, settings, **more):
         if value is not True:
             words += map(str, value) if isinstance(value, tuple) else [str(value)]
     return words
+
+
+def log_of(folder):
+    """Returns the lines of a run's log without the figures that depend on the machine's speed."""
+    lines = map(json.loads, (folder / "log.jsonl").read_text().splitlines())
+    return [{name: line[name] for name in line if name not in _TIMES} for line in lines]
+
+
+def last_policy(folder):
+    """Returns the weights of a run's newest policy."""
+    return load_weights(max(folder.glob("policy-*.safetensors")))
 
 
 def run_and_kill(main, words, log, lines):

@@ -13,7 +13,7 @@ import torch
 from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInput
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
-from stkzoo.agents.pretrained.weights import load_weights, save_weights
+from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.fleet import Fleet
 from stkzoo.agents.training.common.matches import match_driver
 from stkzoo.agents.training.common.ppo import advantages_of
@@ -27,7 +27,7 @@ from stkzoo.agents.training.ppo.rollouts import ROLLOUT
 from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
 from stkzoo.errors import ConfigError
 from tests.support.networks import small_network
-from tests.support.training import run_and_kill, words_of
+from tests.support.training import last_policy, log_of, run_and_kill, words_of
 
 SMALL = {
     "tracks": ("lighthouse",),
@@ -40,7 +40,6 @@ SMALL = {
     "warm_up": 1,
     "checkpoint_every": 2,
 }
-TIMES = ("wait_s", "learn_s", "kart_steps_per_s")
 
 
 def words(folder, until, **changes):
@@ -49,15 +48,6 @@ def words(folder, until, **changes):
 
 def learn(folder, until, **changes):
     return main(words(folder, until, **changes))
-
-
-def log_of(folder):
-    lines = map(json.loads, (folder / "log.jsonl").read_text().splitlines())
-    return [{name: value for name, value in line.items() if name not in TIMES} for line in lines]
-
-
-def last_policy(folder):
-    return load_weights(max(folder.glob("policy-*.safetensors")))
 
 
 @pytest.mark.slow

@@ -15,14 +15,12 @@ from stkzoo import Start
 from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR, INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
-from stkzoo.agents.training.common.matches import rate_orders
 from stkzoo.agents.training.common.network_policy import initial_weights, save_driver
 from stkzoo.agents.training.common.opponents import RivalPool, bot_name
 from stkzoo.agents.training.common.starts import Lineup, parse_races
 from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.imitation.network import make_network
 from stkzoo.agents.training.plot import main as plot_main
-from stkzoo.agents.training.rate import evaluate_policy, read_evaluations
 from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
@@ -31,7 +29,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 from stkzoo.tracks import TRAIN_TRACKS
 from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE, STEERS
-from tests.support.training import run_and_kill, words_of
+from tests.support.training import last_policy, log_of, run_and_kill, words_of
 
 SMALL = {
     "races": ("2x1", "1+1x1"),
@@ -54,15 +52,6 @@ def words(folder, until, **changes):
 
 def learn(folder, until, **changes):
     return main(words(folder, until, **changes))
-
-
-def log_of(folder):
-    lines = map(json.loads, (folder / "log.jsonl").read_text().splitlines())
-    return [{name: line[name] for name in line if name != "kart_steps_per_s"} for line in lines]
-
-
-def last_policy(folder):
-    return load_weights(max(folder.glob("policy-*.safetensors")))
 
 
 @pytest.fixture(scope="module")
@@ -454,19 +443,6 @@ def test_the_newest_policy_of_a_run_is_the_one_with_which_it_ended(tmp_path):
 def test_the_learner_also_works_with_supersuit(tmp_path):
     assert learn(tmp_path, 60, supersuit=True, races="2x2", snapshot_share=0.5) == 0
     assert log_of(tmp_path)[-1]["kart_steps"] >= 60
-
-
-@pytest.mark.matrix
-def test_a_policy_is_evaluated_against_its_past_versions(tmp_path, policy):
-    for steps in (0, 10, 20):
-        save_driver(tmp_path / f"policy-{steps:09d}.safetensors", policy)
-    evaluation = evaluate_policy(tmp_path, "policy-000000020", ["olivermath"], 1)
-    names = {"policy-000000020", "policy-000000010", "start", "random"}
-    assert set(evaluation.ratios) == names
-    assert [set(order) for order in evaluation.orders] == [names | {"bot:0"}]
-    assert evaluation.orders[0][0] == "bot:0"  # the AI beats untrained policies
-    assert read_evaluations(tmp_path) == [evaluation]
-    assert max(rate_orders(evaluation.orders).items(), key=lambda item: item[1].value)[0] == "bot:0"
 
 
 @pytest.mark.slow
