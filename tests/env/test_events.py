@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-import stkzoo
 from stkzoo import ConfigError, Start, race_v0
 from stkzoo.mdp.events import EVENTS
 
@@ -81,18 +80,6 @@ def test_events_of_agents_that_have_left_do_not_count():
         while env.agents:
             env.step({agent: ACTIONS[agent] for agent in env.agents})
         assert episode_events(env.infos(["kart_0"])) == left
-
-
-def test_vector_environments_report_totals_at_the_end_and_restart_at_zero():
-    settings = {**SETTINGS, "view": "box_continuous", "num_kart": 2}
-    envs = stkzoo.RaceVectorEnv(1, **settings, start=RAM, max_cycles=45)
-    envs.reset(seed=1)
-    ends = np.zeros(2, bool)
-    while not ends.any():
-        _, _, _, ends, infos = envs.step(np.array([[0, 0], [1, 0]], "f4"))
-    envs.close()
-    assert (infos["final_info"]["episode/event/kart_contact"] > 0).all()
-    assert infos["episode/event/kart_contact"].tolist() == [0, 0]
 
 
 def test_a_reward_term_sees_events():

@@ -87,6 +87,7 @@ def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
         {"reward": {"kart_0": "race", "kart_1": {"mine": lambda step: step.distance}}},
         {"opponents": ["pursuit"], "view": "racing"},
         {"max_paths": 4, "view": "racing"},
+        {"view": {"kart_0": "box_discrete", "kart_1": ("box_discrete", {"state_items": 5})}},
     ],
     ids=lambda options: next(iter(options)),
 )
@@ -152,11 +153,6 @@ def test_other_views_are_collected_agent_by_agent(options):
     trace, has_rows = play(3, **{"start": None, **options})
     assert not has_rows
     assert trace[-1][4]["active"].all()
-
-
-def test_agents_can_have_different_views_with_equal_spaces(monkeypatch):
-    view = {"kart_0": "box_discrete", "kart_1": ("box_discrete", {"state_items": 5})}
-    both(monkeypatch, view=view, num_steps=4)
 
 
 # ---------------------------------------------------------------------- actions

@@ -230,15 +230,6 @@ def test_truncating_all_agents_ends_the_gym_episode():
     assert info["truncated"] == {"0": True, "1": True}
 
 
-def test_wrappers_can_add_to_infos(form):
-    make, agents = form
-    env = MonoAgentWrapperAdapter(make(ends=(1, 3)), wrapper_factories={0: RecordEpisodeStatistics})
-    env.reset(seed=1)
-    info = env.step(samples(env, agents))[4]
-    infos = info if isinstance(env, ParallelEnv) else info["infos"]
-    assert infos[agents[0]]["episode"]["l"] == 1
-
-
 @pytest.mark.parametrize("make", [race_v0.parallel_env, STKRaceMultiEnv])
 def test_wrappers_get_the_step_size_of_the_race_as_in_a_view(make):
     seen = []
