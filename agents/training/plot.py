@@ -99,18 +99,11 @@ class PolicyRating:
 
 
 @dataclass(frozen=True, slots=True)
-class OtherRating:
-    """The rating of a driver that does not learn."""
-
-    value: float
-
-
-@dataclass(frozen=True, slots=True)
 class RunRatings:
     """Content of a run's ``ratings.json``: policies by kart-steps, other drivers, and a table."""
 
     policies: Annotated[tuple[PolicyRating, ...], Meta(min_length=1)]
-    others: dict[str, OtherRating]
+    others: dict[str, dict[str, float]]
     table: tuple[str, ...]
 
 
@@ -194,7 +187,7 @@ def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: RunRa
     draw_ratings(
         rating_axis, run, steps, [[getattr(policy, n) for n in names] for policy in policies]
     )
-    others = {n: r.value for n, r in ratings.others.items() if not n.startswith("policy-")}
+    others = {n: r["value"] for n, r in ratings.others.items() if not n.startswith("policy-")}
     draw_levels(rating_axis, others)
     style_axes(time_axis, "Time over that of the game's AI, evaluated")
     ratios = [policy.time_ratio for policy in policies]

@@ -19,15 +19,19 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
 from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
-from stkzoo.cli._suite_tables import print_tasks, show_conduct, show_entry, show_task, show_tasks
 from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
+
+if TYPE_CHECKING:
+    from stkzoo.suite import Entry, RaceConduct, Task
 
 #: Options that are also fields of ``About``.
 _ABOUT = ("authors", "description", "kart_steps")
@@ -184,11 +188,11 @@ def _list(arguments: argparse.Namespace) -> int:
 
     tasks = [find_task(arguments.task)] if arguments.task else [*TASKS.values()]
     if arguments.json:
-        print_tasks(tasks)
+        _print_tasks(tasks)
     elif arguments.task:
-        show_task(tasks[0])
+        _show_task(tasks[0])
     else:
-        show_tasks(tasks)
+        _show_tasks(tasks)
     return 0
 
 
@@ -294,7 +298,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
     run = partial(run_planned_entry, plan, folder)
-    return run_and_show(arguments, run, folder, show_entry, plan.agent.label)
+    return run_and_show(arguments, run, folder, _show_entry, plan.agent.label)
 
 
 @usage_errors
@@ -325,7 +329,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(entry.to_json())
         return code
-    show_entry(entry)
+    _show_entry(entry)
     say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
     return code
 
@@ -357,7 +361,7 @@ def _conduct(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps([json.loads(race.to_json()) for race in races], indent=2))
     else:
-        show_conduct(races)
+        _show_conduct(races)
     return code
 
 
@@ -383,3 +387,104 @@ def _report(arguments: argparse.Namespace) -> int:
     runs = sum(len(result.seeds) for task in report.tasks for result in task.algorithms)
     say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
     return 0
+
+
+def _print_tasks(tasks: Sequence[Task]) -> None:
+    """Prints tasks and the population as JSON."""
+    from stkzoo.suite import POPULATION, SUITE
+
+    content = {
+        "suite": SUITE,
+        "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
+        "population": [asdict(member) for member in POPULATION],
+    }
+    print(json.dumps(content, indent=2))
+
+
+def _show_tasks(tasks: Sequence[Task]) -> None:
+    """Prints tables of tasks and of the population."""
+    from stkzoo.cli._console import say, show_table
+    from stkzoo.suite import POPULATION, SUITE
+
+    rows = [
+        (
+            task.name,
+            task.goal,
+            f"{task.budget / 1e6:g} M",
+            " ".join(task.forms),
+            str(task.num_races),
+            task.metric.replace("_", " "),
+        )
+        for task in tasks
+    ]
+    columns = ("task", "goal", "kart-steps", "forms", "races", "metric")
+    show_table(columns, rows, left=("task", "goal", "forms", "metric"), title=SUITE)
+    members = [
+        (member.driver, "held out" if member.is_held_out else "", member.digest)
+        for member in POPULATION
+    ]
+    show_table(("population", "in training", "digest"), members, left=("population", "in training"))
+    say("`stkzoo suite list TASK` shows all rules of a task.")
+
+
+def _show_task(task: Task) -> None:
+    """Prints all rules of a task."""
+    from stkzoo.cli._console import show_table
+
+    values = {**asdict(task), "races": task.num_races, "digest": task.digest}
+    rows = [
+        (name.replace("_", " "), _text(value))
+        for name, value in values.items()
+        if value not in ((), None)
+    ]
+    show_table(("rule", task.name), rows, left=("rule", task.name))
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    return f"{value:,}" if isinstance(value, int) else str(value)
+
+
+def _show_entry(entry: Entry) -> None:
+    """Prints the scores of an entry."""
+    from stkzoo.cli._console import say
+    from stkzoo.cli.benchmark import show_results
+    from stkzoo.suite.tasks import DIFFICULTY
+
+    show_results([entry])
+    score, task = entry.score, entry.task
+    if score is None:
+        return
+    if task.has_population:
+        say(f"The time ratio divides by the AI's time at difficulty {DIFFICULTY} in all races.")
+    metric, count = task.metric.replace("_", " "), len(entry.plan.races())
+    forms = [group for group in entry.groups if group.by == "form"]
+    for group in forms if len(task.forms) > 1 else ():
+        say(f"{group.name}: {metric} {group.figures[task.metric]} in {group.races} races.")
+    say(f"{entry.label} in {task.name}: {metric} {score} in {len(entry.races)} of {count} races.")
+    if entry.normalized_score is not None:
+        say(
+            f"Normalized: {entry.normalized_score:.2f}; 0 is the weakest and 1 the strongest "
+            "driver that comes with stkzoo."
+        )
+
+
+def _show_conduct(races: Sequence[RaceConduct]) -> None:
+    """Prints the mean conduct of each driver."""
+    from stkzoo.cli._console import show_table
+    from stkzoo.suite import mean_conduct
+
+    rows = [
+        (
+            mean.driver,
+            str(mean.races),
+            f"{mean.contacts:.2f}",
+            "-" if mean.closing is None else f"{mean.closing:.1f}",
+            f"{mean.off_road:.1f}",
+            f"{mean.overtakes:.2f}",
+        )
+        for mean in mean_conduct(races)
+    ]
+    columns = ("driver", "races", "contacts", "closing [m/s]", "off road [s]", "overtakes")
+    show_table(columns, rows, left=("driver",), title="per race")
