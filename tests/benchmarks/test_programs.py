@@ -40,6 +40,7 @@ def test_a_program_has_help(program):
     assert f"python -m benchmarks.{program}" in run(program, "--help")
 
 
+@pytest.mark.matrix
 def test_contenders_drive_the_same_race_and_an_interrupted_run_continues(tmp_path):
     words = ["--section", "steps", "--quick", "--output", tmp_path]
     run("steps", *words)
@@ -76,6 +77,7 @@ def test_a_section_saves_its_measurements(section, tmp_path):
     assert report_of(tmp_path / f"{section}.json")["results"]
 
 
+@pytest.mark.matrix
 def test_the_rates_of_learners_are_compared_with_the_engines(tmp_path):
     run("learners", "--only", "engine", "ppo", "--quick", "--output", tmp_path)
     report = report_of(tmp_path / "learners.json")

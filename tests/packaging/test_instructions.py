@@ -142,7 +142,7 @@ def test_the_libraries_of_extras_can_be_installed_together(place, extra):
     assert "nvidia" not in said
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_an_installation_without_a_compiler_ends_with_one_sentence(place):
     checkout, python = place
     code, said = run("pip install --no-deps .", checkout, python, CC="no-compiler")

@@ -41,9 +41,7 @@ PLACEHOLDER_JPEG = base64.b64decode(
 )
 
 
-def build_headless(
-    source: Path, target: Path, progress: Progress, *, has_whole_scenes: bool = False
-) -> None:
+def build_headless(source: Path, target: Path, progress: Progress) -> None:
     """Makes the headless pack of a full tree.
 
     Files are hard links to the source where the file system allows it, so the pack takes
@@ -53,7 +51,6 @@ def build_headless(
         source: root of the full tree.
         target: an empty folder, which becomes the root of the pack.
         progress: receives the progress.
-        has_whole_scenes: leave the scenes as they are, which makes steps of a race slower.
 
     Raises:
         AssetError: the source is incomplete, or the disk has no room.
@@ -75,10 +72,8 @@ def build_headless(
             progress.reach(done)
     for file in placeholders.values():
         file.unlink()
-    if not has_whole_scenes:
-        thin_scenes(target / "data")
-    scenes = 0 if has_whole_scenes else SCENES_VERSION
-    write_marker(target, "headless pack", headless=True, scenes=scenes)
+    thin_scenes(target / "data")
+    write_marker(target, "headless pack", headless=True, scenes=SCENES_VERSION)
 
 
 def _placeholders(root: Path, files: list[Path]) -> dict[str, Path]:
