@@ -23,7 +23,7 @@ from stkzoo.agents.training.common.run_folder import (
     read_run_file,
 )
 from stkzoo.agents.training.export import export_policy
-from stkzoo.agents.training.league.league import League, LeagueArguments, _LeagueFile
+from stkzoo.agents.training.league.league import LeagueArguments, _LeagueState
 from stkzoo.agents.training.league.players import new_players
 from stkzoo.engine.assets.tree import MARKER, read_marker
 from stkzoo.env.scenario import Scenario
@@ -287,7 +287,6 @@ def _league_text() -> str:
     players[0]["pool"] = [asdict(Rival("start", 0.4, 3))]
     match = asdict(MatchRecord(1, _TRACK, False, ["start", "main-001"]))
     content = {
-        "version": 2,
         "arguments": asdict(LeagueArguments()),
         "turn": 1,
         "kart_steps": 9,
@@ -297,12 +296,6 @@ def _league_text() -> str:
         "ratings": {"start": [25.0, 20.0, 30.0]},
     }
     return json.dumps(content)
-
-
-def _read_league(file: Path) -> None:
-    read_run_file(_LeagueFile, file)
-    league = League(file.parent, LeagueArguments())
-    league.table()
 
 
 _CHAPTER = {"from": 0, "arguments": {"seed": 1, "tracks": [_TRACK]}, "rules": {"margin": 1.0}}
@@ -388,7 +381,7 @@ def _all_kinds() -> list[FileKind]:
             _read_agent,
         ),
         _json("assets marker", MARKER, marker, lambda file: read_marker(file.parent)),
-        FileKind("league", _league_text, _as("league.json"), _read_league),
+        FileKind("league", _league_text, _as("league.json"), partial(read_run_file, _LeagueState)),
         FileKind("checkpoint", _facts_text, _store_checkpoint, _read_checkpoint),
         FileKind("public key", lambda: _key_texts()[1], _as("a.public"),
                  lambda file: read_publics([file]), is_json=False),
