@@ -15,8 +15,8 @@ import pytest
 import stkzoo
 from stkzoo import ApiOrderError, EngineError, race_v0
 from stkzoo.engine import fork_client, wire
-from tests.chaos.forms import digest
 from tests.support.paths import ROOT
+from tests.support.playing import fingerprint
 from tests.support.processes import (
     children_of,
     fork_server_of_races,
@@ -193,7 +193,9 @@ def in_thread(work):
 
 
 def trace(env):
-    return digest([env.reset(seed=1), *(env.step(dict.fromkeys(env.agents, 0)) for _ in range(20))])
+    return fingerprint(
+        [env.reset(seed=1), *(env.step(dict.fromkeys(env.agents, 0)) for _ in range(20))]
+    )
 
 
 def test_an_environment_can_move_between_threads():
