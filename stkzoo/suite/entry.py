@@ -12,13 +12,13 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from stkzoo._os import file_digest, write_text
+from stkzoo._os import file_digest
 from stkzoo._schema import Count, matching, plain_text
 from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError, check_whole, shortened, unknown_name
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
-from stkzoo.evaluation.batch.plan import batch_settings, keep_plan
-from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.batch.plan import batch_settings
+from stkzoo.evaluation.batch.run import RunOptions, run_plotted_batch
 from stkzoo.evaluation.benchmark.plan import (
     BenchmarkPlan,
     BenchmarkResult,
@@ -28,7 +28,6 @@ from stkzoo.evaluation.benchmark.plan import (
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind
 from stkzoo.evaluation.benchmark.run import race_outcomes
-from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult, shared_protections
@@ -314,18 +313,15 @@ def evaluate(
 
 def run_planned_entry(plan: EntryPlan, folder: Path, options: RunOptions) -> Entry:
     """Runs or resumes a planned evaluation; see :func:`evaluate`."""
-    require_plot(options.plot)
-    with open_batch(folder, plan.noun):
-        plan = keep_plan(plan, folder)
-
-        def summarize(results: Mapping[int, RaceResult]) -> Entry:
-            entry = _entry(plan, results, folder)
-            write_text(folder / ENTRY_FILE, entry.to_json() + "\n")
-            if options.plot and results:
-                plot_benchmark(entry, folder / "entry.png")
-            return entry
-
-        return run_batch(entry_orders(plan), folder, summarize, options)
+    return run_plotted_batch(
+        plan,
+        folder,
+        options,
+        orders=entry_orders,
+        summarize=lambda kept, results: _entry(kept, results, folder),
+        plot=plot_benchmark,
+        files=(ENTRY_FILE, "entry.png"),
+    )
 
 
 def _entry(plan: EntryPlan, results: Mapping[int, RaceResult], folder: Path) -> Entry:

@@ -13,15 +13,19 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from stkzoo._locks import locked_folder
-from stkzoo._os import cpu_count, make_folder
+from stkzoo._os import cpu_count, make_folder, write_text
 from stkzoo.errors import StkzooError, check_number, check_whole
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
+from stkzoo.evaluation.batch.plan import Plan, keep_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.plotting import require_plot
+from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult
 
 _MAX_ERRORS_SHOWN = 3
 
 Result = TypeVar("Result")
+ResultDocument = TypeVar("ResultDocument", bound=Document)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +153,45 @@ def run_batch(
     if errors or result is None:
         raise BatchError.of(errors, len(orders), result)
     return result
+
+
+def run_plotted_batch(
+    plan: Plan,
+    folder: Path,
+    options: RunOptions,
+    *,
+    orders: Callable[[Plan], Sequence[RaceOrder]],
+    summarize: Callable[[Plan, Mapping[int, RaceResult]], ResultDocument],
+    plot: Callable[[ResultDocument, Path], object],
+    files: tuple[str, str],
+) -> ResultDocument:
+    """Runs or resumes a planned batch, and writes its result and a plot of it.
+
+    Args:
+        plan: plan of the batch.
+        folder: folder of the batch.
+        options: options of the run.
+        orders: function that makes the races of a plan.
+        summarize: function that makes the result of the races that have been run, by number.
+        plot: function that plots a result to a file.
+        files: names of the files of the result and of the plot.
+
+    Raises: as :func:`run_batch`; also ConfigError if the folder contains another plan or a library
+        for the plot is missing.
+    """
+    require_plot(options.plot)
+    result_name, plot_name = files
+    with open_batch(folder, plan.noun):
+        kept = keep_plan(plan, folder)
+
+        def write(results: Mapping[int, RaceResult]) -> ResultDocument:
+            result = summarize(kept, results)
+            write_text(folder / result_name, result.to_json() + "\n")
+            if options.plot and results:
+                plot(result, folder / plot_name)
+            return result
+
+        return run_batch(orders(kept), folder, write, options)
 
 
 def _run_orders(

@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import write_text
 from stkzoo.evaluation.batch.order import load_orders
-from stkzoo.evaluation.batch.plan import RESULT_FILE, find_plan, keep_plan, result_file
-from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.batch.plan import RESULT_FILE, find_plan, result_file
+from stkzoo.evaluation.batch.run import RunOptions, run_plotted_batch
 from stkzoo.evaluation.benchmark.plan import (
     BenchmarkPlan,
     BenchmarkResult,
@@ -19,7 +18,6 @@ from stkzoo.evaluation.benchmark.plan import (
 )
 from stkzoo.evaluation.benchmark.plot import plot_benchmark
 from stkzoo.evaluation.benchmark.races import RaceOutcome
-from stkzoo.evaluation.plotting import require_plot
 from stkzoo.race.result import RaceResult, shared_protections
 
 
@@ -47,18 +45,15 @@ def run_planned_benchmark(
     plan: BenchmarkPlan, folder: Path, options: RunOptions
 ) -> BenchmarkResult:
     """Runs or resumes a planned benchmark; see :func:`run_benchmark`."""
-    require_plot(options.plot)
-    with open_batch(folder, plan.noun):
-        plan = keep_plan(plan, folder)
-
-        def summarize(results: Mapping[int, RaceResult]) -> BenchmarkResult:
-            result = _result(plan, results)
-            write_text(folder / RESULT_FILE, result.to_json() + "\n")
-            if options.plot and results:
-                plot_benchmark(result, folder / "benchmark.png")
-            return result
-
-        return run_batch(benchmark_orders(plan), folder, summarize, options)
+    return run_plotted_batch(
+        plan,
+        folder,
+        options,
+        orders=benchmark_orders,
+        summarize=_result,
+        plot=plot_benchmark,
+        files=(RESULT_FILE, "benchmark.png"),
+    )
 
 
 def _result(plan: BenchmarkPlan, results: Mapping[int, RaceResult]) -> BenchmarkResult:

@@ -13,7 +13,6 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from stkzoo._os import write_text
 from stkzoo._schema import Count, Positive, Whole
 from stkzoo.config import TIME_TRIAL
 from stkzoo.errors import ConfigError, check_whole
@@ -27,17 +26,15 @@ from stkzoo.evaluation.batch.plan import (
     check_num_races,
     find_plan,
     find_tracks,
-    keep_plan,
     result_file,
 )
-from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.batch.run import RunOptions, run_plotted_batch
 from stkzoo.evaluation.benchmark.races import DECIDED_SETTINGS, FRONT, race_seed, steps_within
 from stkzoo.evaluation.plotting import (
     BLUE,
     GRAY,
     INK,
     new_figure,
-    require_plot,
     save_figure,
     shorten,
     style_axes,
@@ -370,18 +367,15 @@ def run_planned_time_trial(
     plan: TimeTrialPlan, folder: Path, options: RunOptions
 ) -> TimeTrialResult:
     """Runs or resumes planned time trials; see :func:`run_time_trial`."""
-    require_plot(options.plot)
-    with open_batch(folder, plan.noun):
-        plan = keep_plan(plan, folder)
-
-        def summarize(results: Mapping[int, RaceResult]) -> TimeTrialResult:
-            result = summarize_time_trial(plan, results)
-            write_text(folder / RESULT_FILE, result.to_json() + "\n")
-            if options.plot and results:
-                plot_time_trial(result, folder / "benchmark.png")
-            return result
-
-        return run_batch(time_trial_orders(plan), folder, summarize, options)
+    return run_plotted_batch(
+        plan,
+        folder,
+        options,
+        orders=time_trial_orders,
+        summarize=summarize_time_trial,
+        plot=plot_time_trial,
+        files=(RESULT_FILE, "benchmark.png"),
+    )
 
 
 def load_time_trial(path: str | os.PathLike[str]) -> TimeTrialResult:
