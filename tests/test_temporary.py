@@ -23,7 +23,7 @@ print(folder.path, flush=True)
 
 @pytest.fixture(autouse=True)
 def place(tmp_path, monkeypatch):
-    """Returns the place of temporary folders, of which a test has its own."""
+    """Returns the folder in which this test creates temporary folders."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
     yield tmp_path

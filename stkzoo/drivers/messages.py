@@ -271,7 +271,7 @@ def _decoded(entry: Ext) -> npt.NDArray[Any]:
     Raises:
         ProtocolError: the extension has another form, or its size does not match its shape.
     """
-    data = bytes(entry.data)
+    data = memoryview(entry.data)
     try:
         layout = _HEADERS[data[1]]
         code, _, *shape = layout.unpack_from(data)

@@ -31,14 +31,6 @@ def plain(address):
     return host, int(port)
 
 
-@pytest.fixture
-def held():
-    sockets = []
-    yield sockets
-    for one in sockets:
-        one.close()
-
-
 @pytest.mark.slow
 def test_a_server_bounds_its_connections_and_listens_again_when_they_end(held):
     """Incomplete handshakes end after 5 s. A race that has begun continues meanwhile."""

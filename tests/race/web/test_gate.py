@@ -31,14 +31,6 @@ def page():
     page.closed()
 
 
-@pytest.fixture
-def held():
-    sockets = []
-    yield sockets
-    for one in sockets:
-        one.close()
-
-
 def talk(page, data):
     """Sends bytes to the page and returns its answer, until it closes the connection."""
     answer = b""
