@@ -120,6 +120,12 @@ static double place_term(const Kart *before, const Kart *after, const Race *race
     return worth_of_place(after, race) - worth_of_place(before, race);
 }
 
+/* 1 for each place gained, -1 for each place lost. */
+static double overtaking_term(const Kart *before, const Kart *after, const Race *Py_UNUSED(race))
+{
+    return before->position - after->position;
+}
+
 /* The built-in terms by name. */
 static const struct {
     const char *name;
@@ -127,7 +133,7 @@ static const struct {
 } TERMS[] = {
     {"progress", progress_term}, {"rank", rank_term},           {"time", time_term},
     {"finish", finish_term},     {"course", course_term},       {"placement", placement_term},
-    {"advance", advance_term},   {"place", place_term},
+    {"advance", advance_term},   {"place", place_term},         {"overtaking", overtaking_term},
 };
 
 /* Returns the term of a name; NULL with an exception set if there is none. */

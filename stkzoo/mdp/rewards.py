@@ -64,6 +64,8 @@ advance = KernelTerm("advance")
 #: The change of 20 (K - position)/(K - 1) times the fraction of the race driven. Over a whole race,
 #: it sums to 20 for the winner and 0 for the last kart, from every place on the grid.
 place = KernelTerm("place")
+#: 1 for each place gained, -1 for each place lost.
+overtaking = KernelTerm("overtaking")
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import pytest
 
 from stkzoo import RaceVectorEnv
 from stkzoo.errors import ConfigError
+from stkzoo.names import Phase
 from tests.support.processes import process_exists, wait_until
 
 RACE = {"num_kart": 2, "agents": 2, "track": "lighthouse", "view": "racing", "max_cycles": 5}
@@ -128,6 +129,25 @@ def test_closing_ends_the_starts(make):
     envs.close()
     assert pids
     assert wait_until(lambda: not any(map(process_exists, pids)))
+
+
+def test_a_set_of_starts_with_a_seed_stays_the_same_when_their_order_changes(make):
+    envs = make(num_starts=3, start_seed=5)
+    met = []
+    for seed in range(6):
+        envs.reset(seed=seed)
+        met.append(tuple(engine_seeds(envs)))
+    assert len(set(met)) > 1
+    assert len({seed for pair in met for seed in pair}) <= 3
+
+
+def test_races_can_skip_the_countdown(make):
+    envs = make(num_starts=1, skip_countdown=True, view="simple")
+    for _ in range(2):  # the second start is a copy
+        observations, _ = envs.reset(seed=1)
+        assert set(observations["phase"].tolist()) == {Phase.GO_PHASE}
+    with pytest.raises(ConfigError, match="need num_starts"):
+        RaceVectorEnv(1, skip_countdown=True, **RACE)
 
 
 @pytest.mark.parametrize("number", [0, -1, 1.5, "many"])

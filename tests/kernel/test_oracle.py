@@ -17,6 +17,7 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.kernel import ActionReader, join_rows
+from stkzoo.mdp import rewards
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.views import VIEWS as ALL_VIEWS
@@ -292,7 +293,9 @@ def road_of(random):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("reward", ["race", "reference", "placement", {"place": 0.5, "time": 3}])
+@pytest.mark.parametrize(
+    "reward", ["race", "reference", "placement", {"place": 0.5, "gained": rewards.overtaking}]
+)
 def test_rewards_and_infos_are_the_same_to_the_finish(reward, numpy_only):
     """Runs one lap of the game's AI, in which karts finish and leave."""
 

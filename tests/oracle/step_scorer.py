@@ -81,10 +81,15 @@ def place(step: Transition) -> FloatArray:
     return potential(step.after, step.distance) - potential(step.before, step.distance_before)
 
 
+def overtaking(step: Transition) -> FloatArray:
+    """1 for each place gained, -1 for each place lost."""
+    return step.before.karts["position"] - step.after.karts["position"].astype(np.float64)
+
+
 #: The built-in terms by name.
 TERMS: dict[str, Callable[[Transition], FloatArray]] = {
     term.__name__: term
-    for term in (progress, rank, time, finish, course, placement, advance, place)
+    for term in (progress, rank, time, finish, course, placement, advance, place, overtaking)
 }
 
 

@@ -68,6 +68,10 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             starts each of them once, and later races copy it, which takes about 4 ms instead of 50
             to 300. A start is everything that ``reset`` draws: track, karts, places and the game's
             random numbers. Each waits in its own process with about 25 MB. Needs Linux.
+        start_seed: with ``num_starts``, seed of the set of starts; by default, the seeds of
+            ``reset`` determine the set too.
+        skip_countdown: with ``num_starts``, whether races begin at GO. All karts wait there at full
+            throttle.
         **options: other options of :class:`~stkzoo.env.parallel.RaceParallelEnv`.
 
     Attributes:
@@ -109,12 +113,18 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         view: Any = "flattened_discrete",
         prefetch: bool | None = None,
         num_starts: int | None = None,
+        start_seed: int | None = None,
+        skip_countdown: bool = False,
         **options: Any,
     ) -> None:
         self._turn = CallTurn()
         check_whole("num_races", num_races, 1)
         if num_starts is not None:
             check_whole("num_starts", num_starts, 1)
+        elif start_seed is not None or skip_countdown:
+            raise ConfigError(
+                "start_seed and skip_countdown need num_starts, such as num_starts=64"
+            )
         if not isinstance(prefetch, (bool, type(None))):
             raise ConfigError(f"prefetch is {prefetch!r}, expected True, False or None")
         wants_prefetch = cpu_count() > num_races if prefetch is None else prefetch
@@ -125,7 +135,9 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             options["opponents"] = OpponentChoice.of(options["opponents"])  # one for all races
         self.races = tuple(BatchRace(view=view, **options) for _ in range(num_races))
         first, self.num_races = self.races[0], num_races
-        self._starts = None if num_starts is None else RepeatedStarts(num_starts)
+        self._starts = None
+        if num_starts is not None:
+            self._starts = RepeatedStarts(num_starts, start_seed, skip_countdown)
         for race in self.races:
             race.starts = self._starts
         self.num_agents = len(first.possible_agents)
@@ -179,7 +191,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         Args:
             seed: an integer seeds race ``n`` with ``seed + n``. A list has one seed per race.
                 ``None``, for all races or in the list, keeps the state of the random generator.
-                With ``num_starts``, the seeds determine the set of starts and their order.
+                With ``num_starts``, the seeds determine the order of the starts, and without
+                ``start_seed`` also their set.
             options: see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`. They hold for the first
                 episode of every race only; see :meth:`set_options`.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from stkzoo.engine.fork_client import can_fork
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.errors import ConfigError, EngineError, check_whole
+from stkzoo.names import Phase
 
 logger = logging.getLogger(__name__)
 
@@ -40,29 +43,32 @@ class RepeatedStarts:
 
     Args:
         count: number of seeds in the set, and maximum number of starts to keep.
+        seed: seed of the set; ``None`` draws another set in each :meth:`reseed`.
+        skips_countdown: whether starts wait at GO, with all karts at full throttle.
 
     Raises:
         ConfigError: races cannot be copied on this system.
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, seed: int | None = None, skips_countdown: bool = False) -> None:
         if not can_fork():
             raise ConfigError(
                 "num_starts needs races that can be copied, which is possible only on Linux "
                 "without STKZOO_START_METHOD=spawn; leave num_starts out"
             )
-        self._count = count
+        self._count, self._seed, self._skips_countdown = count, seed, skips_countdown
         self._kept: OrderedDict[RaceSetup, tuple[WorkerSession, RaceStart]] = OrderedDict()
         self.reseed([])
 
     def reseed(self, seeds: Sequence[int | None]) -> None:
-        """Draws another set of seeds.
+        """Draws another order of the seeds, and another set of them if the set has no seed.
 
         Args:
-            seeds: determine the set and the order of its seeds; without a number, it is random.
+            seeds: determine both; without a number, they are random.
         """
         self._random = np.random.default_rng([s for s in seeds if s is not None] or None)
-        self._first = int(self._random.integers(2**31))
+        of_set = self._random if self._seed is None else np.random.default_rng(self._seed)
+        self._first = int(of_set.integers(2**31))
 
     def draw_seed(self) -> int:
         """Returns the seed of the next race."""
@@ -95,6 +101,8 @@ class RepeatedStarts:
         waiting = new_session()
         try:
             start = waiting.start(setup)
+            if self._skips_countdown:
+                start = _after_countdown(waiting, setup, start)
             session.resume(waiting)
         except BaseException:
             waiting.close()
@@ -115,3 +123,13 @@ class RepeatedStarts:
 
     def _forget(self, setup: RaceSetup) -> None:
         self._kept.pop(setup)[0].close()
+
+
+def _after_countdown(session: Session, setup: RaceSetup, start: RaceStart) -> RaceStart:
+    """Steps a race that has started until GO, and returns its start at that moment."""
+    snapshot = start.snapshot
+    players = sum(not kart.is_bot for kart in setup.karts)
+    full_throttle = np.eye(1, len(CONTROLS), dtype=np.float32).repeat(players, 0)
+    while snapshot.phase < Phase.GO_PHASE:
+        snapshot = session.step(full_throttle)
+    return replace(start, snapshot=snapshot)
