@@ -42,6 +42,7 @@ def test_a_damaged_file_raises_one_error_that_names_it(tmp_path, name):
     assert file.name in refused(kind, file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KINDS)
 def test_a_one_gigabyte_file_is_refused_with_little_memory(tmp_path, name):
     kind = KINDS[name]

@@ -136,6 +136,7 @@ def files(tmp_path):
     return paths
 
 
+@pytest.mark.slow
 def test_networks_become_an_agent(files, tmp_path, capsys):
     folder = tmp_path / "wise"
     assert main([*files, "--name=wise", f"--output={folder}", "--ensemble-weight=0.5"]) == 0
@@ -156,6 +157,7 @@ def test_networks_become_an_agent(files, tmp_path, capsys):
     assert (mine.driver, mine.errors) == ("wise", ())
 
 
+@pytest.mark.slow
 def test_an_agent_with_plans_on_the_racing_line_sees_the_ground(files, tmp_path):
     plans = tmp_path / "plans.json"
     plans.write_text(json.dumps({"racing_line": True}))
@@ -217,6 +219,7 @@ def plan_file(tmp_path):
     return run / "policy-000000456.safetensors"
 
 
+@pytest.mark.slow
 def test_policies_over_plans_and_networks_become_one_agent(files, plan_file, tmp_path):
     folder = export_policy([*files, plan_file], "wise", tmp_path / "wise", ensemble_weight=1.0)
     policy = read_policy(folder)

@@ -62,6 +62,7 @@ def test_drives_like_its_base_policy_without_other_candidates(env):
     assert planned == base
 
 
+@pytest.mark.slow
 def test_drives_the_same_race_with_the_same_seed(env):
     first, second, other = (plan(env, GRID + SOME, seed=seed) for seed in (3, 3, 4))
     assert first == second
@@ -126,6 +127,7 @@ def test_use_as_an_opponent_in_an_environment_logs_an_error(caplog):
     assert "races of its own" in caplog.text
 
 
+@pytest.mark.slow
 def test_its_demonstrations_are_repeatable(tmp_path):
     demos = record_demonstrations(
         "planner",

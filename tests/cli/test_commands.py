@@ -81,6 +81,7 @@ def test_an_unknown_word_is_reported_with_the_nearest_valid_one(words, meant, ca
     assert "--help`" in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words", [["tracks", "olivermath"], ["karts", "--json"], ["race", "--help"]]
 )

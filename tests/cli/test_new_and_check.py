@@ -48,6 +48,7 @@ def test_new_refuses_names_that_mean_other_drivers(name, tmp_path, monkeypatch, 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_check_measures_a_zip(starter, tmp_path, capsys):
     path = tmp_path / "handed_in.zip"
     with zipfile.ZipFile(path, "w") as archive:

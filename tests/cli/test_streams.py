@@ -65,6 +65,7 @@ def run_with_failing_listener(tmp_path, event, code):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("event", ["stepped", "ended"])
 def test_a_failed_output_does_not_lose_the_result(tmp_path, event):
     done = run_with_failing_listener(tmp_path, event, "raise OSError(28, 'No space left')")
@@ -73,6 +74,7 @@ def test_a_failed_output_does_not_lose_the_result(tmp_path, event):
     assert RaceResult.from_json((tmp_path / "race.json").read_text()).steps == 3
 
 
+@pytest.mark.slow
 def test_an_interrupt_while_outputs_are_written_keeps_the_result(tmp_path):
     done = run_with_failing_listener(tmp_path, "ended", "raise KeyboardInterrupt")
     assert done.returncode == 130

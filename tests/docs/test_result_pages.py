@@ -21,6 +21,7 @@ def test_the_page_of_the_suite_has_its_tables_and_figures():
     assert text.count("](../images/suite/") == 5
 
 
+@pytest.mark.slow
 def test_the_charts_show_the_saved_results(tmp_path):
     charts = extension("charts")
     charts.main(tmp_path)

@@ -72,6 +72,7 @@ def failures(tmp_path_factory):
     return {row.driver: row.errors[0] for row in result.agents}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", AGENTS)
 def test_a_failure_says_what_went_wrong(name, failures):
     _, message, trace = AGENTS[name]

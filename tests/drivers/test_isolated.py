@@ -53,6 +53,7 @@ def test_good_agents_finish_alongside_hostile_ones(hostile_race):
     assert not rows["Alpha"].num_errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind", "message"),
     [

@@ -79,6 +79,7 @@ def test_a_default_timeout_of_sockets_does_not_reach_the_game(root, monkeypatch,
         drive_on(session, steps=2)
 
 
+@pytest.mark.slow
 def test_the_engine_imports_nothing_from_the_current_folder_of_a_notebook(root, tmp_path):
     (tmp_path / "socket.py").write_text("raise ImportError('a file of an agent')")
     code = f"""

@@ -178,6 +178,7 @@ def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
         assert made[-1].count == 7
 
 
+@pytest.mark.slow
 def test_views_of_few_groups_of_opponents_are_kept():
     pool = OpponentPool({"pursuit": 1, "ai": 1})
     with race_v0.parallel_env(**RACE, num_kart=7, opponents=pool) as env:
@@ -267,6 +268,7 @@ def test_a_scenario_starts_opponents_at_its_step(tmp_path):
         env.reset(options={"scenario": tmp_path / "here.zip"})
 
 
+@pytest.mark.slow
 def test_a_scenario_draws_opponents_of_the_same_kinds_from_a_pool():
     pool = OpponentPool(["pursuit", "ai"])
     with against([pool, "ai"]) as env:

@@ -79,6 +79,7 @@ def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
     assert not active.all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

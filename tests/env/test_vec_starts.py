@@ -68,6 +68,7 @@ def test_a_copied_start_gives_the_same_race_as_a_new_one(make):
         np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["before", "amid"])
 @pytest.mark.parametrize("library", [copy.deepcopy, lambda envs: pickle.loads(pickle.dumps(envs))])
 def test_a_copied_environment_repeats_the_same_starts(make, moment, library):

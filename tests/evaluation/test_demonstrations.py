@@ -53,6 +53,7 @@ def test_a_data_set_has_observations_and_actions(driven):
     assert not episode.is_finished
 
 
+@pytest.mark.slow
 def test_a_data_set_records_how_it_was_made(driven):
     file, _ = driven
     plan = load_demonstrations(file).plan
@@ -277,6 +278,7 @@ def test_invalid_files_are_refused(driven, tmp_path):
         load_demonstrations(tmp_path / "none.safetensors")
 
 
+@pytest.mark.slow
 def test_minari_loads_the_same_data(driven, tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari = pytest.importorskip("minari")

@@ -154,6 +154,7 @@ def test_the_engine_reproduces_the_recorded_returns():
     assert live.returns("race") == pytest.approx(kept.returns("race"))
 
 
+@pytest.mark.slow
 def test_the_reference_formula_rewards_a_kart_that_stands_still():
     assert drive("olivermath").returns("reference")[0] > 0
 

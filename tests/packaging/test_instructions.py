@@ -90,6 +90,7 @@ def test_instructions_name_extras_that_exist():
     assert named <= set(EXTRAS)
 
 
+@pytest.mark.slow
 def test_messages_name_extras_that_exist():
     named = set()
     for path in CODE:

@@ -66,6 +66,7 @@ def failing_with(message):
     return Driver.of_actor("failing", make)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("letter", ["a", ",", "\u00e9", "\U0001f600"])
 def test_a_result_with_long_errors_of_256_agents_can_be_read(letter):
     options = {"error_handling": "catch", "max_steps": 25}

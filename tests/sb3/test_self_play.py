@@ -49,6 +49,7 @@ def test_a_policy_beats_its_first_version_after_a_short_training():
     assert 2 * won > duels
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", [PPO, A2C])
 def test_a_pool_keeps_a_copy_of_a_model_that_continues_to_learn(algorithm):
     pool = OpponentPool(["random"])

@@ -88,6 +88,7 @@ def test_the_kart_that_catches_up_has_the_higher_closing_speed(crowded, measured
     assert sum(contact.closing) > 0
 
 
+@pytest.mark.slow
 def test_a_folder_is_read_as_its_replays(alone, tmp_path):
     replays = tmp_path / "entry" / "replays"
     replays.mkdir(parents=True)
@@ -123,6 +124,7 @@ def test_a_race_that_differs_from_its_recording_is_refused(alone, tmp_path):
         race_conduct(changed)
 
 
+@pytest.mark.slow
 def test_the_command_shows_drivers_and_writes_json(crowded, measured, capsys):
     assert main(["suite", "conduct", str(crowded), "--jobs", "1"]) == 0
     shown = capsys.readouterr().out

@@ -69,6 +69,7 @@ def actors():
     return make
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inline", [False, True])
 def test_a_race_of_two_teams_equals_that_of_the_tasks_environment(inline):
     """Each action depends on every bit that its kart has observed and heard."""

@@ -114,6 +114,7 @@ def test_a_race_with_changed_conditions_is_refused(entry):
         assert re.match(rf"race {number} \(lighthouse \w+\): .*step 0", problem)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [

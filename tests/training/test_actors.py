@@ -87,8 +87,8 @@ def test_errors_at_the_start_of_an_actor_are_raised_in_the_learner():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_a_killed_actor_is_reported(pool, monkeypatch):
-    monkeypatch.setattr(actors, "_END_TIMEOUT", 0.1)  # the other actor sleeps
+def test_a_killed_actor_is_reported(monkeypatch, pool):
+    monkeypatch.setattr(actors, "_END_TIMEOUT", 0.1)  # the other actor still sleeps when pool ends
     pool.send("sleep", [(600,)] * 2)
     os.kill(pool.pids[0], signal.SIGKILL)
     with pytest.raises(StkzooError, match="code -9; the same command continues"):

@@ -170,6 +170,7 @@ def test_self_play_is_refused_for_one_learner(tmp_path):
         small_run(tmp_path, FSP)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["team-2v2", "selfplay-5"])
 def test_a_past_policy_drives_a_team_or_two_karts_and_is_not_learned_from(tmp_path, name):
     task = find_task(name)

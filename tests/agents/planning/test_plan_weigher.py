@@ -226,12 +226,13 @@ def test_spans_that_would_never_end_are_refused(span):
 
 
 @pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
-@pytest.mark.parametrize("weigh", [_planning.weigh_plans, plan_weigher.weigh_plans])
-def test_results_do_not_depend_on_the_batch(weigh, motion):
+def test_results_do_not_depend_on_the_batch(motion):
     table, rules, _, *of_karts = random_arguments(0)
     together = np.empty((3, len(of_karts[0]), 4), np.float32)
-    weigh(table, rules, motion, *of_karts, together)
+    _planning.weigh_plans(table, rules, motion, *of_karts, together)
     for kart in range(len(of_karts[0])):
         alone = np.empty((3, 1, 4), np.float32)
-        weigh(table, rules, motion, *(array[kart : kart + 1] for array in of_karts), alone)
+        _planning.weigh_plans(
+            table, rules, motion, *(array[kart : kart + 1] for array in of_karts), alone
+        )
         assert (alone[:, 0] == together[:, kart]).all()

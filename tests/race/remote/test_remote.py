@@ -248,6 +248,7 @@ def test_a_silent_client_loses_its_place(monkeypatch):
             assert not run_race([*group.drivers, "ai"], max_steps=3, **TRACK).has_errors
 
 
+@pytest.mark.slow
 def test_a_paused_client_is_pinged_and_continues(monkeypatch):
     monkeypatch.setattr(server_module, "_PING", 0.05)
     monkeypatch.setattr(server_module, "_CHECK", 0.05)

@@ -81,6 +81,7 @@ def test_a_replay_that_differs_has_no_ghost(race):
         ghost_of(replace(replay, controls=controls))
 
 
+@pytest.mark.slow
 def test_a_video_with_a_ghost_can_be_made(race, tmp_path):
     words = ["replay", str(race[0]), "--video", str(tmp_path / "race.mp4")]
     assert main([*words, "--ghost", str(race[0]), "--width", "320", "--height", "240"]) == 0

@@ -92,6 +92,7 @@ def test_a_new_process_reproduces_the_race(recorded):
     assert "All 500 steps are as recorded, to the last bit." in done.stdout
 
 
+@pytest.mark.slow
 def test_a_replay_is_small(recorded):
     assert recorded[0].stat().st_size < 200_000
 
@@ -129,6 +130,7 @@ def test_a_replay_without_a_mode_is_a_normal_race(small):
     assert play_replay(replay).is_exact
 
 
+@pytest.mark.slow
 def test_errors_are_reported_at_their_steps(tmp_path):
     path = tmp_path / "race.stkz"
     agents = [str(AGENTS / "hostile" / name) for name in ("once.py", "unloadable.py")]
@@ -141,6 +143,7 @@ def test_errors_are_reported_at_their_steps(tmp_path):
     assert now.failures_by_step == then.failures_by_step
 
 
+@pytest.mark.slow
 def test_random_actions_that_replace_a_failed_agent_are_kept(tmp_path):
     path = tmp_path / "race.stkz"
     agent = str(AGENTS / "hostile" / "shape.py")
