@@ -3,6 +3,8 @@
 import json
 import re
 
+import pytest
+
 from tests.docs.test_extensions import extension
 from tests.support.paths import ROOT
 
