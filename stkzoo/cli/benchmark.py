@@ -150,23 +150,23 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _benchmark(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._batch import file_name, run_and_show
-    from stkzoo.evaluation.benchmark.run import run_planned_benchmark
+    from stkzoo.evaluation.benchmark.result import BENCHMARK
 
     plan = _plan(arguments)
     label = plan.agent.label
     folder = Path(arguments.output or Path("benchmark", file_name(label)))
-    run = partial(run_planned_benchmark, plan, folder)
+    run = partial(BENCHMARK.run, plan, folder)
     return run_and_show(arguments, run, folder, lambda result: show_results([result]), label)
 
 
 def _time_trial(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._batch import file_name, run_and_show
-    from stkzoo.evaluation.benchmark.time_trial import run_planned_time_trial
+    from stkzoo.evaluation.benchmark.time_trial import TIME_TRIALS
 
     plan = _time_trial_plan(arguments)
     label = plan.agent.label
     folder = Path(arguments.output or Path("benchmark", f"{file_name(label)}-time-trial"))
-    run = partial(run_planned_time_trial, plan, folder)
+    run = partial(TIME_TRIALS.run, plan, folder)
     return run_and_show(arguments, run, folder, _show_time_trial, label)
 
 
@@ -217,7 +217,7 @@ def _seeds(arguments: argparse.Namespace, default: int = _SEEDS) -> int:
 def _baseline(arguments: argparse.Namespace) -> int:
     from stkzoo.cli._batch import run_and_show
     from stkzoo.cli._console import say
-    from stkzoo.evaluation.benchmark.ai_times import plan_ai_times, run_planned_ai_times
+    from stkzoo.evaluation.benchmark.ai_times import AI_TIMES, plan_ai_times
 
     refuse_options(
         "--baseline has races of its own",
@@ -226,7 +226,7 @@ def _baseline(arguments: argparse.Namespace) -> int:
     )
     plan = plan_ai_times(tracks=arguments.split or "all", seeds=_seeds(arguments))
     folder = Path(arguments.output or "ai-times")
-    run = partial(run_planned_ai_times, plan, folder)
+    run = partial(AI_TIMES.run, plan, folder)
     return run_and_show(
         arguments, run, folder, lambda times: say(f"{len(times.by_race)} times of the game's AI")
     )

@@ -288,7 +288,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     """
     from stkzoo.cli._batch import file_name, run_and_show
     from stkzoo.suite import About, EntryPlan, plan_entry
-    from stkzoo.suite.entry import run_planned_entry
+    from stkzoo.suite.entry import ENTRIES
 
     about = About(**values_of(arguments, EvaluateArguments, only=_ABOUT))
     settings = values_of(arguments, RaceSettings, without=EntryPlan.decided)
@@ -297,7 +297,7 @@ def _evaluate(arguments: argparse.Namespace) -> int:
     name = f"{plan.task}-{file_name(plan.agent.label)}"
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
-    run = partial(run_planned_entry, plan, folder)
+    run = partial(ENTRIES.run, plan, folder)
     return run_and_show(arguments, run, folder, _show_entry, plan.agent.label)
 
 

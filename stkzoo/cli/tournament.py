@@ -96,10 +96,10 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Runs or resumes a tournament."""
     from stkzoo.cli._batch import run_and_show
-    from stkzoo.evaluation.tournament.run import run_planned_tournament
+    from stkzoo.evaluation.tournament.run import TOURNAMENT
 
     folder = Path(arguments.resume or arguments.output)
-    run = partial(run_planned_tournament, _plan(arguments, folder), folder)
+    run = partial(TOURNAMENT.run, _plan(arguments, folder), folder)
     return run_and_show(arguments, run, folder, _show)
 
 

@@ -20,9 +20,7 @@ from stkzoo.evaluation.agent_check import AgentReport, ThinkingTime, check_agent
 from stkzoo.evaluation.batch.agents import BatchAgent
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
-from stkzoo.evaluation.benchmark.comparison import Comparison, compare
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult, plan_benchmark
-from stkzoo.evaluation.benchmark.plot import plot_benchmark
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, plan_benchmark
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
     BenchmarkForm,
@@ -31,7 +29,14 @@ from stkzoo.evaluation.benchmark.races import (
     RaceGroup,
     RaceOutcome,
 )
-from stkzoo.evaluation.benchmark.run import load_benchmark, run_benchmark
+from stkzoo.evaluation.benchmark.result import (
+    BenchmarkResult,
+    Comparison,
+    compare,
+    load_benchmark,
+    plot_benchmark,
+    run_benchmark,
+)
 from stkzoo.evaluation.benchmark.time_trial import (
     TimeTrialPlan,
     TimeTrialRace,

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from statistics import fmean
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from msgspec import Meta
 
-from stkzoo._os import cpu_count
 from stkzoo._schema import Count, Seconds
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
-from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.batch.run import BatchProgress, RunOptions
+from stkzoo.evaluation.batch.run import RunOptions, run_orders
 from stkzoo.mdp.events import EVENTS, RaceEvents
 from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -274,18 +272,14 @@ def _replays_in(path: Path) -> Iterator[Path]:
 
 def measure_conduct(
     paths: Iterable[str | os.PathLike[str]],
-    *,
-    jobs: int | None = None,
-    race_timeout: float = 3600.0,
-    on_race: Callable[[BatchProgress], object] | None = None,
+    **options: Any,
 ) -> list[RaceConduct]:
     """Measures the conduct of the karts in many recorded races.
 
     Args:
         paths: replays and folders of entries; see :func:`find_replays`.
-        jobs: number of races at the same time; by default one per processor core.
-        race_timeout: time limit of a race [s].
-        on_race: function that is called after each race.
+        **options: ``jobs``, ``race_timeout`` and ``on_race``, as in
+            :class:`~stkzoo.evaluation.RunOptions`.
 
     Returns:
         The conduct in each race, in the order of the replays.
@@ -294,19 +288,16 @@ def measure_conduct(
         ConfigError: there are no replays, or an option is invalid.
         ReplayError: a replay is damaged, or a race cannot be reproduced.
     """
-    RunOptions(jobs, race_timeout)  # checks the values
+    settings = RunOptions(**options)
     files = find_replays(paths)
     orders = [
         ConductOrder(number, (), RaceSettings(), replay=str(file.absolute()))
         for number, file in enumerate(files)
     ]
-    report = on_race or (lambda _: None)
     races: dict[int, RaceConduct] = {}
-    report(BatchProgress(0, len(orders)))
-    with closing(run_in_parallel(orders, Path(), jobs or cpu_count(), race_timeout)) as outcomes:
-        for outcome in outcomes:
-            if outcome.error:
-                raise ReplayError(f"{files[outcome.order.number]}: {outcome.error}")
-            races[outcome.order.number] = RaceConduct.from_json(outcome.result)
-            report(BatchProgress(len(races), len(orders)))
+    with closing(run_orders(orders, Path(), settings, RaceConduct)) as outcomes:
+        for order, race, error in outcomes:
+            if race is None:
+                raise ReplayError(f"{files[order.number]}: {error}")
+            races[order.number] = race
     return [races[number] for number in range(len(files))]

@@ -18,16 +18,11 @@ from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError, check_whole, shortened, unknown_name
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import batch_settings
-from stkzoo.evaluation.batch.run import RunOptions, run_plotted_batch
-from stkzoo.evaluation.benchmark.plan import (
-    BenchmarkPlan,
-    BenchmarkResult,
-    benchmark_order,
-    plan_benchmark,
-)
-from stkzoo.evaluation.benchmark.plot import plot_benchmark
-from stkzoo.evaluation.benchmark.races import BenchmarkRace, FigureKind
-from stkzoo.evaluation.benchmark.run import race_outcomes
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, benchmark_orders, plan_benchmark
+from stkzoo.evaluation.benchmark.races import FigureKind
+from stkzoo.evaluation.benchmark.result import BenchmarkResult, plot_benchmark, race_outcomes
+from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult, shared_protections
@@ -128,13 +123,12 @@ class EntryPlan(BenchmarkPlan):
 
 def entry_orders(plan: EntryPlan) -> list[RaceOrder]:
     """Returns the orders of all races of an entry."""
-    races = plan.races()
-    rivals = draw_rivals(races)
-    return [_order(plan, race, rivals.get(race.number, ())) for race in races]
+    rivals = draw_rivals(plan.races())
+    return [_order(order, rivals.get(order.number, ())) for order in benchmark_orders(plan)]
 
 
-def _order(plan: EntryPlan, race: BenchmarkRace, rivals: tuple[str, ...]) -> RaceOrder:
-    order, others = benchmark_order(plan, race), iter(rivals)
+def _order(order: RaceOrder, rivals: tuple[str, ...]) -> RaceOrder:
+    others = iter(rivals)
     drivers = tuple(next(others, "ai") if text == "ai" else text for text in order.drivers)
     level = next((GAME_AI[text] for text in drivers if GAME_AI.get(text) is not None), None)
     settings = order.settings if level is None else replace(order.settings, difficulty=level)
@@ -290,6 +284,21 @@ def _check_words(task: Task, agent: str) -> None:
         )
 
 
+def _entry(plan: EntryPlan, results: RaceResults, folder: Path) -> Entry:
+    races = race_outcomes(plan, results)
+    replays = tuple(replay_digest(folder, race.number) for race in races)
+    return Entry(plan, races, *shared_protections(results.values()), replays)
+
+
+ENTRIES = BatchKind(
+    EntryPlan,
+    entry_orders,
+    _entry,
+    written(ENTRY_FILE, plot_benchmark, "entry.png"),
+    lambda options: require_plot(options.plot),
+)
+
+
 def evaluate(
     task: str | Task, agent: str, *, output: str | os.PathLike[str], **options: Any
 ) -> Entry:
@@ -308,23 +317,4 @@ def evaluate(
         BatchError: some races could not be run.
     """
     run, plan = RunOptions.split(options)
-    return run_planned_entry(plan_entry(task, agent, **plan), Path(output), run)
-
-
-def run_planned_entry(plan: EntryPlan, folder: Path, options: RunOptions) -> Entry:
-    """Runs or resumes a planned evaluation; see :func:`evaluate`."""
-    return run_plotted_batch(
-        plan,
-        folder,
-        options,
-        orders=entry_orders,
-        summarize=lambda kept, results: _entry(kept, results, folder),
-        plot=plot_benchmark,
-        files=(ENTRY_FILE, "entry.png"),
-    )
-
-
-def _entry(plan: EntryPlan, results: Mapping[int, RaceResult], folder: Path) -> Entry:
-    races = race_outcomes(plan, results)
-    replays = tuple(replay_digest(folder, race.number) for race in races)
-    return Entry(plan, races, *shared_protections(results.values()), replays)
+    return ENTRIES.run(plan_entry(task, agent, **plan), Path(output), run)

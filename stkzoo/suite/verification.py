@@ -5,23 +5,21 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import cpu_count
 from stkzoo._reading import read_json, read_text, reading
 from stkzoo._schema import plain_text
 from stkzoo.drivers.driver import GAME_AI
 from stkzoo.errors import StkzooError, shortened
 from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder, replay_file
-from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.batch.run import BatchProgress, RunOptions
+from stkzoo.evaluation.batch.run import RunOptions, run_orders
 from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
-from stkzoo.evaluation.benchmark.run import race_outcomes
+from stkzoo.evaluation.benchmark.result import race_outcomes
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.replay import Replay, load_replay, other_versions, play_replay
 from stkzoo.race.replay.file import controls_of
@@ -301,10 +299,7 @@ class _RaceWatch(RaceListener):
 
 def verify_entry(
     folder: str | os.PathLike[str],
-    *,
-    jobs: int | None = None,
-    race_timeout: float = 3600.0,
-    on_race: Callable[[BatchProgress], object] | None = None,
+    **options: Any,
 ) -> Entry:
     """Runs all races of an entry again and compares every number, without the agent's code.
 
@@ -318,9 +313,8 @@ def verify_entry(
 
     Args:
         folder: folder of the entry, with ``entry.json`` and ``replays``.
-        jobs: number of races at the same time; by default one per processor core.
-        race_timeout: time limit of a race [s].
-        on_race: function that is called after each race.
+        **options: ``jobs``, ``race_timeout`` and ``on_race``, as in
+            :class:`~stkzoo.evaluation.RunOptions`.
 
     Returns:
         The entry.
@@ -329,25 +323,21 @@ def verify_entry(
         EntryRefused: the entry is incomplete, or a race or a number differs.
         ConfigError: there is no entry, its file is damaged, or an option is invalid.
     """
-    RunOptions(jobs, race_timeout)  # checks the values
+    settings = RunOptions(**options)
     place = Path(folder)
     text = _read(place / ENTRY_FILE)
     entry = Entry.from_json(text, str(place / ENTRY_FILE))
     _check_conditions(entry, place)
     pairs = zip(entry_orders(entry.plan), entry.replays, strict=True)
     orders = [VerifyOrder.of(order, digest) for order, digest in pairs]
-    report = on_race or (lambda _: None)
     results: dict[int, RaceResult] = {}
     problems: dict[int, str] = {}
-    running = run_in_parallel(orders, place, jobs or cpu_count(), race_timeout)
-    with closing(running) as outcomes:
-        for outcome in outcomes:
-            last, number = None, outcome.order.number
-            if outcome.error:
-                problems[number] = f"{_name(outcome.order)}: {outcome.error}"
+    with closing(run_orders(orders, place, settings, RaceResult)) as outcomes:
+        for order, result, error in outcomes:
+            if result is None:
+                problems[order.number] = f"{_name(order)}: {error}"
             else:
-                last = results[number] = RaceResult.from_json(outcome.result)
-            report(BatchProgress(len(results), len(orders), last, outcome.error))
+                results[order.number] = result
     _refuse([problems[number] for number in sorted(problems)])
     _compare(entry, read_json(text, dict[str, Any], Entry.max_bytes), results)
     return entry

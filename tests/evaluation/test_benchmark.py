@@ -68,7 +68,7 @@ def test_orders_follow_the_race_form():
     assert found["P", "front"].drivers == (dice,)
     settings = found["P", "front"].settings
     assert (settings.track, settings.reverse, settings.difficulty) == ("lighthouse", True, 3)
-    limit = 3 * plan.ai_time("lighthouse", True)
+    limit = 3 * plan.reference_time("lighthouse", True)
     assert limit <= (settings.max_steps - 20) / 10 < limit + 0.1
 
 
@@ -178,7 +178,7 @@ def made_up(ratio, won, *, seeds=5, **changes):
     plan = plan_benchmark("random", **options)
     outcomes = []
     for race in plan.races():
-        time = ratio(race) * plan.ai_time(race.track, race.reverse)
+        time = ratio(race) * plan.reference_time(race.track, race.reverse)
         kart = KartOutcome(time, 1 if won(race) else 2, 0, 0)
         outcomes.append(RaceOutcome(*astuple(race), "awaited_finished", ratio(race), (kart,)))
     return BenchmarkResult(plan, tuple(outcomes))

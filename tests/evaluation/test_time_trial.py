@@ -15,7 +15,8 @@ from stkzoo.evaluation import (
     plan_time_trial,
     run_time_trial,
 )
-from stkzoo.evaluation.benchmark.time_trial import summarize_time_trial, time_trial_orders
+from stkzoo.evaluation.benchmark.plan import benchmark_orders
+from stkzoo.evaluation.benchmark.time_trial import TIME_TRIALS
 from stkzoo.records import HUMAN_RECORDS
 from tests.support.paths import ROOT
 from tests.support.results import agent_result, race_result
@@ -29,7 +30,7 @@ SHIPPED = ROOT / "benchmarks" / "results" / "benchmark" / "ace-time-trial.json"
 
 def test_the_races_have_the_conditions_of_the_records():
     plan = plan_time_trial("heuristic", seeds=2)
-    orders = time_trial_orders(plan)
+    orders = benchmark_orders(plan)
     assert [order.settings.track for order in orders] == [*HUMAN_RECORDS] * 2
     assert {order.drivers for order in orders} == {("heuristic@:heuristic",)}
     for order in orders:
@@ -71,10 +72,10 @@ def outcome(multiples, **options):
     """Makes a result with times in multiples of the record; ``None`` for unfinished races."""
     plan = plan_time_trial("heuristic", **options)
     results = {}
-    for order, multiple in zip(time_trial_orders(plan), multiples, strict=False):
+    for order, multiple in zip(benchmark_orders(plan), multiples, strict=False):
         record = HUMAN_RECORDS[order.settings.track].seconds
         results[order.number] = result_of(order, None if multiple is None else multiple * record)
-    return summarize_time_trial(plan, results)
+    return TIME_TRIALS.summarize(plan, results, None)
 
 
 def test_the_figures_are_multiples_of_the_records():
@@ -101,7 +102,7 @@ def test_a_result_survives_a_json_round_trip():
 def test_a_result_with_races_of_another_plan_is_refused():
     values = json.loads(outcome([1.3], split="mines").to_json())
     values["races"][0]["seed"] += 1
-    with pytest.raises(ConfigError, match="race 0 of the time trials is"):
+    with pytest.raises(ConfigError, match="race 0 of the time trial result is"):
         TimeTrialResult.from_json(json.dumps(values))
 
 

@@ -26,7 +26,7 @@ from stkzoo.evaluation.batch import agents as batch_agents
 from stkzoo.evaluation.batch.agents import fingerprint
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.ratings import rate
-from stkzoo.evaluation.tournament.plan import joined_plan, resumed_plan
+from stkzoo.evaluation.tournament.plan import resumed_plan
 from stkzoo.race import RaceResult, RaceSettings
 from tests.support.adversaries import write_sore_loser
 from tests.support.paths import AGENTS, SCHEMAS
@@ -439,10 +439,10 @@ def test_an_agent_that_is_named_again_on_resume_does_not_join_twice(tmp_path):
     plan = plan_tournament(["ai", one], tracks=["lighthouse"], races=2)
     for _ in range(3):
         (tmp_path / "plan.json").write_text(plan.to_json())
-        plan = joined_plan(resumed_plan(tmp_path, [two, "ai"]), tmp_path)
+        plan = resumed_plan(tmp_path, [two, "ai"]).continuing(plan)
         assert [agent.label for agent in plan.agents] == ["ai", "ada", "ada-2"]
         assert plan.additions == (1,)
-    renamed = joined_plan(resumed_plan(tmp_path, [f"{two}@:Eve", f"{one}@:ada"]), tmp_path)
+    renamed = resumed_plan(tmp_path, [f"{two}@:Eve", f"{one}@:ada"]).continuing(plan)
     assert [agent.label for agent in renamed.agents][2:] == ["ada-2", "Eve"]
 
 

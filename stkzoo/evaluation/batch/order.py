@@ -96,22 +96,17 @@ class RaceOrder:
             )
         return result
 
-    def store(self, folder: Path, text: str) -> RaceResult:
+    def store(self, folder: Path, result: RaceResult) -> None:
         """Stores the result of the race, atomically.
 
         Args:
             folder: folder of the batch.
-            text: the result as JSON.
-
-        Returns:
-            The result.
+            result: the result.
 
         Raises:
-            ConfigError: the text is not a result, or the file cannot be written.
+            ConfigError: the file cannot be written.
         """
-        result = RaceResult.from_json(text)
-        write_text(self.file(folder), text + "\n")
-        return result
+        write_text(self.file(folder), result.to_json() + "\n")
 
     def file(self, folder: Path, ending: str = ".json") -> Path:
         """Returns the file of the race's result, or of other data about the race beside it.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
 from msgspec import Meta
+from typing_extensions import Self  # a dependency of gymnasium
 
 from stkzoo._os import write_text
 from stkzoo.engine.assets import find_assets
@@ -63,6 +64,14 @@ class BatchPlan(Document):
         """The first agent, which is the only one of most batches."""
         return self.agents[0]
 
+    def continuing(self, stored: Self) -> Self:  # noqa: ARG002 - some plans add agents
+        """Returns the plan as a continuation of the one that is stored in the same folder.
+
+        Args:
+            stored: the stored plan.
+        """
+        return self
+
 
 def keep_plan(plan: Plan, folder: Path) -> Plan:
     """Returns the plan to run in a folder, and stores it there.
@@ -78,6 +87,7 @@ def keep_plan(plan: Plan, folder: Path) -> Plan:
     """
     stored, kept = find_plan(type(plan), folder), plan
     if stored is not None:
+        plan = plan.continuing(stored)
         if differences := plan_differences(stored, plan):
             command = plan.resume_command.format(folder=folder)
             raise ConfigError(

@@ -6,8 +6,9 @@ place atomically, so a race is stored completely or not at all, even if the prog
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+import os
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -16,16 +17,17 @@ from stkzoo._locks import locked_folder
 from stkzoo._os import cpu_count, make_folder, write_text
 from stkzoo.errors import StkzooError, check_number, check_whole
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
-from stkzoo.evaluation.batch.plan import Plan, keep_plan
+from stkzoo.evaluation.batch.plan import Plan, find_plan, keep_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.plotting import require_plot
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult
 
 _MAX_ERRORS_SHOWN = 3
 
 Result = TypeVar("Result")
-ResultDocument = TypeVar("ResultDocument", bound=Document)
+AnyDocument = TypeVar("AnyDocument", bound=Document)
+#: Results of the races of a batch that have been run, by number.
+RaceResults = Mapping[int, RaceResult]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,109 +112,140 @@ class BatchError(StkzooError, Generic[Result]):
         )
 
 
-@contextmanager
-def open_batch(folder: Path, noun: str) -> Iterator[None]:
-    """Creates the folder of a batch if needed, and locks it while the block runs.
+@dataclass(frozen=True, slots=True)
+class BatchKind(Generic[Plan, Result]):
+    """A kind of batch: the functions that make its races and its result from a plan.
 
-    Args:
-        folder: the folder.
-        noun: name of this kind of batch.
-
-    Raises:
-        ConfigError: the folder cannot be used, or another program runs a batch in it.
-    """
-    with locked_folder(folder, noun):
-        make_folder(folder / RACES, noun)
-        yield
-
-
-def run_batch(
-    orders: Sequence[RaceOrder],
-    folder: Path,
-    summarize: Callable[[Mapping[int, RaceResult]], Result],
-    options: RunOptions,
-    *,
-    is_partial: bool = True,
-) -> Result:
-    """Runs the races of a batch that are not stored yet, and returns the result of all races.
-
-    Args:
-        orders: all races of the batch.
-        folder: folder of the batch, which is open (:func:`open_batch`).
-        summarize: function that makes the result of the races that have been run, by number. It
-            may also write the result and plots.
-        options: options of the run.
+    Attributes:
+        plan_type: class of its plans.
+        orders: returns all races of a plan.
+        summarize: returns the result of the races that have been run, by number. The last argument
+            is the folder of the batch.
+        write: writes a result, and what belongs to it, to the folder; its arguments are the result,
+            the results of the races by number, the folder and the options.
+        check: raises an error before the first race if a library is missing.
         is_partial: whether a part of the races has a result.
-
-    Raises:
-        ConfigError: the folder contains a damaged race.
-        BatchError: some races could not be run; the error has the result of the others.
     """
-    results, errors = _run_orders(orders, folder, options)
-    result = summarize(results) if is_partial or not errors else None
-    if errors or result is None:
-        raise BatchError.of(errors, len(orders), result)
-    return result
 
+    plan_type: type[Plan]
+    orders: Callable[[Plan], Sequence[RaceOrder]]
+    summarize: Callable[[Plan, RaceResults, Path], Result]
+    write: Callable[[Result, RaceResults, Path, RunOptions], object]
+    check: Callable[[RunOptions], object] = lambda _: None
+    is_partial: bool = True
 
-def run_plotted_batch(
-    plan: Plan,
-    folder: Path,
-    options: RunOptions,
-    *,
-    orders: Callable[[Plan], Sequence[RaceOrder]],
-    summarize: Callable[[Plan, Mapping[int, RaceResult]], ResultDocument],
-    plot: Callable[[ResultDocument, Path], object],
-    files: tuple[str, str],
-) -> ResultDocument:
-    """Runs or resumes a planned batch, and writes its result and a plot of it.
+    def run(self, plan: Plan, folder: Path, options: RunOptions) -> Result:
+        """Runs the races of a plan that are not stored yet, and returns the result of all races.
 
-    Args:
-        plan: plan of the batch.
-        folder: folder of the batch.
-        options: options of the run.
-        orders: function that makes the races of a plan.
-        summarize: function that makes the result of the races that have been run, by number.
-        plot: function that plots a result to a file.
-        files: names of the files of the result and of the plot.
+        Args:
+            plan: plan of the batch.
+            folder: folder of the batch, which is created if needed and locked meanwhile.
+            options: options of the run.
 
-    Raises: as :func:`run_batch`; also ConfigError if the folder contains another plan or a library
-        for the plot is missing.
-    """
-    require_plot(options.plot)
-    result_name, plot_name = files
-    with open_batch(folder, plan.noun):
-        kept = keep_plan(plan, folder)
-
-        def write(results: Mapping[int, RaceResult]) -> ResultDocument:
-            result = summarize(kept, results)
-            write_text(folder / result_name, result.to_json() + "\n")
-            if options.plot and results:
-                plot(result, folder / plot_name)
+        Raises:
+            ConfigError: the folder cannot be used, contains another plan or a damaged race, or
+                another program runs a batch in it; or a library is missing.
+            BatchError: some races could not be run; the error has the result of the others.
+        """
+        self.check(options)
+        with locked_folder(folder, plan.noun):
+            make_folder(folder / RACES, plan.noun)
+            plan = keep_plan(plan, folder)
+            orders = self.orders(plan)
+            results = load_orders(orders, folder)
+            errors = _run_rest(orders, folder, options, results)
+            if errors and not self.is_partial:
+                raise BatchError.of(errors, len(orders), None)
+            result = self.summarize(plan, results, folder)
+            self.write(result, results, folder, options)
+            if errors:
+                raise BatchError.of(errors, len(orders), result)
             return result
 
-        return run_batch(orders(kept), folder, write, options)
+    def current(self, path: str | os.PathLike[str]) -> Result | None:
+        """Returns the current result without running any race; ``None`` for other paths.
+
+        Args:
+            path: folder of a batch.
+
+        Raises:
+            ConfigError: the plan or a race is damaged, or the plan is of another kind.
+        """
+        plan = find_plan(self.plan_type, path)
+        if plan is None:
+            return None
+        return self.summarize(plan, load_orders(self.orders(plan), Path(path)), Path(path))
 
 
-def _run_orders(
-    orders: Sequence[RaceOrder], folder: Path, options: RunOptions
-) -> tuple[dict[int, RaceResult], dict[int, str]]:
-    """Runs the races that are not stored yet.
+def written(
+    name: str, plot: Callable[[AnyDocument, Path], object] | None = None, plot_name: str = ""
+) -> Callable[[AnyDocument, RaceResults, Path, RunOptions], None]:
+    """Returns the function that writes a result and perhaps its plot, for :class:`BatchKind`.
+
+    Args:
+        name: name of the file of the result.
+        plot: plots a result to a file.
+        plot_name: name of the file of the plot.
+    """
+
+    def write(result: AnyDocument, results: RaceResults, folder: Path, options: RunOptions) -> None:
+        write_text(folder / name, result.to_json() + "\n")
+        if plot and options.plot and results:
+            plot(result, folder / plot_name)
+
+    return write
+
+
+def _run_rest(
+    orders: Sequence[RaceOrder],
+    folder: Path,
+    options: RunOptions,
+    results: dict[int, RaceResult],
+) -> dict[int, str]:
+    """Runs the races that are not stored yet, and adds their results to ``results``.
 
     Returns:
-        The results of all races that have been run, and why others could not be run, by number.
+        Why races could not be run, by number.
+    """
+    left, errors = [order for order in orders if order.number not in results], {}
+    running = run_orders(left, folder, options, RaceResult, len(results))
+    with closing(running) as outcomes:
+        for order, result, error in outcomes:
+            if result is None:
+                errors[order.number] = error
+            else:
+                order.store(folder, result)
+                results[order.number] = result
+    return errors
+
+
+def run_orders(
+    orders: Sequence[RaceOrder],
+    folder: Path,
+    options: RunOptions,
+    result_type: type[AnyDocument],
+    num_stored: int = 0,
+) -> Generator[tuple[RaceOrder, AnyDocument | None, str], None, None]:
+    """Runs races in parallel, and reports their progress. Closing it ends the running races.
+
+    Args:
+        orders: the races.
+        folder: folder of the batch.
+        options: options of the run.
+        result_type: class of the results.
+        num_stored: number of other races of the batch that are stored.
+
+    Yields:
+        For each race its order, its result, and why it could not be run.
     """
     report = options.on_race or (lambda _: None)
-    results, errors = load_orders(orders, folder), {}
-    report(BatchProgress(len(results), len(orders)))
-    left = [order for order in orders if order.number not in results]
-    running = run_in_parallel(left, folder, options.jobs or cpu_count(), options.race_timeout)
+    total = num_stored + len(orders)
+    report(BatchProgress(num_stored, total))
+    running = run_in_parallel(orders, folder, options.jobs or cpu_count(), options.race_timeout)
     with closing(running) as outcomes:  # after an error, close() ends the running races
         for outcome in outcomes:
-            number, last = outcome.order.number, None
-            if outcome.error:
-                errors[number] = outcome.error
-            else:
-                last = results[number] = outcome.order.store(folder, outcome.result)
-            report(BatchProgress(len(results), len(orders), last, outcome.error))
-    return results, errors
+            result = None if outcome.error else result_type.from_json(outcome.result)
+            num_stored += not outcome.error
+            yield outcome.order, result, outcome.error
+            last = result if isinstance(result, RaceResult) else None
+            report(BatchProgress(num_stored, total, last, outcome.error))

@@ -14,12 +14,11 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from stkzoo._os import write_text
 from stkzoo._schema import Level, Positive, Whole, one_of
 from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.order import RaceOrder
-from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks, keep_plan
-from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
+from stkzoo.evaluation.batch.run import BatchKind, RunOptions, written
 from stkzoo.evaluation.benchmark.races import FRONT, direction_name, race_seed
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult, versions_now
@@ -207,7 +206,7 @@ class AiTimesPlan(BatchPlan):
             check_whole("difficulty", difficulty, 0, 3)
 
 
-def ai_times_orders(plan: AiTimesPlan) -> list[RaceOrder]:
+def _orders(plan: AiTimesPlan) -> list[RaceOrder]:
     """Returns the orders of all races in which the AI's times are measured."""
     races = itertools.product(plan.difficulties, plan.tracks, (False, True), range(plan.seeds))
     return [
@@ -237,6 +236,15 @@ def plan_ai_times(
     return AiTimesPlan(tracks=names, seeds=seeds, difficulties=tuple(difficulties))
 
 
+AI_TIMES = BatchKind(
+    AiTimesPlan,
+    _orders,
+    lambda _, results, __: AiTimes.from_races(results[number] for number in sorted(results)),
+    written(AI_TIMES_FILE),
+    is_partial=False,
+)
+
+
 def measure_ai_times(output: str | os.PathLike[str], **options: Any) -> AiTimes:
     """Measures the finish times of the game's AI in both directions, or resumes a measurement.
 
@@ -253,17 +261,4 @@ def measure_ai_times(output: str | os.PathLike[str], **options: Any) -> AiTimes:
         BatchError: some races could not be run.
     """
     run, plan = RunOptions.split(options)
-    return run_planned_ai_times(plan_ai_times(**plan), Path(output), run)
-
-
-def run_planned_ai_times(plan: AiTimesPlan, folder: Path, options: RunOptions) -> AiTimes:
-    """Runs or resumes a planned measurement; see :func:`measure_ai_times`."""
-    with open_batch(folder, plan.noun):
-        plan = keep_plan(plan, folder)
-
-        def summarize(results: Mapping[int, RaceResult]) -> AiTimes:
-            times = AiTimes.from_races(results[number] for number in sorted(results))
-            write_text(folder / AI_TIMES_FILE, times.to_json() + "\n")
-            return times
-
-        return run_batch(ai_times_orders(plan), folder, summarize, options, is_partial=False)
+    return AI_TIMES.run(plan_ai_times(**plan), Path(output), run)

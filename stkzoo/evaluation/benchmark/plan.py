@@ -1,12 +1,12 @@
-"""The plan of a benchmark, and its result."""
+"""The plan of a benchmark."""
 
 from __future__ import annotations
 
 import itertools
 import os
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -17,7 +17,6 @@ from stkzoo.errors import ConfigError, check_whole
 from stkzoo.evaluation.batch.agents import BatchAgent, find_agents
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
-    MAX_RESULT_BYTES,
     BatchPlan,
     batch_settings,
     check_directions,
@@ -26,65 +25,115 @@ from stkzoo.evaluation.batch.plan import (
 )
 from stkzoo.evaluation.benchmark.ai_times import RaceTimes, check_race_times, load_ai_times
 from stkzoo.evaluation.benchmark.races import (
-    DECIDED_SETTINGS,
-    FIGURES,
     FORMS,
     BenchmarkForm,
     BenchmarkRace,
-    FigureKind,
     FloatArray,
-    RaceGroup,
-    RaceOutcome,
     direction_name,
-    find_group,
-    group_races,
     make_races,
     steps_within,
 )
-from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS, resampled_medians
-from stkzoo.race.document import Document
+from stkzoo.evaluation.statistics import DRAWS, resampled_medians
 from stkzoo.race.settings import RaceSettings
 
-#: Time limit of a race, as a multiple of the AI's median time.
+#: Time limit of a race, as a multiple of the AI's median time or of the human record.
 LIMIT = 3.0
 _MAX_SEEDS = 10_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BenchmarkPlan(BatchPlan):
-    """The plan of a benchmark. It determines the races.
+class AgentPlan(BatchPlan):
+    """The plan of a batch that measures one agent. It determines the races.
 
     Attributes:
         agents: the agent to measure.
         split: the tracks as the user named them.
+        seeds: number of races that differ only in their seeds.
+        limit: time limit of a race, as a multiple of the time with which the agent's is compared.
+    """
+
+    noun: ClassVar[str] = "benchmark"
+    decided: ClassVar[tuple[str, ...]] = (
+        *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
+        *("max_steps", "max_steps_after_first", "karts_finished"),
+    )
+    changeable: ClassVar[tuple[str, ...]] = ("split",)
+
+    agents: Annotated[tuple[BatchAgent, ...], Meta(min_length=1, max_length=1)]
+    split: str
+    seeds: int
+    limit: Annotated[float, Meta(gt=0, le=1000)] = LIMIT
+
+    @abstractmethod
+    def races(self) -> tuple[BenchmarkRace, ...]:
+        """Returns all races."""
+
+    @abstractmethod
+    def reference_time(self, track: str, reverse: bool) -> float:
+        """Returns the time with which the agent's is compared, on a track in a direction [s]."""
+
+    def laps(self, track: str) -> int:  # noqa: ARG002 - records have a number for each track
+        """Returns the number of laps of a race on a track."""
+        return 1
+
+    def check_seeds(self, num_places: int) -> None:
+        """Checks the number of seeds.
+
+        Args:
+            num_places: number of races that differ in more than their seeds.
+
+        Raises:
+            ConfigError: there are too few or too many races.
+        """
+        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        check_num_races("benchmark", num_places * self.seeds)
+
+
+def measured_settings(
+    settings: RaceSettings | None, changes: Mapping[str, Any], **conditions: Any
+) -> RaceSettings:
+    """Returns the settings of all races of an :class:`AgentPlan`.
+
+    Args:
+        settings: settings of the user.
+        changes: fields that replace those of ``settings``.
+        **conditions: conditions of the races, which users cannot set.
+
+    Raises:
+        ConfigError: the user sets a field in ``AgentPlan.decided``, or a value is invalid.
+    """
+    limits = ("max_steps", "max_steps_after_first", "karts_finished")
+    unset: dict[str, Any] = dict.fromkeys(("track", *limits))
+    return replace(
+        batch_settings(settings, changes, AgentPlan.decided), **unset, laps=1, **conditions
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchmarkPlan(AgentPlan):
+    """The plan of a benchmark. It determines the races.
+
+    Attributes:
         directions: ``False`` for forward, ``True`` for reversed.
         forms: names of race forms (:class:`~stkzoo.evaluation.BenchmarkForm`).
-        seeds: number of races for each track, direction, form and end of the grid.
-        limit: time limit of a race, as a multiple of the AI's median time.
-        ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``.
+        ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``. The
+            time limit is a multiple of these.
         ai_races: the finish times behind these medians, as in ``AiTime.races``; empty if they are
             unknown.
     """
 
     kind: ClassVar[str] = "benchmark-plan"
-    noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
-    decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
     changeable: ClassVar[tuple[str, ...]] = ("split", "ai_races")
     #: Whether rivals can be drivers of a population.
     has_population: ClassVar[bool] = False
 
-    agents: Annotated[tuple[BatchAgent, ...], Meta(min_length=1, max_length=1)]
-    split: str
     directions: Annotated[tuple[bool, ...], Meta(min_length=1, max_length=2)]
     forms: Annotated[tuple[str, ...], Meta(min_length=1, max_length=400)]
-    seeds: int
     ai_times: Mapping[str, Mapping[str, Annotated[float, Meta(gt=0, le=1e5)]]]
-    limit: Annotated[float, Meta(gt=0, le=1000)] = LIMIT
     ai_races: Mapping[str, Mapping[str, RaceTimes]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
         for form in self._forms():
             if form.has_population and not self.has_population:
                 raise ConfigError(
@@ -92,7 +141,7 @@ class BenchmarkPlan(BatchPlan):
                     "`stkzoo suite` have; expected A for each kart of the game's AI"
                 )
         ends = sum(len(form.ends) for form in self._forms())
-        check_num_races("benchmark", len(self.tracks) * len(self.directions) * ends * self.seeds)
+        self.check_seeds(len(self.tracks) * len(self.directions) * ends)
         for track, reverse in itertools.product(self.tracks, self.directions):
             if direction_name(reverse) not in self.ai_times.get(track, {}):
                 raise ConfigError(f"ai_times has no {track} ({direction_name(reverse)})")
@@ -106,7 +155,7 @@ class BenchmarkPlan(BatchPlan):
     def _forms(self) -> tuple[BenchmarkForm, ...]:
         return tuple(map(BenchmarkForm.of, self.forms))
 
-    def ai_time(self, track: str, reverse: bool) -> float:
+    def reference_time(self, track: str, reverse: bool) -> float:
         """Returns the AI's median time on a track in a direction [s]."""
         return self.ai_times[track][direction_name(reverse)]
 
@@ -121,25 +170,25 @@ class BenchmarkPlan(BatchPlan):
             times[track, reverse] = (
                 resampled_medians(races, generator)
                 if races
-                else np.full(DRAWS, self.ai_time(track, reverse))
+                else np.full(DRAWS, self.reference_time(track, reverse))
             )
         return times
 
 
-def benchmark_orders(plan: BenchmarkPlan) -> list[RaceOrder]:
-    """Returns the orders of all races of a benchmark."""
-    return [benchmark_order(plan, race) for race in plan.races()]
+def benchmark_orders(plan: AgentPlan) -> list[RaceOrder]:
+    """Returns the orders of all races of a plan."""
+    return [_order(plan, race) for race in plan.races()]
 
 
-def benchmark_order(plan: BenchmarkPlan, race: BenchmarkRace) -> RaceOrder:
-    """Returns the order of a race of a benchmark."""
+def _order(plan: AgentPlan, race: BenchmarkRace) -> RaceOrder:
     karts = race.lineup.agent_karts(race.end)
     settings = replace(
         plan.settings,
         track=race.track,
         reverse=race.reverse,
+        laps=plan.laps(race.track),
         seed=race.seed,
-        max_steps=steps_within(plan.limit * plan.ai_time(race.track, race.reverse)),
+        max_steps=steps_within(plan.limit * plan.reference_time(race.track, race.reverse)),
     )
     drivers = (plan.agent.text if kart in karts else "ai" for kart in range(len(race.form)))
     return RaceOrder(race.number, tuple(drivers), settings, karts)
@@ -177,17 +226,7 @@ def plan_benchmark(
         ConfigError: an argument is invalid, or the agent or a track does not exist.
         AssetError: the game's data is missing.
     """
-    chosen = replace(
-        batch_settings(settings, changes, BenchmarkPlan.decided),
-        track=None,
-        laps=1,
-        mode=NORMAL,
-        kart=None,
-        difficulty=difficulty,
-        max_steps=None,
-        max_steps_after_first=None,
-        karts_finished=None,
-    )
+    chosen = measured_settings(settings, changes, mode=NORMAL, kart=None, difficulty=difficulty)
     tracks, directions = find_tracks(split, chosen), check_directions(reverse)
     names = (forms,) if isinstance(forms, str) else tuple(forms)
     if not names or len(set(names)) < len(names):
@@ -216,91 +255,3 @@ def plan_benchmark(
         },
         settings=chosen,
     )
-
-
-@dataclass(frozen=True)
-class BenchmarkResult(Document):
-    """The result of a benchmark.
-
-    Attributes:
-        plan: the benchmark.
-        races: the races that have been run.
-        sandboxes: sandboxes of the agents from files in these races.
-        protections: protections that applied in all races with agents from files
-            (:func:`stkzoo.drivers.sandbox.protections`).
-    """
-
-    # docs/schemas/benchmark-result.schema.json
-    kind: ClassVar[str] = "benchmark-result"
-    origin: ClassVar[str] = "the --output of `stkzoo benchmark`, or its result.json"
-    rows: ClassVar[str] = "races"
-    max_bytes: ClassVar[int] = MAX_RESULT_BYTES
-
-    plan: BenchmarkPlan
-    races: tuple[RaceOutcome, ...]
-    sandboxes: tuple[str, ...] = field(compare=False, default=())
-    protections: tuple[str, ...] = field(compare=False, default=())
-
-    def __post_init__(self) -> None:
-        planned = {race.number: (*race.key, race.seed) for race in self.plan.races()}
-        for race in self.races:
-            actual, expected = (*race.key, race.seed), planned.get(race.number)
-            if actual != expected:
-                raise ConfigError(
-                    f"race {race.number} of the benchmark result is {actual}, expected {expected}; "
-                    "another version of stkzoo wrote it"
-                )
-
-    @property
-    def label(self) -> str:
-        """Name of the agent."""
-        return self.plan.agent.label
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether all races have been run."""
-        return len(self.races) == len(self.plan.races())
-
-    @property
-    def errors(self) -> int:
-        """Total number of failures of the agent."""
-        return sum(kart.errors for race in self.races for kart in race.karts)
-
-    @cached_property
-    def groups(self) -> tuple[RaceGroup, ...]:
-        """The metrics of all races and of groups of races."""
-        return group_races(self.races, self.figure_kinds())
-
-    def figure_kinds(self) -> tuple[FigureKind, ...]:
-        """Returns the metrics, with the time ratio for resampled median times of the AI."""
-        ai_times, limit = self.plan.redrawn_ai_times(), self.plan.limit
-
-        def redrawn(race: RaceOutcome) -> FloatArray:
-            return race.time_ratios(ai_times[race.track, race.reverse], limit)
-
-        return tuple(
-            replace(metric, redrawn=redrawn) if metric.name == "time_ratio" else metric
-            for metric in FIGURES
-        )
-
-    def group(self, by: str = "all", name: str = "") -> RaceGroup:
-        """Returns the metrics of a group of races.
-
-        Args:
-            by: what the races have in common, as in :attr:`RaceGroup.by`.
-            name: name of the group, as in :attr:`RaceGroup.name`.
-
-        Raises:
-            KeyError: there is no such group.
-        """
-        return find_group(self.groups, by, name)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the result as JSON values."""
-        return {
-            "agent": self.label,
-            "is_complete": self.is_complete,
-            "interval": {"kind": "bootstrap over races", "confidence": CONFIDENCE},
-            "groups": [asdict(group) for group in self.groups],
-            **Document.to_dict(self),
-        }

@@ -26,11 +26,6 @@ from stkzoo.race.result import AgentResult, RaceResult
 
 #: The race forms of the benchmark protocol.
 FORMS = ("PAAAA", "PPAAA", "P")
-#: Settings of the races that the benchmark and its time trials set themselves.
-DECIDED_SETTINGS = (
-    *("track", "laps", "difficulty", "reverse", "seed", "mode", "kart"),
-    *("max_steps", "max_steps_after_first", "karts_finished"),
-)
 _FORM = re.compile(r"(P+)(A*|B*)")
 _MAX_KARTS = 20
 _SEED_BYTES = 4
@@ -254,6 +249,11 @@ class RaceOutcome(BenchmarkRace):
         times = np.array([np.inf if kart.time is None else kart.time for kart in self.karts])
         ratios: FloatArray = np.minimum(times / ai_times[:, None], limit).mean(axis=1)
         return ratios
+
+    @property
+    def errors(self) -> int:
+        """Number of failures of the agent."""
+        return sum(kart.errors for kart in self.karts)
 
     @property
     def is_won(self) -> float | None:

@@ -2,53 +2,39 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from statistics import fmean
-from typing import Annotated, Any, ClassVar
-
-from msgspec import Meta
+from typing import Any, ClassVar
 
 from stkzoo._schema import Count, Positive, Whole
 from stkzoo.config import TIME_TRIAL
-from stkzoo.errors import ConfigError, check_whole
-from stkzoo.evaluation.batch.agents import BatchAgent, find_agents
-from stkzoo.evaluation.batch.order import RaceOrder, load_orders
-from stkzoo.evaluation.batch.plan import (
-    MAX_RESULT_BYTES,
-    RESULT_FILE,
-    BatchPlan,
-    batch_settings,
-    check_num_races,
-    find_plan,
-    find_tracks,
-    result_file,
-)
-from stkzoo.evaluation.batch.run import RunOptions, run_plotted_batch
-from stkzoo.evaluation.benchmark.races import DECIDED_SETTINGS, FRONT, race_seed, steps_within
+from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.agents import find_agents
+from stkzoo.evaluation.batch.plan import RESULT_FILE, find_tracks, result_file
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
+from stkzoo.evaluation.benchmark.plan import AgentPlan, benchmark_orders, measured_settings
+from stkzoo.evaluation.benchmark.races import FRONT, BenchmarkForm, BenchmarkRace, make_races
+from stkzoo.evaluation.benchmark.result import AgentBatchResult, race_outcomes
 from stkzoo.evaluation.plotting import (
     BLUE,
     GRAY,
     INK,
     new_figure,
+    require_plot,
     save_figure,
     shorten,
     style_axes,
 )
-from stkzoo.race.document import Document
-from stkzoo.race.result import RaceResult, shared_protections
+from stkzoo.race.result import shared_protections
 from stkzoo.race.settings import RaceSettings
 from stkzoo.records import HUMAN_RECORDS, RECORD_DIFFICULTY, RECORD_KART, HumanRecord
 
 #: A track counts as close to the record up to this multiple of the record.
 CLOSE = 1.15
-#: Time limit of a race, as a multiple of the record.
-_LIMIT = 3.0
-_MAX_SEEDS = 1000
 #: Settings of every race, as in the records.
 _CONDITIONS: dict[str, Any] = {
     "mode": TIME_TRIAL,
@@ -56,8 +42,8 @@ _CONDITIONS: dict[str, Any] = {
     "difficulty": RECORD_DIFFICULTY,
     "reverse": False,
 }
-#: Form of the races, which determines their seeds.
-_ALONE = "P"
+#: The agent drives alone.
+_FORM = BenchmarkForm.of("P")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +75,11 @@ class TimeTrialRace:
     rescues: Count | None
     errors: Count
 
+    @property
+    def key(self) -> tuple[str, bool, str, str, int]:
+        """See :class:`~stkzoo.evaluation.BenchmarkRace`."""
+        return self.track, False, _FORM.name, FRONT, self.index
+
 
 @dataclass(frozen=True, slots=True)
 class TrackTrial:
@@ -114,86 +105,39 @@ class TrackTrial:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TimeTrialPlan(BatchPlan):
-    """The plan of time trials. The agent drives alone, forward, over the distance of the record.
+class TimeTrialPlan(AgentPlan):
+    """The plan of time trials: a benchmark in which the agent drives alone, as in the records.
 
     Attributes:
-        agents: the agent to measure.
-        split: the tracks as the user named them.
-        seeds: number of races on each track.
         records: the human world record of each track.
-        limit: time limit of a race, as a multiple of the record.
     """
 
     kind: ClassVar[str] = "time-trial-plan"
-    noun: ClassVar[str] = "benchmark"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --time-trial --output {folder}"
-    decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
-    changeable: ClassVar[tuple[str, ...]] = ("split",)
 
-    agents: Annotated[tuple[BatchAgent, ...], Meta(min_length=1, max_length=1)]
-    split: str
-    seeds: int
     records: Mapping[str, HumanRecord]
-    limit: Annotated[float, Meta(gt=0, le=1000)] = _LIMIT
 
     def __post_init__(self) -> None:
-        check_whole("seeds", self.seeds, 1, _MAX_SEEDS)
+        self.check_seeds(len(self.tracks))
         for name, expected in _CONDITIONS.items():
             value = getattr(self.settings, name)
             if value != expected:
                 raise ConfigError(f"{name} is {value!r}, expected {expected!r} as in the records")
-        check_num_races("benchmark", len(self.tracks) * self.seeds)
         for track in self.tracks:
             if track not in self.records:
                 raise ConfigError(f"{track} has no human record; leave it out of --track")
 
+    def races(self) -> tuple[BenchmarkRace, ...]:
+        """Returns all races."""
+        return make_races(self.tracks, (False,), (_FORM,), self.seeds)
 
-def time_trial_orders(plan: TimeTrialPlan) -> list[RaceOrder]:
-    """Returns the orders of all races, ordered by index first."""
-    races = itertools.product(range(plan.seeds), plan.tracks)
-    return [_order(plan, number, track, index) for number, (index, track) in enumerate(races)]
+    def reference_time(self, track: str, _: bool = False) -> float:
+        """Returns the record of a track [s]."""
+        return self.records[track].seconds
 
-
-def _order(plan: TimeTrialPlan, number: int, track: str, index: int) -> RaceOrder:
-    record = plan.records[track]
-    settings = replace(
-        plan.settings,
-        track=track,
-        laps=record.laps,
-        seed=race_seed(track, False, _ALONE, FRONT, index),
-        max_steps=steps_within(plan.limit * record.seconds),
-    )
-    return RaceOrder(number, (plan.agent.text,), settings, (0,))
-
-
-def summarize_time_trial(plan: TimeTrialPlan, results: Mapping[int, RaceResult]) -> TimeTrialResult:
-    """Returns the result of the races that have been run.
-
-    Args:
-        plan: the time trials.
-        results: results of races by number.
-    """
-    races = tuple(_outcome(plan, number, results[number]) for number in sorted(results))
-    return TimeTrialResult(plan, races, *shared_protections(results.values()))
-
-
-def _outcome(plan: TimeTrialPlan, number: int, result: RaceResult) -> TimeTrialRace:
-    (row,) = result.agents
-    time = None if row.finish_time is None else round(row.finish_time, 4)
-    ratio = plan.limit if time is None else time / plan.records[result.track].seconds
-    return TimeTrialRace(
-        number=number,
-        track=result.track,
-        index=number // len(plan.tracks),
-        seed=result.seed,
-        status=result.status,
-        time=time,
-        ratio=round(min(ratio, plan.limit), 5),
-        laps=max(row.laps, 0),
-        rescues=row.rescues,
-        errors=row.num_errors,
-    )
+    def laps(self, track: str) -> int:
+        """Returns the number of laps of the record of a track."""
+        return self.records[track].laps
 
 
 def plan_time_trial(
@@ -221,15 +165,7 @@ def plan_time_trial(
             record.
         AssetError: the game's data is missing.
     """
-    chosen = replace(
-        batch_settings(settings, changes, TimeTrialPlan.decided),
-        track=None,
-        laps=1,  # each race has the laps of its record
-        **_CONDITIONS,
-        max_steps=None,
-        max_steps_after_first=None,
-        karts_finished=None,
-    )
+    chosen = measured_settings(settings, changes, **_CONDITIONS)
     tracks = find_tracks(split, chosen)
     return TimeTrialPlan(
         agents=find_agents([agent], chosen),
@@ -242,55 +178,22 @@ def plan_time_trial(
 
 
 @dataclass(frozen=True)
-class TimeTrialResult(Document):
+class TimeTrialResult(AgentBatchResult):
     """The result of time trials.
 
     Attributes:
         plan: the time trials.
         races: the races that have been run.
-        sandboxes: sandboxes of the agents from files in these races.
-        protections: protections that applied in all races with agents from files
-            (:func:`stkzoo.drivers.sandbox.protections`).
+        sandboxes: as in :class:`~stkzoo.evaluation.BenchmarkResult`.
+        protections: as in :class:`~stkzoo.evaluation.BenchmarkResult`.
     """
 
     # docs/schemas/time-trial-result.schema.json
     kind: ClassVar[str] = "time-trial-result"
     origin: ClassVar[str] = "the --output of `stkzoo benchmark --time-trial`, or its result.json"
-    rows: ClassVar[str] = "races"
-    max_bytes: ClassVar[int] = MAX_RESULT_BYTES
 
     plan: TimeTrialPlan
     races: tuple[TimeTrialRace, ...]
-    sandboxes: tuple[str, ...] = field(compare=False, default=())
-    protections: tuple[str, ...] = field(compare=False, default=())
-
-    def __post_init__(self) -> None:
-        planned = {
-            order.number: (order.settings.track, order.settings.seed)
-            for order in time_trial_orders(self.plan)
-        }
-        for race in self.races:
-            actual, expected = (race.track, race.seed), planned.get(race.number)
-            if actual != expected:
-                raise ConfigError(
-                    f"race {race.number} of the time trials is {actual}, expected {expected}; "
-                    "another version of stkzoo wrote it"
-                )
-
-    @property
-    def label(self) -> str:
-        """Name of the agent."""
-        return self.plan.agent.label
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether all races have been run."""
-        return len(self.races) == len(self.plan.tracks) * self.plan.seeds
-
-    @property
-    def errors(self) -> int:
-        """Total number of failures of the agent."""
-        return sum(race.errors for race in self.races)
 
     @cached_property
     def tracks(self) -> tuple[TrackTrial, ...]:
@@ -331,65 +234,39 @@ class TimeTrialResult(Document):
     def to_dict(self) -> dict[str, Any]:
         """Returns the result as JSON values."""
         return {
-            "agent": self.label,
-            "is_complete": self.is_complete,
             "mean_ratio": self.mean_ratio,
             "close": {"limit": CLOSE, "tracks": self.close},
             "unfinished": self.unfinished,
             "tracks": [asdict(track) for track in self.tracks],
-            **Document.to_dict(self),
+            **AgentBatchResult.to_dict(self),
         }
 
 
-def run_time_trial(
-    agent: str, *, output: str | os.PathLike[str], **options: Any
-) -> TimeTrialResult:
-    """Runs an agent's time trials, or resumes them if they were started in ``output``.
+def summarize_time_trial(plan: TimeTrialPlan, results: RaceResults, _: Path) -> TimeTrialResult:
+    """Returns the result of the races that have been run.
 
     Args:
-        agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_time_trial`.
-        output: folder for the result of each race, ``result.json`` and ``benchmark.png``.
-        options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
-            :class:`~stkzoo.evaluation.RunOptions`; all others as for
-            :func:`~stkzoo.evaluation.plan_time_trial`.
-
-    Raises:
-        ConfigError: an argument is invalid, a library is missing, or ``output`` contains another
-            benchmark.
-        AssetError: the game's data is missing.
-        BatchError: some races could not be run.
+        plan: the time trials.
+        results: results of races by number.
     """
-    run, plan = RunOptions.split(options)
-    return run_planned_time_trial(plan_time_trial(agent, **plan), Path(output), run)
-
-
-def run_planned_time_trial(
-    plan: TimeTrialPlan, folder: Path, options: RunOptions
-) -> TimeTrialResult:
-    """Runs or resumes planned time trials; see :func:`run_time_trial`."""
-    return run_plotted_batch(
-        plan,
-        folder,
-        options,
-        orders=time_trial_orders,
-        summarize=summarize_time_trial,
-        plot=plot_time_trial,
-        files=(RESULT_FILE, "benchmark.png"),
-    )
-
-
-def load_time_trial(path: str | os.PathLike[str]) -> TimeTrialResult:
-    """Returns the current result of time trials without running any race.
-
-    Args:
-        path: folder of the time trials, or a ``result.json``.
-
-    Raises:
-        ConfigError: there is no result, or a file is damaged.
-    """
-    if plan := find_plan(TimeTrialPlan, path):
-        return summarize_time_trial(plan, load_orders(time_trial_orders(plan), Path(path)))
-    return TimeTrialResult.load(result_file(path))
+    races = []
+    for race in race_outcomes(plan, results):
+        (kart,), (row,) = race.karts, results[race.number].agents
+        races.append(
+            TimeTrialRace(
+                number=race.number,
+                track=race.track,
+                index=race.index,
+                seed=race.seed,
+                status=race.status,
+                time=kart.time,
+                ratio=round(race.time_ratio, 5),
+                laps=max(row.laps, 0),
+                rescues=kart.rescues,
+                errors=kart.errors,
+            )
+        )
+    return TimeTrialResult(plan, tuple(races), *shared_protections(results.values()))
 
 
 def plot_time_trial(result: TimeTrialResult, path: str | os.PathLike[str]) -> None:
@@ -415,3 +292,46 @@ def plot_time_trial(result: TimeTrialResult, path: str | os.PathLike[str]) -> No
     who = shorten(result.label)
     style_axes(axes, f"{who}: time as a multiple of the human record; gray: unfinished")
     save_figure(figure, path)
+
+
+TIME_TRIALS = BatchKind(
+    TimeTrialPlan,
+    benchmark_orders,
+    summarize_time_trial,
+    written(RESULT_FILE, plot_time_trial, "benchmark.png"),
+    lambda options: require_plot(options.plot),
+)
+
+
+def run_time_trial(
+    agent: str, *, output: str | os.PathLike[str], **options: Any
+) -> TimeTrialResult:
+    """Runs an agent's time trials, or resumes them if they were started in ``output``.
+
+    Args:
+        agent: the agent to measure; see :func:`~stkzoo.evaluation.plan_time_trial`.
+        output: folder for the result of each race, ``result.json`` and ``benchmark.png``.
+        options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
+            :class:`~stkzoo.evaluation.RunOptions`; all others as for
+            :func:`~stkzoo.evaluation.plan_time_trial`.
+
+    Raises:
+        ConfigError: an argument is invalid, a library is missing, or ``output`` contains another
+            benchmark.
+        AssetError: the game's data is missing.
+        BatchError: some races could not be run.
+    """
+    run, plan = RunOptions.split(options)
+    return TIME_TRIALS.run(plan_time_trial(agent, **plan), Path(output), run)
+
+
+def load_time_trial(path: str | os.PathLike[str]) -> TimeTrialResult:
+    """Returns the current result of time trials without running any race.
+
+    Args:
+        path: folder of the time trials, or a ``result.json``.
+
+    Raises:
+        ConfigError: there is no result, or a file is damaged.
+    """
+    return TIME_TRIALS.current(path) or TimeTrialResult.load(result_file(path))

@@ -10,7 +10,7 @@ import itertools
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -28,10 +28,9 @@ from stkzoo.evaluation.batch.plan import (
     check_directions,
     check_num_races,
     find_tracks,
-    keep_plan,
     plan_differences,
 )
-from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions
 from stkzoo.evaluation.demonstrations.dataset import (
     Demonstrations,
     join,
@@ -236,6 +235,21 @@ def _substeps(substeps: int | None, are_game_ai: Sequence[bool]) -> int:
     return int(substeps)
 
 
+def _join(plan: DemoPlan, _: RaceResults, parts: Path) -> Demonstrations:
+    """Returns the recorded episodes of all races."""
+    episodes = [load_demonstrations(order.file(parts, _ENDING)) for order in demo_orders(plan)]
+    return replace(join(episodes), plan=json.loads(json.dumps(plan.to_dict())))
+
+
+DEMONSTRATIONS = BatchKind(
+    DemoPlan,
+    demo_orders,
+    _join,
+    lambda demos, _, parts, __: save_demonstrations(demos, parts.with_suffix("")),
+    is_partial=False,
+)
+
+
 def record_demonstrations(
     agent: str = "heuristic", *, output: str | os.PathLike[str], **options: Any
 ) -> Demonstrations:
@@ -281,16 +295,6 @@ def run_planned_demonstrations(
             )
         return demos
     parts = target.with_name(target.name + _PARTS)
-    with open_batch(parts, plan.noun):
-        plan = keep_plan(plan, parts)
-        orders = demo_orders(plan)
-
-        def summarize(_: Mapping[int, RaceResult]) -> Demonstrations:
-            episodes = [load_demonstrations(order.file(parts, _ENDING)) for order in orders]
-            demos = replace(join(episodes), plan=json.loads(json.dumps(plan.to_dict())))
-            save_demonstrations(demos, target)
-            return demos
-
-        demos = run_batch(orders, parts, summarize, options, is_partial=False)
+    demos = DEMONSTRATIONS.run(plan, parts, options)
     shutil.rmtree(parts, ignore_errors=True)
     return demos

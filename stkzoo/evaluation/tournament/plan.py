@@ -19,7 +19,6 @@ from stkzoo.evaluation.batch.plan import (
     PLAN_FILE,
     BatchPlan,
     batch_settings,
-    find_plan,
     find_tracks,
 )
 from stkzoo.evaluation.tournament.schedule import (
@@ -92,6 +91,25 @@ class TournamentPlan(BatchPlan):
         """Returns the number of races that give newcomers as many starts as each initial agent."""
         starts = math.ceil(self.races * self.grid_size / self._num_first)
         return math.ceil(starts * newcomers / newcomer_seats(newcomers, self.grid_size))
+
+    def continuing(self, stored: TournamentPlan) -> TournamentPlan:
+        """Returns the plan with the stored agents first, in their order; all others join.
+
+        If one of the stored agents is missing, the plan stays as it is.
+
+        Args:
+            stored: the plan of the tournament in the folder.
+        """
+        requested = {agent.text: agent for agent in self.agents}
+        if not {agent.text for agent in stored.agents} <= requested.keys():
+            return self
+        first = tuple(requested.pop(agent.text) for agent in stored.agents)
+        return replace(
+            self,
+            agents=(*first, *requested.values()),
+            additions=(*stored.additions, len(requested)) if requested else stored.additions,
+            access=self.access or stored.access,
+        )
 
     def schedule(self) -> tuple[ScheduledRace, ...]:
         """Returns all races, in order."""
@@ -196,30 +214,4 @@ def resumed_plan(
     )
     return replace(
         plan, agents=(*known, *new), access=access or plan.access, versions=versions_now()
-    )
-
-
-def joined_plan(plan: TournamentPlan, folder: Path) -> TournamentPlan:
-    """Returns a plan as a continuation of the tournament in a folder, if there is one.
-
-    The stored agents come first, in their order, and all others join. If one of the stored agents
-    is missing, the plan stays as it is.
-
-    Args:
-        plan: the plan.
-        folder: folder of the tournament.
-
-    Raises:
-        ConfigError: the stored plan cannot be read.
-    """
-    stored = find_plan(TournamentPlan, folder)
-    requested = {agent.text: agent for agent in plan.agents}
-    if stored is None or not {agent.text for agent in stored.agents} <= requested.keys():
-        return plan
-    first = tuple(requested.pop(agent.text) for agent in stored.agents)
-    return replace(
-        plan,
-        agents=(*first, *requested.values()),
-        additions=(*stored.additions, len(requested)) if requested else stored.additions,
-        access=plan.access or stored.access,
     )

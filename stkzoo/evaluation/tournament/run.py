@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,23 +14,12 @@ from stkzoo.drivers.driver import Driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.evaluation.batch.order import RaceOrder, load_orders, replay_file
-from stkzoo.evaluation.batch.plan import (
-    PLAN_FILE,
-    RESULT_FILE,
-    find_plan,
-    keep_plan,
-    result_file,
-)
-from stkzoo.evaluation.batch.run import RunOptions, open_batch, run_batch
+from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, result_file
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
-from stkzoo.evaluation.tournament.plan import (
-    TournamentPlan,
-    joined_plan,
-    plan_tournament,
-    resumed_plan,
-)
+from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament, resumed_plan
 from stkzoo.evaluation.tournament.plot import plot_tournament
 from stkzoo.evaluation.tournament.report import TournamentReport
 from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
@@ -97,6 +86,28 @@ def tournament_orders(plan: TournamentPlan) -> list[TournamentOrder]:
     ]
 
 
+def _check(options: RunOptions) -> None:
+    require_openskill()
+    require_plot(options.plot, "tournament")
+
+
+def _write(
+    result: TournamentResult, results: RaceResults, folder: Path, options: RunOptions
+) -> None:
+    written(RESULT_FILE, plot_tournament, "tournament.png")(result, results, folder, options)
+    if results:
+        TournamentReport(folder, result, results).write(folder / REPORT_FILE)
+
+
+TOURNAMENT = BatchKind(
+    TournamentPlan,
+    tournament_orders,
+    lambda plan, results, _: summarize_tournament(plan, results),
+    _write,
+    _check,
+)
+
+
 def run_tournament(
     agents: Sequence[str] = (), *, output: str | os.PathLike[str], **options: Any
 ) -> TournamentResult:
@@ -120,7 +131,7 @@ def run_tournament(
         BatchError: some races could not be run.
     """
     run, chosen = RunOptions.split(options)
-    return run_planned_tournament(plan_tournament(agents, **chosen), Path(output), run)
+    return TOURNAMENT.run(plan_tournament(agents, **chosen), Path(output), run)
 
 
 def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> TournamentResult:
@@ -132,42 +143,7 @@ def resume_tournament(folder: str | os.PathLike[str], **options: Any) -> Tournam
 
     Raises: as :func:`run_tournament`.
     """
-    return run_planned_tournament(resumed_plan(folder), Path(folder), RunOptions(**options))
-
-
-def run_planned_tournament(
-    plan: TournamentPlan, folder: Path, options: RunOptions
-) -> TournamentResult:
-    """Runs or resumes a planned tournament; see :func:`run_tournament`."""
-    require_openskill()
-    require_plot(options.plot, "tournament")
-    with open_batch(folder, plan.noun):
-        plan = keep_plan(joined_plan(plan, folder), folder)
-
-        def summarize(results: Mapping[int, RaceResult]) -> TournamentResult:
-            result = summarize_tournament(plan, results)
-            write_text(folder / RESULT_FILE, result.to_json() + "\n")
-            if results:
-                TournamentReport(folder, result, results).write(folder / REPORT_FILE)
-            if options.plot and results:
-                plot_tournament(result, folder / "tournament.png")
-            return result
-
-        return run_batch(tournament_orders(plan), folder, summarize, options)
-
-
-def load_races(folder: Path) -> tuple[TournamentResult, dict[int, RaceResult]]:
-    """Returns the current result of a tournament, and the results of its races by number.
-
-    Args:
-        folder: folder of the tournament.
-
-    Raises:
-        ConfigError: there is no tournament, or the file of a race is damaged.
-    """
-    plan = TournamentPlan.load(folder / PLAN_FILE)
-    races = load_orders(tournament_orders(plan), folder)
-    return summarize_tournament(plan, races), races
+    return TOURNAMENT.run(resumed_plan(folder), Path(folder), RunOptions(**options))
 
 
 def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:
@@ -179,9 +155,7 @@ def load_tournament(path: str | os.PathLike[str]) -> TournamentResult:
     Raises:
         ConfigError: there is no result, a file is damaged, or a library is missing.
     """
-    if find_plan(TournamentPlan, path):
-        return load_races(Path(path))[0]
-    return TournamentResult.load(result_file(path))
+    return TOURNAMENT.current(path) or TournamentResult.load(result_file(path))
 
 
 def write_report(
@@ -209,7 +183,8 @@ def write_report(
             file cannot be written, or ``publish`` is the tournament's folder.
     """
     home = Path(folder)
-    result, races = load_races(home)
+    plan = TournamentPlan.load(home / PLAN_FILE)
+    races = load_orders(tournament_orders(plan), home)
     if not races:
         raise ConfigError(f"no race in {home} has ended yet; start or resume the tournament first")
     for number in films or ():
@@ -222,5 +197,6 @@ def write_report(
             "another folder to publish"
         )
     make_folder(page.parent, "report")
+    result = summarize_tournament(plan, races)
     TournamentReport(home, result, races, publish is not None, title, films).write(page)
     return page
