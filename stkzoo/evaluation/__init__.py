@@ -66,7 +66,7 @@ from stkzoo.evaluation.plotting import GRAY, INK, new_figure, save_figure, style
 from stkzoo.evaluation.ratings import Rating, rate, require_openskill
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
-from stkzoo.evaluation.tournament.plot import plot_tournament
+from stkzoo.evaluation.tournament.report import plot_tournament
 from stkzoo.evaluation.tournament.run import (
     load_tournament,
     resume_tournament,

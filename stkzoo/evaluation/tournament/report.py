@@ -1,31 +1,50 @@
-"""The report of a tournament: one page without scripts, and tables as CSV.
+"""The report of a tournament: one page without scripts, tables as CSV, and a plot.
 
-The page loads no other files, and its content security policy forbids scripts and requests. Agents
-control their names and error texts, so :func:`html.escape` is applied to all of them.
+The page, ``report.html``, loads no other files, and its content security policy forbids scripts and
+requests. Agents control their names and error texts, so the template escapes all texts.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 from stkzoo._os import write_text
+from stkzoo.errors import import_extra
 from stkzoo.evaluation.batch.order import replay_file
+from stkzoo.evaluation.plotting import (
+    INK,
+    draw_intervals,
+    draw_shares,
+    shorten,
+    style_axes,
+    two_panels,
+)
+from stkzoo.evaluation.ratings import Rating
 from stkzoo.evaluation.tournament.film import MapFilm, draw_film, film_file
 from stkzoo.evaluation.tournament.standings import RaceSummary, Standing, TournamentResult
 from stkzoo.race.result import AgentResult, RaceResult
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'"
 _FILMS = 6
 _MAX_TRACE = 4000  # characters
 _KINDS = {"start": "could not be loaded", "timeout": "took too long", "error": "raised an error"}
 #: Prefixes with which a spreadsheet interprets a cell as a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+def require_jinja2() -> Any:
+    """Imports ``jinja2``.
+
+    Raises:
+        ConfigError: Jinja is not installed.
+    """
+    return import_extra("jinja2", "the report needs", "tournament")
 
 
 @dataclass(frozen=True)
@@ -76,7 +95,7 @@ class TournamentReport:
         rows = [
             (
                 *(getattr(row, name) for name in names),
-                *(row.rating.value, row.rating.low, row.rating.high, self._reason_of(row)),
+                *(row.rating.value, row.rating.low, row.rating.high, self.reason_of(row)),
             )
             for row in self.result.standings
         ]
@@ -90,116 +109,59 @@ class TournamentReport:
             (
                 *(number, race.track, race.seed, row.driver, row.start_position, place),
                 *(getattr(row, name) for name in names),
-                self._error_of(row),
+                self.error_of(row),
             )
             for number, race in sorted(self.races.items())
-            for place, row in self._placed(number)
+            for place, row in self.placed(number)
         ]
         return _csv([head, *rows])
 
     # ------------------------------------------------------------------ the page
 
     def page(self) -> str:
-        """Returns the page as HTML."""
-        style = Path(__file__).with_name("report.css").read_text(encoding="utf-8")
-        parts = (self._standings(), self._matrix(), self._films(), self._agents())
-        return (
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<title>{escape(self.title)}</title>\n<style>\n{style}</style></head>\n<body>"
-            f"<header>{self._header()}</header>\n" + "\n".join(parts) + "\n</body></html>\n"
-        )
+        """Returns the page as HTML.
 
-    def _header(self) -> str:
+        Raises:
+            ConfigError: Jinja is not installed.
+        """
+        jinja2 = require_jinja2()
+        environment = jinja2.Environment(
+            loader=jinja2.FileSystemLoader(Path(__file__).parent),
+            autoescape=True,
+            trim_blocks=True,
+            undefined=jinja2.StrictUndefined,
+        )
+        rows = self.result.standings
+        low = min(row.rating.interval[0] for row in rows)
+        span = max(max(row.rating.interval[1] for row in rows) - low, 1e-6)
+        text: str = environment.get_template("report.html").render(
+            report=self,
+            result=self.result,
+            standings=rows,
+            places=self._places,
+            facts=self._facts(),
+            films=list(self._films()),
+            share=lambda value: f"{100 * (value - low) / span:.1f}%",
+            outcome=_outcome,
+        )
+        return text
+
+    def _facts(self) -> tuple[str, ...]:
         plan, result = self.result.plan, self.result
         laps = "1 lap" if plan.settings.laps == 1 else f"{plan.settings.laps} laps"
-        facts = (
+        return (
             f"{len(result.standings)} agents",
             f"{len(result.races)} of {plan.num_races} races of {plan.grid_size}, {laps}",
             ", ".join(plan.tracks),
             f"stkzoo {plan.versions.get('stkzoo', '')}",
         )
-        return f'<h1>{escape(self.title)}</h1><p class="facts">{escape(" · ".join(facts))}</p>'
 
-    def _standings(self) -> str:
-        rows = self.result.standings
-        low = min(row.rating.interval[0] for row in rows)
-        span = max(max(row.rating.interval[1] for row in rows) - low, 1e-6)
-        lines = "".join(self._standing(row, low, span) for row in rows)
-        return (
-            '<section><h2>Standings</h2><div class="scroll"><table><thead><tr>'
-            '<th class="n">#<th>Agent<th class="n">Rating<th class="chart">95% interval'
-            '<th class="n wide">Wins'
-            '<th class="n wide">Races<th class="n wide">Mean place<th class="n wide">Finished'
-            f'<th class="n">Failed</tr></thead><tbody>{lines}</tbody></table></div>'
-            '<p class="note">Plackett-Luce ratings; intervals by bootstrap over races. Agents '
-            "whose intervals overlap may be equally good.</p></section>"
-        )
-
-    def _standing(self, row: Standing, low: float, span: float) -> str:
-        least, most = row.rating.interval
-        start, dot, end = (
-            f"{100 * (value - low) / span:.1f}%" for value in (least, row.rating.value, most)
-        )
-        interval = f"{least:.1f} to {most:.1f}"
-        rank = "" if row.mean_rank is None else f"{row.mean_rank:.2f}"
-        failed = ' class="n failed"' if row.failed else ' class="n"'
-        return (
-            f'<tr><td class="n">{row.place}<td class="name">{self._link(row.label)}'
-            f'<td class="n">{row.rating.value:.1f}'
-            f'<td class="chart"><svg role="img" aria-label="{interval}"><title>{interval}</title>'
-            f'<line x1="{start}" x2="{end}" y1="50%" y2="50%"/>'
-            f'<circle cx="{dot}" cy="50%" r="4.5"/></svg>'
-            f'<td class="n wide">{row.wins}<td class="n wide">{row.races}<td class="n wide">{rank}'
-            f'<td class="n wide">{row.finished}<td{failed}>{row.failed}</tr>\n'
-        )
-
-    def _matrix(self) -> str:
-        rows = self.result.standings
-        head = "".join(
-            f'<th title="{escape(row.label)}"><span>{row.place} {escape(row.label)}</span>'
-            for row in rows
-        )
-        lines = "".join(
-            f'<tr><th title="{escape(row.label)}">{row.place} {escape(row.label)}'
-            + "".join(self._cell(one, two) for two in range(len(rows)))
-            + "</tr>\n"
-            for one, row in enumerate(rows)
-        )
-        return (
-            "<section><h2>Head to head</h2>"
-            '<p class="note">How often, in percent, the agent of the row finished ahead of the '
-            "agent of the column. Hover over a cell for the numbers of races.</p>"
-            f'<div class="scroll"><table class="matrix"><thead><tr><th>{head}</tr></thead><tbody>'
-            f"{lines}</tbody></table></div></section>"
-        )
-
-    def _cell(self, one: int, two: int) -> str:
-        share = self.result.payoff(one, two)
-        if share is None:
-            return "<td>"
-        won, lost = self.result.ahead[one][two], self.result.ahead[two][one]
-        names = (self.result.standings[number].label for number in (one, two))
-        text = "{} beat {} in {} of {} races".format(*names, won, won + lost)
-        side, strength = ("win" if share >= 0.5 else "lose"), abs(share - 0.5) * 1.5
-        return (
-            f'<td title="{escape(text)}" style="background:rgb(var(--{side}) / {strength:.2f})">'
-            f"{100 * share:.0f}"
-        )
-
-    def _films(self) -> str:
-        figures = [
-            self._figure(number, MapFilm.load(file))
-            for number in self._filmed()
-            if (file := film_file(self.folder, number)).exists()
-        ]
-        if not figures:
-            return ""
-        return (
-            '<section><h2>Races</h2><p class="note">Click a map to play the race at four times '
-            f'its speed.</p><div class="films">{"".join(figures)}</div></section>'
-        )
+    def _films(self) -> Iterator[tuple[int, str, str, dict[str, str]]]:
+        """Yields the number, the track, the picture and the colors of each race with a film."""
+        for number in self._filmed():
+            if (file := film_file(self.folder, number)).exists():
+                picture = draw_film(MapFilm.load(file), f"film-{number}")
+                yield number, self.races[number].track, *picture
 
     def _filmed(self) -> Sequence[int]:
         if self.films is not None:
@@ -210,70 +172,35 @@ class TournamentReport:
         )
         return [race.number for race in best[:_FILMS]]
 
-    def _figure(self, number: int, film: MapFilm) -> str:
-        race = self.races[number]
-        picture, colors = draw_film(film, f"film-{number}")
-        lines = "".join(
-            f'<li><i class="dot" style="background:{colors.get(row.driver, "gray")}"></i>'
-            f"{place}. {self._link(row.driver)} {escape(_outcome(row))}"
-            for place, row in self._placed(number)
-        )
-        return (
-            f"<figure>{picture}<figcaption><b>Race {number}</b>, {escape(race.track)}"
-            f"{self._replay(number)}<ol>{lines}</ol></figcaption></figure>"
-        )
-
-    def _agents(self) -> str:
-        sections = "".join(self._agent(row) for row in self.result.standings)
-        return f"<section><h2>Agents</h2>{sections}</section>"
-
-    def _agent(self, row: Standing) -> str:
-        driven = [
-            (number, race, place, entry)
-            for number, race in sorted(self.races.items())
-            for place, entry in self._placed(number)
-            if entry.driver == row.label
-        ]
-        lines = "".join(
-            f'<tr><td class="n">{number}<td>{escape(race.track)}<td class="n">{e.start_position}'
-            f'<td class="n">{place} of {len(race.agents)}<td>{escape(_outcome(e))}'
-            f"<td>{escape(self._error_of(e))}{self._replay(number)}</tr>"
-            for number, race, place, e in driven
-        )
-        source = "" if self.is_public else f'<p class="note">{escape(row.source)}</p>'
-        traces = [e.errors[0].trace for *_, e in driven if e.errors and e.errors[0].trace]
-        trace = ""
-        if traces and not self.is_public:
-            trace = f"<pre>{escape(traces[0][-_MAX_TRACE:])}</pre>"
-        reason = self._reason_of(row)
-        times = f"failed in {row.failed} of {row.races} races"
-        failed = f' <span class="failed">{times}: {escape(reason)}</span>'
-        return (
-            f"<details><summary><b>{row.place}. {escape(row.label)}</b>"
-            f"<span>{row.wins} wins in {row.races} races</span>{failed if reason else ''}"
-            f'</summary><div id="agent-{row.place}" class="scroll">{source}<table><thead><tr>'
-            '<th class="n">Race<th>Track<th class="n">Start<th class="n">Place<th>Time<th>'
-            f"</tr></thead><tbody>{lines}</tbody></table>{trace}</div></details>\n"
-        )
-
     # ------------------------------------------------------------------ parts
 
-    def _placed(self, number: int) -> list[tuple[int, AgentResult]]:
+    def placed(self, number: int) -> list[tuple[int, AgentResult]]:
         """Returns the places in a race as in the standings, where failed agents are last."""
         summary, rows = self._summaries[number], self.races[number].agents
         in_order = sorted(rows, key=lambda row: summary.order.index(row.driver))
         return [(summary.place_of(row.driver), row) for row in in_order]
 
-    def _link(self, label: str) -> str:
-        return f'<a href="#agent-{self._places.get(label, 0)}">{escape(label)}</a>'
+    def driven_by(self, label: str) -> list[tuple[int, int, AgentResult]]:
+        """Returns the number, the place and the result of each race of an agent."""
+        return [
+            (number, place, row)
+            for number in sorted(self.races)
+            for place, row in self.placed(number)
+            if row.driver == label
+        ]
 
-    def _replay(self, number: int) -> str:
+    def replay(self, number: int) -> str:
+        """Returns the path of a race's replay; empty without one, and for the public."""
         file = replay_file(self.folder, number)
-        if self.is_public or not file.exists():
-            return ""
-        return f' <a href="{file.relative_to(self.folder).as_posix()}">replay</a>'
+        is_linked = file.exists() and not self.is_public
+        return file.relative_to(self.folder).as_posix() if is_linked else ""
 
-    def _error_of(self, row: AgentResult) -> str:
+    def trace_of(self, label: str) -> str:
+        """Returns the end of an agent's first traceback; empty without one, and for the public."""
+        rows = [] if self.is_public else [row for *_, row in self.driven_by(label) if row.errors]
+        return next((row.errors[0].trace[-_MAX_TRACE:] for row in rows if row.errors[0].trace), "")
+
+    def error_of(self, row: AgentResult) -> str:
         """Returns an agent's first failure in a race as one line; empty without failures."""
         if not row.errors:
             return ""
@@ -281,11 +208,11 @@ class TournamentReport:
         problem = _KINDS.get(first.kind, "failed")
         return problem if self.is_public else f"{problem}: {' '.join(first.message.split())[:200]}"
 
-    def _reason_of(self, row: Standing) -> str:
+    def reason_of(self, row: Standing) -> str:
+        """Returns an agent's most frequent failure; for the public, only its kind."""
         if not self.is_public or not row.reason:
             return row.reason
-        errors = (self._error_of(e) for r in self.races.values() for e in r.agents
-                  if e.driver == row.label)  # fmt: skip
+        errors = (self.error_of(entry) for *_, entry in self.driven_by(row.label))
         return next(filter(None, errors), "")
 
 
@@ -304,3 +231,53 @@ def _csv(rows: Iterable[Sequence[object]]) -> str:
 def _cells(row: Sequence[object]) -> list[object]:
     """Returns a row in which a quote precedes texts that a spreadsheet would run as formulas."""
     return [f"'{v}" if isinstance(v, str) and v.startswith(_FORMULA) else v for v in row]
+
+
+# ------------------------------------------------------------------ the plot
+
+
+def plot_tournament(result: TournamentResult, path: str | os.PathLike[str]) -> None:
+    """Plots a tournament to a file, which is written atomically.
+
+    Args:
+        result: result of the tournament.
+        path: the file; its suffix selects the format, such as ``.png`` or ``.svg``.
+
+    Raises:
+        ConfigError: matplotlib is not installed, or the file cannot be written.
+    """
+    count, tracks = len(result.standings), result.plan.tracks
+    places = ", ".join(tracks) if len(tracks) <= 4 else f"{len(tracks)} tracks"
+    title = f"{count} agents, {len(result.races)} races of {result.plan.grid_size} on {places}"
+    size, ratios = (5.6 + 0.55 * count + 3, 2.2 + 0.42 * count), (5.2, 2.4 + 0.62 * count)
+    labels = [shorten(standing.label) for standing in result.standings]
+    with two_panels(path, title, *size, ratios) as (ratings, matrix):
+        _draw_ratings(ratings, result, labels)
+        _draw_matrix(matrix, result, labels)
+
+
+def _draw_ratings(axes: Any, result: TournamentResult, labels: list[str]) -> None:
+    ratings: dict[float, Rating] = {
+        row: standing.rating for row, standing in enumerate(result.standings)
+    }
+    draw_intervals(axes, ratings)
+    for row, rating in ratings.items():
+        axes.annotate(
+            f"{rating.value:.1f}",
+            (rating.value, row),
+            (0, 6),
+            textcoords="offset points",
+            ha="center",
+            fontsize=8,
+            color=INK,
+        )
+    axes.set_yticks(range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.4, -0.7)
+    axes.margins(x=0.08)
+    style_axes(axes, "Rating, with 95% interval")
+
+
+def _draw_matrix(axes: Any, result: TournamentResult, labels: list[str]) -> None:
+    agents = range(len(labels))
+    draw_shares(axes, [[result.payoff(one, two) for two in agents] for one in agents], labels)
+    style_axes(axes, "Races in which the row beats the column [%]")

@@ -20,8 +20,7 @@ from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament, resumed_plan
-from stkzoo.evaluation.tournament.plot import plot_tournament
-from stkzoo.evaluation.tournament.report import TournamentReport
+from stkzoo.evaluation.tournament.report import TournamentReport, plot_tournament, require_jinja2
 from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
 from stkzoo.race.remote import ServedAgent, ServerAccess
 from stkzoo.race.replay import ReplayWriter
@@ -88,6 +87,7 @@ def tournament_orders(plan: TournamentPlan) -> list[TournamentOrder]:
 
 def _check(options: RunOptions) -> None:
     require_openskill()
+    require_jinja2()
     require_plot(options.plot, "tournament")
 
 
