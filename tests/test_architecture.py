@@ -49,8 +49,8 @@ LAYERS = [
     ("drivers", ["stkzoo.drivers"]),
     ("env", ["stkzoo.env", "stkzoo.race_v0"]),
     ("front", ["stkzoo", "stkzoo.compat", "stkzoo._pystk2_gymnasium"]),
-    ("race", ["stkzoo.race", "stkzoo.play", "stkzoo.sb3"]),
-    ("evaluation", ["stkzoo.evaluation", "stkzoo.suite"]),
+    ("race", ["stkzoo.race", "stkzoo.sb3"]),
+    ("evaluation", ["stkzoo.evaluation", "stkzoo.play", "stkzoo.suite"]),
     ("agents", ["stkzoo.agents"]),
     ("cli", ["stkzoo.cli", "stkzoo.__main__"]),
 ]

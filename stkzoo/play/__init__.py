@@ -7,8 +7,7 @@ person is a driver of :func:`stkzoo.race.run_race`.
 >>> result = play_race(["heuristic", "ai"], track="lighthouse")  # doctest: +SKIP
 """
 
-from stkzoo.play.dataset import DatasetWriter
-from stkzoo.play.game import play_race
+from stkzoo.play.game import DatasetWriter, play_race
 from stkzoo.play.screen import PlayScreen
 
 __all__ = ["DatasetWriter", "PlayScreen", "play_race"]

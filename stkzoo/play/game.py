@@ -5,14 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
+from stkzoo._os import check_writable
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.evaluation import DemoRecorder, DemoView, save_demonstrations
 from stkzoo.names import Phase, PowerupType
-from stkzoo.play.dataset import DatasetWriter
 from stkzoo.play.screen import PlayScreen
 from stkzoo.race import ActorMaker, Driver, RaceListener, RaceProgress, RaceResult, run_race
+from stkzoo.race.result import versions_now
 from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.views import VIEWS
 from stkzoo.wrappers.camera import checked_size
@@ -22,6 +25,8 @@ RATES = (10, 12, 15, 20, 30, 60)
 
 #: The person drives the first agent.
 _AGENT = "kart_0"
+#: Ending of the names of datasets.
+_ENDING = ".safetensors"
 
 
 def play_race(
@@ -63,13 +68,13 @@ def play_race(
     actions = keys_to_action(VIEWS[view], repr(view))
     with ExitStack() as resources:
         # Report bad paths before the window opens.
-        writer = DatasetWriter(dataset, view) if dataset is not None else None
+        writer = DatasetWriter(dataset, view, rate) if dataset is not None else None
         screen = PlayScreen(checked_size(size))
         resources.callback(screen.close)
         watchers = [_Game(screen, checked_size(size), backend, rate), *listeners]
         if writer is not None:
             watchers.append(writer)
-        driver = Driver.of_actor(name, _person(screen, actions, writer), view)
+        driver = Driver.of_actor(name, _person(screen, actions), view)
         return run_race([driver, *opponents], listeners=watchers, **settings)
 
 
@@ -84,18 +89,57 @@ def _check(backend: str, rate: int, view: str) -> None:
         raise unknown_name("view", view, VIEWS)
 
 
-def _person(
-    screen: PlayScreen, actions: Mapping[Any, Any], writer: DatasetWriter | None
-) -> ActorMaker:
+def _person(screen: PlayScreen, actions: Mapping[Any, Any]) -> ActorMaker:
     """Returns a function that creates the person's actor, which reads the keys held down."""
+    return lambda *_: lambda _: actions[tuple(sorted(screen.pressed)) or ""]
 
-    def act(observation: Any) -> Any:
-        action = actions[tuple(sorted(screen.pressed)) or ""]
-        if writer is not None:
-            writer.decided(observation, action)
-        return action
 
-    return lambda *_: act
+class DatasetWriter(DemoRecorder):
+    """Writes the person's episode as demonstrations (:mod:`stkzoo.evaluation`) after the race.
+
+    Args:
+        path: path of the ``.safetensors`` file.
+        view: name of a view with a fixed size that consists of stkzoo's wrappers.
+        rate: number of steps per second.
+
+    Raises:
+        ConfigError: the path or the view is invalid, or the file exists.
+    """
+
+    def __init__(self, path: str, view: str, rate: int) -> None:
+        self._path = Path(path)
+        if self._path.suffix != _ENDING:
+            raise ConfigError(f"the dataset is {path!r}, expected a path that ends in {_ENDING}")
+        check_writable(path, "the dataset")
+        if self._path.exists():  # a recording cannot be repeated
+            raise ConfigError(f"the dataset {path!r} exists; choose another name, or delete it")
+        super().__init__(1, DemoView(view), step_size=1 / rate)
+        self._about: dict[str, Any] = {"view": view, "env_id": f"supertuxkart/{view}-v0"}
+
+    def started(self, race: RaceProgress) -> None:
+        """Records the observation on the grid and facts about the race."""
+        super().started(race)
+        options = race.env.options
+        self._about |= {
+            "agents": [{"label": race.names[_AGENT]}],
+            "tracks": [race.race_info.track],
+            "laps": options.laps,
+            "num_kart": options.num_kart,
+            "difficulty": options.difficulty,
+            "step_size": options.step_size,
+            "versions": versions_now(),
+        }
+
+    def ended(self, result: RaceResult) -> None:
+        """Writes the file atomically.
+
+        Raises:
+            ConfigError: the file cannot be written.
+        """
+        super().ended(result)
+        episodes = self.episodes(self._about)
+        if episodes is not None:
+            save_demonstrations(episodes, self._path)
 
 
 class _Game(RaceListener):

@@ -3,7 +3,6 @@
 Keys are synthetic events. Without a display, SDL's dummy driver receives them.
 """
 
-import json
 import os
 import subprocess
 import sys
@@ -14,11 +13,11 @@ import numpy as np
 import pytest
 
 import stkzoo
-from stkzoo._arrays import read_arrays
 from stkzoo._installation import install_command
 from stkzoo.cli import main
 from stkzoo.env.keyboard import KEYS, base_action
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation import load_demonstrations
 from stkzoo.play import play_race
 from stkzoo.race import RaceListener
 from stkzoo.views import VIEWS
@@ -244,20 +243,16 @@ def test_a_recorded_dataset_repeats_the_same_race(tmp_path):
         listeners=[Driving()],
         **WINDOW,
     )
-    data, about = read_arrays(path, 1 << 20)
-    about = json.loads(about)
-    assert set(data) == {
-        *("observations/continuous", "observations/discrete"),
-        *("actions", "rewards", "terminations", "truncations"),
-    }
+    (episode,) = demos = load_demonstrations(path)
+    about, data = demos.plan, demos.columns
     env = gym.make(
         about["env_id"],
         num_kart=about["num_kart"],
-        track=about["track"],
+        track=episode.facts.track,
         step_size=about["step_size"],
         reward="race",
     )
-    observation, _ = env.reset(seed=about["seed"])
+    observation, _ = env.reset(seed=episode.facts.seed)
     seen, rewards = [observation["continuous"]], []
     for action in data["actions"]:
         observation, reward, *_ = env.step(action)
@@ -268,14 +263,13 @@ def test_a_recorded_dataset_repeats_the_same_race(tmp_path):
     # The compiled kernel rounds differently.
     np.testing.assert_allclose(data["observations/continuous"], seen, rtol=1e-5, atol=1e-5)
     np.testing.assert_array_equal(data["rewards"], rewards)
-    assert data["truncations"].tolist() == [False] * 44 + [True]
-    assert not data["terminations"].any()
+    assert (len(episode), episode.is_finished) == (45, False)
 
 
 def test_dict_actions_are_recorded_as_one_array_per_entry(tmp_path):
     path = tmp_path / "me.safetensors"
     play_race([], rate=60, view="simple", dataset=str(path), max_steps=5, **WINDOW)
-    data, _ = read_arrays(path, 1 << 20)
+    data = load_demonstrations(path).columns
     assert data["actions/acceleration"].shape == (5, 1)
     assert data["actions/brake"].dtype == np.int64
     assert data["observations/paths_end"].shape == (6, 5, 3)

@@ -24,8 +24,7 @@ from stkzoo.race.result import RaceResult
 from stkzoo.views import VIEWS, extras_for
 from stkzoo.views.agent_chain import AgentChain
 
-#: Time between two observations [s].
-STEP = 0.1
+_STEP = 0.1  # usual time between two observations [s]
 #: Buttons that count as pressed if they were pressed in any part of a step. Other buttons must be
 #: pressed in at least half of the parts.
 _PULSES = np.array([name in ("fire", "nitro", "rescue") for name in CONTROLS])
@@ -94,16 +93,25 @@ class DemoRecorder(RaceListener):
             they were pressed in any part, and other buttons if pressed in at least half of the
             parts.
         race: number of the race in the dataset.
+        step_size: time between two observations [s].
     """
 
-    def __init__(self, agents: int, view: DemoView, substeps: int = 1, race: int = 0) -> None:
+    def __init__(
+        self,
+        agents: int,
+        view: DemoView,
+        substeps: int = 1,
+        race: int = 0,
+        step_size: float = _STEP,
+    ) -> None:
         self._count, self._view, self._substeps, self._race = agents, view, substeps, race
+        self._step_size = step_size
         self._karts: dict[str, _Kart] = {}
         self._parts: list[Demonstrations] = []
 
     def env_options(self) -> dict[str, Any]:
         """See :class:`~stkzoo.race.RaceListener`."""
-        return {"step_size": STEP / self._substeps}
+        return {"step_size": self._step_size / self._substeps}
 
     def started(self, race: RaceProgress) -> None:
         """Records the observations on the grid."""
