@@ -11,19 +11,26 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stkzoo._reading import read_json, read_text, reading
 from stkzoo._schema import plain_text
-from stkzoo.drivers.driver import GAME_AI
+from stkzoo._temporary import TemporaryFolder
+from stkzoo.drivers.driver import GAME_AI, Driver
 from stkzoo.errors import StkzooError, shortened
 from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder, replay_file
 from stkzoo.evaluation.batch.run import RunOptions, run_orders
-from stkzoo.evaluation.benchmark.races import RaceOutcome, direction_name
+from stkzoo.evaluation.benchmark.races import direction_name
 from stkzoo.evaluation.benchmark.result import race_outcomes
-from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay import Replay, load_replay, other_versions, play_replay
-from stkzoo.race.replay.file import controls_of
-from stkzoo.race.result import AgentResult, RaceResult
+from stkzoo.race.replay import (
+    Replay,
+    ReplayWriter,
+    load_replay,
+    other_versions,
+    recorded_driver,
+)
+from stkzoo.race.result import RaceResult
 from stkzoo.suite.entry import (
     ENTRY_FILE,
     Entry,
@@ -35,9 +42,6 @@ from stkzoo.suite.entry import (
 from stkzoo.suite.tasks import SUITE, find_task
 
 _MAX_SHOWN = 10
-#: Fields of a replay that are also settings of the race.
-_SETTINGS = ("track", "reverse", "mode", "kart", "laps", "difficulty", "max_paths", "seed")
-_STEP_SIZE = 0.1
 #: Allowed difference of numbers: bootstraps may round differently on another machine.
 _TOLERANCE = 1e-9
 
@@ -69,119 +73,104 @@ class VerifyOrder(RaceOrder):
         return cls(order.number, order.drivers, order.settings, order.wait_for or (), replay=replay)
 
     def run(self, folder: Path) -> RaceResult:
-        """Runs the race again in a worker process.
+        """Runs and records the race again in a worker process, and compares both recordings.
 
         Args:
             folder: folder of the entry.
 
         Returns:
-            The result of the new race.
+            The result of the new race, with the recorded numbers of the agent's failures.
 
         Raises:
             StkzooError: the replay is of another race, or differs from the new race.
         """
-        replay = load_replay(replay_file(folder, self.number))
-        self._check_facts(replay)
-        karts = tuple(self.wait_for or ())
-        live = {n: text for n, text in enumerate(self.drivers) if n not in karts}
-        watch = _RaceWatch(replay, karts)
-        playback = play_replay(replay, listeners=[watch], live=live)
-        if playback.first_difference is not None:
-            others = other_versions(replay)
+        recorded = load_replay(replay_file(folder, self.number))
+        if len(recorded.agents) != len(self.drivers):
             raise EntryRefused(
-                f"step {playback.first_difference} differs from the recording"
-                + (f"; other versions here: {others}" if others else "")
+                f"step 0: it has {len(recorded.agents)} karts, expected {len(self.drivers)}"
             )
-        if playback.result_differences:
-            raise EntryRefused(f"step {replay.steps}: {'; '.join(playback.result_differences)}")
+        with TemporaryFolder("verify") as place:
+            again = self._record(recorded, place.path / "again.stkz")
+        _compare_steps(recorded, again)
         if replay_digest(folder, self.number) != self.replay:
             raise EntryRefused(f"the replay is not the one of {ENTRY_FILE} (SHA-256)")
-        if watch.other_controls:
-            raise EntryRefused(watch.other_controls)
-        recorded, measured = replay.result, playback.measured
-        assert recorded is not None  # noqa: S101 - the replay is not partial
-        agents = [f"kart_{number}" for number in karts]
-        _refuse_others(
-            {
-                "kart_types": (replay.kart_types, watch.kart_types),
-                "names of the drivers": (
-                    [agent.name for agent in replay.agents],
-                    [row.driver for row in _rows(measured)],
-                ),
-                **_claims(recorded, measured, agents),
-            }
-        )
-        self._check_end(replay, recorded, measured, watch.last_finish)
-        return _with_failures(measured, recorded, agents)
+        if recorded.result is None or again.result is None:
+            raise EntryRefused(f"step {recorded.steps} does not end the race")
+        return self._compare_ends(recorded, recorded.result, again.result)
 
-    def _check_end(
-        self, replay: Replay, recorded: RaceResult, measured: RaceResult, last: int | None
-    ) -> None:
-        """Checks that a race ended when and as the rules say.
+    def _record(self, recorded: Replay, file: Path) -> Replay:
+        """Runs the race again for at most as many steps as a recording has; returns its replay."""
+        drivers: list[str | Driver] = [*self.drivers]
+        for number in self.wait_for or ():
+            source, _, label = self.drivers[number].rpartition(NAME_MARK)
+            if source not in GAME_AI:
+                driver = recorded_driver(label, recorded.controls[:, number])
+                drivers[number] = replace(driver, source=source)
+        steps = min(recorded.steps, self.settings.max_steps or recorded.steps)
+        settings = replace(self.settings, max_steps=steps, action_timeout=None, time_budget=None)
+        replace(self, settings=settings).race(drivers, [ReplayWriter(file)])
+        return load_replay(file)
+
+    def _compare_ends(self, replay: Replay, recorded: RaceResult, again: RaceResult) -> RaceResult:
+        """Compares two results; returns the new one with the recorded failures and their effect.
 
         Args:
-            replay: the race.
+            replay: the recording.
             recorded: its result.
-            measured: result of the new race.
-            last: step in which the last kart of the agent finished; ``None`` without one.
+            again: result of the new race.
         """
-        if last not in (None, replay.steps):
-            raise EntryRefused(f"step {last} ends the race, and the recording has {replay.steps}")
         karts = {f"kart_{number}" for number in self.wait_for or ()}
-        expected = _expected_status(recorded, measured, karts, self.settings.max_steps or math.inf)
-        for name, actual in (("status", replay.status), ("status of the result", recorded.status)):
-            if actual != expected:
+        difference = _difference(_verifiable(recorded, karts), _verifiable(again, karts))
+        if difference:
+            raise EntryRefused(f"step {replay.steps}: {difference}")
+        expected = _expected_status(recorded, again, karts, self.settings.max_steps or math.inf)
+        for status in (replay.status, recorded.status):
+            if status != expected:
                 raise EntryRefused(
-                    f"step {replay.steps}: {name} is {shortened(actual)}, expected {expected!r}"
+                    f"step {replay.steps}: status is {shortened(status)}, expected {expected!r}"
                 )
-
-    def _check_facts(self, replay: Replay) -> None:
-        """Checks that a replay is of this race."""
-        facts = {name: (getattr(replay, name), getattr(self.settings, name)) for name in _SETTINGS}
-        count, karts = len(self.drivers), self.wait_for or ()
-        drivers = [_source_and_label(text) for text in self.drivers]
-        sources = [source for source, _ in drivers]
-        facts |= {
-            "step_size": (replay.step_size, _STEP_SIZE),
-            "num_tracks": (replay.num_tracks, 1),
-            "start_positions": (replay.start_positions, tuple(range(1, count + 1))),
-            "number of karts": (len(replay.agents), count),
-            "sources of the drivers": ([agent.source for agent in replay.agents], sources),
-            "names of the agent's karts": (
-                [agent.name for n, agent in enumerate(replay.agents) if n in karts],
-                [label for n, (_, label) in enumerate(drivers) if n in karts],
-            ),
-            "karts of the game's AI": (
-                [n for n, agent in enumerate(replay.agents) if agent.is_game_ai],
-                [n for n, source in enumerate(sources) if source in GAME_AI],
-            ),
-            "is_partial": (replay.is_partial, False),
-            "is_too_long": (replay.steps > (self.settings.max_steps or 0), False),
-        }
-        _refuse_others(facts)
+        failures = {row.agent: row.num_errors for row in recorded.agents if row.agent in karts}
+        rows = (replace(row, num_errors=failures.get(row.agent, 0)) for row in again.agents)
+        return replace(again, status=expected, agents=tuple(rows))
 
 
-def _refuse_others(facts: Mapping[str, tuple[object, object]]) -> None:
-    """Raises an error for the first fact that is not as expected.
+def _compare_steps(recorded: Replay, again: Replay) -> None:
+    """Compares a recording with that of the new race: its conditions, and each step."""
+    heads = (replace(r, status="", result=None, versions={}) for r in (recorded, again))
+    if difference := _difference(*(_plain({**head.to_dict(), "steps": 0}) for head in heads)):
+        raise EntryRefused(f"step 0: {difference}")
+    steps = again.steps
+    states = np.argwhere(recorded.digests[: steps + 1] != again.digests)
+    if len(states):
+        versions = other_versions(recorded)
+        raise EntryRefused(
+            f"step {states[0][0]} differs from the recording"
+            + (f"; other versions here: {versions}" if versions else "")
+        )
+    controls = np.argwhere(recorded.controls[:steps] != again.controls)
+    if len(controls):
+        step, kart, _ = controls[0]
+        raise EntryRefused(f"step {step + 1} has other controls of kart_{kart}")
+    if steps < recorded.steps:
+        raise EntryRefused(f"step {steps} ends the race, and the recording has {recorded.steps}")
+
+
+def _verifiable(result: RaceResult, karts: Collection[str]) -> Any:
+    """Returns as JSON values what a new race shows of a result.
+
+    These are all values except durations, versions, protections and the failures of the agent.
 
     Args:
-        facts: the actual and the expected value, by name.
+        result: the result.
+        karts: ids of the agent's karts.
     """
-    for name, (actual, expected) in facts.items():
-        if actual != expected:
-            raise EntryRefused(
-                f"step 0: {name} is {shortened(actual)}, expected {shortened(expected)}"
-            )
-
-
-def _source_and_label(driver: str) -> tuple[str, str]:
-    source, mark, label = driver.rpartition(NAME_MARK)
-    return (source, label) if mark else (driver, "")
-
-
-def _rows(result: RaceResult | None) -> list[AgentResult]:
-    """Returns the rows of a result in the order of the agents."""
-    return sorted(result.agents, key=lambda row: (len(row.agent), row.agent)) if result else []
+    rows = [replace(row, action_time=None) for row in result.agents]
+    for number, row in enumerate(rows):
+        if row.agent in karts:
+            status = "finished" if row.status == "finished" else "racing"
+            rows[number] = replace(row, status=status, num_errors=0, num_clipped=0, errors=())
+    values = replace(result, status="racing", agents=tuple(rows), versions={}, wall_time=0.0)
+    return _plain(replace(values, sandbox=None, protections=(), time_budget=None).to_dict())
 
 
 def _expected_status(
@@ -213,88 +202,6 @@ def _expected_status(
         return "awaited_finished"
     is_any_finished = any(row.finish_time is not None for row in measured.agents)
     return "finished" if is_any_finished else "abandoned"
-
-
-def _claims(
-    recorded: RaceResult, measured: RaceResult, karts: Sequence[str]
-) -> dict[str, tuple[object, object]]:
-    """Returns facts of two results that playing a replay does not compare exactly, by name.
-
-    The agent's failures and all decision times are left out: a replay cannot show them.
-
-    Args:
-        recorded: result in the replay.
-        measured: result of the new race.
-        karts: ids of the agent's karts.
-    """
-    pairs = [
-        {
-            "drivers and rescues of the result": [
-                (row.agent, row.driver, row.source, row.rescues) for row in result.agents
-            ],
-            "finish times of the result": [row.finish_time for row in result.agents],
-            "status and failures of the rivals": [
-                (row.status, row.num_errors, row.num_clipped, row.errors)
-                for row in result.agents
-                if row.agent not in karts
-            ],
-            "finished karts of the result": [
-                row.agent for row in result.agents if row.status == "finished"
-            ],
-            "race_time of the result": result.race_time,
-        }
-        for result in (recorded, measured)
-    ]
-    return {name: (pairs[0][name], pairs[1][name]) for name in pairs[0]}
-
-
-def _with_failures(measured: RaceResult, recorded: RaceResult, karts: Sequence[str]) -> RaceResult:
-    """Returns a result with the recorded numbers of the agent's failures.
-
-    Args:
-        measured: result of the new race.
-        recorded: result in the replay.
-        karts: ids of the agent's karts.
-    """
-    failures = {row.agent: row.num_errors for row in recorded.agents if row.agent in karts}
-    rows = (replace(row, num_errors=failures.get(row.agent, 0)) for row in measured.agents)
-    return replace(measured, agents=tuple(rows))
-
-
-class _RaceWatch(RaceListener):
-    """Finds when the agent's karts finish, and whether all karts are driven as recorded.
-
-    Args:
-        replay: the recorded race.
-        karts: numbers of the agent's karts.
-
-    Attributes:
-        kart_types: model of each kart, in grid order.
-        last_finish: step in which the last of the agent's karts finishes; ``None`` if some have
-            not finished.
-        other_controls: the first step in which a recorded control differs; empty without one.
-    """
-
-    def __init__(self, replay: Replay, karts: Sequence[int]) -> None:
-        self._replay = replay
-        self._own = {f"kart_{number}" for number in karts}
-        self.kart_types: tuple[str, ...] = ()
-        self.last_finish: int | None = None
-        self.other_controls = ""
-
-    def started(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.kart_types = race.race_info.kart_types
-
-    def stepped(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        if self.last_finish is None and not self._own & set(race.env.agents):
-            self.last_finish = race.steps
-        for number, recorded in enumerate(self._replay.controls[race.steps - 1].tolist()):
-            action = race.actions.get(f"kart_{number}")
-            row = controls_of(action) if action is not None else [0.0] * len(recorded)
-            if not self.other_controls and row != recorded:
-                self.other_controls = f"step {race.steps} has other controls of kart_{number}"
 
 
 def verify_entry(
@@ -397,7 +304,7 @@ def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceRe
         f"race {race.number} ({race.track} {direction_name(race.reverse)}), step "
         f"{results[race.number].steps}: {difference}"
         for race, recorded in zip(measured, entry.races, strict=True)
-        if (difference := _difference(_plain(recorded), _plain(race)))
+        if (difference := _difference(_plain(asdict(recorded)), _plain(asdict(race))))
     ]
     _refuse(problems)
     fresh = json.loads(replace(entry, races=measured).to_json())
@@ -405,8 +312,9 @@ def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceRe
         _refuse([f"{ENTRY_FILE}: {difference}"])
 
 
-def _plain(race: RaceOutcome) -> Any:
-    return json.loads(json.dumps(asdict(race)))
+def _plain(values: dict[str, Any]) -> Any:
+    """Returns values as JSON has them, with lists instead of tuples."""
+    return json.loads(json.dumps(values))
 
 
 def _difference(claimed: Any, actual: Any, path: str = "") -> str:
