@@ -13,17 +13,14 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     START_TIMEOUT,
     RaceProcess,
     SpawnedProcess,
     describe_end,
-    engine_environment,
     explain_os_errors,
     open_log,
-    spawn_interpreter,
     start_remedy,
     tail,
 )
@@ -50,7 +47,7 @@ def start_race_process(root: Path) -> RaceProcess:
     """
     with explain_os_errors():
         if not can_fork():
-            return SpawnedProcess(root, "worker")
+            return SpawnedProcess(root, "worker").when_ready()
         try:
             return start_fork_server(root).fork()
         except EngineCrashed:  # the fork server was killed after its last use
@@ -62,30 +59,19 @@ def start_race_process(root: Path) -> RaceProcess:
 _END_TIMEOUT = 5.0
 
 
-class ForkServerClient:
-    """A connection of this program to one fork server.
+class ForkServerClient(SpawnedProcess):
+    """This program's handle of one fork server. It does not wait until the fork server is ready.
 
     Attributes:
         root: folder of the game's data.
     """
 
     def __init__(self, root: Path) -> None:
+        super().__init__(root, "fork_server")
         self.root = root
+        self.connection.settimeout(_END_TIMEOUT)
         self._lock = threading.Lock()
         self._has_forked = False
-        with contextlib.ExitStack() as on_failure:
-            self._log = on_failure.enter_context(open_log())
-            self._home = on_failure.enter_context(TemporaryFolder("home"))
-            self._control, other_end = map(on_failure.enter_context, wire.pair())
-            self._control.settimeout(_END_TIMEOUT)
-            with other_end:
-                self._process = spawn_interpreter(
-                    "fork_server",
-                    other_end,
-                    engine_environment(root, str(self._home.path)),
-                    self._log,
-                )
-            on_failure.pop_all()
 
     def fork(self) -> RaceProcess:
         """Returns a new child of the fork server that has not run a race yet.
@@ -96,15 +82,15 @@ class ForkServerClient:
         """
         error: EngineError
         try:
-            process = self.fork_from(self._control, START_TIMEOUT)
+            process = self.fork_from(self.connection, START_TIMEOUT)
         except TimeoutError:
             error = EngineTimeout(
                 f"the game's fork server did not answer within {START_TIMEOUT:.0f} s and was "
                 "stopped",
-                tail(self._log),
+                tail(self.log),
             )
         except (EOFError, ConnectionError):
-            log = tail(self._log)
+            log = tail(self.log)
             problem = (
                 "is gone; `stkzoo doctor` looks for the cause"
                 if self._has_forked
@@ -138,7 +124,7 @@ class ForkServerClient:
                 log = on_failure.enter_context(open_log())
             with other_end:
                 ours.settimeout(timeout)
-                if source is not self._control:
+                if source is not self.connection:
                     # A race's kernel cannot receive files, so they come in a second message.
                     wire.send(source, wire.FORK)
                 wire.send(source, wire.FORK, files=[other_end.fileno(), log.fileno()])
@@ -160,10 +146,10 @@ class ForkServerClient:
         """
         asked = str(pid).encode()
         with contextlib.suppress(EOFError, OSError), self._lock:
-            wire.send(self._control, wire.END, asked)
+            wire.send(self.connection, wire.END, asked)
             replied = b""
             while replied != asked:  # a reply to an interrupted request may come first
-                _, (replied, status) = wire.receive(self._control)
+                _, (replied, status) = wire.receive(self.connection)
             return int(status)
         return None
 
@@ -174,16 +160,13 @@ class ForkServerClient:
             pid: process id of the child.
         """
         with contextlib.suppress(OSError):
-            wire.send(self._control, wire.DROP, str(pid).encode())
+            wire.send(self.connection, wire.DROP, str(pid).encode())
 
-    def close(self) -> None:
+    def drop(self) -> None:
         """Ends the fork server and all its children, even those that are stopped."""
-        self._control.close()
         if self._process.poll() is None:
-            os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
-        self._home.close()
-        self._log.close()
+            os.killpg(self.pid, signal.SIGKILL)
+        super().drop()
 
 
 @dataclass(eq=False)
@@ -227,11 +210,11 @@ def _retire(fork_server: ForkServerClient) -> None:
     with _fork_servers_lock:
         if _fork_servers.get(key) is fork_server:
             del _fork_servers[key]
-    fork_server.close()
+    fork_server.drop()
 
 
 @atexit.register
 def _close_all() -> None:
     with contextlib.suppress(KeyboardInterrupt):  # remaining fork servers end with the program
         for key in [key for key in _fork_servers if key[0] == os.getpid()]:
-            _fork_servers.pop(key).close()
+            _fork_servers.pop(key).drop()

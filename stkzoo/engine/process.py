@@ -21,13 +21,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from stkzoo._installation import library_remedy
 from stkzoo._python import python_command, search_path
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
+
+if TYPE_CHECKING:
+    from typing_extensions import Self  # a dependency of gymnasium
 
 #: Time limit for a process to start, and for a race to place its karts on the grid [s].
 START_TIMEOUT = 60.0
@@ -270,18 +273,13 @@ class SpawnedProcess(RaceProcess):
         root: folder of the game's data.
         module: the module whose ``main`` the interpreter runs.
         variables: further environment variables.
-
-    Raises:
-        EngineCrashed: the process ended before it was ready.
-        EngineTimeout: the process was not ready in time.
     """
 
     def __init__(self, root: Path, module: str, variables: Mapping[str, str] | None = None) -> None:
         with contextlib.ExitStack() as on_failure:
             self._home = on_failure.enter_context(TemporaryFolder("home"))
             log = on_failure.enter_context(open_log())
-            connection, other_end = map(on_failure.enter_context, socket.socketpair())
-            other_end.setblocking(True)  # whatever the program's default timeout of sockets
+            connection, other_end = map(on_failure.enter_context, wire.pair())
             home = str(self._home.path)
             # A window needs XDG_RUNTIME_DIR.
             environment = {"XDG_RUNTIME_DIR": home, **engine_environment(root, home)}
@@ -290,9 +288,14 @@ class SpawnedProcess(RaceProcess):
                 self._process = spawn_interpreter(module, other_end, environment, log)
             on_failure.pop_all()
         super().__init__(connection, self._process.pid, log)
-        self._wait_until_ready()
 
-    def _wait_until_ready(self) -> None:
+    def when_ready(self) -> Self:
+        """Waits until the engine has started, and returns this object.
+
+        Raises:
+            EngineCrashed: the process ended before it was ready.
+            EngineTimeout: the process was not ready in time.
+        """
         self.connection.settimeout(START_TIMEOUT)
         try:
             self.reply()
@@ -307,6 +310,7 @@ class SpawnedProcess(RaceProcess):
                     f"the game's process {how} at its start; {start_remedy(output)}", output
                 ) from None
             raise
+        return self
 
     def end(self) -> str:
         """See :meth:`RaceProcess.end`."""
@@ -320,26 +324,20 @@ class SpawnedProcess(RaceProcess):
         self._free()
 
     def _kill(self, patience: float = 0.0) -> None:
+        """Waits for the process to end by itself, then kills it. Ctrl-C kills it immediately.
+
+        Args:
+            patience: how long to wait [s].
+        """
         try:
-            stop(self._process, patience)
+            self._process.wait(patience)
+        except BaseException as error:
+            self._process.kill()
+            self._process.wait()
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
         finally:
             self._home.close()
-
-
-def stop(process: subprocess.Popen[bytes], patience: float) -> None:
-    """Waits for a process to end by itself, then kills it. Ctrl-C kills it immediately.
-
-    Args:
-        process: the process.
-        patience: how long to wait [s].
-    """
-    try:
-        process.wait(patience)
-    except BaseException as error:
-        process.kill()
-        process.wait()
-        if not isinstance(error, subprocess.TimeoutExpired):
-            raise
 
 
 def describe_end(returncode: int) -> str:

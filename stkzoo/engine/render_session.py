@@ -52,16 +52,20 @@ class Footage:
     locations: npt.NDArray[np.float32]
 
 
+def missing_graphics_libraries() -> list[str]:
+    """Returns the libraries for drawing without a display that the system lacks (Linux only)."""
+    if sys.platform != "linux":
+        return []
+    return [f"lib{name}" for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
+
+
 def check_graphics_libraries() -> None:
     """Checks that the libraries for drawing without a display are installed (Linux only).
 
     Raises:
         ConfigError: libraries are missing; the message names the packages.
     """
-    if sys.platform != "linux":
-        return
-    missing = [f"lib{name}" for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
-    if missing:
+    if missing := missing_graphics_libraries():
         raise ConfigError(
             f"the game's pictures need {' and '.join(missing)}, which this machine does not have; "
             f"on Debian and Ubuntu `sudo apt install {GRAPHICS_PACKAGES}`, or draw the map with "
@@ -182,7 +186,8 @@ class RenderSession(ProcessSession):
     def _start_process(self) -> RaceProcess:
         try:
             with explain_os_errors():
-                return SpawnedProcess(self._root, "render_process", self._variables())
+                process = SpawnedProcess(self._root, "render_process", self._variables())
+                return process.when_ready()
         except EngineCrashed as error:
             if not self._has_window:
                 raise

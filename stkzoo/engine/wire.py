@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import socket
 import struct
+import sys
 import threading
 import traceback
 from collections.abc import Sequence
@@ -41,10 +42,12 @@ _ONE_WRITE = 1 << 16
 def pair() -> tuple[socket.socket, socket.socket]:
     """Returns both ends of a new connection within this machine.
 
-    The connection is a packet socket, which is faster than a stream. Its ends block, whatever
-    :func:`socket.setdefaulttimeout` says: an engine process expects this of the end that it gets.
+    The connection is a packet socket, which is faster than a stream, where the system has these
+    (Linux). Its ends block, whatever :func:`socket.setdefaulttimeout` says: an engine process
+    expects this of the end that it gets.
     """
-    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    kind = socket.SOCK_SEQPACKET if sys.platform == "linux" else socket.SOCK_STREAM
+    ends = socket.socketpair(socket.AF_UNIX, kind)
     for end in ends:
         end.setblocking(True)
     return ends
