@@ -29,7 +29,7 @@ import inspect
 import math
 import numbers
 import operator
-from collections.abc import Collection, Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable
 from typing import Any, TypeVar
 
 __all__ = [
@@ -60,10 +60,8 @@ Kind = TypeVar("Kind", bound=type)
 #: Maximum length of the first line of an error text [characters].
 MAX_LINE = 200
 
-#: Brackets of the containers that :func:`shortened` writes element by element.
-_BRACKETS: dict[type, tuple[str, str]] = {list: "[]", tuple: "()", dict: "{}", set: "{}"}  # type: ignore[dict-item]
-#: Maximum depth of containers, and maximum size of arrays, that :func:`shortened` writes.
-_MAX_DEPTH, _MAX_SHOWN = 20, 1000
+#: Maximum number of elements of an array that :func:`shortened` shows.
+_MAX_SHOWN = 1000
 
 
 class StkzooError(Exception):
@@ -152,48 +150,20 @@ class ProtocolError(RemoteError):
 def shortened(value: object, limit: int = 60) -> str:
     """Returns the ``repr`` of a value, shortened to a maximum length.
 
-    The cost depends on the limit, not on the size of the value. Only the visible part of a list,
-    tuple, dict, set or text is formatted, and a large array is described by shape and dtype. Other
-    values are formatted by their own ``__repr__``. (The standard library's ``reprlib`` sorts dicts
-    and shows only the first few elements of each container.)
+    A large array is described by its shape and dtype.
 
     Args:
         value: the value.
         limit: maximum length [characters].
     """
-    text = ""
-    for part in _parts_of(value, limit, 0):
-        text += part
-        if len(text) > limit:
-            return f"{text[: limit - 3]}..."
-    return text
-
-
-def _parts_of(value: object, limit: int, depth: int) -> Iterator[str]:
-    """Yields the text of a value in pieces. For plain data, each piece has a bounded length."""
-    kind = type(value)
-    if kind in _BRACKETS and depth < _MAX_DEPTH and value:
-        opening, closing = _BRACKETS[kind]
-        yield opening
-        items: Collection[Any] = value  # type: ignore[assignment]
-        for number, item in enumerate(items):
-            yield ", " if number else ""
-            yield from _parts_of(item, limit, depth + 1)
-            if kind is dict:
-                yield ": "
-                yield from _parts_of(items[item], limit, depth + 1)  # type: ignore[index]
-        yield ",)" if kind is tuple and len(items) == 1 else closing
-    elif kind in _BRACKETS and value:
-        yield "..."
-    elif kind in (str, bytes, bytearray):
-        yield repr(value[: limit + 1])  # type: ignore[index]
-    elif kind.__name__ == "ndarray" and getattr(value, "size", 0) > _MAX_SHOWN:
-        yield f"an array of shape {value.shape} and dtype {value.dtype}"  # type: ignore[attr-defined]
-    else:
-        try:
-            yield repr(value)
-        except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error
-            yield f"({kind.__name__}: its __repr__ failed)"
+    kind = type(value).__name__
+    if kind == "ndarray" and getattr(value, "size", 0) > _MAX_SHOWN:
+        return f"an array of shape {value.shape} and dtype {value.dtype}"  # type: ignore[attr-defined]
+    try:
+        text = repr(value)
+    except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error
+        text = f"({kind}: its __repr__ failed)"
+    return text if len(text) <= limit else f"{text[: limit - 3]}..."
 
 
 def check_whole(name: str, value: object, low: int, high: int | None = None) -> int:

@@ -24,7 +24,7 @@ AGENTS = {
         "class Odd:\n    def __repr__(self): raise ValueError\n"
         + ACT.format("        return {'steer': Odd()}"),
         "lacks acceleration",
-        "the agent returned: {'steer': (Odd: its __repr__ failed)}\nits action space:   Dict(",
+        "the agent returned: (dict: its __repr__ failed)\nits action space:   Dict(",
     ),
     "huge_message": (
         ACT.format("        raise ValueError('y' * 1_000_000)"),
