@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import MISSING, Field, field, fields
 from typing import Any, NoReturn
 
-from stkzoo.errors import unknown_name
+from stkzoo.errors import ConfigError, unknown_name
 
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
@@ -149,8 +149,8 @@ def option(default: Any = None, **keywords: Any) -> Any:
     Args:
         default: default of the field.
         **keywords: arguments of ``ArgumentParser.add_argument``; and also ``flag``, the option's
-            name if it differs from the field's; ``group``, the title of its group in the help; and
-            ``rivals``, a name of mutually exclusive options.
+            name if it differs from the field's; ``aliases``, further names; ``group``, the title
+            of its group in the help; and ``rivals``, a name of mutually exclusive options.
     """
     return field(default=default, metadata=keywords)
 
@@ -165,6 +165,20 @@ def positional(default: Any = MISSING, **keywords: Any) -> Any:
     return option(default, flag="", **keywords)
 
 
+def options_of(kind: type, **choice: Any) -> Any:
+    """Returns a field that contains the options of another dataclass.
+
+    Its value is an instance of the dataclass. If fields are left out, it is a dict of the others.
+
+    Args:
+        kind: the dataclass.
+        **choice: ``without``, ``only`` and ``group``, as for :func:`add_options`.
+    """
+    is_whole = not choice.keys() & {"without", "only"}
+    make = kind if is_whole else dict
+    return field(default_factory=make, metadata={"part": {"kind": kind, **choice}, "make": make})
+
+
 def add_options(
     parser: CommandParser,
     kind: type,
@@ -176,7 +190,8 @@ def add_options(
     """Adds an option for each field of a dataclass: ``--max-steps`` for ``max_steps``.
 
     The help text is the field's entry under ``Attributes:`` in the docstring, unless the field's
-    metadata has a ``help``. Fields can be numbers, texts, booleans, paths, or tuples of these.
+    metadata has a ``help``. Fields can be numbers, texts, booleans, paths, or tuples of these, and
+    other dataclasses (:func:`options_of`).
 
     Args:
         parser: parser of the command.
@@ -189,18 +204,20 @@ def add_options(
     kinds, texts = typing.get_type_hints(kind), _texts(kind)
     rivals: dict[str, argparse._ActionsContainer] = {}
     for entry in _fields(kind, without, only):
-        keywords = _keywords(entry, _metadata(kind, entry.name), kinds[entry.name], texts)
-        flag = _flag(kind, entry.name)
-        title = keywords.pop("group", group)
+        if part := entry.metadata.get("part"):
+            add_options(parser, **part)
+            continue
+        metadata = {"help": texts.get(entry.name, ""), **_metadata(kind, entry.name)}
+        flags = _flags(metadata, entry.name)
+        title = metadata.pop("group", group)
         container: argparse._ActionsContainer = parser.group(title) if title else parser
-        if rival := keywords.pop("rivals", None):
+        if rival := metadata.pop("rivals", None):
             if rival not in rivals:
                 rivals[rival] = container.add_mutually_exclusive_group()
             container = rivals[rival]
-        if flag:
-            container.add_argument(flag, dest=entry.name, **keywords)
-        else:
-            container.add_argument(entry.name, **keywords)
+        kept: dict[str, Any] = {"dest": entry.name} if flags else {}
+        keywords = _keywords(entry, metadata, kinds[entry.name], is_positional=not flags)
+        container.add_argument(*(flags or [entry.name]), **kept, **keywords)
 
 
 def values_of(
@@ -209,6 +226,7 @@ def values_of(
     *,
     without: Collection[str] = (),
     only: Collection[str] | None = None,
+    group: str | None = None,  # noqa: ARG001 - as for add_options
 ) -> dict[str, Any]:
     """Returns the values of the options that :func:`add_options` added, by field.
 
@@ -219,14 +237,21 @@ def values_of(
         kind: the dataclass.
         without: names of fields to leave out.
         only: names of fields to return; ``None`` for all.
+        group: ignored.
     """
-    values = {entry.name: getattr(arguments, entry.name) for entry in _fields(kind, without, only)}
-    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    values = {}
+    for entry in _fields(kind, without, only):
+        if part := entry.metadata.get("part"):
+            value = entry.metadata["make"](**values_of(arguments, **part))
+        else:
+            value = getattr(arguments, entry.name)
+        values[entry.name] = tuple(value) if isinstance(value, list) else value
+    return values
 
 
 def changed_options(
-    arguments: argparse.Namespace,
-    kind: type,
+    values: Any,
+    kind: type | None = None,
     *,
     without: Collection[str] = (),
     only: Collection[str] | None = None,
@@ -234,22 +259,43 @@ def changed_options(
     """Returns the options whose values are not their defaults, such as ``--max-steps``.
 
     Args:
-        arguments: the parsed arguments.
-        kind: the dataclass, as for :func:`add_options`.
+        values: an instance of a dataclass of options, or a dict of its values.
+        kind: the dataclass; only needed for a dict.
         without: names of fields to leave out.
         only: names of fields to compare; ``None`` for all.
     """
-    values = values_of(arguments, kind, without=without, only=only)
-    return [
-        _flag(kind, entry.name)
-        for entry in _fields(kind, without, only)
-        if values[entry.name] != entry.default
-    ]
+    kind = kind or type(values)
+    values = values if isinstance(values, dict) else vars(values)
+    changed = []
+    for entry in _fields(kind, without, only):
+        if part := entry.metadata.get("part"):
+            changed += changed_options(values[entry.name], part["kind"])
+        elif entry.name in values and values[entry.name] != entry.default:
+            changed += _flags(_metadata(kind, entry.name), entry.name)[:1]
+    return changed
 
 
-def _flag(kind: type, name: str) -> str:
-    """Returns the option of a field; empty for a positional argument."""
-    return str(_metadata(kind, name).get("flag", "--" + name.replace("_", "-")))
+def refuse_options(why: str, options: Collection[str]) -> None:
+    """Refuses options that have no effect.
+
+    Args:
+        why: why they have none.
+        options: the options that the user chose.
+
+    Raises:
+        ConfigError: there are any.
+    """
+    if options:
+        raise ConfigError(f"{why}; leave out {', '.join(options)}")
+
+
+def _flags(metadata: dict[str, Any], name: str) -> list[str]:
+    """Removes the names of an option from a field's metadata, and returns them.
+
+    A positional argument has none.
+    """
+    flag = metadata.pop("flag", "--" + name.replace("_", "-"))
+    return [*([flag] if flag else []), *metadata.pop("aliases", ())]
 
 
 def _fields(kind: Any, without: Collection[str], only: Collection[str] | None) -> list[Field[Any]]:
@@ -280,12 +326,10 @@ def _metadata(kind: type, name: str) -> dict[str, Any]:
 
 
 def _keywords(
-    entry: Field[Any], metadata: dict[str, Any], kind: Any, texts: dict[str, str]
+    entry: Field[Any], metadata: dict[str, Any], kind: Any, *, is_positional: bool
 ) -> dict[str, Any]:
     """Returns the keyword arguments of ``add_argument`` for a field."""
-    is_positional, default = metadata.get("flag") == "", entry.default
-    keywords: dict[str, Any] = {"help": texts.get(entry.name, ""), **metadata}
-    keywords.pop("flag", None)
+    default, keywords = entry.default, metadata
     if typing.get_origin(kind) in (types.UnionType, typing.Union):  # a union with None
         kind = next(part for part in typing.get_args(kind) if part is not types.NoneType)
         keywords |= {"nargs": "?"} if is_positional else {}
@@ -295,7 +339,8 @@ def _keywords(
         return {**keywords, "action": "store_true"}
     if typing.get_origin(kind) is tuple:
         kind = typing.get_args(kind)[0]
-        keywords["nargs"] = "*" if is_positional and default is not MISSING else "+"
+        if keywords.get("action") != "append":
+            keywords["nargs"] = "*" if is_positional and default is not MISSING else "+"
     keywords.setdefault("type", {int: _whole, float: _number}.get(kind, kind))
     if "choices" not in keywords:
         keywords.setdefault("metavar", "N" if kind is int else entry.name.upper())

@@ -19,6 +19,8 @@ from stkzoo.errors import ConfigError, StkzooError, reason
 
 #: Glob pattern of the temporary files of :func:`atomic_write`.
 PART_FILES = ".*.part"
+#: Environment variables that name a display for windows.
+DISPLAY_VARIABLES = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
 #: Size of a read of a large file [bytes].
 _BLOCK = 1 << 20
 
@@ -38,8 +40,7 @@ def max_descriptors() -> int:
 
 def has_display() -> bool:
     """Returns whether the system has a display for windows."""
-    names = ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-    return sys.platform != "linux" or any(map(os.environ.get, names))
+    return sys.platform != "linux" or any(map(os.environ.get, DISPLAY_VARIABLES))
 
 
 def check_display(need: str, alternative: str = "") -> None:

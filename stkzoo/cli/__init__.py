@@ -4,28 +4,34 @@ The module of a command has
 
 - a docstring, whose first line is the command's summary in ``stkzoo --help``. The rest is its
   description in ``stkzoo COMMAND --help``, which shows the part from ``exit codes:`` at the end;
-- ``add_arguments(parser)``, which declares its arguments;
-- ``run(arguments)``, which runs the command and returns the exit code. A command with actions has
-  one function for each action instead (:func:`~stkzoo.cli._arguments.add_actions`).
+- ``run(arguments)``, which runs the command and returns the exit code. The annotation of
+  ``arguments`` is a dataclass, whose fields are the command's options (:mod:`stkzoo._arguments`).
+  A ``ConfigError`` is reported as an invalid command line;
+- or, instead of ``run``, ``ACTIONS``: such a function for each action of the command, such as
+  ``install`` of ``stkzoo assets install``, with the action's name and docstring. A command with
+  options before the action also has ``add_arguments(parser)``.
 
-Modules must be fast to import, so slow imports are inside ``add_arguments`` and ``run``. The
-module ``race_server`` is the command ``race-server``. Private modules contain shared code.
+Only the module of the command that runs is imported. The module ``race_server`` is the command
+``race-server``. Private modules contain shared code.
 """
 
 from __future__ import annotations
 
+import argparse
+import ast
+import inspect
 import io
 import pkgutil
 import sys
+import typing
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import version
 
-from stkzoo._arguments import CommandParser
+from stkzoo._arguments import CommandParser, add_options, values_of
 from stkzoo._schema import plain_text
-from stkzoo.cli._arguments import INTERRUPTED, add_command
-from stkzoo.cli._process import EndSignals, discard_stdout, writing_stdout
-from stkzoo.errors import StkzooError
+from stkzoo.cli._process import INTERRUPTED, EndSignals, discard_stdout, writing_stdout
+from stkzoo.errors import ConfigError, StkzooError
 
 __all__ = ["COMMANDS", "build_parser", "main"]
 
@@ -68,13 +74,60 @@ def build_parser(command: str | None = None) -> CommandParser:
     parser.add_argument("--version", action="version", version=f"stkzoo {version('stkzoo')}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name in COMMANDS:
-        module = import_module(f"{__name__}.{name.replace('-', '_')}")
-        options = getattr(module, "PARSER_OPTIONS", {})
-        child = add_command(subparsers, name, module, **options)
+        module = name.replace("-", "_")
         if command in (None, name):
-            module.add_arguments(child)
-            child.set_defaults(run=getattr(module, "run", None), fail=child.fail)
+            _add_command(subparsers, name, import_module(f"{__name__}.{module}"))
+        else:
+            source = ast.parse(pkgutil.get_data(__name__, f"{module}.py") or b"")
+            subparsers.add_parser(name, help=_summary(ast.get_docstring(source) or ""))
     return parser
+
+
+def _add_command(
+    subparsers: argparse._SubParsersAction[CommandParser], name: str, command: typing.Any
+) -> None:
+    """Adds the parser of a command or an action.
+
+    Args:
+        subparsers: subparsers of the command line or of a command.
+        name: name of the command or action.
+        command: module of the command, or function of the action. The help shows the exit codes in
+            its docstring below the options.
+    """
+    documentation = inspect.getdoc(command) or ""
+    description, heading, codes = documentation.partition("\n\n")[2].partition("exit codes:")
+    parser = subparsers.add_parser(
+        name,
+        help=_summary(documentation),
+        description=description.rstrip().replace("Examples:\n", "examples:\n")
+        or documentation.strip(),
+        epilog=heading + codes,
+        **getattr(command, "PARSER_OPTIONS", {}),
+    )
+    if hasattr(command, "add_arguments"):
+        command.add_arguments(parser)
+    if actions := getattr(command, "ACTIONS", ()):
+        children = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+        for action in actions:
+            _add_command(children, action.__name__.strip("_").replace("_", "-"), action)
+        return
+    run = getattr(command, "run", command)
+    kind = typing.get_type_hints(run)["arguments"]
+    add_options(parser, kind)
+
+    def run_parsed(values: argparse.Namespace) -> int:
+        try:
+            return int(run(kind(**values_of(values, kind))))
+        except ConfigError as error:
+            parser.fail(plain_text(str(error)))  # it may name strange files
+
+    parser.set_defaults(run=run_parsed)
+
+
+def _summary(documentation: str) -> str:
+    """Returns the first line of a docstring as an entry of a list of commands."""
+    line = documentation.partition("\n")[0]
+    return line[:1].lower() + line[1:].rstrip(".")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

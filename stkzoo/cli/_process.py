@@ -10,11 +10,13 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from stkzoo.cli._arguments import INTERRUPTED
 from stkzoo.errors import StkzooError, reason
 
 if TYPE_CHECKING:
     from typing_extensions import Self  # a dependency of gymnasium
+
+#: Exit codes when an agent failed and after Ctrl-C.
+AGENT_FAILED, INTERRUPTED = 3, 130
 
 #: ``kill``, job schedulers and time limits send SIGTERM, a closed terminal SIGHUP.
 _SIGNALS = (signal.SIGTERM, signal.SIGHUP)

@@ -1,45 +1,42 @@
-"""Options for outputs of a race: a replay, the game's window, a video and a live page.
-
-Each output has a function that adds its options and a function that creates its listeners.
-"""
+"""Options for outputs of a race: a replay, the game's window, a video and a live page."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, changed_options, option
+from stkzoo._arguments import changed_options, option, options_of
 from stkzoo._os import check_display
 from stkzoo.errors import ConfigError
-
-if TYPE_CHECKING:
-    from stkzoo.race import RaceListener
+from stkzoo.race import RaceListener, RaceVideo
+from stkzoo.race.replay import ReplayWriter, ghost_of, load_replay
 
 _SPEEDS = {"1": 1.0, "2": 2.0, "4": 4.0, "max": None}
 
 
-def add_replay_options(parser: CommandParser) -> None:
-    """Adds the option ``--replay``."""
-    parser.group("output").add_argument(
-        "--replay", metavar="FILE", help="record the race to FILE (.stkz), for stkzoo replay"
-    )
+def replay_option() -> Any:
+    """Returns a field for ``--replay``."""
+    text = "record the race to FILE (.stkz), for stkzoo replay"
+    return option(metavar="FILE", group="output", help=text)
 
 
-def replay_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
+def replay_listeners(replay: str | None, races: int = 1) -> list[RaceListener]:
     """Returns the listeners for ``--replay``.
+
+    Args:
+        replay: the file; ``None`` for none.
+        races: number of races.
 
     Raises:
         ConfigError: the file is invalid, or there are several races.
     """
-    if arguments.replay is None:
+    if replay is None:
         return []
-    if arguments.races > 1:
+    if races > 1:
         raise ConfigError("--replay keeps one race; leave out --races")
-    from stkzoo.race.replay import ReplayWriter
-
-    return [ReplayWriter(arguments.replay)]
+    return [ReplayWriter(replay)]
 
 
 @dataclass
@@ -68,6 +65,7 @@ class VideoArguments:
     """Options of a video.
 
     Attributes:
+        video: record a video to FILE: .mp4, .mkv, .avi, .webm, .ogv, .mov, .gif
         cameras: number of agents with a camera, 1 to 8, or auto (default: up to 4)
         width: width of the video
         height: height of the video
@@ -77,6 +75,7 @@ class VideoArguments:
         ghost: draw the winner of a replay (.stkz) of the same track on the map
     """
 
+    video: str | None = option(metavar="FILE")
     cameras: int | None = option(metavar="N", type=_number_of_cameras)
     width: int = option(854, metavar="PIXELS")
     height: int = option(480, metavar="PIXELS")
@@ -106,66 +105,48 @@ class LivePageArguments:
     web_stay: bool = False
 
 
-def add_viewing_options(parser: CommandParser) -> None:
-    """Adds the options for the window, videos and the live page."""
-    add_options(parser, WindowArguments, group="game window")
-    video = parser.group("video")
-    formats = ".mp4, .mkv, .avi, .webm, .ogv, .mov, .gif"
-    video.add_argument("--video", metavar="FILE", help=f"record a video to FILE: {formats}")
-    add_options(parser, VideoArguments, group="video")
-    add_options(parser, LivePageArguments, group="live page in the browser")
+@dataclass
+class ViewingArguments:
+    """Options for the window, videos and the live page."""
 
+    window: WindowArguments = options_of(WindowArguments, group="game window")
+    video: VideoArguments = options_of(VideoArguments, group="video")
+    page: LivePageArguments = options_of(LivePageArguments, group="live page in the browser")
 
-def viewing_listeners(arguments: argparse.Namespace) -> list[RaceListener]:
-    """Returns the listeners for the options of :func:`add_viewing_options`.
-
-    Raises:
-        ConfigError: a value is invalid, the port is in use, or a library is missing.
-    """
-    found: list[RaceListener] = []
-    if arguments.video is None:
-        _check_unused(arguments, VideoArguments, "--video")
-    if not arguments.web:
-        _check_unused(arguments, LivePageArguments, "--web")
-    if arguments.window:
-        found.append(_window())
-    if arguments.video is not None:
-        found.append(_video(arguments))
-    if arguments.web:
-        found.append(_live_page(arguments))
-    return found
-
-
-def chosen_viewing_options(arguments: argparse.Namespace) -> list[str]:
-    """Returns the options of :func:`add_viewing_options` that the user chose."""
-    return [
-        *changed_options(arguments, WindowArguments, only=("window",)),
-        *(["--video"] if arguments.video is not None else []),
-        *changed_options(arguments, VideoArguments),
-        *changed_options(arguments, LivePageArguments),
-    ]
-
-
-def _check_unused(arguments: argparse.Namespace, kind: type, needed: str) -> None:
-    """Rejects options that have no effect without another option.
-
-    Args:
-        arguments: the parsed arguments.
-        kind: dataclass of the options.
-        needed: the other option.
-
-    Raises:
-        ConfigError: such an option is given.
-    """
-    if unused := changed_options(arguments, kind):
-        raise ConfigError(
-            f"{unused[0]} does nothing without {needed}; add {needed}, or leave it out"
+    def unused(self) -> list[tuple[VideoArguments | LivePageArguments, str]]:
+        """Returns options that have no effect without another option, and that option."""
+        is_unused = (
+            (self.video, "--video", self.video.video is None),
+            (self.page, "--web", not self.page.web),
         )
+        return [(options, needed) for options, needed, is_so in is_unused if is_so]
+
+    def listeners(self, races: int = 1) -> list[RaceListener]:
+        """Returns the listeners for these options.
+
+        Args:
+            races: number of races.
+
+        Raises:
+            ConfigError: a value is invalid, the port is in use, or a library is missing.
+        """
+        for options, needed in self.unused():
+            if chosen := changed_options(options):
+                raise ConfigError(
+                    f"{chosen[0]} does nothing without {needed}; add {needed}, or leave it out"
+                )
+        found: list[RaceListener] = []
+        if self.window.window:
+            found.append(_window())
+        if self.video.video is not None:
+            found.append(_video(self.video, self.video.video, races))
+        if self.page.web:
+            found.append(_live_page(self.page, races))
+        return found
 
 
 def _window() -> RaceListener:
     check_display("--window opens the game's window", ", or --video FILE for a video")
-    from stkzoo.race import RaceListener
 
     class Window(RaceListener):
         def env_options(self) -> dict[str, Any]:
@@ -174,34 +155,31 @@ def _window() -> RaceListener:
     return Window()
 
 
-def _video(arguments: argparse.Namespace) -> RaceListener:
-    if arguments.races > 1:
+def _video(video: VideoArguments, file: str, races: int) -> RaceListener:
+    if races > 1:
         raise ConfigError("--video makes a video of one race; leave out --races")
-    from stkzoo.race import RaceVideo
-    from stkzoo.race.replay import ghost_of, load_replay
-
     return RaceVideo(
-        arguments.video,
-        cameras=arguments.cameras,
-        size=(arguments.width, arguments.height),
-        sub_steps=arguments.render_sub_steps,
-        backend=arguments.render_backend,
-        ghost=ghost_of(load_replay(arguments.ghost)) if arguments.ghost else None,
+        file,
+        cameras=video.cameras,
+        size=(video.width, video.height),
+        sub_steps=video.render_sub_steps,
+        backend=video.render_backend,
+        ghost=ghost_of(load_replay(video.ghost)) if video.ghost else None,
     )
 
 
-def _live_page(arguments: argparse.Namespace) -> RaceListener:
-    if arguments.races > 1 and arguments.web_stay:
+def _live_page(options: LivePageArguments, races: int) -> RaceListener:
+    if races > 1 and options.web_stay:
         raise ConfigError("--web-stay is for one race; leave out --races")
-    from stkzoo.race.web import LivePage
+    from stkzoo.race.web import LivePage  # an extra
 
     page = LivePage(
-        host=arguments.web_host,
-        port=arguments.web_port,
-        speed=_SPEEDS[arguments.web_speed],
-        paused=arguments.web_wait,
-        stay=arguments.web_stay,
+        host=options.web_host,
+        port=options.web_port,
+        speed=_SPEEDS[options.web_speed],
+        paused=options.web_wait,
+        stay=options.web_stay,
     )
-    arguments.web_port = page.port  # the following races use the same port
+    options.web_port = page.port  # the following races use the same port
     print(f"live page: {page.url}", file=sys.stderr, flush=True)
     return page

@@ -25,16 +25,31 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from stkzoo._arguments import CommandParser, add_options, option
-from stkzoo.cli._arguments import add_actions
+from stkzoo._arguments import option
+from stkzoo.cli._console import ConsoleProgress, megabytes, show_table
+from stkzoo.engine.assets import (
+    PlaceReport,
+    cache_folder,
+    clean,
+    find_assets,
+    install,
+    pack,
+    survey,
+)
 
-if TYPE_CHECKING:
-    from stkzoo.engine.assets import PlaceReport
+
+@dataclass
+class StatusArguments:
+    """Options of ``stkzoo assets status``.
+
+    Attributes:
+        names: list the tracks and karts by name
+    """
+
+    names: bool = False
 
 
 @dataclass
@@ -52,27 +67,36 @@ class InstallArguments:
     force: bool = False
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    status, install, pack, clean = add_actions(parser, _status, _install, _pack, _clean)
-    status.add_argument("--names", action="store_true", help="list the tracks and karts by name")
-    add_options(install, InstallArguments)
-    pack.add_argument(
-        "--output", type=Path, metavar="FILE", help="write the pack into FILE, a .tar.xz"
-    )
-    pack.add_argument("--force", action="store_true", help="replace an existing pack")
-    clean.add_argument("--yes", action="store_true", help="do not ask")
+@dataclass
+class PackArguments:
+    """Options of ``stkzoo assets pack``.
+
+    Attributes:
+        output: write the pack into FILE, a .tar.xz
+        force: replace an existing pack
+    """
+
+    output: Path | None = option(metavar="FILE")
+    force: bool = False
 
 
-def _status(arguments: argparse.Namespace) -> int:
+@dataclass
+class CleanArguments:
+    """Options of ``stkzoo assets clean``.
+
+    Attributes:
+        yes: do not ask
+    """
+
+    yes: bool = False
+
+
+def _status(arguments: StatusArguments) -> int:
     """Show where the data is.
 
     Shows where stkzoo searches for the game's data and what it finds. Fails if headless races
     cannot run.
     """
-    from stkzoo.cli._console import megabytes, show_table
-    from stkzoo.engine.assets import find_assets, survey
-
     rows = []
     for report in survey():
         size = megabytes(report.measure()) if report.assets else ""
@@ -94,7 +118,7 @@ def _describe(report: PlaceReport) -> str:
     return f"{kind}: {len(report.assets.tracks)} tracks, {len(report.assets.karts)} karts"
 
 
-def _install(arguments: argparse.Namespace) -> int:
+def _install(arguments: InstallArguments) -> int:
     """Install the data, with a download if needed.
 
     Uses the data on this machine or downloads it, and builds the headless pack. The download is
@@ -108,9 +132,6 @@ def _install(arguments: argparse.Namespace) -> int:
       stkzoo assets install --source upstream    with the download of pystk2
       stkzoo assets install --from pack.tar.xz   from the pack of another machine
     """
-    from stkzoo.cli._console import ConsoleProgress
-    from stkzoo.engine.assets import install
-
     with ConsoleProgress() as progress:
         assets = install(
             source=arguments.source,
@@ -122,28 +143,23 @@ def _install(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _pack(arguments: argparse.Namespace) -> int:
+def _pack(arguments: PackArguments) -> int:
     """Build the headless pack, or write it to a file.
 
     Builds the headless pack from the full data.
     """
-    from stkzoo.cli._console import ConsoleProgress
-    from stkzoo.engine.assets import pack
-
     with ConsoleProgress() as progress:
         path = pack(output=arguments.output, replace=arguments.force, progress=progress)
     print(f"Ready: {path}")
     return 0
 
 
-def _clean(arguments: argparse.Namespace) -> int:
+def _clean(arguments: CleanArguments) -> int:
     """Remove stkzoo's data from its cache.
 
     Removes the full data, the headless pack and the links to an installed game from stkzoo's
     cache. Nothing else is removed.
     """
-    from stkzoo.engine.assets import cache_folder, clean
-
     if not arguments.yes and not _agreed(f"Remove stkzoo's data from {cache_folder()}? [y/N] "):
         print("Nothing was removed.")
         return 1
@@ -153,6 +169,9 @@ def _clean(arguments: argparse.Namespace) -> int:
     if not removed:
         print(f"No data of stkzoo in {cache_folder()}.")
     return 0
+
+
+ACTIONS = (_status, _install, _pack, _clean)
 
 
 def _agreed(question: str) -> bool:

@@ -31,49 +31,30 @@ exit codes:
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from stkzoo._arguments import (
-    CommandParser,
-    add_options,
-    changed_options,
-    option,
-    positional,
-    values_of,
-)
-from stkzoo.cli._arguments import (
+from stkzoo import evaluation
+from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
+from stkzoo.cli._batch import (
     BatchArguments,
-    add_batch_options,
-    chosen_directions,
     directions_option,
-    refuse_options,
-    usage_errors,
+    file_name,
+    reverse_of,
+    run_and_show,
 )
+from stkzoo.cli._console import make_console, say, show_table
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.benchmark.ai_times import AI_TIMES, plan_ai_times
+from stkzoo.evaluation.benchmark.result import BENCHMARK
+from stkzoo.evaluation.benchmark.time_trial import CLOSE, TIME_TRIALS
 from stkzoo.race import RaceSettings
 
-if TYPE_CHECKING:
-    from stkzoo.evaluation import (
-        BenchmarkPlan,
-        BenchmarkResult,
-        Comparison,
-        Estimate,
-        RaceGroup,
-        TimeTrialPlan,
-        TimeTrialResult,
-    )
-
-#: Options that are also arguments of ``plan_benchmark``.
-_PLANNED = ("agent", "difficulty", "ai_times")
 #: Options that only races of the usual benchmark have.
 _CONDITIONS = ("difficulty", "forms", "directions", "ai_times")
 _SEEDS, _TIME_TRIAL_SEEDS = 5, 1
-_DIRECTIONS = ("forward", "reversed")
 _MAIN_GROUPS = ("all", "form")
 _SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
 #: Width of a line with all metrics. On a narrower terminal, intervals are printed below values.
@@ -86,7 +67,8 @@ _COLUMNS = {
     "unfinished": ("DNF %", 100, 1),
     "rescues": ("rescues", 1, 2),
 }
-_TITLES = [title for title, _, _ in _COLUMNS.values()]
+#: A group of races, after the texts of its first columns in a table.
+_Row = tuple[Sequence[str], evaluation.RaceGroup]
 
 
 @dataclass
@@ -120,134 +102,97 @@ class BenchmarkArguments:
     difficulty: int = 3
     forms: tuple[str, ...] | None = option(metavar="FORM")
     seeds: int | None = None
-    directions: tuple[str, ...] = directions_option(*_DIRECTIONS)
+    directions: tuple[str, ...] = directions_option("forward", "reversed")
     ai_times: str | None = option(metavar="FILE")
     output: str | None = option(metavar="PATH", group="output")
     json: bool = option(False, group="output")
     no_plot: bool = option(False, group="output")
+    batch: BatchArguments = options_of(BatchArguments)
+    settings: dict[str, Any] = options_of(
+        RaceSettings, without=evaluation.BenchmarkPlan.decided, group="each race"
+    )
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    from stkzoo.evaluation import BenchmarkPlan
-
-    add_options(parser, BenchmarkArguments)
-    add_batch_options(parser, BenchmarkPlan.decided)
-
-
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: BenchmarkArguments) -> int:
     """Measures an agent or the game's AI, or compares results."""
-    if arguments.time_trial:
-        return _time_trial(arguments)
-    if not arguments.compare and not arguments.baseline:
-        return _benchmark(arguments)
-    if arguments.agent:
-        option = "--compare" if arguments.compare else "--baseline"
-        raise ConfigError(f"{option} takes no agent; leave out {arguments.agent}")
-    return _compare(arguments) if arguments.compare else _baseline(arguments)
+    if arguments.agent is None:
+        if arguments.compare:
+            return _compare(arguments)
+        if arguments.baseline:
+            return _baseline(arguments)
+        raise ConfigError("no agent; name one, such as heuristic, or see --help")
+    if arguments.compare or arguments.baseline:
+        mode = "--compare" if arguments.compare else "--baseline"
+        raise ConfigError(f"{mode} takes no agent; leave out {arguments.agent}")
+    return (_time_trial if arguments.time_trial else _benchmark)(arguments, arguments.agent)
 
 
-def _benchmark(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import file_name, run_and_show
-    from stkzoo.evaluation.benchmark.result import BENCHMARK
-
-    plan = _plan(arguments)
-    label = plan.agent.label
-    folder = Path(arguments.output or Path("benchmark", file_name(label)))
-    run = partial(BENCHMARK.run, plan, folder)
-    return run_and_show(arguments, run, folder, lambda result: show_results([result]), label)
-
-
-def _time_trial(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import file_name, run_and_show
-    from stkzoo.evaluation.benchmark.time_trial import TIME_TRIALS
-
-    plan = _time_trial_plan(arguments)
-    label = plan.agent.label
-    folder = Path(arguments.output or Path("benchmark", f"{file_name(label)}-time-trial"))
-    run = partial(TIME_TRIALS.run, plan, folder)
-    return run_and_show(arguments, run, folder, _show_time_trial, label)
+def _benchmark(arguments: BenchmarkArguments, agent: str) -> int:
+    plan = evaluation.plan_benchmark(
+        agent,
+        split=_split(arguments, "test"),
+        difficulty=arguments.difficulty,
+        forms=arguments.forms or evaluation.FORMS,
+        reverse=reverse_of(arguments.directions),
+        seeds=_seeds(arguments),
+        ai_times=arguments.ai_times,
+        **arguments.settings,
+    )
+    folder = Path(arguments.output or Path("benchmark", file_name(plan.agent.label)))
+    return run_and_show(
+        arguments, BENCHMARK.run, plan, folder, lambda result: show_results([result])
+    )
 
 
-def _time_trial_plan(arguments: argparse.Namespace) -> TimeTrialPlan:
-    from stkzoo.evaluation import TimeTrialPlan, plan_time_trial
-
-    _check_agent(arguments)
+def _time_trial(arguments: BenchmarkArguments, agent: str) -> int:
     refuse_options(
         "--time-trial has the conditions of the human records",
-        *changed_options(arguments, BenchmarkArguments, only=_CONDITIONS),
+        changed_options(arguments, only=_CONDITIONS),
     )
-    return plan_time_trial(
-        arguments.agent,
+    plan = evaluation.plan_time_trial(
+        agent,
         split=_split(arguments, "all"),
         seeds=_seeds(arguments, _TIME_TRIAL_SEEDS),
-        **values_of(arguments, RaceSettings, without=TimeTrialPlan.decided),
+        **arguments.settings,
     )
+    name = f"{file_name(plan.agent.label)}-time-trial"
+    folder = Path(arguments.output or Path("benchmark", name))
+    return run_and_show(arguments, TIME_TRIALS.run, plan, folder, _show_time_trial)
 
 
-def _check_agent(arguments: argparse.Namespace) -> None:
-    if not arguments.agent:
-        raise ConfigError("no agent; name one, such as heuristic, or see --help")
-
-
-def _plan(arguments: argparse.Namespace) -> BenchmarkPlan:
-    from stkzoo.evaluation import FORMS, BenchmarkPlan, plan_benchmark
-
-    _check_agent(arguments)
-    return plan_benchmark(
-        split=_split(arguments, "test"),
-        forms=arguments.forms or FORMS,
-        reverse=chosen_directions(arguments),
-        seeds=_seeds(arguments),
-        **values_of(arguments, BenchmarkArguments, only=_PLANNED),
-        **values_of(arguments, RaceSettings, without=BenchmarkPlan.decided),
-    )
-
-
-def _split(arguments: argparse.Namespace, default: str) -> str | Sequence[str]:
+def _split(arguments: BenchmarkArguments, default: str) -> str | Sequence[str]:
     names: Sequence[str] = arguments.split or [default]
     return names[0] if len(names) == 1 else names
 
 
-def _seeds(arguments: argparse.Namespace, default: int = _SEEDS) -> int:
-    return default if arguments.seeds is None else int(arguments.seeds)
+def _seeds(arguments: BenchmarkArguments, default: int = _SEEDS) -> int:
+    return default if arguments.seeds is None else arguments.seeds
 
 
-def _baseline(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._batch import run_and_show
-    from stkzoo.cli._console import say
-    from stkzoo.evaluation.benchmark.ai_times import AI_TIMES, plan_ai_times
-
+def _baseline(arguments: BenchmarkArguments) -> int:
     refuse_options(
         "--baseline has races of its own",
-        *changed_options(arguments, BenchmarkArguments, only=_CONDITIONS),
-        *_changed_settings(arguments),
+        changed_options(arguments, only=(*_CONDITIONS, "settings")),
     )
     plan = plan_ai_times(tracks=arguments.split or "all", seeds=_seeds(arguments))
     folder = Path(arguments.output or "ai-times")
-    run = partial(AI_TIMES.run, plan, folder)
     return run_and_show(
-        arguments, run, folder, lambda times: say(f"{len(times.by_race)} times of the game's AI")
+        arguments,
+        AI_TIMES.run,
+        plan,
+        folder,
+        lambda times: say(f"{len(times.by_race)} times of the game's AI"),
     )
 
 
-def _compare(arguments: argparse.Namespace) -> int:
-    from stkzoo.cli._console import say
-    from stkzoo.evaluation import compare, load_benchmark, plot_benchmark
-
+def _compare(arguments: BenchmarkArguments) -> int:
     refuse_options(
-        "--compare runs no races",
-        *changed_options(
-            arguments, BenchmarkArguments, only=(*_CONDITIONS, "split", "seeds", "no_plot")
-        ),
-        *changed_options(arguments, BatchArguments),
-        *_changed_settings(arguments),
+        "--compare runs no races", changed_options(arguments, without=("compare", "output", "json"))
     )
-    results = [load_benchmark(path) for path in arguments.compare]
-    comparisons = [compare(results[0], other) for other in results[1:]]
+    results = [evaluation.load_benchmark(path) for path in arguments.compare or ()]
+    comparisons = [evaluation.compare(results[0], other) for other in results[1:]]
     if arguments.output:
-        plot_benchmark(results, arguments.output)
+        evaluation.plot_benchmark(results, arguments.output)
     if arguments.json:
         texts = [result.to_json() for result in results]
         texts += [comparison.to_json() for comparison in comparisons]
@@ -261,33 +206,23 @@ def _compare(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _changed_settings(arguments: argparse.Namespace) -> list[str]:
-    from stkzoo.evaluation import BenchmarkPlan
-
-    return changed_options(arguments, RaceSettings, without=BenchmarkPlan.decided)
-
-
 # ------------------------------------------------------------------ tables
 
 
-def show_results(results: Sequence[BenchmarkResult]) -> None:
+def show_results(results: Sequence[evaluation.BenchmarkResult]) -> None:
     """Prints the metrics of one agent, or the main metrics of several agents."""
-    from stkzoo.cli._console import say
-
     is_one = len(results) == 1
     columns = [*([] if is_one else ["agent"]), "races on", "n", "chance"]
-    rows, groups = [], []
+    rows = []
     for result in results:
         label = result.label
         for group in result.groups:
             if group.by in (_SHOWN_GROUPS if is_one else _MAIN_GROUPS):
                 chance = "-" if group.chance is None else f"{100 * group.chance:.0f}%"
                 cells = (group.name or "all", str(group.races), chance)
-                rows.append(cells if is_one else (label, *cells))
-                groups.append(group)
+                rows.append((cells if is_one else (label, *cells), group))
                 label = ""
-    _show_figures(columns, rows, groups)
-    _show_clustered(columns, rows, groups)
+    _show_groups(columns, rows)
     for result in results:
         plan = result.plan
         errors = f"; the agent failed {result.errors} times" if result.errors else ""
@@ -299,11 +234,8 @@ def show_results(results: Sequence[BenchmarkResult]) -> None:
         )
 
 
-def _show_time_trial(result: TimeTrialResult) -> None:
+def _show_time_trial(result: evaluation.TimeTrialResult) -> None:
     """Prints an agent's times and the human records."""
-    from stkzoo.cli._console import say, show_table
-    from stkzoo.evaluation.benchmark.time_trial import CLOSE
-
     rows = [
         (
             track.track,
@@ -327,76 +259,54 @@ def _show_time_trial(result: TimeTrialResult) -> None:
         )
 
 
-def _show_comparison(comparison: Comparison) -> None:
+def _show_comparison(comparison: evaluation.Comparison) -> None:
     """Prints the differences between two agents."""
-    from stkzoo.cli._console import say
-
     say(f"\n{comparison.first} minus {comparison.second}, in the same races:")
-    groups = [group for group in comparison.differences if group.by in _SHOWN_GROUPS]
-    rows = [(group.name or "all", str(group.races)) for group in groups]
-    _show_figures(("races on", "n"), rows, groups, sign="+")
-    _show_clustered(("races on", "n"), rows, groups, sign="+")
+    groups = (group for group in comparison.differences if group.by in _SHOWN_GROUPS)
+    rows = [((group.name or "all", str(group.races)), group) for group in groups]
+    _show_groups(("races on", "n"), rows, sign="+")
 
 
-def _show_clustered(
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    groups: Sequence[RaceGroup],
-    sign: str = "",
-) -> None:
-    """Prints the intervals over tracks and directions of all races and of the forms.
+def _show_groups(columns: Sequence[str], rows: Sequence[_Row], sign: str = "") -> None:
+    """Prints the metrics of groups of races.
 
-    Args:
-        columns: as for :func:`_show_figures`.
-        rows: as for :func:`_show_figures`.
-        groups: as for :func:`_show_figures`.
-        sign: as for :func:`_show_figures`.
-    """
-    from stkzoo.cli._console import say
-
-    main = [(row, g) for row, g in zip(rows, groups, strict=True) if g.by in _MAIN_GROUPS]
-    if not any(e is not None and e.low is not None for _, g in main for e in g.clustered.values()):
-        return  # too few tracks
-    say("\nThe same means, with intervals over tracks and directions and the AI's times resampled:")
-    clustered = [replace(group, figures=group.clustered) for _, group in main]
-    _show_figures(columns, [row for row, _ in main], clustered, sign)
-
-
-def _show_figures(
-    columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    groups: Sequence[RaceGroup],
-    sign: str = "",
-) -> None:
-    """Prints a table with the metrics of groups of races.
+    A second table has the intervals over tracks and directions of all races and of the forms.
 
     Args:
         columns: headings of the first columns.
-        rows: texts of the first columns, for each group.
-        groups: the groups.
+        rows: the groups, and the texts of their first columns.
         sign: sign option for formatting numbers; ``"+"`` shows the sign of positive ones.
     """
-    from stkzoo.cli._console import make_console, show_table
+    _show_figures(columns, rows, sign)
+    main = [(cells, group) for cells, group in rows if group.by in _MAIN_GROUPS]
+    if not any(e is not None and e.low is not None for _, g in main for e in g.clustered.values()):
+        return  # too few tracks
+    say("\nThe same means, with intervals over tracks and directions and the AI's times resampled:")
+    clustered = [(cells, replace(group, figures=group.clustered)) for cells, group in main]
+    _show_figures(columns, clustered, sign)
 
+
+def _show_figures(columns: Sequence[str], rows: Sequence[_Row], sign: str) -> None:
+    """Prints a table; see :func:`_show_groups`."""
     console = make_console()
     is_wide = not console.is_terminal or console.width >= _WIDTH
     show_table(
-        (*columns, *_TITLES),
-        [(*row, *_cells(g.figures, is_wide, sign)) for row, g in zip(rows, groups, strict=True)],
+        (*columns, *(title for title, _, _ in _COLUMNS.values())),
+        [(*cells, *_cells(group, is_wide, sign)) for cells, group in rows],
         left=("agent", "races on"),
-        styles=["bold" if group.by == "all" else None for group in groups],
+        styles=["bold" if group.by == "all" else None for _, group in rows],
         console=console,
     )
 
 
-def _cells(figures: Mapping[str, Estimate | None], is_wide: bool, sign: str = "") -> list[str]:
+def _cells(group: evaluation.RaceGroup, is_wide: bool, sign: str) -> list[str]:
     return [
-        _cell(figures[name], scale, f"{sign}.{decimals}f", is_wide)
+        _cell(group.figures[name], scale, f"{sign}.{decimals}f", is_wide)
         for name, (_, scale, decimals) in _COLUMNS.items()
     ]
 
 
-def _cell(estimate: Estimate | None, scale: float, spec: str, is_wide: bool) -> str:
+def _cell(estimate: evaluation.Estimate | None, scale: float, spec: str, is_wide: bool) -> str:
     if estimate is None:
         return "-"
     value = format(scale * estimate.value, spec)

@@ -15,17 +15,15 @@ exit codes:
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, positional, values_of
-from stkzoo.cli._arguments import AGENT_FAILED, usage_errors
+from stkzoo._arguments import options_of, positional
+from stkzoo.cli._console import say
+from stkzoo.cli._process import AGENT_FAILED
+from stkzoo.evaluation import AgentReport, check_agent
 from stkzoo.race import RaceSettings
-
-if TYPE_CHECKING:
-    from stkzoo.evaluation import AgentReport
 
 _SETTINGS = ("show_output", "action_timeout", "start_timeout", "agent_memory", "sandbox")
 
@@ -47,45 +45,39 @@ class CheckArguments:
     max_steps: int = 50
     seed: int = 0
     json: bool = False
+    settings: dict[str, Any] = options_of(RaceSettings, only=_SETTINGS, group="agent")
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    add_options(parser, CheckArguments)
-    add_options(parser, RaceSettings, only=_SETTINGS, group="agent")
-
-
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: CheckArguments) -> int:
     """Checks the agent. Returns 3 if a tournament would not accept it."""
-    from stkzoo.evaluation import check_agent
-
-    options = values_of(arguments, CheckArguments, only=("track", "max_steps", "seed"))
-    settings = values_of(arguments, RaceSettings, only=_SETTINGS)
-    report = check_agent(arguments.agent, **options, **settings)
+    report = check_agent(
+        arguments.agent,
+        track=arguments.track,
+        max_steps=arguments.max_steps,
+        seed=arguments.seed,
+        **arguments.settings,
+    )
     if arguments.json:
         print(json.dumps(asdict(report), indent=2))
     else:
-        _show(report, arguments)
+        _show(report, arguments.track, arguments.settings)
     return 0 if report.passed else AGENT_FAILED
 
 
-def _show(report: AgentReport, arguments: argparse.Namespace) -> None:
-    from stkzoo.cli._console import say
-
+def _show(report: AgentReport, track: str, limits: dict[str, Any]) -> None:
     steps = "1 step" if report.steps == 1 else f"{report.steps} steps"
-    say(f"{report.name}: {steps}, {report.distance:.0f} m on {arguments.track}")
+    say(f"{report.name}: {steps}, {report.distance:.0f} m on {track}")
     if report.load_time is not None:
-        say(f"  loading   {report.load_time:.1f} s (limit {arguments.start_timeout:g} s)")
+        say(f"  loading   {report.load_time:.1f} s (limit {limits['start_timeout']:g} s)")
     if report.thinking_time is not None:
         times = report.thinking_time
-        limit = f"{arguments.action_timeout:g} s" if arguments.action_timeout else "none"
+        limit = f"{limits['action_timeout']:g} s" if limits["action_timeout"] else "none"
         say(
             f"  thinking  mean {1000 * times.mean:.1f} ms, p95 {1000 * times.p95:.1f} ms, "
             f"max {1000 * times.max:.1f} ms (limit {limit})"
         )
     if report.memory is not None:
-        limit = f"{arguments.agent_memory} MB" if arguments.agent_memory else "none"
+        limit = f"{limits['agent_memory']} MB" if limits["agent_memory"] else "none"
         say(f"  memory    {report.memory:.0f} MB (limit {limit})")
     if report.size is not None:
         files = "1 file" if report.num_files == 1 else f"{report.num_files} files"

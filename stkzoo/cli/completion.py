@@ -12,21 +12,28 @@ Examples:
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from typing import Any
 
+from stkzoo._arguments import positional
 from stkzoo.errors import import_extra
 
 #: The shells that shtab supports.
 _SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments."""
-    shells = f"{', '.join(_SHELLS[:-1])} or {_SHELLS[-1]}"
-    parser.add_argument("shell", metavar="SHELL", choices=_SHELLS, help=shells)
+@dataclass
+class CompletionArguments:
+    """Options of ``stkzoo completion``.
+
+    Attributes:
+        shell: bash, zsh, fish or tcsh
+    """
+
+    shell: str = positional(choices=_SHELLS, metavar="SHELL")
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: CompletionArguments) -> int:
     """Prints the completion script."""
     from stkzoo.cli import build_parser
 

@@ -25,29 +25,32 @@ exit codes:
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo.cli._arguments import (
-    add_batch_options,
-    chosen_directions,
+from stkzoo._arguments import option, options_of, positional
+from stkzoo.cli._batch import (
+    BatchArguments,
     directions_option,
+    file_name,
+    reverse_of,
+    run_batch,
     tracks_option,
-    usage_errors,
 )
 from stkzoo.errors import ConfigError, check_whole
-from stkzoo.race import RaceSettings
-
-if TYPE_CHECKING:
-    from stkzoo.evaluation import Demonstrations, DemoPlan
-
-#: Options that are also arguments of ``plan_demonstrations``.
-_PLANNED = ("agent", "view", "tracks", "karts", "rivals", "substeps")
+from stkzoo.evaluation import (
+    Demonstrations,
+    DemoPlan,
+    check_demonstrations,
+    plan_demonstrations,
+    to_minari,
+)
+from stkzoo.evaluation.demonstrations.minari import check_dataset_id
+from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
+from stkzoo.race import RaceSettings, find_driver
 
 
 @dataclass
@@ -82,39 +85,25 @@ class DemosArguments:
     output: str | None = option(metavar="FILE", group="output")
     format: str = option("safetensors", choices=("safetensors", "minari"), group="output")
     check: bool = option(False, group="output")
+    batch: BatchArguments = options_of(BatchArguments)
+    settings: dict[str, Any] = options_of(RaceSettings, without=DemoPlan.decided, group="each race")
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    from stkzoo.evaluation import DemoPlan
-
-    add_options(parser, DemosArguments)
-    add_batch_options(parser, DemoPlan.decided)
-
-
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: DemosArguments) -> int:
     """Records demonstrations, and checks them on request."""
-    from stkzoo.cli._batch import file_name, run_batch
-    from stkzoo.evaluation.demonstrations.minari import check_dataset_id
-    from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
-
     plan = _plan(arguments)
-    file = Path(arguments.output or "demos.safetensors")
+    name = arguments.output or "demos.safetensors"
+    file = Path(name)
     if arguments.format == "minari":
-        label = file_name(plan.agent.label)
-        arguments.output = arguments.output or f"supertuxkart/{label}-v0"
-        check_dataset_id(arguments.output)
+        name = arguments.output or f"supertuxkart/{file_name(plan.agent.label)}-v0"
+        check_dataset_id(name)
         # The file is deleted after the import.
-        file = Path(f"{arguments.output.replace('/', '-')}.minari.safetensors")
-    demos, code = run_batch(arguments, partial(run_planned_demonstrations, plan, file))
-    return code if demos is None else _finish(arguments, demos, file)
+        file = Path(f"{name.replace('/', '-')}.minari.safetensors")
+    demos, code = run_batch(arguments.batch, partial(run_planned_demonstrations, plan, file))
+    return code if demos is None else _finish(arguments, demos, name, file)
 
 
-def _plan(arguments: argparse.Namespace) -> DemoPlan:
-    from stkzoo.evaluation import DemoPlan, plan_demonstrations
-    from stkzoo.race import find_driver
-
+def _plan(arguments: DemosArguments) -> DemoPlan:
     check_whole("seeds", arguments.seeds, 1)
     check_whole("first-seed", arguments.first_seed, 0)
     if arguments.check and find_driver(arguments.agent, inline=True).is_game_ai:
@@ -123,21 +112,24 @@ def _plan(arguments: argparse.Namespace) -> DemoPlan:
             "leave it out"
         )
     return plan_demonstrations(
-        reverse=chosen_directions(arguments),
+        arguments.agent,
+        view=arguments.view,
+        tracks=arguments.tracks,
+        karts=arguments.karts,
+        rivals=arguments.rivals,
+        substeps=arguments.substeps,
+        reverse=reverse_of(arguments.directions),
         seeds=range(arguments.first_seed, arguments.first_seed + arguments.seeds),
-        **values_of(arguments, DemosArguments, only=_PLANNED),
-        **values_of(arguments, RaceSettings, without=DemoPlan.decided),
+        **arguments.settings,
     )
 
 
-def _finish(arguments: argparse.Namespace, demos: Demonstrations, file: Path) -> int:
-    from stkzoo.evaluation import check_demonstrations, to_minari
-
+def _finish(arguments: DemosArguments, demos: Demonstrations, name: str, file: Path) -> int:
     where, how = str(file), f"stkzoo.evaluation.load_demonstrations({str(file)!r})"
     if arguments.format == "minari":
-        to_minari(demos, arguments.output)
+        to_minari(demos, name)
         file.unlink()
-        where, how = arguments.output, f"minari.load_dataset({arguments.output!r})"
+        where, how = name, f"minari.load_dataset({name!r})"
     finished = sum(facts.finish_time is not None for facts in demos.facts)
     print(
         f"{where}: {len(demos)} drives ({finished} finished), {demos.num_steps:,} steps, view "

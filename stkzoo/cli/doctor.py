@@ -10,19 +10,15 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
-import ctypes.util
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from importlib import metadata
-from importlib.util import find_spec
 from pathlib import Path
 
 from stkzoo._installation import (
@@ -31,14 +27,17 @@ from stkzoo._installation import (
     library_remedy,
     pip_install,
 )
+from stkzoo._os import DISPLAY_VARIABLES, has_display
 from stkzoo._python import python_command
 from stkzoo._temporary import TemporaryFolder
+from stkzoo.cli._console import say, show_table
 from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
+from stkzoo.engine.fork_client import can_fork
 from stkzoo.engine.process import engine_environment
-from stkzoo.errors import AssetError
-
-_GRAPHICS_REMEDY = "sudo apt install libegl1 libgl1 libgl1-mesa-dri"
+from stkzoo.engine.render_session import GRAPHICS_PACKAGES, missing_graphics_libraries
+from stkzoo.errors import AssetError, ConfigError
+from stkzoo.render.encoder import find_ffmpeg
 
 _SANDBOX_REMEDY = (
     "install bubblewrap 0.8 or later (sudo apt install bubblewrap) and allow user namespaces, see "
@@ -53,16 +52,24 @@ print("tracks:", *pystk2.list_tracks(pystk2.RaceConfig.RaceMode.NORMAL_RACE))
 
 #: Time limit for the engine's start [s], which normally takes 0.5 s.
 _PROBE_LIMIT = 60.0
+#: Files of graphics drivers.
+_DRIVERS = ("dri/*_dri.so", "*/dri/*_dri.so", "libnvidia-eglcore*", "*/libnvidia-eglcore*")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments."""
-    parser.add_argument("--json", action="store_true", help="write JSON instead of a table")
+@dataclass
+class DoctorArguments:
+    """Options of ``stkzoo doctor``.
+
+    Attributes:
+        json: write JSON instead of a table
+    """
+
+    json: bool = False
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: DoctorArguments) -> int:
     """Runs all checks and shows the findings."""
-    findings = _diagnose()
+    findings = list(_diagnose())
     ready = all(finding.ok for finding in findings if finding.required)
     if arguments.json:
         report = {"ready": ready, "checks": [asdict(finding) for finding in findings]}
@@ -73,8 +80,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write_table(findings: list[Finding], ready: bool) -> None:
-    from stkzoo.cli._console import say, show_table
-
     rows, styles = [], []
     remedies: dict[str, list[str]] = {}
     for finding in findings:
@@ -125,48 +130,42 @@ class NotFound(Exception):
 
     def __init__(self, found: str, remedy: str = "") -> None:
         super().__init__(found)
-        self.found, self.remedy = found, remedy
+        self.remedy = remedy
 
 
-def _diagnose() -> list[Finding]:
+#: Names of the checks without whose features headless races cannot run.
+_REQUIRED = ("Python", "engine", "race data", "engine starts")
+
+
+def _diagnose() -> Iterator[Finding]:
     """Runs all checks, in the order in which to fix problems."""
     # The variable overrides installed data, so users must unset it first.
     prefix = f"unset {DATADIR_VARIABLE}; " if os.environ.get(DATADIR_VARIABLE) else ""
     install = f"{prefix}stkzoo assets install"
-    return [
-        _look("Python", _python, "install Python 3.10 or newer", required=True),
-        _look("engine", _engine, pip_install("PySuperTuxKart2"), required=True),
-        _look("race data", _race_data, install, required=True),
-        _look("engine starts", partial(_start, install), install, required=True),
-        _look("headless pack", partial(_pack, f"{prefix}stkzoo assets pack"), install),
-        _look("full data", _full_data, install),
-        _look("fork", _fork, "use Linux"),
-        _look("sandbox of agents", _sandbox, _SANDBOX_REMEDY),
-        _look("3D graphics", _graphics, _GRAPHICS_REMEDY),
-        _look("display", _display, "run in a graphical session, or under xvfb-run"),
-        _look("ffmpeg", _ffmpeg, install_command("record")),
-        *(
-            _look(f"extra [{extra}]", partial(_extra, names), install_command(extra))
-            for extra, names in _extras().items()
-        ),
+    checks: list[tuple[str, Callable[[], str], str]] = [
+        ("Python", _python, "install Python 3.10 or newer"),
+        ("engine", _engine, pip_install("PySuperTuxKart2")),
+        ("race data", _race_data, install),
+        ("engine starts", partial(_start, install), install),
+        ("headless pack", _pack, f"{prefix}stkzoo assets pack"),
+        ("full data", _full_data, install),
+        ("fork", _fork, "use Linux"),
+        ("sandbox of agents", _sandbox, _SANDBOX_REMEDY),
+        ("3D graphics", _graphics, f"sudo apt install {GRAPHICS_PACKAGES}"),
+        ("display", _display, "run in a graphical session, or under xvfb-run"),
+        ("ffmpeg", _ffmpeg, install_command("record")),
     ]
-
-
-def _look(name: str, find: Callable[[], str], remedy: str, *, required: bool = False) -> Finding:
-    """Runs a check and returns its finding.
-
-    Args:
-        name: name of the checked feature.
-        find: the check. It returns what it found, or raises NotFound or AssetError.
-        remedy: default fix.
-        required: whether headless races need the feature.
-    """
-    try:
-        return Finding(name, True, find(), "", required)
-    except NotFound as problem:
-        return Finding(name, False, problem.found, problem.remedy or remedy, required)
-    except AssetError as error:
-        return Finding(name, False, str(error).splitlines()[0], remedy, required)
+    for extra, requirements in extra_requirements().items():
+        if extra not in ("all", "dev", "docs"):
+            check = partial(_extra, [re.split(r"[^\w.-]", text)[0] for text in requirements])
+            checks.append((f"extra [{extra}]", check, install_command(extra)))
+    for name, find, remedy in checks:
+        required = name in _REQUIRED
+        try:
+            yield Finding(name, True, find(), "", required)
+        except (AssetError, NotFound) as problem:
+            better = getattr(problem, "remedy", "")
+            yield Finding(name, False, str(problem).splitlines()[0], better or remedy, required)
 
 
 def _python() -> str:
@@ -226,13 +225,12 @@ def _probe(program: str, variables: Mapping[str, str]) -> tuple[int, str]:
 
 
 def _last_line(text: str) -> str:
-    lines = text.strip().splitlines()
-    return lines[-1] if lines else "it wrote nothing"
+    return (text.strip().splitlines() or ["it wrote nothing"])[-1]
 
 
-def _pack(build: str) -> str:
+def _pack() -> str:
     if not find_assets().headless:
-        raise NotFound("not in use: races start slower", build)
+        raise NotFound("not in use: races start slower")
     return "in use: races start faster"
 
 
@@ -242,7 +240,7 @@ def _full_data() -> str:
 
 
 def _fork() -> str:
-    if not (hasattr(os, "fork") and sys.platform.startswith("linux")):
+    if not can_fork():
         raise NotFound("each race starts a new game process")
     return "races start in milliseconds"
 
@@ -254,45 +252,27 @@ def _sandbox() -> str:
 
 
 def _graphics() -> str:
-    if not sys.platform.startswith("linux"):
+    if sys.platform != "linux":
         return "the system's own"
-    missing = [f"lib{name}" for name in ("EGL", "GL") if ctypes.util.find_library(name) is None]
-    if not _graphics_drivers():
-        missing.append("Mesa driver")
-    if missing:
+    folders = (Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/local/lib"))
+    has_driver = any(any(folder.glob(name)) for folder in folders for name in _DRIVERS)
+    if missing := [*missing_graphics_libraries(), *([] if has_driver else ["Mesa driver"])]:
         raise NotFound(f"no {', no '.join(missing)}")
     return "libEGL, libGL and a driver"
 
 
-def _graphics_drivers() -> list[Path]:
-    folders = (Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/local/lib"))
-    patterns = ("dri/*_dri.so", "*/dri/*_dri.so", "libnvidia-eglcore*", "*/libnvidia-eglcore*")
-    return [path for folder in folders for pattern in patterns for path in folder.glob(pattern)]
-
-
 def _display() -> str:
-    if not sys.platform.startswith("linux"):
-        return "the system's own"
-    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
-        if os.environ.get(variable):
-            return f"{variable}={os.environ[variable]}"
-    raise NotFound("none: no live window, pictures and videos only")
+    if not has_display():
+        raise NotFound("none: no live window, pictures and videos only")
+    named = [f"{name}={os.environ[name]}" for name in DISPLAY_VARIABLES if os.environ.get(name)]
+    return named[0] if named else "the system's own"
 
 
 def _ffmpeg() -> str:
-    path = shutil.which("ffmpeg")
-    if path is None and find_spec("imageio_ffmpeg") is None:
-        raise NotFound("none: no videos")
-    return path or "the one in imageio-ffmpeg"
-
-
-def _extras() -> dict[str, list[str]]:
-    """Returns the libraries of each extra, except the extras for developers and ``all``."""
-    return {
-        extra: [re.split(r"[^\w.-]", requirement)[0] for requirement in requirements]
-        for extra, requirements in extra_requirements().items()
-        if extra not in ("all", "dev", "docs")
-    }
+    try:
+        return find_ffmpeg()
+    except ConfigError:
+        raise NotFound("none: no videos") from None
 
 
 def _extra(names: list[str]) -> str:

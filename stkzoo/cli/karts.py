@@ -10,17 +10,26 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
+import json
 import re
 from dataclasses import asdict, dataclass
-from pathlib import Path
+
+from stkzoo.cli._console import show_table
+from stkzoo.engine.assets import find_assets
+from stkzoo.wrappers.control.kart import KARTS
 
 _ATTRIBUTE = r"<kart\b[^>]*?\b{}\s*=\s*\"([^\"]*)\""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments."""
-    parser.add_argument("--json", action="store_true", help="write JSON instead of a table")
+@dataclass
+class KartsArguments:
+    """Options of ``stkzoo karts``.
+
+    Attributes:
+        json: write JSON instead of a table
+    """
+
+    json: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,13 +53,10 @@ class KartFacts:
 
 def kart_facts() -> list[KartFacts]:
     """Returns facts about all karts in the game's data, sorted by name."""
-    from stkzoo.engine.assets import find_assets
-    from stkzoo.wrappers.control.kart import KARTS
-
     assets = find_assets()
     facts = []
     for kart in sorted(assets.karts):
-        file = Path(assets.root) / "data" / "karts" / kart / "kart.xml"
+        file = assets.root / "data" / "karts" / kart / "kart.xml"
         text = file.read_text("utf-8", errors="replace") if file.exists() else ""
         wheel_base, angle = KARTS.get(kart, (None, None))
         facts.append(KartFacts(kart, _read(text, "name"), _read(text, "type"), wheel_base, angle))
@@ -62,16 +68,12 @@ def _read(text: str, attribute: str) -> str:
     return found[1] if found else "?"
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: KartsArguments) -> int:
     """Prints a table or JSON."""
     facts = kart_facts()
     if arguments.json:
-        import json
-
         print(json.dumps([asdict(fact) for fact in facts], indent=2))
         return 0
-    from stkzoo.cli._console import show_table
-
     columns = ("kart", "name", "weight", "wheel base [m]", "full lock [rad]")
     rows = []
     for fact in facts:

@@ -13,43 +13,50 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
-from stkzoo._arguments import CommandParser
-from stkzoo.cli._arguments import add_actions, usage_errors
+from stkzoo._arguments import positional
+from stkzoo.race.remote import new_key_files, read_public, read_publics
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    new, show = add_actions(parser, _new, _show)
-    new.add_argument("name", metavar="NAME", help="name of the two files, without the ending")
-    new.add_argument(
-        "--folder",
-        type=Path,
-        default=Path(),
-        metavar="FOLDER",
-        help="folder of the two files (default: the current one)",
-    )
-    show.add_argument("file", type=Path, metavar="FILE", help="a .secret or .public file")
+@dataclass
+class NewKeyArguments:
+    """Options of ``stkzoo keys new``.
+
+    Attributes:
+        name: name of the two files, without the ending
+        folder: folder of the two files (default: the current one)
+    """
+
+    name: str = positional()
+    folder: Path = Path()
 
 
-@usage_errors
-def _new(arguments: argparse.Namespace) -> int:
+@dataclass
+class ShowKeyArguments:
+    """Options of ``stkzoo keys show``.
+
+    Attributes:
+        file: a .secret or .public file
+    """
+
+    file: Path = positional()
+
+
+def _new(arguments: NewKeyArguments) -> int:
     """Make a key pair."""
-    from stkzoo.race.remote import new_key_files, read_public
-
     secret, public = new_key_files(arguments.name, arguments.folder)
     print(f"{secret}  keep it secret")
     print(f"{public}  give it to the others; its text: {read_public(public)}")
     return 0
 
 
-@usage_errors
-def _show(arguments: argparse.Namespace) -> int:
+def _show(arguments: ShowKeyArguments) -> int:
     """Show the public key of a key file."""
-    from stkzoo.race.remote import read_publics
-
     for key, name in read_publics([arguments.file]).items():
         print(f"public {key} {name}".rstrip())
     return 0
+
+
+ACTIONS = (_new, _show)

@@ -10,8 +10,10 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from importlib import import_module
+
+from stkzoo._arguments import positional
 
 #: The league has its own parser, so this parser must not interpret any argument as an option.
 PARSER_OPTIONS = {"add_help": False, "prefix_chars": "\0"}
@@ -20,11 +22,13 @@ PARSER_OPTIONS = {"add_help": False, "prefix_chars": "\0"}
 _LEAGUE = "stkzoo.agents.training.league.league"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the arguments."""
-    parser.add_argument("words", nargs="*")
+@dataclass
+class LeagueWords:
+    """The words after ``stkzoo league``."""
+
+    words: tuple[str, ...] = positional(())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: LeagueWords) -> int:
     """Runs the league's own command line."""
-    return int(import_module(_LEAGUE).main(arguments.words))
+    return int(import_module(_LEAGUE).main(list(arguments.words)))

@@ -19,36 +19,21 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
 import random
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED, usage_errors
-from stkzoo.cli._race_options import add_replay_options, replay_listeners
+from stkzoo._arguments import option, options_of, positional
+from stkzoo.cli._process import AGENT_FAILED, INTERRUPTED
+from stkzoo.cli._race_options import replay_listeners, replay_option
+from stkzoo.cli._race_report import show_race
 from stkzoo.errors import ConfigError
-from stkzoo.race import RaceSettings
+from stkzoo.play import play_race
+from stkzoo.race import RaceInterrupted, RaceSettings
 
 #: Default view and rate of a dataset, those of supertuxkart/flattened_discrete-v0; and the default
 #: rate without a dataset.
 _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
-_DECIDED = ("seed",)
-
-
-@dataclass
-class PlayArguments:
-    """Options of ``stkzoo play``.
-
-    Attributes:
-        opponents: the other drivers
-        name: your name
-        seed: seed of all random choices (default: a new one each time)
-    """
-
-    opponents: tuple[str, ...] = positional((), metavar="DRIVER")
-    name: str = "you"
-    seed: int | None = None
 
 
 @dataclass
@@ -85,33 +70,38 @@ class PlayDatasetArguments:
     view: str | None = None
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    add_options(parser, PlayArguments)
-    add_options(parser, PlayWindowArguments, group="window")
-    add_options(parser, PlayDatasetArguments, group="output")
-    add_options(parser, RaceSettings, without=_DECIDED, group="race")
-    add_replay_options(parser)
-    parser.set_defaults(races=1)
+@dataclass
+class PlayArguments:
+    """Options of ``stkzoo play``.
+
+    Attributes:
+        opponents: the other drivers
+        name: your name
+        seed: seed of all random choices (default: a new one each time)
+    """
+
+    opponents: tuple[str, ...] = positional((), metavar="DRIVER")
+    name: str = "you"
+    seed: int | None = None
+    window: PlayWindowArguments = options_of(PlayWindowArguments, group="window")
+    recording: PlayDatasetArguments = options_of(PlayDatasetArguments, group="output")
+    settings: dict[str, Any] = options_of(RaceSettings, without=("seed",), group="race")
+    replay: str | None = replay_option()
 
 
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: PlayArguments) -> int:
     """Opens the window and runs the race."""
-    from stkzoo.cli._race_report import show_race
-    from stkzoo.play import play_race
-    from stkzoo.race import RaceInterrupted
-
+    window = arguments.window
     try:
         result = play_race(
             arguments.opponents or ("ai", "ai", "ai"),
             name=arguments.name,
-            backend="map" if arguments.map else "engine" if arguments.is_3d else "auto",
-            size=(arguments.width, arguments.height),
-            listeners=replay_listeners(arguments),
+            backend="map" if window.map else "engine" if window.is_3d else "auto",
+            size=(window.width, window.height),
+            listeners=replay_listeners(arguments.replay),
             seed=random.randrange(2**16) if arguments.seed is None else arguments.seed,
-            **_recording(arguments),
-            **values_of(arguments, RaceSettings, without=_DECIDED),
+            **_recording(arguments.recording, window.rate),
+            **arguments.settings,
         )
     except RaceInterrupted as interrupt:
         show_race(interrupt.result)
@@ -120,13 +110,13 @@ def run(arguments: argparse.Namespace) -> int:
     return AGENT_FAILED if result.has_errors else 0
 
 
-def _recording(arguments: argparse.Namespace) -> dict[str, Any]:
-    if arguments.dataset is None:
-        if arguments.view is not None:
+def _recording(recording: PlayDatasetArguments, rate: int | None) -> dict[str, Any]:
+    if recording.dataset is None:
+        if recording.view is not None:
             raise ConfigError("--view is the view of a dataset; give --dataset too")
-        return {"rate": _RATE if arguments.rate is None else arguments.rate}
+        return {"rate": _RATE if rate is None else rate}
     return {
-        "rate": _DATASET_RATE if arguments.rate is None else arguments.rate,
-        "view": arguments.view or _DATASET_VIEW,
-        "dataset": arguments.dataset,
+        "rate": _DATASET_RATE if rate is None else rate,
+        "view": recording.view or _DATASET_VIEW,
+        "dataset": recording.dataset,
     }

@@ -16,66 +16,108 @@ import json
 import logging
 import sys
 from collections.abc import Sequence
-from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
-from stkzoo._arguments import CommandParser
+from stkzoo._arguments import CommandParser, changed_options, option, options_of
 from stkzoo._os import has_display
 from stkzoo.cli import race, race_client, race_server
-from stkzoo.cli._arguments import add_actions
-from stkzoo.cli._race_options import LivePageArguments, VideoArguments
+from stkzoo.cli._race_options import LivePageArguments, VideoArguments, ViewingArguments
 from stkzoo.errors import AgentError
+from stkzoo.race import RaceListener, RaceResult, RaceSettings
 
-if TYPE_CHECKING:
-    from stkzoo.race import RaceResult
 
-#: Defaults of pystk2-gymnasium that differ from those of `stkzoo race`.
-_DEFAULTS = {
-    "num_karts": 3,
-    "error_handling": "raise",
-    "action_timeout": 0.0,
-    "width": 1280,
-    "height": 720,
-    "render_sub_steps": 1,
-    "web_port": 8050,
-}
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReferenceSettings(RaceSettings):
+    """Settings of a race, with the defaults of pystk2-gymnasium."""
 
-#: Names of pystk2-gymnasium's options, and the corresponding values of `stkzoo race`.
-_NAMES = {"--record": "video", "--screen-width": "width", "--screen-height": "height"}
+    error_handling: str = "raise"
+    action_timeout: float | None = 0.0
+
+
+@dataclass
+class ReferenceVideoArguments(VideoArguments):
+    """Options of a video, with the names and defaults of pystk2-gymnasium."""
+
+    video: str | None = option(aliases=("--record",))
+    width: int = option(1280, aliases=("--screen-width",))
+    height: int = option(720, aliases=("--screen-height",))
+    render_sub_steps: int = 1
+
+
+@dataclass
+class ReferencePageArguments(LivePageArguments):
+    """Options of the live page, with the defaults of pystk2-gymnasium."""
+
+    web_port: int = 8050
+
+
+@dataclass
+class ReferenceViewingArguments(ViewingArguments):
+    """See :class:`ReferenceVideoArguments`."""
+
+    video: ReferenceVideoArguments = options_of(ReferenceVideoArguments, group="video")
+    page: ReferencePageArguments = options_of(
+        ReferencePageArguments, group="live page in the browser"
+    )
+
+
+@dataclass
+class ReferenceRacesArguments(race.RacesArguments):
+    """Options of races, with the names and defaults of pystk2-gymnasium."""
+
+    settings: dict[str, Any] = options_of(ReferenceSettings, without=("seed",), group="race")
+    num_karts: int | None = 3
+    viewing: ReferenceViewingArguments = options_of(ReferenceViewingArguments)
+
+
+@dataclass
+class ReferenceRaceArguments(ReferenceRacesArguments, race.RaceArguments):
+    """Options of ``stkzoo pystk2 race``."""
+
+
+@dataclass
+class ReferenceServersArguments(race_client.ServersArguments):
+    """Options of the connection to servers, with the defaults of pystk2-gymnasium."""
+
+    timeout: float | None = 60.0
+
+
+@dataclass
+class ReferenceClientArguments(ReferenceRacesArguments, race_client.RaceClientArguments):
+    """Options of ``stkzoo pystk2 race-client``."""
+
+    servers: ReferenceServersArguments = options_of(ReferenceServersArguments, group="servers")
+
+
+@dataclass
+class ReferenceServerArguments(race_server.RaceServerArguments):
+    """Options of ``stkzoo pystk2 race-server``."""
+
+    settings: dict[str, Any] = options_of(
+        ReferenceSettings, only=race_server.SETTINGS, group="agents"
+    )
+
+
+class _Verbose(argparse.Action):
+    def __call__(self, *_: object) -> None:
+        logging.basicConfig(level=logging.DEBUG)
 
 
 def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    parser.add_argument("-v", "--verbose", action="store_true", help="log what happens")
-    local, server, client = add_actions(parser, _race, _race_server, _race_client)
-    race.add_arguments(local)
-    race_client.add_arguments(client)
-    race_server.add_arguments(server)
-    for child in (local, client):
-        for name, field in _NAMES.items():
-            kind = str if field == "video" else int
-            child.add_argument(name, dest=field, type=kind, help=argparse.SUPPRESS)
-        child.set_defaults(**_DEFAULTS, document=_document)
-    client.set_defaults(timeout=60.0)
-    server.set_defaults(action_timeout=0.0)
+    """Declares the option before the action."""
+    parser.add_argument("-v", "--verbose", action=_Verbose, nargs=0, help="log what happens")
 
 
-def _race(arguments: argparse.Namespace) -> int:
+def _race(arguments: ReferenceRaceArguments) -> int:
     """Run a race of agents.
 
     Runs a race of agents. `stkzoo race --help` describes the drivers.
     """
-    _translate(arguments)
-    return race.run(arguments)
+    return race.run(arguments, **_outputs(arguments))
 
 
-def _race_client(arguments: argparse.Namespace) -> int:
-    """Run a race with agents on servers."""
-    _translate(arguments)
-    return race_client.run(arguments)
-
-
-def _race_server(arguments: argparse.Namespace) -> int:
+def _race_server(arguments: ReferenceServerArguments) -> int:
     """Serve agents to races on this or other machines.
 
     Serves agents to races on this or other machines. `stkzoo race-server --help` describes the
@@ -84,36 +126,40 @@ def _race_server(arguments: argparse.Namespace) -> int:
     return race_server.run(arguments)
 
 
-def _translate(arguments: argparse.Namespace) -> None:
-    """Converts options to those of ``stkzoo race``, and prints notes about differences."""
-    from stkzoo.race import RaceListener
+def _race_client(arguments: ReferenceClientArguments) -> int:
+    """Run a race with agents on servers."""
+    return race_client.run(arguments, **_outputs(arguments))
 
-    class ReferenceReward(RaceListener):
-        def env_options(self) -> dict[str, Any]:
-            return {"reward": "reference"}
 
-    if arguments.replay is None:  # replays are checked with stkzoo's own reward
-        arguments.listeners = (ReferenceReward(),)
-    if arguments.verbose:
-        logging.basicConfig(level=logging.DEBUG)
-    notes = []
-    for kind, needed, is_used in (
-        (VideoArguments, "--video", arguments.video is not None),
-        (LivePageArguments, "--web", arguments.web),
-    ):
-        for entry in () if is_used else fields(kind):
-            if getattr(arguments, entry.name) not in (entry.default, _DEFAULTS.get(entry.name)):
-                option = "--" + entry.name.replace("_", "-")
-                notes.append(f"{option} does nothing without {needed}")
-            setattr(arguments, entry.name, entry.default)
-    arguments.window = arguments.window or (not arguments.hide and has_display())
-    if not (arguments.hide or arguments.window):
+ACTIONS = (_race, _race_server, _race_client)
+
+
+class _ReferenceReward(RaceListener):
+    def env_options(self) -> dict[str, Any]:
+        return {"reward": "reference"}
+
+
+def _outputs(arguments: ReferenceRacesArguments) -> dict[str, Any]:
+    """Returns the outputs of races, and prints notes about differences to pystk2-gymnasium."""
+    viewing, notes = arguments.viewing, []
+    for options, needed in viewing.unused():
+        notes += [f"{name} does nothing without {needed}" for name in changed_options(options)]
+    viewing.video = viewing.video if viewing.video.video else ReferenceVideoArguments()
+    viewing.page = viewing.page if viewing.page.web else ReferencePageArguments()
+    window = viewing.window
+    window.window = window.window or (not window.hide and has_display())
+    if not (window.hide or window.window):
         notes.append("no window opens, because there is no display")
     if notes:
         print(f"stkzoo pystk2: {'; '.join(notes)}", file=sys.stderr)
+    # Replays are checked with stkzoo's own reward.
+    return {
+        "document": _document,
+        "listeners": [_ReferenceReward()] if arguments.replay is None else [],
+    }
 
 
-def _document(results: Sequence[RaceResult], failure: AgentError | None, _: object) -> str:
+def _document(results: Sequence[RaceResult], failure: AgentError | None) -> str:
     """Returns the last race's result, or the error that ended it, in pystk2-gymnasium's format."""
     return json.dumps(_failed(failure) if failure else _finished(results[-1]), indent=2)
 

@@ -29,29 +29,34 @@ exit codes:
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import os
 import random
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
+from stkzoo._arguments import option, options_of, positional
 from stkzoo._os import check_writable, write_whole
-from stkzoo.cli import _race_options
-from stkzoo.cli._arguments import AGENT_FAILED, INTERRUPTED, usage_errors
-from stkzoo.cli._process import writing_stdout
+from stkzoo.cli._process import AGENT_FAILED, INTERRUPTED, writing_stdout
+from stkzoo.cli._race_options import ViewingArguments, replay_listeners, replay_option
+from stkzoo.cli._race_report import LoadCheck, RaceBar, show_race, show_series
 from stkzoo.drivers.failures import in_words
 from stkzoo.errors import AgentError, ConfigError, StkzooError
-from stkzoo.race import RaceSettings
+from stkzoo.race import (
+    SCHEMA_VERSION,
+    Driver,
+    RaceInterrupted,
+    RaceListener,
+    RaceResult,
+    RaceSettings,
+    run_race,
+)
+from stkzoo.race.listeners import ExpendableListener, ResultKeeper
 
-if TYPE_CHECKING:
-    from stkzoo.race import Driver, RaceResult
-
-_NEXT_STEPS = """\
+_NEXT_STEPS = """
 Where to go next:
   another race      stkzoo race pretrained:zenith ai:3 ai:3 ai:3 --seed 2
   your own driver   stkzoo new my_agent
@@ -61,9 +66,7 @@ Where to go next:
 """
 
 _DEMO_DRIVERS = ("pretrained:zenith", "ai:3", "ai:3", "ai:3")
-_DEMO_TRACK = "lighthouse"
-_DEMO_SEED = 17
-_DECIDED = ("seed",)
+_DEMO_TRACK, _DEMO_SEED = "lighthouse", 17
 
 
 @dataclass
@@ -71,6 +74,7 @@ class RacesArguments:
     """Options of commands that run races of named drivers.
 
     Attributes:
+        drivers: the drivers; see above
         num_karts: add karts of the game's AI until there are N karts
         races: number of races; their seeds are consecutive
         seed: seed of all random choices (default: a new one each time)
@@ -78,67 +82,76 @@ class RacesArguments:
         json: write only JSON to stdout
     """
 
+    drivers: tuple[str, ...] = positional((), metavar="DRIVER")
+    settings: dict[str, Any] = options_of(RaceSettings, without=("seed",), group="race")
     num_karts: int | None = option(group="race")
     races: int = option(1, group="race")
     seed: int | None = option(group="race")
     output: str | None = option(metavar="FILE", group="output")
     json: bool = option(False, group="output")
+    replay: str | None = replay_option()
+    viewing: ViewingArguments = options_of(ViewingArguments)
 
 
 @dataclass
-class RaceArguments:
-    """Options of ``stkzoo race`` alone.
+class RaceArguments(RacesArguments):
+    """Options of ``stkzoo race``.
 
     Attributes:
-        drivers: the drivers; see above
         demo: a demonstration: a learned driver against three karts of the AI
     """
 
-    drivers: tuple[str, ...] = positional((), metavar="DRIVER")
     demo: bool = False
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    add_options(parser, RaceArguments)
-    add_race_options(parser)
-
-
-def add_race_options(parser: CommandParser) -> None:
-    """Adds all options of a race except its drivers."""
-    add_options(parser, RaceSettings, without=_DECIDED, group="race")
-    add_options(parser, RacesArguments)
-    _race_options.add_replay_options(parser)
-    _race_options.add_viewing_options(parser)
-    parser.set_defaults(document=_document, listeners=())
-
-
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
-    """Runs races of the named drivers."""
-    return run_races(arguments)
-
-
-def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> int:
-    """Runs the races that the options of :func:`add_race_options` describe.
+def run(arguments: RaceArguments, **outputs: Any) -> int:
+    """Runs races of the named drivers.
 
     Args:
-        arguments: these options, ``drivers`` and ``demo``.
-        remote: additional drivers, which get the first karts.
+        arguments: the options.
+        **outputs: as for :func:`run_races`.
+    """
+    if not arguments.demo:
+        return run_races(arguments, arguments.drivers, **outputs)
+    if arguments.drivers:
+        raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
+    arguments.settings["track"] = arguments.settings["track"] or _DEMO_TRACK
+    arguments.seed = _DEMO_SEED if arguments.seed is None else arguments.seed
+    code = run_races(arguments, _DEMO_DRIVERS, **outputs)
+    if code == 0 and not arguments.json:
+        print(_NEXT_STEPS, end="")
+    return code
+
+
+def run_races(
+    arguments: RacesArguments,
+    drivers: Sequence[str | Driver],
+    *,
+    document: Callable[[Sequence[RaceResult], AgentError | None], str] | None = None,
+    listeners: Sequence[RaceListener] = (),
+) -> int:
+    """Runs the races that options describe.
+
+    Args:
+        arguments: the options.
+        drivers: the drivers.
+        document: returns the JSON for ``--output`` and ``--json`` of the results and the error that
+            ended the last race; empty for none.
+        listeners: further listeners of the races.
 
     Returns:
         The exit code.
     """
-    from stkzoo.race import RaceInterrupted
-
     results: list[RaceResult] = []
     problems: list[Exception] = []
     failure: AgentError | None = None
     code = 0
     try:
         with _prints_on_stderr() if arguments.json else contextlib.nullcontext():
-            for drivers, settings in _plan(arguments, remote):
-                results.append(_race(drivers, settings, arguments, problems))
+            drivers, seed = _plan(arguments, drivers)
+            for number in range(arguments.races):
+                settings = {**arguments.settings, "seed": seed + number}
+                results.append(_race(drivers, settings, arguments, listeners, problems))
     except AgentError as error:
         print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
         code, failure = AGENT_FAILED, error
@@ -155,10 +168,12 @@ def run_races(arguments: argparse.Namespace, remote: Sequence[Driver] = ()) -> i
         if not results:
             raise
         problems.append(error)
-    reported = _report(results, failure, arguments, problems)
+    text = document(results, failure) if document else _document(results, arguments.races)
+    _report(results, text, arguments, problems)
     for problem in problems:
         print(f"stkzoo: {in_words(problem)}", file=sys.stderr)
-    return code or (1 if problems else reported)
+    has_failed = any(result.has_errors for result in results)
+    return code or (1 if problems else AGENT_FAILED if has_failed else 0)
 
 
 @contextlib.contextmanager
@@ -175,42 +190,35 @@ def _prints_on_stderr() -> Iterator[None]:
 
 
 def _plan(
-    arguments: argparse.Namespace, remote: Sequence[Driver]
-) -> list[tuple[list[str | Driver], dict[str, Any]]]:
-    """Returns the drivers and the settings of :func:`stkzoo.race.run_race` for each race.
+    arguments: RacesArguments, drivers: Sequence[str | Driver]
+) -> tuple[list[str | Driver], int]:
+    """Returns the drivers of all karts, and the seed of the first race.
 
     Raises:
         ConfigError: the options are invalid.
     """
-    if arguments.demo and arguments.drivers:
-        raise ConfigError("--demo brings its own drivers; leave out --demo or the drivers")
     if arguments.output is not None:
         check_writable(arguments.output, "the result")
-    outputs = [arguments.output, arguments.replay, arguments.video]
+    outputs = [arguments.output, arguments.replay, arguments.viewing.video.video]
     for file in filter(None, outputs):
         if outputs.count(file) > 1:
             raise ConfigError(f"{file!r} is named for two outputs; give each a file of its own")
     if arguments.races < 1:
         raise ConfigError(f"--races is {arguments.races}, expected 1 or more")
-    drivers = [*remote, *(_DEMO_DRIVERS if arguments.demo else arguments.drivers)]
     if not drivers:
         raise ConfigError("no drivers; name some, such as heuristic ai, or try --demo")
     num_karts = len(drivers) if arguments.num_karts is None else arguments.num_karts
     if num_karts < len(drivers):
         raise ConfigError(f"--num-karts is {num_karts}, but {len(drivers)} drivers are named")
-    drivers += ["ai"] * (num_karts - len(drivers))
-    settings, seed = values_of(arguments, RaceSettings, without=_DECIDED), arguments.seed
-    if seed is None:
-        seed = _DEMO_SEED if arguments.demo else random.randrange(2**16)
-    if arguments.demo:
-        settings["track"] = settings["track"] or _DEMO_TRACK
-    return [(drivers, {**settings, "seed": seed + number}) for number in range(arguments.races)]
+    seed = random.randrange(2**16) if arguments.seed is None else arguments.seed
+    return [*drivers, *["ai"] * (num_karts - len(drivers))], seed
 
 
 def _race(
-    drivers: list[str | Driver],
+    drivers: Sequence[str | Driver],
     settings: dict[str, Any],
-    arguments: argparse.Namespace,
+    arguments: RacesArguments,
+    listeners: Sequence[RaceListener],
     problems: list[Exception],
 ) -> RaceResult:
     """Runs one race.
@@ -219,20 +227,16 @@ def _race(
         drivers: the drivers.
         settings: settings of the race.
         arguments: the options, which name the outputs.
+        listeners: further listeners.
         problems: list to which errors are appended that only affect an output, not the result.
     """
-    from stkzoo.cli._race_report import LoadCheck, RaceBar
-    from stkzoo.race import RaceInterrupted, run_race
-    from stkzoo.race.listeners import ExpendableListener, ResultKeeper
-
     with RaceBar() as bar:
-        replay = _race_options.replay_listeners(arguments)
-        shown = _race_options.viewing_listeners(arguments)
+        replay = replay_listeners(arguments.replay, arguments.races)
+        shown = arguments.viewing.listeners(arguments.races)
         outputs = [ExpendableListener(listener) for listener in (bar, *replay, *shown)]
         keeper = ResultKeeper()
-        listeners = [keeper, LoadCheck(), *outputs, *arguments.listeners]
         try:
-            run_race(drivers, listeners=listeners, **settings)
+            run_race(drivers, listeners=[keeper, LoadCheck(), *outputs, *listeners], **settings)
         except KeyboardInterrupt as interrupt:
             if keeper.result is None:
                 raise
@@ -247,24 +251,16 @@ def _race(
 
 
 def _report(
-    results: Sequence[RaceResult],
-    failure: AgentError | None,
-    arguments: argparse.Namespace,
-    problems: list[Exception],
-) -> int:
+    results: Sequence[RaceResult], text: str, arguments: RacesArguments, problems: list[Exception]
+) -> None:
     """Writes and shows the results, even if one of the two fails.
 
     Args:
         results: results of the races.
-        failure: error that ended the last race.
+        text: the same as JSON; empty for none.
         arguments: the options.
         problems: list to which errors are appended.
-
-    Returns:
-        The exit code: 3 if an agent failed, otherwise 0.
     """
-    code = AGENT_FAILED if any(result.has_errors for result in results) else 0
-    text = arguments.document(results, failure, arguments)
     try:
         if arguments.output and text:
             with write_whole(arguments.output, "the result", StkzooError) as part:
@@ -275,34 +271,20 @@ def _report(
         with writing_stdout():
             if arguments.json:
                 print(text, end="\n" if text else "")
+            elif arguments.races > 1 and results:
+                show_series(results)
             elif results:
-                _show(results, arguments)
+                show_race(results[0])
     except StkzooError as error:
         problems.append(error)
-    return code
 
 
-def _show(results: Sequence[RaceResult], arguments: argparse.Namespace) -> None:
-    from stkzoo.cli._race_report import show_race, show_series
-
-    if arguments.races > 1:
-        show_series(results)
-    else:
-        show_race(results[0])
-    if arguments.demo:
-        print(f"\n{_NEXT_STEPS}", end="")
-
-
-def _document(
-    results: Sequence[RaceResult], _: AgentError | None, arguments: argparse.Namespace
-) -> str:
+def _document(results: Sequence[RaceResult], races: int) -> str:
     """Returns the JSON for ``--output`` and ``--json``; empty if no race ended."""
-    from stkzoo.race import SCHEMA_VERSION
-
     if not results:
         return ""
-    if arguments.races == 1:
+    if races == 1:
         return results[0].to_json()
-    races = [json.loads(result.to_json()) for result in results]
-    values = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": races}
+    series = [json.loads(result.to_json()) for result in results]
+    values = {"type": "race-series", "schema_version": SCHEMA_VERSION, "races": series}
     return json.dumps(values, indent=2)

@@ -19,17 +19,14 @@ exit codes:
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, option
-from stkzoo.cli._arguments import usage_errors
+from stkzoo._arguments import option, options_of, positional
+from stkzoo.cli.race import RacesArguments, run_races
 from stkzoo.errors import ConfigError
-
-if TYPE_CHECKING:
-    from stkzoo.race.remote import ServerAccess
+from stkzoo.race.remote import ServerAccess, read_servers
 
 
 @dataclass
@@ -46,28 +43,24 @@ class ServersArguments:
         connect_timeout: time limit for the connection to a server
     """
 
-    server: str | None = option(action="append", metavar="ADDRESS")
+    server: tuple[str, ...] | None = option(action="append", metavar="ADDRESS")
     servers: str | None = option(metavar="FILE")
-    server_key: str | None = option(action="append", metavar="KEY")
+    server_key: tuple[str, ...] | None = option(action="append", metavar="KEY")
     secret: str | None = option(metavar="FILE")
     timeout: float | None = option(metavar="SECONDS")
     connect_timeout: float = option(10.0, metavar="SECONDS")
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    from stkzoo.cli.race import add_race_options
+@dataclass
+class RaceClientArguments(RacesArguments):
+    """Options of ``stkzoo race-client``."""
 
-    parser.add_argument(
-        "drivers", nargs="*", metavar="DRIVER", help="drivers that run here, as in `stkzoo race`"
-    )
-    add_options(parser, ServersArguments, group="servers")
-    add_race_options(parser)
-    parser.set_defaults(demo=False)
+    drivers: tuple[str, ...] = positional((), help="drivers that run here, as in `stkzoo race`")
+    servers: ServersArguments = options_of(ServersArguments, group="servers")
 
 
-def server_access(arguments: argparse.Namespace) -> ServerAccess | None:
-    """Returns the access to servers from the options of :class:`ServersArguments`.
+def server_access(arguments: ServersArguments) -> ServerAccess | None:
+    """Returns the access to servers.
 
     Args:
         arguments: the options.
@@ -78,9 +71,7 @@ def server_access(arguments: argparse.Namespace) -> ServerAccess | None:
     Raises:
         ConfigError: the options contradict each other, or a file cannot be read.
     """
-    from stkzoo.race.remote import ServerAccess, read_servers
-
-    servers, keys = tuple(arguments.server or ()), tuple(arguments.server_key or ())
+    servers, keys = arguments.server or (), arguments.server_key or ()
     if arguments.servers is not None:
         if servers or keys:
             raise ConfigError("--servers lists servers and keys; leave out --server, --server-key")
@@ -91,13 +82,15 @@ def server_access(arguments: argparse.Namespace) -> ServerAccess | None:
     return ServerAccess(servers, keys, secret, arguments.timeout, arguments.connect_timeout)
 
 
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
-    """Connects to the servers and runs the race."""
-    from stkzoo.cli.race import run_races
+def run(arguments: RaceClientArguments, **outputs: Any) -> int:
+    """Connects to the servers and runs the race.
 
-    access = server_access(arguments)
+    Args:
+        arguments: the options.
+        **outputs: as for :func:`stkzoo.cli.race.run_races`.
+    """
+    access = server_access(arguments.servers)
     if access is None:
         raise ConfigError("no servers; give --server ADDRESS or --servers FILE")
     with access.connect() as group:
-        return run_races(arguments, group.drivers)
+        return run_races(arguments, [*group.drivers, *arguments.drivers], **outputs)

@@ -17,22 +17,21 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
 import logging
 import signal
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo.cli._arguments import usage_errors
+from stkzoo._arguments import option, options_of, positional
+from stkzoo.drivers.driver import check_adapter
+from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind, say_what_is_missing
 from stkzoo.errors import check_whole
-from stkzoo.race import RaceSettings
-
-if TYPE_CHECKING:
-    from stkzoo.race.remote import RaceServer
+from stkzoo.race import RaceSettings, find_driver
+from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
 
 logger = logging.getLogger(__name__)
-_SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "sandbox", "inline", "adapter")
+#: Settings of a race that a server decides.
+SETTINGS = ("action_timeout", "start_timeout", "agent_memory", "sandbox", "inline", "adapter")
 
 
 @dataclass
@@ -53,29 +52,24 @@ class RaceServerArguments:
     address: str = "tcp://127.0.0.1:5555"
     threads: int = 8
     secret: str | None = option(metavar="FILE")
-    allow: str | None = option(action="append", metavar="KEY")
+    allow: tuple[str, ...] | None = option(action="append", metavar="KEY")
     insecure: bool = False
     quiet: bool = False
+    settings: dict[str, Any] = options_of(RaceSettings, only=SETTINGS, group="agents")
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    add_options(parser, RaceServerArguments)
-    add_options(parser, RaceSettings, only=_SETTINGS, group="agents")
-
-
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: RaceServerArguments) -> int:
     """Serves until it is stopped."""
     logging.basicConfig(
         level=logging.WARNING if arguments.quiet else logging.INFO,
         format="%(asctime)s %(message)s",
         datefmt="%H:%M:%S",
     )
-    with _server(arguments) as server:
+    settings = RaceSettings(**arguments.settings)
+    with _server(arguments, settings) as server:
         signal.signal(signal.SIGTERM, lambda *_: server.stop())
         print(f"serving {', '.join(arguments.agents)} at {server.address}", flush=True)
-        logger.info("%s", _sandbox_of(arguments))
+        logger.info("%s", _sandbox_of(settings))
         try:
             server.serve()
         except KeyboardInterrupt:
@@ -83,25 +77,17 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _sandbox_of(arguments: argparse.Namespace) -> str:
+def _sandbox_of(settings: RaceSettings) -> str:
     """Returns a description of the sandbox that protects this machine from the agents."""
-    from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind
-
-    kind = NONE if arguments.inline else sandbox_kind(arguments.sandbox)
-    active = () if arguments.inline else protections(kind)
+    kind = NONE if settings.inline else sandbox_kind(settings.sandbox)
+    active = () if settings.inline else protections(kind)
     return (
         f"sandbox of agents from files: {kind}; it withholds or limits: {', '.join(active) or '-'}"
     )
 
 
-def _server(arguments: argparse.Namespace) -> RaceServer:
-    from stkzoo.drivers.driver import check_adapter
-    from stkzoo.drivers.sandbox import say_what_is_missing
-    from stkzoo.race import find_driver
-    from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
-
+def _server(arguments: RaceServerArguments, settings: RaceSettings) -> RaceServer:
     check_whole("threads", arguments.threads, 1)
-    settings = RaceSettings(**values_of(arguments, RaceSettings, only=_SETTINGS))
     drivers = [
         find_driver(agent, inline=settings.inline, adapter=settings.adapter)
         for agent in arguments.agents

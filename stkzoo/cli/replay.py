@@ -19,23 +19,17 @@ exit codes:
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
 
-from stkzoo._arguments import CommandParser, add_options, changed_options, positional
-from stkzoo.cli._race_options import (
-    add_viewing_options,
-    chosen_viewing_options,
-    viewing_listeners,
-)
-from stkzoo.cli._race_report import described
-from stkzoo.errors import ConfigError
-
-if TYPE_CHECKING:
-    from stkzoo.race.replay import Playback, Replay
+from stkzoo._arguments import changed_options, options_of, positional, refuse_options
+from stkzoo.cli._race_options import ViewingArguments
+from stkzoo.cli._race_report import RaceBar, described, show_race
+from stkzoo.errors import ConfigError, StkzooError
+from stkzoo.race.replay import Playback, Replay, load_replay, other_versions, play_replay
 
 
 @dataclass
@@ -55,54 +49,39 @@ class ReplayArguments:
     json: bool = False
     to_the_end: bool = False
     any_engine: bool = False
+    viewing: ViewingArguments = options_of(ViewingArguments)
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    add_options(parser, ReplayArguments)
-    add_viewing_options(parser)
-    parser.set_defaults(races=1)
-
-
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: ReplayArguments) -> int:
     """Plays or describes a replay."""
-    from stkzoo.race.replay import load_replay
-
     if arguments.info:
-        _check_info(arguments)
-    replay = load_replay(arguments.file)
+        options = changed_options(arguments, only=("to_the_end", "any_engine", "viewing"))
+        refuse_options("--info runs nothing", options)
+    with _failing():
+        replay = load_replay(arguments.file)
     if arguments.info:
         _show_info(replay, as_json=arguments.json)
         return 0
-    playback = _play(replay, arguments)
+    with RaceBar() as bar:
+        listeners = [bar, *arguments.viewing.listeners()]
+        with _failing():
+            playback = play_replay(
+                replay,
+                listeners=listeners,
+                to_the_end=arguments.to_the_end,
+                any_engine=arguments.any_engine,
+            )
     _show(replay, playback, as_json=arguments.json)
     return 0 if playback.is_exact else 1
 
 
-def _check_info(arguments: argparse.Namespace) -> None:
-    chosen = [
-        *changed_options(arguments, ReplayArguments, only=("to_the_end", "any_engine")),
-        *chosen_viewing_options(arguments),
-    ]
-    if chosen:
-        arguments.fail(f"--info runs nothing; leave out {', '.join(chosen)}")
-
-
-def _play(replay: Replay, arguments: argparse.Namespace) -> Playback:
-    from stkzoo.cli._race_report import RaceBar
-    from stkzoo.race.replay import play_replay
-
-    with RaceBar() as bar:
-        try:
-            listeners = [bar, *viewing_listeners(arguments)]
-        except ConfigError as error:
-            arguments.fail(str(error))
-        return play_replay(
-            replay,
-            listeners=listeners,
-            to_the_end=arguments.to_the_end,
-            any_engine=arguments.any_engine,
-        )
+@contextlib.contextmanager
+def _failing() -> Iterator[None]:
+    """Reports a file that cannot be played as a failure, not as an invalid command line."""
+    try:
+        yield
+    except ConfigError as error:
+        raise StkzooError(str(error)) from error
 
 
 def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
@@ -116,8 +95,6 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
         }
         print(json.dumps(values, indent=2))
     else:
-        from stkzoo.cli._race_report import show_race
-
         show_race(playback.result)
     if playback.is_exact:
         some = f"All {replay.steps} steps"
@@ -133,8 +110,6 @@ def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
             file=sys.stderr,
         )
         return
-    from stkzoo.race.replay import other_versions
-
     step = playback.first_difference
     where = f"after step {step}" if step else "on the grid already"
     others = other_versions(replay)

@@ -15,11 +15,11 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 
-from stkzoo._arguments import CommandParser, add_options, option, positional
-from stkzoo.cli._arguments import usage_errors
+from stkzoo._arguments import option, positional
+from stkzoo.cli._console import say
+from stkzoo.evaluation import write_report
 
 
 @dataclass
@@ -39,17 +39,8 @@ class ReportArguments:
     films: tuple[int, ...] = option((), metavar="RACE")
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    add_options(parser, ReportArguments)
-
-
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: ReportArguments) -> int:
     """Writes the report."""
-    from stkzoo.cli._console import say
-    from stkzoo.evaluation import write_report
-
     page = write_report(
         arguments.folder,
         publish=arguments.publish,

@@ -17,24 +17,27 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from stkzoo._arguments import CommandParser, add_options, option, positional, values_of
-from stkzoo.cli._arguments import BatchArguments, add_actions, add_batch_options, usage_errors
+from stkzoo import suite
+from stkzoo._arguments import option, options_of, positional
+from stkzoo.cli._batch import BatchArguments, file_name, run_and_show, run_replays
+from stkzoo.cli._console import say, show_table
+from stkzoo.cli.benchmark import show_results
 from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
+from stkzoo.suite.entry import ENTRIES
+from stkzoo.suite.tasks import DIFFICULTY
 
-if TYPE_CHECKING:
-    from stkzoo.suite import Entry, RaceConduct, Task
-
-#: Options that are also fields of ``About``.
-_ABOUT = ("authors", "description", "kart_steps")
+#: Packages of training programs, which are imported by name, because the package must not depend on
+#: its agents.
+_TRAINING = "stkzoo.agents.training.suite"
 
 
 @dataclass
@@ -111,6 +114,10 @@ class EvaluateArguments:
     split: str = option("test", choices=("test", "train"), group="entry")
     output: Path | None = option(metavar="FOLDER", group="entry")
     json: bool = option(False, group="entry")
+    batch: BatchArguments = options_of(BatchArguments)
+    settings: dict[str, Any] = options_of(
+        RaceSettings, without=suite.EntryPlan.decided, group="each race"
+    )
 
 
 @dataclass
@@ -124,6 +131,7 @@ class VerifyArguments:
 
     entry: Path = positional(metavar="ENTRY")
     json: bool = False
+    batch: BatchArguments = options_of(BatchArguments)
 
 
 @dataclass
@@ -137,6 +145,7 @@ class ConductArguments:
 
     replays: tuple[str, ...] = positional(metavar="ENTRY_OR_REPLAY")
     json: bool = False
+    batch: BatchArguments = options_of(BatchArguments)
 
 
 @dataclass
@@ -152,27 +161,7 @@ class SuiteReportArguments:
     output: Path = option(Path("suite", "report"), metavar="FOLDER")
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    from stkzoo.suite import EntryPlan
-
-    listing, training, exploitation, evaluation, verification, conduct, reports = add_actions(
-        parser, _list, _train, _exploit, _evaluate, _verify, _conduct, _report
-    )
-    add_options(listing, ListArguments)
-    add_options(training, TrainArguments)
-    add_options(exploitation, ExploitArguments)
-    add_options(evaluation, EvaluateArguments)
-    add_batch_options(evaluation, EntryPlan.decided)
-    add_options(verification, VerifyArguments)
-    add_options(verification, BatchArguments)
-    add_options(conduct, ConductArguments)
-    add_options(conduct, BatchArguments)
-    add_options(reports, SuiteReportArguments)
-
-
-@usage_errors
-def _list(arguments: argparse.Namespace) -> int:
+def _list(arguments: ListArguments) -> int:
     """List the tasks and the population.
 
     Shows for each task what is learned from how many kart-steps, and the races of its evaluation:
@@ -184,9 +173,7 @@ def _list(arguments: argparse.Namespace) -> int:
       stkzoo suite list versus          all rules of one task
       stkzoo suite list --json
     """
-    from stkzoo.suite import TASKS, find_task
-
-    tasks = [find_task(arguments.task)] if arguments.task else [*TASKS.values()]
+    tasks = [suite.find_task(arguments.task)] if arguments.task else [*suite.TASKS.values()]
     if arguments.json:
         _print_tasks(tasks)
     elif arguments.task:
@@ -196,8 +183,7 @@ def _list(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@usage_errors
-def _train(arguments: argparse.Namespace) -> int:
+def _train(arguments: TrainArguments) -> int:
     """Train an agent in a task with a reference algorithm.
 
     Trains an agent with as many kart-steps as the task allows, on all cores. The folder contains
@@ -216,25 +202,18 @@ def _train(arguments: argparse.Namespace) -> int:
       stkzoo suite train versus ippo --seed 2 --output runs/second
       stkzoo suite train versus ippo --kart-steps 10000000       the long tier
     """
-    from importlib import import_module
-
-    from stkzoo.cli._console import say
-    from stkzoo.suite import ALGORITHMS, find_task
-
-    task, name = find_task(arguments.task), arguments.algorithm
-    if name not in ALGORITHMS:
-        raise unknown_name("algorithm", name, ALGORITHMS)
+    task, name = suite.find_task(arguments.task), arguments.algorithm
+    if name not in suite.ALGORITHMS:
+        raise unknown_name("algorithm", name, suite.ALGORITHMS)
     kart_steps = task.budget if arguments.kart_steps is None else arguments.kart_steps
     folder = arguments.output or Path("runs", f"{task.name}-{name}-{arguments.seed}")
-    # imported by name, because the package must not depend on its agents
-    algorithms = import_module("stkzoo.agents.training.suite.algorithms")
+    algorithms = import_module(f"{_TRAINING}.algorithms")
     agent = algorithms.run(name, folder, task.name, kart_steps, arguments.seed)
     say(f"Trained {agent}. Evaluate it: stkzoo suite evaluate {task.name} {agent}")
     return 0
 
 
-@usage_errors
-def _exploit(arguments: argparse.Namespace) -> int:
+def _exploit(arguments: ExploitArguments) -> int:
     """Train an exploiter against a frozen driver, and show its win rate over kart-steps.
 
     Trains an exploiter, an agent that learns only to beat one driver. It learns by PPO in races of
@@ -247,15 +226,10 @@ def _exploit(arguments: argparse.Namespace) -> int:
       stkzoo suite exploit pretrained:ace --init runs/solo-general-ippo-0/agent
       python -m stkzoo.agents.training.plot runs/exploit-heuristic-0
     """
-    from importlib import import_module
-
-    from stkzoo.cli._console import say, show_table
-
     driver, init = arguments.driver, arguments.init
     name = Path(driver).name.replace(":", "-")
     folder = arguments.output or Path("runs", f"exploit-{name}-{arguments.seed}")
-    # imported by name, because the package must not depend on its agents
-    exploit = import_module("stkzoo.agents.training.suite.exploit")
+    exploit = import_module(f"{_TRAINING}.exploit")
     curve = exploit.run(
         folder, driver, arguments.kart_steps, arguments.seed, "" if init is None else str(init)
     )
@@ -268,8 +242,7 @@ def _exploit(arguments: argparse.Namespace) -> int:
     return 0
 
 
-@usage_errors
-def _evaluate(arguments: argparse.Namespace) -> int:
+def _evaluate(arguments: EvaluateArguments) -> int:
     """Evaluate an agent in a task.
 
     Drives the races of the task and writes an entry: entry.json with the scores, and a replay of
@@ -286,23 +259,17 @@ def _evaluate(arguments: argparse.Namespace) -> int:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
       failed in some race, 130 interrupted
     """
-    from stkzoo.cli._batch import file_name, run_and_show
-    from stkzoo.suite import About, EntryPlan, plan_entry
-    from stkzoo.suite.entry import ENTRIES
-
-    about = About(**values_of(arguments, EvaluateArguments, only=_ABOUT))
-    settings = values_of(arguments, RaceSettings, without=EntryPlan.decided)
-    split = arguments.split
-    plan = plan_entry(arguments.task, arguments.agent, split=split, about=about, **settings)
+    about = suite.About(arguments.authors, arguments.description, arguments.kart_steps)
+    plan = suite.plan_entry(
+        arguments.task, arguments.agent, split=arguments.split, about=about, **arguments.settings
+    )
     name = f"{plan.task}-{file_name(plan.agent.label)}"
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
-    run = partial(ENTRIES.run, plan, folder)
-    return run_and_show(arguments, run, folder, _show_entry, plan.agent.label)
+    return run_and_show(arguments, ENTRIES.run, plan, folder, _show_entry)
 
 
-@usage_errors
-def _verify(arguments: argparse.Namespace) -> int:
+def _verify(arguments: VerifyArguments) -> int:
     """Run all races of an entry again, and compare every number.
 
     Runs all races of an entry again. The agent is not needed: its karts repeat the recorded
@@ -319,11 +286,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     exit codes:
       0 verified, 1 refused, 2 invalid command line, 130 interrupted
     """
-    from stkzoo.cli._batch import run_replays
-    from stkzoo.cli._console import say
-    from stkzoo.suite import verify_entry
-
-    entry, code = run_replays(arguments, partial(verify_entry, arguments.entry))
+    entry, code = run_replays(arguments.batch, partial(suite.verify_entry, arguments.entry))
     if entry is None:
         return code
     if arguments.json:
@@ -334,8 +297,7 @@ def _verify(arguments: argparse.Namespace) -> int:
     return code
 
 
-@usage_errors
-def _conduct(arguments: argparse.Namespace) -> int:
+def _conduct(arguments: ConductArguments) -> int:
     """Show how karts behave: contacts, time off the road, overtakes.
 
     Runs recorded races again, bit for bit, and counts the environment's events of each kart. The
@@ -352,10 +314,7 @@ def _conduct(arguments: argparse.Namespace) -> int:
       0 success, 1 a replay is damaged or not reproducible, 2 invalid command
       line, 130 interrupted
     """
-    from stkzoo.cli._batch import run_replays
-    from stkzoo.suite import measure_conduct
-
-    races, code = run_replays(arguments, partial(measure_conduct, arguments.replays))
+    races, code = run_replays(arguments.batch, partial(suite.measure_conduct, arguments.replays))
     if races is None:
         return code
     if arguments.json:
@@ -365,8 +324,7 @@ def _conduct(arguments: argparse.Namespace) -> int:
     return code
 
 
-@usage_errors
-def _report(arguments: argparse.Namespace) -> int:
+def _report(arguments: SuiteReportArguments) -> int:
     """Write a report of trained algorithms: scores, intervals, figures.
 
     Compares trained algorithms and writes report.json (all numbers), report.md (tables), figures as
@@ -380,32 +338,27 @@ def _report(arguments: argparse.Namespace) -> int:
       stkzoo suite report results/
       stkzoo suite report results/versus-*.json --output versus-report
     """
-    from stkzoo.cli._console import say
-    from stkzoo.suite import write_suite_report
-
-    report = write_suite_report(arguments.results, arguments.output)
+    report = suite.write_suite_report(arguments.results, arguments.output)
     runs = sum(len(result.seeds) for task in report.tasks for result in task.algorithms)
     say(f"Wrote the report of {runs} runs to {arguments.output / 'report.md'}")
     return 0
 
 
-def _print_tasks(tasks: Sequence[Task]) -> None:
-    """Prints tasks and the population as JSON."""
-    from stkzoo.suite import POPULATION, SUITE
+ACTIONS = (_list, _train, _exploit, _evaluate, _verify, _conduct, _report)
 
+
+def _print_tasks(tasks: Sequence[suite.Task]) -> None:
+    """Prints tasks and the population as JSON."""
     content = {
-        "suite": SUITE,
+        "suite": suite.SUITE,
         "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
-        "population": [asdict(member) for member in POPULATION],
+        "population": [asdict(member) for member in suite.POPULATION],
     }
     print(json.dumps(content, indent=2))
 
 
-def _show_tasks(tasks: Sequence[Task]) -> None:
+def _show_tasks(tasks: Sequence[suite.Task]) -> None:
     """Prints tables of tasks and of the population."""
-    from stkzoo.cli._console import say, show_table
-    from stkzoo.suite import POPULATION, SUITE
-
     rows = [
         (
             task.name,
@@ -418,19 +371,17 @@ def _show_tasks(tasks: Sequence[Task]) -> None:
         for task in tasks
     ]
     columns = ("task", "goal", "kart-steps", "forms", "races", "metric")
-    show_table(columns, rows, left=("task", "goal", "forms", "metric"), title=SUITE)
+    show_table(columns, rows, left=("task", "goal", "forms", "metric"), title=suite.SUITE)
     members = [
         (member.driver, "held out" if member.is_held_out else "", member.digest)
-        for member in POPULATION
+        for member in suite.POPULATION
     ]
     show_table(("population", "in training", "digest"), members, left=("population", "in training"))
     say("`stkzoo suite list TASK` shows all rules of a task.")
 
 
-def _show_task(task: Task) -> None:
+def _show_task(task: suite.Task) -> None:
     """Prints all rules of a task."""
-    from stkzoo.cli._console import show_table
-
     values = {**asdict(task), "races": task.num_races, "digest": task.digest}
     rows = [
         (name.replace("_", " "), _text(value))
@@ -446,12 +397,8 @@ def _text(value: object) -> str:
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _show_entry(entry: Entry) -> None:
+def _show_entry(entry: suite.Entry) -> None:
     """Prints the scores of an entry."""
-    from stkzoo.cli._console import say
-    from stkzoo.cli.benchmark import show_results
-    from stkzoo.suite.tasks import DIFFICULTY
-
     show_results([entry])
     score, task = entry.score, entry.task
     if score is None:
@@ -470,11 +417,8 @@ def _show_entry(entry: Entry) -> None:
         )
 
 
-def _show_conduct(races: Sequence[RaceConduct]) -> None:
+def _show_conduct(races: Sequence[suite.RaceConduct]) -> None:
     """Prints the mean conduct of each driver."""
-    from stkzoo.cli._console import show_table
-    from stkzoo.suite import mean_conduct
-
     rows = [
         (
             mean.driver,
@@ -484,7 +428,7 @@ def _show_conduct(races: Sequence[RaceConduct]) -> None:
             f"{mean.off_road:.1f}",
             f"{mean.overtakes:.2f}",
         )
-        for mean in mean_conduct(races)
+        for mean in suite.mean_conduct(races)
     ]
     columns = ("driver", "races", "contacts", "closing [m/s]", "off road [s]", "overtakes")
     show_table(columns, rows, left=("driver",), title="per race")

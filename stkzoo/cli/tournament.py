@@ -27,34 +27,18 @@ exit codes:
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from stkzoo._arguments import (
-    CommandParser,
-    add_options,
-    changed_options,
-    option,
-    positional,
-    values_of,
-)
-from stkzoo.cli._arguments import (
-    add_batch_options,
-    refuse_options,
-    tracks_option,
-    usage_errors,
-)
+from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
+from stkzoo.cli._batch import BatchArguments, run_and_show, tracks_option
+from stkzoo.cli._console import say, show_table
 from stkzoo.cli.race_client import ServersArguments, server_access
+from stkzoo.evaluation import TournamentPlan, TournamentResult, plan_tournament
+from stkzoo.evaluation.tournament.plan import resumed_plan
+from stkzoo.evaluation.tournament.run import TOURNAMENT
 from stkzoo.race import RaceSettings
-
-if TYPE_CHECKING:
-    from stkzoo.evaluation import TournamentPlan, TournamentResult
-
-#: Options that are also arguments of ``plan_tournament``.
-_PLANNED = ("agents", "tracks", "races", "per_race", "seed")
 
 
 @dataclass
@@ -81,59 +65,39 @@ class TournamentArguments:
     resume: str | None = option(metavar="FOLDER", rivals="folder", group="output")
     json: bool = option(False, group="output")
     no_plot: bool = option(False, group="output")
+    servers: ServersArguments = options_of(ServersArguments, group="agents of servers")
+    batch: BatchArguments = options_of(BatchArguments)
+    settings: dict[str, Any] = options_of(
+        RaceSettings, without=TournamentPlan.decided, group="each race"
+    )
 
 
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    from stkzoo.evaluation import TournamentPlan
-
-    add_options(parser, TournamentArguments)
-    add_options(parser, ServersArguments, group="agents of servers")
-    add_batch_options(parser, TournamentPlan.decided)
-
-
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: TournamentArguments) -> int:
     """Runs or resumes a tournament."""
-    from stkzoo.cli._batch import run_and_show
-    from stkzoo.evaluation.tournament.run import TOURNAMENT
-
     folder = Path(arguments.resume or arguments.output)
-    run = partial(TOURNAMENT.run, _plan(arguments, folder), folder)
-    return run_and_show(arguments, run, folder, _show)
+    return run_and_show(arguments, TOURNAMENT.run, _plan(arguments), folder, _show)
 
 
-def _plan(arguments: argparse.Namespace, folder: Path) -> TournamentPlan:
-    from stkzoo.evaluation import TournamentPlan, plan_tournament
-    from stkzoo.evaluation.tournament.plan import resumed_plan
-
-    servers = server_access(arguments)
-    if arguments.resume:
-        _refuse_other_arguments(arguments)
-        plan = resumed_plan(folder, arguments.agents, servers)
-        settings = replace(plan.settings, show_output=arguments.show_output)
-        return replace(plan, settings=settings)
-    return plan_tournament(
-        servers=servers,
-        **values_of(arguments, TournamentArguments, only=_PLANNED),
-        **values_of(arguments, RaceSettings, without=TournamentPlan.decided),
-    )
-
-
-def _refuse_other_arguments(arguments: argparse.Namespace) -> None:
-    from stkzoo.evaluation import TournamentPlan
-
-    decided = (*TournamentPlan.decided, "show_output")
-    refuse_options(
-        "--resume keeps the arguments of its tournament",
-        *changed_options(arguments, TournamentArguments, only=_PLANNED[1:]),
-        *changed_options(arguments, RaceSettings, without=decided),
-    )
+def _plan(arguments: TournamentArguments) -> TournamentPlan:
+    servers = server_access(arguments.servers)
+    if arguments.resume is None:
+        return plan_tournament(
+            arguments.agents,
+            tracks=arguments.tracks,
+            races=arguments.races,
+            per_race=arguments.per_race,
+            seed=arguments.seed,
+            servers=servers,
+            **arguments.settings,
+        )
+    show_output = arguments.settings.pop("show_output")
+    changed = changed_options(arguments, only=("tracks", "races", "per_race", "seed", "settings"))
+    refuse_options("--resume keeps the arguments of its tournament", changed)
+    plan = resumed_plan(Path(arguments.resume), arguments.agents, servers)
+    return replace(plan, settings=replace(plan.settings, show_output=show_output))
 
 
 def _show(result: TournamentResult) -> None:
-    from stkzoo.cli._console import say, show_table
-
     columns = ("place", "agent", "rating", "95%", "races", "wins", "rank", "finished", "failed")
     rows = [
         (

@@ -15,16 +15,23 @@ Examples:
 
 from __future__ import annotations
 
-import argparse
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from stkzoo._arguments import CommandParser, add_options, changed_options, option, positional
+from rich.progress import BarColumn, TextColumn
+
+from stkzoo import race_v0
+from stkzoo._arguments import changed_options, option, positional, refuse_options
 from stkzoo._os import write_whole
-from stkzoo.cli._arguments import refuse_options, usage_errors
+from stkzoo.cli._console import make_bars, show_table
+from stkzoo.engine.assets import find_assets
 from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.evaluation import load_ai_times
 from stkzoo.records import HUMAN_RECORDS
+from stkzoo.render.map import MapView
+from stkzoo.render.pictures import pillow
 from stkzoo.tracks import SPLITS, split_of
 
 #: Field to sort by, for each choice of ``--sort``.
@@ -48,11 +55,6 @@ class TracksArguments:
     difficulty: int = option(2, choices=range(4), metavar="N")
     map: Path | None = option(metavar="FILE")
     json: bool = False
-
-
-def add_arguments(parser: CommandParser) -> None:
-    """Declares the arguments."""
-    add_options(parser, TracksArguments)
 
 
 @dataclass(frozen=True)
@@ -84,36 +86,25 @@ class TrackFacts:
     record_laps: int | None
 
 
-@usage_errors
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: TracksArguments) -> int:
     """Prints a table or JSON, or draws a map."""
     if arguments.map is not None:
-        refuse_options(
-            "--map only draws a map",
-            *changed_options(arguments, TracksArguments, only=("sort", "difficulty", "json")),
-        )
-    names = _chosen(arguments)
-    if arguments.map is not None:
-        return _draw(names, arguments.map)
-    from rich.progress import BarColumn, TextColumn
-
-    from stkzoo.cli._console import make_bars
+        options = changed_options(arguments, only=("sort", "difficulty", "json"))
+        refuse_options("--map only draws a map", options)
+        return _draw(_chosen(arguments), arguments.map)
 
     with make_bars(TextColumn("{task.description}"), BarColumn()) as bars:
-        tracks = bars.track(names, description="reading the tracks")
+        tracks = bars.track(_chosen(arguments), description="reading the tracks")
         facts = [track_facts(name, arguments.difficulty) for name in tracks]
     facts.sort(key=lambda fact: getattr(fact, _SORTS[arguments.sort]) or 0.0)
     if arguments.json:
-        import json
-
         print(json.dumps([asdict(fact) for fact in facts], indent=2))
     else:
         _write_table(facts, arguments.difficulty)
     return 0
 
 
-def _chosen(arguments: argparse.Namespace) -> list[str]:
-    from stkzoo.engine.assets import find_assets
+def _chosen(arguments: TracksArguments) -> list[str]:
 
     known = find_assets().tracks
     chosen: list[str] = []
@@ -134,9 +125,6 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
         track: name of the track.
         difficulty: level of the AI whose times are included, 0 to 3.
     """
-    from stkzoo import race_v0
-    from stkzoo.evaluation import load_ai_times
-
     with race_v0.parallel_env(num_kart=1, track=track, max_paths=1) as env:
         env.reset(seed=0)
         road, snapshot = env.track_map, env.snapshot
@@ -160,7 +148,6 @@ def track_facts(track: str, difficulty: int) -> TrackFacts:
 
 
 def _write_table(facts: Sequence[TrackFacts], difficulty: int) -> None:
-    from stkzoo.cli._console import show_table
 
     columns = (
         *("track", "split", "length [m]", "segments", "forks", "items"),
@@ -184,9 +171,6 @@ def _draw(names: Sequence[str], file: Path) -> int:
         )
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
         raise ConfigError(f"--map is {str(file)!r}, expected a name ending in .png, .jpg or .webp")
-    from stkzoo import race_v0
-    from stkzoo.render.map import MapView
-    from stkzoo.render.pictures import pillow
 
     with race_v0.parallel_env(num_kart=1, track=names[0]) as env:
         env.reset(seed=0)

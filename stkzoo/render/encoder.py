@@ -62,11 +62,16 @@ def check_video_path(path: str | os.PathLike[str]) -> Path:
             f"{', '.join(FORMATS)}"
         )
     check_writable(path, "the video")
-    _ffmpeg()
+    find_ffmpeg()
     return path
 
 
-def _ffmpeg() -> str:
+def find_ffmpeg() -> str:
+    """Returns the program ffmpeg.
+
+    Raises:
+        ConfigError: it is not installed or does not run.
+    """
     try:
         import imageio_ffmpeg
 
@@ -157,7 +162,7 @@ class VideoWriter:
         self._shape = height, width
         kind = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}")
         source = (*kind, "-r", f"{self._fps:g}", "-i", "-")
-        command = (_ffmpeg(), "-y", "-hide_banner", "-loglevel", "error", *source, "-an")
+        command = (find_ffmpeg(), "-y", "-hide_banner", "-loglevel", "error", *source, "-an")
         with contextlib.ExitStack() as resources:
             part = resources.enter_context(write_whole(self.path, "the video", VideoError))
             self._log = open_log()

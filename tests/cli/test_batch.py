@@ -5,10 +5,10 @@ from argparse import Namespace
 import pytest
 
 from stkzoo.cli import _batch, _console, main
-from stkzoo.cli._batch import file_name, run_batch, run_replays
+from stkzoo.cli._batch import BatchArguments, file_name, run_batch, run_replays
 from stkzoo.evaluation import BatchProgress
 
-ARGUMENTS = Namespace(jobs=1, race_timeout=60.0)
+BATCH = BatchArguments(jobs=1, race_timeout=60.0)
 
 
 def interrupted(*progress):
@@ -23,7 +23,7 @@ def interrupted(*progress):
 
 
 def test_an_interrupted_batch_says_how_many_races_are_saved(capsys):
-    assert run_batch(ARGUMENTS, interrupted((0, 18), (3, 18))) == (None, 130)
+    assert run_batch(BATCH, interrupted((0, 18), (3, 18))) == (None, 130)
     expected = "interrupted; 3 of 18 races are saved; run the same command to resume"
     assert expected in capsys.readouterr().err
 
@@ -33,7 +33,7 @@ def test_without_a_terminal_a_batch_prints_a_line_of_progress_every_ten_seconds(
 ):
     seconds = iter([0.0, 4.0, 12.0, 12.0, 15.0, 23.0, 23.0])
     monkeypatch.setattr(_console, "time", Namespace(monotonic=lambda: next(seconds)))
-    run_batch(ARGUMENTS, lambda options: [options.on_race(BatchProgress(n, 9)) for n in range(4)])
+    run_batch(BATCH, lambda options: [options.on_race(BatchProgress(n, 9)) for n in range(4)])
     assert capsys.readouterr().err == "1 of 9 races\n3 of 9 races\n"
 
 
@@ -44,7 +44,7 @@ def test_interrupted_replays_say_that_nothing_was_saved(progress, capsys):
             options["on_race"](BatchProgress(*done))
         raise KeyboardInterrupt
 
-    assert run_replays(ARGUMENTS, run) == (None, 130)
+    assert run_replays(BATCH, run) == (None, 130)
     assert capsys.readouterr().err == "stkzoo: interrupted; nothing was saved\n"
 
 
@@ -77,6 +77,11 @@ def test_an_agent_does_not_choose_the_output_folder(words, folder, tmp_path, mon
     agent = tmp_path / "pystk_actor.py"
     agent.write_text('player_name = ".."\n\n\ndef get_actor(*_):\n    return None\n')
     folders = []
-    monkeypatch.setattr(_batch, "run_and_show", lambda *values: folders.append(values[2]) or 0)
+
+    def run(_, planned, **_options):
+        folders.append(planned.args[1])
+        return None, 0
+
+    monkeypatch.setattr(_batch, "run_batch", run)
     assert main([*words, str(agent)]) == 0
     assert [place.as_posix() for place in folders] == [folder]

@@ -4,8 +4,7 @@ import re
 
 import pytest
 
-from stkzoo._arguments import CommandParser
-from stkzoo.cli import race, race_client, race_server
+from stkzoo.cli import build_parser
 from tests.support.paths import ROOT
 
 PAGE = (ROOT / "docs" / "reference" / "differences.md").read_text("utf-8")
@@ -13,25 +12,24 @@ TABLE = PAGE.split("## Defaults of the commands")[1].split("\n## ")[0]
 
 
 def default(command, option):
-    parser = CommandParser()
-    command.add_arguments(parser)
-    return parser.get_default(option)
+    (subparsers,) = (action for action in build_parser(command)._actions if action.choices)
+    return subparsers.choices[command].get_default(option)
 
 
 @pytest.mark.parametrize(
     ("command", "option", "row", "value"),
     [
-        (race, "error_handling", "--error-handling", "retire"),
-        (race, "action_timeout", "--action-timeout", 10),
-        (race, "window", "the game's window", False),
-        (race, "width", "--width", 854),
-        (race, "height", "--height", 480),
-        (race, "render_sub_steps", "--render-sub-steps", 3),
-        (race, "web_port", "--web-port", 8000),
-        (race, "web_host", "host of the page", "127.0.0.1"),
-        (race_server, "address", "race-server --address", "tcp://127.0.0.1:5555"),
-        (race_server, "threads", "race-server --threads", 8),
-        (race_client, "timeout", "race-client --timeout", None),
+        ("race", "error_handling", "--error-handling", "retire"),
+        ("race", "action_timeout", "--action-timeout", 10),
+        ("race", "window", "the game's window", False),
+        ("race", "width", "--width", 854),
+        ("race", "height", "--height", 480),
+        ("race", "render_sub_steps", "--render-sub-steps", 3),
+        ("race", "web_port", "--web-port", 8000),
+        ("race", "web_host", "host of the page", "127.0.0.1"),
+        ("race-server", "address", "race-server --address", "tcp://127.0.0.1:5555"),
+        ("race-server", "threads", "race-server --threads", 8),
+        ("race-client", "timeout", "race-client --timeout", None),
     ],
 )
 def test_a_default_matches_the_table(command, option, row, value):
