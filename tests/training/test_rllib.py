@@ -20,11 +20,11 @@ from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training.rllib import selfplay
 from stkzoo.agents.training.rllib.races import (
     MAIN,
+    RaceSampler,
     RLlibArguments,
     make_races,
-    win_share,
+    sb3_names,
 )
-from stkzoo.agents.training.rllib.sampler import RaceSampler, sb3_names
 from stkzoo.agents.training.rllib.selfplay import main
 from stkzoo.wrappers.racing import CHOICES, SIZE
 from tests.support.networks import small_network
@@ -43,12 +43,6 @@ def test_a_new_snapshot_replaces_the_oldest_one():
         *("past_0", "past_1", "past_2"),
         *("past_0", "past_1"),
     ]
-
-
-def test_the_share_of_pairs_won_counts_all_pairs():
-    assert win_share([1, 4], [2, 3]) == 0.5
-    assert win_share([1], [2]) == 1.0
-    assert win_share([1, 2], []) is None
 
 
 RACES = RLlibArguments(
@@ -72,11 +66,14 @@ def test_the_steps_of_the_learners_karts_are_recorded_to_the_end_of_their_races(
     assert [fragment.slot for fragment in first] == [0, 1, 3, 4]
     assert all(len(fragment) == 4 and not fragment.is_truncated for fragment in first)
     last, following = second[:2]  # those of the first kart
-    assert (last.begin, len(last), last.is_truncated, last.is_terminated) == (4, 3, True, False)
+    assert (len(last), last.is_truncated, last.is_terminated) == (3, True, False)
     assert (last.observations[0] == first[0].observations[-1]).all()
-    assert (following.slot, following.begin, len(following)) == (0, 0, 1)
+    assert (following.slot, len(following)) == (0, 1)
     assert (last.observations[-1] != following.observations[0]).any()
-    assert len(sampler.results) == 2
+    assert len(sampler.returns) == 4
+    assert sampler.returns[0] == pytest.approx(
+        np.concatenate([first[0].rewards, last.rewards]).sum()
+    )
     assert (last.actions[:, 0] == 2).all()
     expected = np.zeros(len(last))
     for choice, logits in enumerate(np.split(last.logits, np.cumsum(CHOICES)[:-1], axis=1)):
@@ -95,14 +92,13 @@ def test_a_kart_that_finishes_is_terminated():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kills by signal")
-def test_a_race_that_crashes_is_truncated_and_has_no_result():
+def test_a_race_that_crashes_is_truncated():
     with closing(make_races(RACES)) as races:
         sampler = sampler_of(races, RACES)
         sampler.sample(8)
         os.kill(races.races[0]._session.pid, signal.SIGKILL)
         fragments = sampler.sample(24)
     assert [f.is_truncated for f in fragments if f.slot == 0] == [True, False]
-    assert len(sampler.results) == 1
 
 
 def test_learned_weights_have_the_names_of_stable_baselines3():

@@ -1,26 +1,23 @@
-"""RLlib's env runner and callbacks for ``rllib.selfplay``. Needs Ray."""
+"""RLlib's env runner for ``rllib.selfplay``. Needs Ray."""
 
 from __future__ import annotations
 
 import math
 import uuid
-from collections import deque
 from collections.abc import Mapping
 from typing import Any
 
 from gymnasium import spaces
-from ray.rllib.callbacks.callbacks import RLlibCallback
 from ray.rllib.core import COMPONENT_LEARNER, COMPONENT_RL_MODULE
 from ray.rllib.core.columns import Columns
 from ray.rllib.env import INPUT_ENV_SINGLE_SPACES, INPUT_ENV_SPACES
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
 from ray.rllib.env.single_agent_episode import SingleAgentEpisode
 from ray.rllib.utils.metrics import (
-    ENV_RUNNER_RESULTS,
     EPISODE_RETURN_MEAN,
     NUM_ENV_STEPS_SAMPLED,
     NUM_ENV_STEPS_SAMPLED_LIFETIME,
-    NUM_EPISODES,
+    NUM_EPISODES_LIFETIME,
     NUM_MODULE_STEPS_SAMPLED,
     NUM_MODULE_STEPS_SAMPLED_LIFETIME,
     WEIGHTS_SEQ_NO,
@@ -28,14 +25,18 @@ from ray.rllib.utils.metrics import (
 
 from stkzoo.agents.pretrained.mlp import MlpDriver
 
-from .races import ARGUMENTS, MAIN, RLlibArguments, make_races
-from .sampler import Fragment, RaceSampler, SampledRace, sb3_names
+from .races import (
+    ARGUMENTS,
+    MAIN,
+    Fragment,
+    RaceSampler,
+    RLlibArguments,
+    ensure_assets,
+    make_races,
+    sb3_names,
+)
 
-#: Names of the logged figures.
-RETURN, WIN_SHARE, RACES, RESTARTED = "return", "win_share", "races", "restarted"
-#: Sums over the races of an iteration: of their returns, and of their shares of duels won.
-RETURNS, WIN_SHARES = "returns", "win_shares"
-#: Number of races in the means of the log.
+#: Number of episodes in the mean return.
 _RECENT = 50
 
 
@@ -44,8 +45,9 @@ class RaceEnvRunner(MultiAgentEnvRunner):
 
     RLlib's own runner makes a dict for each agent and step, and calls torch. This one holds the
     same modules, weights and connectors, so RLlib synchronizes, saves and restores it as usual, but
-    :class:`~stkzoo.agents.training.rllib.sampler.RaceSampler` drives. A step of an env runner, in
-    RLlib's figures and in ``train_batch_size``, is a step of one of the learner's karts.
+    :class:`~stkzoo.agents.training.rllib.races.RaceSampler` drives. A step of an env runner, in
+    RLlib's figures and in ``train_batch_size``, is a step of one of the learner's karts; an episode
+    is the race of one of these karts.
     """
 
     env: Any
@@ -56,6 +58,7 @@ class RaceEnvRunner(MultiAgentEnvRunner):
         if self.env is not None:
             self.env.close()
         arguments: RLlibArguments = self.config.env_config[ARGUMENTS]
+        ensure_assets()
         self.env = make_races(arguments)
         self.num_envs = self.env.num_envs
         self._sampler: RaceSampler | None = None
@@ -92,45 +95,34 @@ class RaceEnvRunner(MultiAgentEnvRunner):
         if num_timesteps is None:
             runners = max(self.config.num_env_runners, 1)
             num_timesteps = math.ceil(self.config.total_train_batch_size / runners)
-        if self._sampler is None:
-            self._sampler = self._new_sampler()
+        if self._sampler is None:  # the weights' number gives each restarted env runner a new seed
+            seed = [self.config.seed, self.worker_index or 0, self._weights_seq_no]
+            self._sampler = RaceSampler(self.env, self.config.env_config[ARGUMENTS], seed)
         if self._has_new_weights:
             self._sampler.load(_networks(self.module))
             self._has_new_weights = False
-        self.metrics.log_value(WEIGHTS_SEQ_NO, self._weights_seq_no, window=1)
         fragments = self._sampler.sample(num_timesteps)
-        self._log_steps(sum(map(len, fragments)))
-        for result in self._sampler.results:
-            self._log_race(result)
-        self._sampler.results.clear()
+        self._log(sum(map(len, fragments)), self._sampler.returns)
+        self._sampler.returns.clear()
         return [_episode(fragment) for fragment in fragments]
 
-    def _new_sampler(self) -> RaceSampler:
-        """Returns a sampler whose seed no earlier env runner had: it depends on the weights."""
-        seed = [self.config.seed, self.worker_index or 0, self._weights_seq_no]
-        return RaceSampler(self.env, self.config.env_config[ARGUMENTS], seed)
-
-    def _log_steps(self, steps: int) -> None:
+    def _log(self, steps: int, returns: list[float]) -> None:
+        log = self.metrics.log_value
+        log(WEIGHTS_SEQ_NO, self._weights_seq_no, window=1)
         for key in (NUM_ENV_STEPS_SAMPLED, (NUM_MODULE_STEPS_SAMPLED, MAIN)):
-            self.metrics.log_value(key, steps, reduce="sum")
+            log(key, steps, reduce="sum")
         for key in (NUM_ENV_STEPS_SAMPLED_LIFETIME, (NUM_MODULE_STEPS_SAMPLED_LIFETIME, MAIN)):
-            self.metrics.log_value(key, steps, reduce="lifetime_sum")
-
-    def _log_race(self, result: SampledRace) -> None:
-        self.metrics.log_value(RACES, 1, reduce="lifetime_sum")
-        self.metrics.log_value(EPISODE_RETURN_MEAN, result.reward, reduce="mean", window=_RECENT)
-        sums = {NUM_EPISODES: 1, RETURNS: result.reward, WIN_SHARES: result.win_share or 0.0}
-        for key, value in sums.items():
-            self.metrics.log_value(key, value, reduce="sum")
+            log(key, steps, reduce="lifetime_sum")
+        log(NUM_EPISODES_LIFETIME, len(returns), reduce="lifetime_sum")
+        for value in returns:
+            log(EPISODE_RETURN_MEAN, value, reduce="mean", window=_RECENT)
 
 
 def _networks(module: Any) -> dict[str, MlpDriver]:
     """Returns the policies of a ``MultiRLModule`` as networks of the kernel."""
     return {
-        name: MlpDriver(
-            sb3_names({key: value.cpu().numpy() for key, value in own.state_dict().items()}), name
-        )
-        for name, own in module.items()
+        name: MlpDriver(sb3_names({k: v.cpu().numpy() for k, v in part.state_dict().items()}), name)
+        for name, part in module.items()
     }
 
 
@@ -154,65 +146,8 @@ def _episode(fragment: Fragment) -> SingleAgentEpisode:
         },
         terminated=fragment.is_terminated,
         truncated=fragment.is_truncated,
-        t_started=fragment.begin,
         len_lookback_buffer=0,
     )
-
-
-class SelfPlay(RLlibCallback):
-    """Logs results, and saves a frozen snapshot of the learner when it wins often enough.
-
-    Args:
-        arguments: arguments of the run.
-    """
-
-    def __init__(self, arguments: RLlibArguments) -> None:
-        super().__init__()
-        self._arguments = arguments
-        self.promotions = 0
-        self.restarts = 0
-        self._races_then = 0.0
-        #: Numbers of races, sums of returns and of shares won of the latest iterations. RLlib's own
-        #: means cover one iteration, and count the mean of each env runner once.
-        self._recent: deque[tuple[float, ...]] = deque()
-
-    def remember(self, promotions: int, races: float) -> None:
-        """Restores the progress of a run; its last snapshot was made after ``races`` races."""
-        self.promotions, self._races_then = promotions, races
-
-    def on_algorithm_init(self, *, algorithm: Any, **_: Any) -> None:
-        """Initializes all past selves with the learner's weights."""
-        for module in self._arguments.modules[1:]:
-            copy_main(algorithm, module)
-
-    def on_train_result(self, *, algorithm: Any, result: dict[str, Any], **_: Any) -> None:
-        """Promotes the learner if it wins often enough."""
-        figures: Mapping[str, float] = result.get(ENV_RUNNER_RESULTS, {})
-        races = float(figures.get(RACES, 0.0))
-        result[RETURN], wins = self._means_with(figures)
-        arguments = self._arguments
-        is_due = races - self._races_then >= arguments.least_races
-        if arguments.frozen and is_due and wins >= arguments.promote_at:
-            copy_main(algorithm, arguments.slot(self.promotions))
-            self.promotions += 1
-            self._races_then = races
-            self._recent.clear()
-        result[WIN_SHARE] = wins if arguments.frozen else math.nan
-        result["promotions"] = self.promotions
-        result[RESTARTED] = self.restarts
-
-    def _means_with(self, figures: Mapping[str, float]) -> tuple[float, float]:
-        """Adds an iteration; returns the mean return and share won of the latest races, or NaN."""
-        sums = [figures.get(name, 0.0) for name in (NUM_EPISODES, RETURNS, WIN_SHARES)]
-        self._recent.append(tuple(0.0 if math.isnan(value) else value for value in sums))
-        while sum(races for races, *_ in self._recent) - self._recent[0][0] >= _RECENT:
-            self._recent.popleft()
-        races, returns, win_shares = map(sum, zip(*self._recent, strict=True))
-        return (returns / races, win_shares / races) if races else (math.nan, math.nan)
-
-    def on_env_runners_recreated(self, *, env_runner_indices: list[int], **_: Any) -> None:
-        """Counts the restarted env runners."""
-        self.restarts += len(env_runner_indices)
 
 
 def copy_main(algorithm: Any, module: str) -> None:

@@ -7,12 +7,12 @@ r"""Trains a policy by self-play with Ray RLlib, on one machine or a cluster.
 The script uses PPO on RLlib's new API stack. Its env runners drive all their races in one batch
 (``RaceVectorEnv``) and evaluate the networks in stkzoo's kernel. In every race, the policy that
 learns (``main``) drives some karts, frozen snapshots of it drive others, and the game's AI drives
-the rest. When ``main`` finishes ahead of its past selves often enough, a snapshot of it replaces
-the oldest one. All policies see the view ``racing``.
+the rest. Every few iterations, a snapshot of ``main`` replaces the oldest one. All policies see the
+view ``racing``.
 
-Env runners may be on many nodes. A node without the game's data receives the headless pack (39 MB)
-before its first race. If env runners or nodes die, RLlib restarts them, there or elsewhere, and
-training continues with the others.
+Env runners may be on many nodes. With ``--address``, Ray copies the headless pack (32 MB) to each
+node, and a node without the game's data installs it before its first race. If env runners or nodes
+die, RLlib restarts them, there or elsewhere, and training continues with the others.
 
 The folder contains ``log.jsonl`` (one line per iteration), ``checkpoint-ITERATION`` (RLlib's; each
 replaces the one before) and ``policy.safetensors``, which ``sb3.selfplay --init`` accepts. To
@@ -21,11 +21,12 @@ continue a run, also after a kill, run the same command again, perhaps with more
 
 from __future__ import annotations
 
-import functools
 import shutil
 import sys
+import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +34,13 @@ import numpy as np
 
 from stkzoo._locks import locked_folder
 from stkzoo.agents.pretrained.weights import save_weights
+from stkzoo.engine.assets import find_assets, pack
 from stkzoo.errors import ConfigError, import_extra
 
 from ..common.arguments import ScriptOptions
 from ..common.command import run_command
 from ..common.run_folder import TrainingLog, keep_arguments
-from .races import ARGUMENTS, MAIN, PackSender, RLlibArguments, ensure_assets
-from .sampler import sb3_names
+from .races import ARGUMENTS, MAIN, PACK, RLlibArguments, sb3_names
 
 _POLICY = "policy.safetensors"
 #: Name of a checkpoint, with the number of iterations, and its suffix while it is written.
@@ -55,7 +56,7 @@ def build_config(arguments: RLlibArguments) -> Any:
     from ray.rllib.core.rl_module.multi_rl_module import MultiRLModuleSpec
     from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 
-    from .runner import RaceEnvRunner, SelfPlay
+    from .runner import RaceEnvRunner
 
     model = DefaultModelConfig(
         fcnet_hiddens=list(arguments.hidden), fcnet_activation="tanh", vf_share_layers=False
@@ -102,7 +103,6 @@ def build_config(arguments: RLlibArguments) -> Any:
             vf_clip_param=1e3,
             grad_clip=0.5,
         )
-        .callbacks(functools.partial(SelfPlay, arguments))
         .debugging(seed=arguments.seed, log_level="ERROR")
     )
 
@@ -121,20 +121,15 @@ def train(options: ScriptOptions, arguments: RLlibArguments) -> None:
     """
     folder = options.output
     ray = _ray()
+    find_assets()
     with locked_folder(folder, "run"):
         keep_arguments(folder, arguments, _FREE)
-        ensure_assets(arguments.pack)
-        _start(ray, arguments.address)
-        sender = PackSender.start(arguments.pack)
-        algorithm = None
-        try:
+        with _started(ray, arguments):
             algorithm = _algorithm(arguments, folder)
-            _iterations(algorithm, arguments, folder)
-        finally:
-            if algorithm is not None:
+            try:
+                _iterations(algorithm, arguments, folder)
+            finally:
                 algorithm.stop()
-            ray.kill(sender)
-            ray.shutdown()
     print(f"{folder / _POLICY} is the policy; the same command with more --iterations continues")
 
 
@@ -144,29 +139,48 @@ def _ray() -> Any:
     return import_extra("ray", "this program needs", "rllib", note)
 
 
-def _start(ray: Any, address: str) -> None:
-    """Connects to a cluster, or starts Ray on this machine."""
-    try:
-        ray.init(
-            address=address or "local",
-            ignore_reinit_error=True,
-            log_to_driver=False,
-            include_dashboard=False,
-        )
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise ConfigError(
-            f"Ray does not start with the address {address!r} ({error}); give the address of a "
-            "running cluster (`ray start --head` starts one), or leave --address out"
-        ) from error
+@contextmanager
+def _started(ray: Any, arguments: RLlibArguments) -> Iterator[None]:
+    """Connects to a cluster and sends it the pack, or starts Ray on this machine."""
+    address, environment = arguments.address, {}
+    with tempfile.TemporaryDirectory() as files:
+        if arguments.pack or address:
+            environment["working_dir"] = files
+            if arguments.pack:
+                shutil.copy(arguments.pack, Path(files, PACK))
+            else:
+                pack(output=Path(files, PACK))
+        try:
+            ray.init(
+                address=address or "local",
+                runtime_env=environment,
+                log_to_driver=False,
+                include_dashboard=False,
+            )
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise ConfigError(
+                f"Ray does not start with the address {address!r} ({error}); give the address of a "
+                "running cluster (`ray start --head` starts one), or leave --address out"
+            ) from error
+        try:
+            yield
+        finally:
+            ray.shutdown()
 
 
 def _algorithm(arguments: RLlibArguments, folder: Path) -> Any:
+    """Returns the algorithm at its last checkpoint, or else with its first past selves."""
     algorithm = build_config(arguments).build_algo()
     if checkpoints := _checkpoints(folder):
         algorithm.restore_from_path(str(checkpoints[-1].resolve()))
         algorithm.env_runner_group.sync_weights(
             from_worker_or_learner_group=algorithm.learner_group, inference_only=True
         )
+        return algorithm
+    from .runner import copy_main
+
+    for module in arguments.modules[1:]:
+        copy_main(algorithm, module)
     return algorithm
 
 
@@ -176,54 +190,41 @@ def _checkpoints(folder: Path) -> list[Path]:
 
 
 def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None:
+    from .runner import copy_main
+
     with TrainingLog(folder, algorithm.iteration) as log:
-        if log.last:
-            found = algorithm.callbacks  # RLlib's checkpoint lacks the progress of self-play
-            for callback in found if isinstance(found, list) else [found]:
-                callback.remember(log.last["promotions"], log.last["races"])
         while algorithm.iteration < arguments.iterations:
             begun = time.monotonic()
             result = algorithm.train()
-            line = _figures(algorithm, result, time.monotonic() - begun)
+            done = algorithm.iteration
+            line = _figures(algorithm, result["env_runners"], time.monotonic() - begun)
             log.write(line)
             print(_in_words(line, arguments.iterations), flush=True)
-            done = algorithm.iteration
+            number, is_between = divmod(done, arguments.snapshot_every)
+            if arguments.frozen and not is_between:
+                copy_main(algorithm, arguments.slot(number - 1))
             if done % arguments.checkpoint_every == 0 or done == arguments.iterations:
                 _save(algorithm, folder)
 
 
 def _figures(algorithm: Any, result: Mapping[str, Any], seconds: float) -> dict[str, Any]:
-    from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS
-
-    from .runner import RACES, RESTARTED, RETURN, WIN_SHARE
-
-    seen: Mapping[str, Any] = result.get(ENV_RUNNER_RESULTS, {})
-    by_module = seen.get("num_module_steps_sampled_lifetime", {})
+    mean = float(result.get("episode_return_mean", np.nan))
     return {
         "iteration": algorithm.iteration,
-        "kart_steps": int(by_module.get(MAIN, 0)),
-        "races": int(seen.get(RACES, 0)),
-        "return": _number(result.get(RETURN)),
-        "win_share": _number(result.get(WIN_SHARE)),
-        "promotions": result.get("promotions", 0),
+        "kart_steps": int(result["num_module_steps_sampled_lifetime"][MAIN]),
+        "episodes": int(result.get("num_episodes_lifetime", 0)),
+        "return": None if np.isnan(mean) else round(mean, 4),
         "env_runners": algorithm.env_runner_group.num_healthy_remote_workers(),
-        "restarted": result.get(RESTARTED, 0),
+        "restarted": algorithm.env_runner_group.num_remote_worker_restarts(),
         "seconds": round(seconds, 2),
     }
 
 
-def _number(value: Any) -> float | None:
-    return None if value is None or not np.isfinite(value) else round(float(value), 4)
-
-
 def _in_words(line: Mapping[str, Any], iterations: int) -> str:
-    shown = {
-        name: "-" if line[name] is None else f"{line[name]:.2f}" for name in ("return", "win_share")
-    }
+    mean = "-" if line["return"] is None else f"{line['return']:.2f}"
     return (
-        f"{line['iteration']}/{iterations}: {line['kart_steps']:,} kart-steps, {line['races']} "
-        f"races, return {shown['return']}, ahead of past selves {shown['win_share']}, "
-        f"{line['promotions']} snapshots, {line['env_runners']} env runners "
+        f"{line['iteration']}/{iterations}: {line['kart_steps']:,} kart-steps, "
+        f"{line['episodes']} episodes, return {mean}, {line['env_runners']} env runners "
         f"({line['restarted']} restarted), {line['seconds']:.1f} s"
     )
 
