@@ -42,7 +42,7 @@ _CODE = """\
 import json, sys
 sys.path[:] = json.loads(sys.argv[1])
 from stkzoo.drivers.process import main
-main(*map(int, sys.argv[2:]))
+main(int(sys.argv[2]))
 """
 #: Time limit for an agent without a time limit to read its observation [s].
 _SEND_TIMEOUT = 60.0
@@ -77,8 +77,7 @@ class IsolatedAgent:
     def __init__(
         self, request: DriverRequest, files: AgentFiles, adapter: str | None = None
     ) -> None:
-        self._agent, self._limits, self._clock = request.agent, request.limits, request.clock
-        self._cores = request.cores
+        self._request, self._agent, self._limits = request, request.agent, request.limits
         self._limit: float | None = None  # time limit of the current decision
         self.is_usable = True
         #: Number of track segments that the agent uses; ``None`` for all. Set by :meth:`ready`.
@@ -86,29 +85,26 @@ class IsolatedAgent:
         self._resources = ExitStack()
         try:
             place = files.place(self._resources)
-            limits = request.limits
-            enclosure = enclose(limits.sandbox, files, place, adapter, self._resources)
-            self._is_enclosed = enclosure != Enclosure()
+            enclosure = enclose(self._limits.sandbox, files, place, adapter, self._resources)
             self._channel, self._life, self._process = self._spawn(enclosure)
         except (ConfigError, OSError) as error:
             self._resources.close()
             raise AgentError(str(error), self._agent) from error
+        self._is_enclosed = enclosure.confinement is not None
         self._output = OutputTail(self._process.stdout, request.output_label)
         self._resources.callback(self._output.close)
         self._resources.callback(self._end)
+        budget = request.clock.budget
         start = LoadRequest(
             agent=self._agent,
             place=place,
             adapter=adapter,
             seed=request.seed,
+            memory=self._memory,
             extras=sorted(extras_of(request.observation_space)),
             channel=request.channel,
-            cpu_time=self._cpu_time(),
-            is_enclosed=self._is_enclosed,
-            has_own_users=bool(enclosure.command),
-            readable=[*enclosure.readable],
-            writable=[*enclosure.writable],
-            listable=[*enclosure.listable],
+            cpu_time=None if budget is None else self._limits.start_timeout + budget,
+            confinement=enclosure.confinement,
         )
         try:
             self._send(encode(start), "start", self._limits.start_timeout)
@@ -126,7 +122,7 @@ class IsolatedAgent:
 
     def ask(self, observation: Any) -> None:
         """Sends the observation, which may be encoded already."""
-        self._limit = self._clock.limit(self._limits.action_timeout)
+        self._limit = self._request.clock.limit(self._limits.action_timeout)
         if not isinstance(observation, bytes):
             observation = encode_observation(observation, self.paths_used)
         self._send(observation, "action", self._limit)
@@ -136,7 +132,11 @@ class IsolatedAgent:
         reply = self._receive("action")
         if not isinstance(reply, Decided):
             self._fail("its process sent another message than an action")
-        return Decision(reply.action.values(), self._channel.seconds, reply.is_clipped)
+        return reply.decision(self._channel.seconds)
+
+    @property
+    def _memory(self) -> int:
+        return (self._limits.memory or 0) << 20
 
     def peak_memory(self) -> float | None:
         """Returns the largest peak memory of one of the agent's processes so far [MB].
@@ -172,7 +172,7 @@ class IsolatedAgent:
         with self._talking(phase):
             reply = self._channel.receive()
         if isinstance(reply, Failed):
-            error = self._with_output(reply.report.error(self._agent, self._channel.seconds))
+            error = self._with_output(reply.error(self._agent, self._channel.seconds))
             if self._is_enclosed and str(error).startswith(_OUT_OF_REACH):
                 error.args = (f"{error}{_HINT}", *error.args[1:])
             raise error
@@ -221,14 +221,12 @@ class IsolatedAgent:
         theirs.setblocking(True)  # whatever the program's default timeout of sockets
         life, end = socket.socketpair()
         self._resources.callback(life.close)
-        memory = (self._limits.memory or 0) << 20
         path = json.dumps(search_path())
         with theirs, end:
-            code = python_command(_CODE, path, str(theirs.fileno()), str(memory))
-            command = [*shell.command, *code]
+            command = [*shell.command, *python_command(_CODE, path, str(theirs.fileno()))]
             if _HAS_KEEPER:
-                arguments = map(str, (os.getpid(), theirs.fileno(), memory))
-                cores = ",".join(map(str, self._cores))
+                arguments = map(str, (os.getpid(), theirs.fileno(), self._memory))
+                cores = ",".join(map(str, self._request.cores))
                 command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, cores, *command]
             process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
                 command,
@@ -241,23 +239,11 @@ class IsolatedAgent:
             )
         return ReplyChannel(ours), life, process
 
-    def _cpu_time(self) -> float | None:
-        """Returns the CPU time limit of each of the agent's processes [s]; ``None`` for none."""
-        budget = self._clock.budget
-        return None if budget is None else self._limits.start_timeout + budget
-
     def _has_ended(self, seconds: float) -> bool:
-        """Waits for the process to exit by itself; does not reap it, so its id stays valid."""
-        deadline = time.monotonic() + seconds
-        state = os.WEXITED | os.WNOWAIT | os.WNOHANG
-        with suppress(ChildProcessError):
-            while self._process.returncode is None:
-                if os.waitid(os.P_PID, self._process.pid, state) is not None:
-                    break
-                if time.monotonic() > deadline:
-                    return False
-                time.sleep(0.002)
-        return True
+        """Waits for the process to exit by itself."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(seconds)
+        return self._process.returncode is not None
 
     def _how_it_ended(self) -> str:
         """Describes how the process exited by itself, or why the keeper killed it."""
@@ -275,13 +261,14 @@ class IsolatedAgent:
         """Kills the process and its descendants."""
         self.is_usable = False
         self._channel.close()
+        is_first = self._life.fileno() != -1
         self._life.close()
-        if self._process.returncode is None and _HAS_KEEPER:
+        if _HAS_KEEPER and self._process.returncode is None:
             with suppress(ProcessLookupError, subprocess.TimeoutExpired):
                 os.kill(self._process.pid, signal.SIGCONT)
                 self._process.wait(_END_TIMEOUT)
-        if self._process.returncode is None:
+        if is_first and (self._process.returncode is None or not _HAS_KEEPER):
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
+        self._process.wait()
         self._output.close()

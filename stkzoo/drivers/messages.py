@@ -23,8 +23,10 @@ import numpy.typing as npt
 from msgspec import Meta, Struct
 from msgspec.msgpack import Ext
 
+from stkzoo.drivers.confinement import Confinement
 from stkzoo.drivers.failures import MAX_TEXT, agent_trace, bounded, in_words, printable
 from stkzoo.drivers.files import AgentPlace
+from stkzoo.drivers.instances import Decision, DriverInstance
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError
 from stkzoo.kernel import join_rows
 from stkzoo.wrappers.marl import WordChannel
@@ -88,15 +90,58 @@ class Action(Struct, frozen=True, forbid_unknown_fields=True):
         return values
 
 
-class ErrorReport(Struct, frozen=True, forbid_unknown_fields=True):
-    """An agent's error: its kind, text and traceback."""
+# ---------------------------------------------------------------------- an agent's process
+
+
+class LoadRequest(Message):
+    """From the race: how to load the agent, and the limits of its process.
+
+    All later messages from the race are encoded observations.
+    """
+
+    agent: str
+    place: AgentPlace
+    adapter: str | None
+    seed: int
+    memory: int
+    extras: list[str]
+    channel: WordChannel | None
+    cpu_time: float | None
+    confinement: Confinement | None
+
+
+class Ready(Message):
+    """From the agent: its name, and how many track segments it uses (``None`` for all)."""
+
+    name: Name
+    paths_used: Count | None
+
+
+class Decided(Message):
+    """From the agent: the action, and whether a number was clipped to its space."""
+
+    action: Action
+    is_clipped: bool
+
+    @classmethod
+    def of(cls, decision: Decision) -> Decided:
+        """Returns the message for a decision."""
+        return cls(Action.of(decision.action), decision.is_clipped)
+
+    def decision(self, seconds: float) -> Decision:
+        """Returns the decision, which took a time [s]."""
+        return Decision(self.action.values(), seconds, self.is_clipped)
+
+
+class Failed(Message):
+    """From the agent: why there is no action, or why the agent could not be loaded."""
 
     kind: Literal["error", "timeout"]
     text: LongText
     trace: LongText
 
     @classmethod
-    def of(cls, error: BaseException) -> ErrorReport:
+    def of(cls, error: BaseException) -> Failed:
         """Returns the report of an exception."""
         trace = error.trace if isinstance(error, AgentError) else agent_trace(error)
         return cls(
@@ -117,50 +162,17 @@ class ErrorReport(Struct, frozen=True, forbid_unknown_fields=True):
         return error_type(text, agent, trace, seconds)
 
 
-# ---------------------------------------------------------------------- an agent's process
-
-
-class LoadRequest(Message):
-    """From the race: how to load the agent, and the limits of its process.
-
-    All later messages from the race are encoded observations.
-    """
-
-    agent: str
-    place: AgentPlace
-    adapter: str | None
-    seed: int
-    extras: list[str]
-    channel: WordChannel | None
-    cpu_time: float | None
-    is_enclosed: bool
-    has_own_users: bool
-    readable: list[str]
-    writable: list[str]
-    listable: list[str]
-
-
-class Ready(Message):
-    """From the agent: its name, and how many track segments it uses (``None`` for all)."""
-
-    name: Name
-    paths_used: Count | None
-
-
-class Decided(Message):
-    """From the agent: the action, and whether a number was clipped to its space."""
-
-    action: Action
-    is_clipped: bool
-
-
-class Failed(Message):
-    """From the agent: why there is no action, or why the agent could not be loaded."""
-
-    report: ErrorReport
-
-
 Reply: TypeAlias = Ready | Decided | Failed
+
+
+def start_reply(agent: DriverInstance) -> Ready | Failed:
+    """Waits until an agent is ready and returns the message about it."""
+    try:
+        name = printable(agent.ready(), MAX_NAME)
+    except Exception as error:  # noqa: BLE001 - an agent may raise anything
+        return Failed.of(error)
+    return Ready(name, getattr(agent, "paths_used", None))
+
 
 # ---------------------------------------------------------------------- coding
 
@@ -184,18 +196,17 @@ def encode(message: Struct) -> bytes:
     return data
 
 
-def decode(decoder: msgspec.msgpack.Decoder[Any], data: bytes, most: int = MAX_BYTES) -> Any:
+def decode(decoder: msgspec.msgpack.Decoder[Any], data: bytes) -> Any:
     """Decodes a message.
 
     Args:
         decoder: decoder of the expected messages.
         data: the message.
-        most: maximum size [bytes].
 
     Raises:
         ProtocolError: the bytes are no such message.
     """
-    check_size(len(data), most)
+    check_size(len(data))
     try:
         return decoder.decode(data)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

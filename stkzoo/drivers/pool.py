@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.drivers.driver import Driver, find_driver
-from stkzoo.drivers.policy import frozen_policy
+from stkzoo.drivers.driver import Driver, find_driver, frozen_policy
 from stkzoo.errors import ConfigError, check_arguments, check_number, shortened
 
 

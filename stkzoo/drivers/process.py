@@ -9,26 +9,23 @@ agent's standard input and output (``docs/reference/agents.md``).
 from __future__ import annotations
 
 import math
+import os
 import random
 import resource
-import socket
 import sys
 from contextlib import ExitStack
+from multiprocessing.connection import Connection
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from stkzoo.drivers import landlock, seccomp
 from stkzoo.drivers.code import AgentCode, load_agent
-from stkzoo.drivers.failures import printable
 from stkzoo.drivers.inline import InlineAgent
 from stkzoo.drivers.instances import DriverLimits, DriverRequest
 from stkzoo.drivers.messages import (
-    MAX_NAME,
-    Action,
+    MAX_BYTES,
     Decided,
-    ErrorReport,
     Failed,
     LoadRequest,
     Ready,
@@ -36,15 +33,10 @@ from stkzoo.drivers.messages import (
     decode,
     decode_observation,
     encode,
+    start_reply,
 )
-from stkzoo.drivers.replies import LENGTH, length_in
 from stkzoo.errors import AgentError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-
-#: Maximum number of threads of all processes of an agent together.
-_MAX_THREADS = 512
-#: Limits of each process in a sandbox: number of open files, and size of a file [bytes].
-_MAX_OPEN_FILES, _MAX_FILE_SIZE = 1024, 64 << 20
 
 _start_decoder = msgspec.msgpack.Decoder(LoadRequest)
 
@@ -53,11 +45,11 @@ class Channel:
     """The agent's end of the socket to the race.
 
     Args:
-        connection: the socket.
+        descriptor: file descriptor of the socket.
     """
 
-    def __init__(self, connection: socket.socket) -> None:
-        self._connection, self._reader = connection, connection.makefile("rb")
+    def __init__(self, descriptor: int) -> None:
+        self._connection = Connection(descriptor)
 
     def send(self, message: Reply) -> None:
         """Sends one message.
@@ -65,42 +57,32 @@ class Channel:
         Raises:
             OSError: the connection is closed.
         """
-        data = encode(message)
-        self._connection.sendall(LENGTH.pack(len(data)) + data)
+        self._connection.send_bytes(encode(message))
 
     def receive(self) -> bytes:
         """Waits for one message.
 
         Raises:
             EOFError: the other end closed the connection.
-            OSError: the connection failed.
-            ProtocolError: the message is too long.
+            OSError: the connection failed, or the message is too long.
         """
-        return self._exactly(length_in(self._exactly(LENGTH.size)))
-
-    def _exactly(self, size: int) -> bytes:
-        data = self._reader.read(size)
-        if len(data) < size:
-            raise EOFError("the connection was closed")
-        return data
+        return self._connection.recv_bytes(MAX_BYTES)
 
 
-def main(connection_fd: int, memory: int) -> None:
+def main(connection_fd: int) -> None:
     """Runs until the race closes the connection.
 
     Args:
         connection_fd: file descriptor of the socket to the race.
-        memory: memory limit of the process [bytes]; 0 for no limit.
     """
     sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")  # type: ignore[union-attr]
-    connection = socket.socket(fileno=connection_fd)
-    connection.set_inheritable(False)
-    channel = Channel(connection)
+    os.set_inheritable(connection_fd, False)
+    channel = Channel(connection_fd)
     try:
         start: LoadRequest = decode(_start_decoder, channel.receive())
-        _limit(memory, start.cpu_time)
-        if start.is_enclosed:
-            _enclose(start)
+        _limit(start.memory, start.cpu_time)
+        if start.confinement is not None:
+            start.confinement.apply()
         agent = _load(channel, start)
         while agent is not None:
             channel.send(_decide(agent, decode_observation(channel.receive())))
@@ -127,14 +109,10 @@ def _load(channel: Channel, start: LoadRequest) -> InlineAgent | None:
     )
     agent = InlineAgent(request, load)
     _seed_everything(start.seed)
-    try:
-        name = agent.ready()
-    except AgentError as error:
-        channel.send(Failed(ErrorReport.of(error)))
-        return None
+    reply = start_reply(agent)
     _seed_everything(start.seed)
-    channel.send(Ready(printable(name, MAX_NAME), agent.paths_used))
-    return agent
+    channel.send(reply)
+    return agent if isinstance(reply, Ready) else None
 
 
 def _decide(agent: InlineAgent, observation: Any) -> Reply:
@@ -142,8 +120,8 @@ def _decide(agent: InlineAgent, observation: Any) -> Reply:
     try:
         decision = agent.answer()
     except AgentError as error:
-        return Failed(ErrorReport.of(error))
-    return Decided(Action.of(decision.action), decision.is_clipped)
+        return Failed.of(error)
+    return Decided.of(decision)
 
 
 def _seed_everything(seed: int) -> None:
@@ -167,19 +145,3 @@ def _limit(memory: int, cpu_time: float | None) -> None:
         most = math.ceil(cpu_time)
         resource.setrlimit(resource.RLIMIT_CPU, (most, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-
-
-def _enclose(start: LoadRequest) -> None:
-    """Permanently drops the privileges that the process still has inside its sandbox."""
-    # In a user namespace of its own, the process limit counts only this agent's processes.
-    if start.has_own_users:
-        resource.setrlimit(resource.RLIMIT_NPROC, (_MAX_THREADS, _MAX_THREADS))
-    for limit, most in (
-        (resource.RLIMIT_NOFILE, _MAX_OPEN_FILES),
-        (resource.RLIMIT_FSIZE, _MAX_FILE_SIZE),
-        (resource.RLIMIT_MSGQUEUE, 0),
-    ):
-        resource.setrlimit(limit, (most, most))
-    if start.readable:
-        landlock.restrict(start.readable, start.writable, start.listable)
-    seccomp.restrict(has_own_network=start.has_own_users)

@@ -14,16 +14,17 @@ import socket
 import struct
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Protocol
 
 import msgspec
 
-from stkzoo.drivers.messages import MAX_BYTES, MAX_REPLY, Reply, check_size, decode
+from stkzoo.drivers.messages import MAX_REPLY, Reply, check_size, decode
 from stkzoo.errors import ProtocolError
 
-#: Header of a message: its length [bytes].
-LENGTH = struct.Struct("<I")
+#: Header of a message: its length [bytes], as in :mod:`multiprocessing.connection`.
+LENGTH = struct.Struct("!I")
 _BLOCK = 65536
 
 _replies = msgspec.msgpack.Decoder(Reply)
@@ -69,9 +70,24 @@ def receive_pending() -> None:
     _pending.looked = now
 
 
-def end_wait() -> None:
-    """Records that this thread has waited until now, so that replies have just arrived."""
+def wait_for(events: Mapping[int, int], deadline: float | None) -> None:
+    """Waits until a descriptor is ready, and receives the replies that arrive meanwhile.
+
+    Args:
+        events: the events to wait for (:func:`select.poll`), by descriptor, besides those of the
+            thread's receivers.
+        deadline: time limit (:func:`time.monotonic`); ``None`` for no limit.
+    """
+    poll = select.poll()
+    waiting = {receiver.fileno(): receiver for receiver in _pending.receivers}
+    for descriptor, event in {**dict.fromkeys(waiting, select.POLLIN), **events}.items():
+        poll.register(descriptor, event)
+    left = None if deadline is None else max(deadline - time.monotonic(), 0.0)
+    ready = poll.poll(None if left is None else math.ceil(1000 * left))
     _pending.looked = time.monotonic()
+    for descriptor, _ in ready:
+        if descriptor in waiting:
+            waiting[descriptor].receive_available()
 
 
 def arrival_time() -> float:
@@ -126,7 +142,7 @@ class ReplyChannel:
             try:
                 rest = rest[self._connection.send(rest) :]
             except BlockingIOError:  # noqa: PERF203 - it is rare
-                self._wait(select.POLLOUT)
+                self._wait({self.fileno(): select.POLLOUT})
         self._complete = time.monotonic()  # on a shared core, the agent may have thought meanwhile
         self._pending.add(self)
         receive_pending()
@@ -143,12 +159,12 @@ class ReplyChannel:
             self._pending.add(self)
             receive_pending()
         while self in self._pending:
-            self._wait(select.POLLIN)
+            self._wait({})
         if self._problem is not None:
             raise self._problem
         data = bytes(memoryview(self._buffer)[LENGTH.size :])
         self._buffer, self._missing = bytearray(), LENGTH.size
-        reply: Reply = decode(_replies, data, MAX_REPLY)
+        reply: Reply = decode(_replies, data)
         return reply
 
     def fileno(self) -> int:
@@ -174,7 +190,8 @@ class ReplyChannel:
         self._buffer += block
         self._missing -= len(block)
         if len(self._buffer) == LENGTH.size:
-            self._missing = length_in(self._buffer, MAX_REPLY)
+            (self._missing,) = LENGTH.unpack(self._buffer)
+            check_size(self._missing, MAX_REPLY)
 
     def _check_for_early_reply(self) -> None:
         """Rejects a reply that was sent before its request, since its time cannot be measured."""
@@ -189,37 +206,12 @@ class ReplyChannel:
         self._pending.discard(self)
         self._connection.close()
 
-    def _wait(self, event: int) -> None:
+    def _wait(self, events: Mapping[int, int]) -> None:
         """Waits until the socket is ready or another agent's reply arrives.
-
-        Args:
-            event: ``select.POLLIN`` to read, ``select.POLLOUT`` to write.
 
         Raises:
             TimeoutError: the deadline has passed.
         """
-        left = math.inf if self.deadline is None else self.deadline - time.monotonic()
-        if left <= 0:
+        if self.deadline is not None and time.monotonic() >= self.deadline:
             raise TimeoutError
-        poll = select.poll()
-        waiting = {receiver.fileno(): receiver for receiver in self._pending}
-        for descriptor in waiting:
-            poll.register(descriptor, select.POLLIN)
-        if event != select.POLLIN:
-            poll.register(self._connection, event)
-        ready = poll.poll(None if left == math.inf else math.ceil(1000 * left))
-        end_wait()
-        for descriptor, _ in ready:
-            if descriptor in waiting:
-                waiting[descriptor].receive_available()
-
-
-def length_in(header: bytes | bytearray, most: int = MAX_BYTES) -> int:
-    """Returns the length of the message after a header [bytes].
-
-    Raises:
-        ProtocolError: the message is too long.
-    """
-    (length,) = LENGTH.unpack(header)
-    check_size(length, most)
-    return int(length)
+        wait_for(events, self.deadline)

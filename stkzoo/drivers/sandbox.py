@@ -21,7 +21,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stkzoo._temporary import TemporaryFolder
-from stkzoo.drivers import landlock, seccomp
+from stkzoo.drivers.confinement import (
+    Confinement,
+    has_call_filter,
+    has_scopes,
+    has_tcp,
+    landlock_version,
+)
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
     INSTALLED,
@@ -66,16 +72,12 @@ class Enclosure:
     Attributes:
         command: prefix of the agent's command; empty without bubblewrap.
         environment: the agent's environment variables.
-        readable: paths that the agent can read under Landlock; empty without Landlock.
-        writable: paths that the agent can change under Landlock; empty without Landlock.
-        listable: folders that the agent can list under Landlock; empty without Landlock.
+        confinement: what the process gives up itself; ``None`` without a sandbox.
     """
 
     command: Sequence[str] = ()
     environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
-    readable: Sequence[str] = ()
-    writable: Sequence[str] = ()
-    listable: Sequence[str] = ()
+    confinement: Confinement | None = None
 
 
 def enclose(
@@ -109,8 +111,11 @@ def enclose(
     if kind == LANDLOCK:
         # A package is imported from its own folder. Other modules are searched in these.
         searched = [] if place.package else [place.first, place.last]
-        return Enclosure((), environment, [*paths, *_KERNEL], [home, *changed, *_DEVICES], searched)
-    return Enclosure(_bubblewrap_command(paths, changed), environment)
+        writable = [home, *changed, *_DEVICES]
+        return Enclosure(
+            (), environment, Confinement(False, [*paths, *_KERNEL], writable, searched)
+        )
+    return Enclosure(_bubblewrap_command(paths, changed), environment, Confinement(True))
 
 
 def sandbox_kind(mode: str) -> str:
@@ -129,7 +134,7 @@ def sandbox_kind(mode: str) -> str:
         return BUBBLEWRAP
     if mode == "on":
         raise ConfigError(f"there is no sandbox for agents: {problem}; or use --sandbox auto")
-    return LANDLOCK if landlock.version() else NONE
+    return LANDLOCK if landlock_version() else NONE
 
 
 def own_cores(number: int, count: int) -> tuple[int, ...]:
@@ -156,15 +161,15 @@ def protections(kind: str) -> tuple[str, ...]:
     Args:
         kind: kind of sandbox, from :func:`sandbox_kind`.
     """
-    version = landlock.version() if kind == LANDLOCK else 0
-    has_filter = kind != NONE and seccomp.is_available()
+    version = landlock_version() if kind == LANDLOCK else 0
+    has_filter = kind != NONE and has_call_filter()
     active = {
         "files": kind != NONE,
         "environment variables": kind != NONE,
         "tracing": kind != NONE,
         "network": kind == BUBBLEWRAP or has_filter,
-        "TCP": landlock.has_tcp(version),
-        "signals": kind == BUBBLEWRAP or landlock.has_scopes(version),
+        "TCP": has_tcp(version),
+        "signals": kind == BUBBLEWRAP or has_scopes(version),
         "temporary files": kind == BUBBLEWRAP,
         "system calls": has_filter,
         "memory and processes of the group": sys.platform == "linux",

@@ -123,7 +123,7 @@ def test_a_forged_result_in_a_replay_is_detected(tmp_path):
 
 #: Modules that unpickle bytes. Both ends belong to the same program.
 UNPICKLING = {
-    "stkzoo/drivers/policy.py",  # copies a policy of this program, in memory
+    "stkzoo/drivers/driver.py",  # copies a policy of this program, in memory
 }
 RUNNING = {"eval", "exec", "compile"}
 READERS = {"pickle", "cloudpickle", "dill", "joblib", "marshal", "shelve", "yaml"}

@@ -17,7 +17,6 @@ from stkzoo.drivers.messages import (
     MAX_BYTES,
     Action,
     Decided,
-    ErrorReport,
     Failed,
     Ready,
     Reply,
@@ -102,8 +101,8 @@ def test_an_action_survives_a_round_trip():
 
 
 def test_an_error_survives_a_round_trip():
-    report = ErrorReport.of(AgentTimeout("too late\x1b[2J", trace="line 1"))
-    error = decode(replies, encode(Failed(report))).report.error("kart_1", seconds=2.0)
+    failed = Failed.of(AgentTimeout("too late\x1b[2J", trace="line 1"))
+    error = decode(replies, encode(failed)).error("kart_1", seconds=2.0)
     assert type(error) is AgentTimeout
     assert (str(error), error.key, error.trace, error.seconds) == (
         "too late",

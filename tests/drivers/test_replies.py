@@ -120,7 +120,7 @@ def test_a_reply_in_single_bytes_does_not_extend_its_deadline(channel):
     over = threading.Event()
 
     def trickle():
-        theirs.sendall(b"\xff\0\0\0")
+        theirs.sendall(b"\0\0\0\xff")
         while not over.wait(0.02):
             theirs.sendall(b"\1")
 

@@ -92,12 +92,12 @@ ADVERSARIES = {
     "is its own echo": Adversary(
         "os.dup2(fd(), 0); os.dup2(fd(), 1); os.execlp('cat', 'cat')", LATE
     ),
-    "forges bytes": Adversary("raw(b'\\x05\\0\\0\\0\\xc1\\xc1\\xc1\\xc1\\xc1')" + SLEEP, INVALID),
+    "forges bytes": Adversary("raw(b'\\0\\0\\0\\x05\\xc1\\xc1\\xc1\\xc1\\xc1')" + SLEEP, INVALID),
     "announces too much": Adversary("raw(b'\\xf0\\xff\\xff\\xff')" + SLEEP, "a message of"),
     "nests its reply": Adversary("raw(frame(b'\\x91' * 65536))" + SLEEP, INVALID),
-    "trickles": Adversary("raw(b'\\0\\xf0\\0\\0'); [trickle() for _ in range(10**6)]", LATE),
+    "trickles": Adversary("raw(b'\\0\\0\\xf0\\0'); [trickle() for _ in range(10**6)]", LATE),
     "sends a long error": Adversary(
-        "channel().send(Failed(ErrorReport('error', 'x' * 10**5, '')))" + SLEEP, "a message of"
+        "channel().send(Failed('error', 'x' * 10**5, ''))" + SLEEP, "a message of"
     ),
     "answers twice": Adversary("twice()", "expected", step=2),
     "stalls at its second step": Adversary("later(time.sleep, 99)", LATE, step=1),
@@ -105,7 +105,7 @@ ADVERSARIES = {
 
 _PRELUDE = """
 import atexit, ctypes, gc, mmap, os, resource, select, signal, struct, sys, time
-from stkzoo.drivers.messages import ErrorReport, Failed
+from stkzoo.drivers.messages import Failed
 from stkzoo.drivers.process import Channel
 
 MARK = {mark!r}
@@ -166,10 +166,10 @@ def fd():
     return channel()._connection.fileno()
 
 def raw(data):
-    channel()._connection.sendall(data)
+    channel()._connection._send(data)
 
 def frame(data):
-    return struct.pack("<I", len(data)) + data
+    return struct.pack("!I", len(data)) + data
 
 def trickle():
     raw(b"x")

@@ -76,7 +76,6 @@ def server_thread(drivers, **options):
 def open_request(**changes):
     """Returns the fields of a request for a seat, which may be invalid, as a message."""
     fields = {
-        "protocol": VERSION,
         "seat": 0,
         "driver": 0,
         "agent": "kart_0",

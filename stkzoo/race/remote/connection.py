@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import select
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import msgspec
 
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.messages import Failed, Message, Ready, encode
-from stkzoo.drivers.replies import arrival_time, end_wait, pending_replies, receive_pending
+from stkzoo.drivers.replies import arrival_time, pending_replies, receive_pending, wait_for
 from stkzoo.errors import ProtocolError, RemoteError
 from stkzoo.race.remote import protocol
 from stkzoo.race.remote.keys import KeyPair
@@ -21,8 +21,6 @@ from stkzoo.race.remote.sockets import client_socket, zmq_module
 
 #: Time limit for ZeroMQ to send the last message in the background [ms].
 _GOODBYE = 500
-#: Grace period after a deadline for reading messages that arrived in time [s].
-_READING = 1.0
 #: Maximum number of pings after a message to the server. A server sends 120 in its patience.
 _MAX_PINGS = 200
 
@@ -86,7 +84,7 @@ class Connection:
         self._next_seat += 1
         self._seats.add(seat)
         self._starting.add(seat)
-        self._send(protocol.Open(protocol=protocol.VERSION, seat=seat, **fields))
+        self._send(protocol.Open(seat=seat, **fields))
         return seat
 
     def wait_answer(self, seat: int, deadline: float, what: str) -> Any:
@@ -167,69 +165,51 @@ class Connection:
         A message that arrived in time is accepted even if the program reads it late because it
         waited for another server.
         """
-        if not is_there():
-            receive_pending()
+        receive_pending()
+        self._look()
         while not is_there():
             self._require()
-            time_left = deadline - time.monotonic()
-            events = self._poll(time_left)
-            self._require()
-            if time_left < -_READING or (time_left <= 0 and not events):
+            if time.monotonic() >= deadline:
                 remedy = (
                     "; start it, or check its address and the keys" if what == "connect" else ""
                 )
                 self._fail(f"{self.server.address} did not {what} in time{remedy}")
-            elif self._has_mail():
-                self._receive()
-            elif self._monitor in events:
-                self._handle_event()
+                continue
+            own = (self._socket.fileno(), self._monitor.fileno())
+            wait_for(dict.fromkeys(own, select.POLLIN), deadline)
+            self._look()
 
-    def _poll(self, seconds: float) -> list[Any]:
-        """Waits for events of this connection and receives other agents' replies meanwhile.
-
-        Returns:
-            Those of the connection's two sockets that have something to read.
-        """
-        others = {other.fileno(): other for other in self._pending - {self}}
-        poller = self._zmq.Poller()
-        for source in (self._socket, self._monitor, *others):
-            poller.register(source, self._zmq.POLLIN)
-        events = [source for source, _ in poller.poll(math.ceil(1000 * max(seconds, 0.0)))]
-        end_wait()
-        for source in events:
-            if source in others:
-                others[source].receive_available()
-        return [source for source in events if source not in others]
+    def _look(self) -> None:
+        """Receives the available messages, then the events of the connection."""
+        self.receive_available()
+        while not self.failure and self._monitor.EVENTS & self._zmq.POLLIN:
+            self._handle_event()
 
     def fileno(self) -> int:
         """Returns the file descriptor that becomes readable when a message may have arrived."""
-        return int(self._socket.getsockopt(self._zmq.FD))
+        return int(self._socket.fileno())
 
     def receive_available(self) -> None:
-        """Receives the available messages without waiting; never raises."""
-        while not self.failure and self._has_mail():
+        """Receives the available messages without waiting; never raises.
+
+        Messages can be unread even after a disconnect.
+        """
+        while not self.failure and self._socket.EVENTS & self._zmq.POLLIN:
             self._receive()
         if self.failure:
             self._pending.discard(self)
 
-    def _has_mail(self) -> bool:
-        """Returns whether a message is unread, which is possible even after a disconnect."""
-        return bool(self._socket.getsockopt(self._zmq.EVENTS) & self._zmq.POLLIN)
-
     def _handle_event(self) -> None:
         """Reads an event of ZeroMQ: the connection was lost, or the handshake failed."""
-        from zmq.utils.monitor import parse_monitor_message
+        from zmq.utils.monitor import recv_monitor_message
 
-        event = parse_monitor_message(self._monitor.recv_multipart())["event"]
-        if event == self._zmq.EVENT_DISCONNECTED:
-            # Before its welcome, the server may still be starting or checking the key.
-            if self.welcome:
-                self._fail(f"the connection to {self.server.address} was lost")
-        else:
+        if recv_monitor_message(self._monitor)["event"] != self._zmq.EVENT_DISCONNECTED:
             self._fail(
                 f"{self.server.address} refuses the connection: it expects a key (--secret) that "
                 "is on its list, and its own key (--server-key)"
             )
+        elif self.welcome:  # before, the server may still be starting or checking the key
+            self._fail(f"the connection to {self.server.address} was lost")
 
     def _receive(self) -> None:
         frames = self._socket.recv_multipart()

@@ -228,7 +228,7 @@ class RemoteAgent:
             outcome = self._connection.wait_answer(self._seat, deadline, "start an agent")
         if isinstance(outcome, Failed):
             self.is_usable = False
-            raise outcome.report.error(self._agent)
+            raise outcome.error(self._agent)
         self._paths = outcome.paths_used
         return printable(outcome.name)
 
@@ -247,8 +247,8 @@ class RemoteAgent:
         outcome = answer.outcome
         if isinstance(outcome, Failed):
             self.is_usable = answer.is_usable
-            raise outcome.report.error(self._agent, answer.seconds)
-        return Decision(outcome.action.values(), answer.seconds, outcome.is_clipped)
+            raise outcome.error(self._agent, answer.seconds)
+        return outcome.decision(answer.seconds)
 
     def close(self) -> None:
         """Stops the agent on the server."""

@@ -49,7 +49,6 @@ class Hello(Message):
 class Open(Message):
     """Requests a seat for an agent. A client never reuses the number of a seat."""
 
-    protocol: int
     seat: Count
     driver: Count
     agent: Name
@@ -150,7 +149,7 @@ def read_request(frames: list[bytes]) -> ClientMessage:
         ProtocolError: the frames are not such a message, or it has another version.
     """
     message: ClientMessage = decode(_from_client, _only(frames))
-    if isinstance(message, Hello | Open):
+    if isinstance(message, Hello):
         _check_version(message.protocol)
     return message
 

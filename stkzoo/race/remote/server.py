@@ -109,12 +109,12 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         """Serves clients until :meth:`stop` is called. Errors of clients do not end it."""
         poller = self._zmq.Poller()
         jobs: dict[Any, Callable[[], object]] = {
-            self._connections.socket: self._count_connections,
+            self._connections.socket: self._connections.update,
             self._socket: self._receive,
             self._outbox: self._send_replies,
         }
         if self._authenticator is not None:
-            jobs[self._authenticator.socket] = self._authenticate
+            jobs[self._authenticator.socket] = self._authenticator.answer
         for socket in jobs:
             poller.register(socket, self._zmq.POLLIN)
         due = time.monotonic() + _CHECK
@@ -189,15 +189,6 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         session.start()
         self._sessions.add(session)
         logger.info("client connected; %d of %d sessions", len(self._clients), self._max_sessions)
-
-    def _count_connections(self) -> None:
-        if self._connections.update():
-            logger.warning("too many connections; further ones are refused until others end")
-
-    def _authenticate(self) -> None:
-        assert self._authenticator is not None  # noqa: S101 - it has a socket
-        if not self._authenticator.answer():
-            logger.warning("refused a client whose key is not allowed")
 
     # ------------------------------------------------------------------ outgoing messages
 

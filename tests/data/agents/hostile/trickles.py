@@ -1,20 +1,19 @@
 """Sends the first byte of each reply at once and the rest 0.3 s later."""
 
-import socket
+import os
 import time
-
-sendall = socket.socket.sendall
+from multiprocessing.connection import Connection
 
 
 def slowly(connection, data):
-    sendall(connection, data[:1])
+    os.write(connection.fileno(), data[:1])
     time.sleep(0.3)
-    sendall(connection, data[1:])
+    os.write(connection.fileno(), data[1:])
 
 
 def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
-        socket.socket.sendall = slowly
+        Connection._send = slowly
         return action_space.sample()
 
     return actor
