@@ -33,7 +33,7 @@ from stkzoo.render.renderer import RaceRenderer, camera_karts
 from stkzoo.tracks import SPLITS
 from stkzoo.views import views
 from stkzoo.wrappers.racing import PLACES
-from stkzoo.wrappers.racing.road import MARKS
+from stkzoo.wrappers.racing.features import MARKS
 
 IMAGES = Path(__file__).parents[1] / "images"
 _FRAME_SIZE, _FRAME_STEP = (480, 270), 45

@@ -188,8 +188,9 @@ def _view_of(env_name: object) -> ViewFactory:
             "options of the view, such as ('supertuxkart/simple-v0', {'state_items': 3})"
         )
     if env_name.startswith(_TASK_IDS):
-        return _view_of_task(env_name)
-    name = _view_name(env_name)
+        view: ViewFactory = importlib.import_module(_SUITE).view_of(env_name)
+        return view
+    name = env_name.removeprefix("supertuxkart/").rsplit("-v", 1)[0]
     if name in VIEWS:
         return VIEWS[name]
     spec = gym.registry.get(env_name)
@@ -203,42 +204,42 @@ def _view_of(env_name: object) -> ViewFactory:
     return View(name, f"The wrappers of {env_name}.", tuple(wrappers))
 
 
-def _view_of_task(env_id: str) -> ViewFactory:
-    view: ViewFactory = importlib.import_module(_SUITE).view_of(env_id)
-    return view
-
-
 def declared_view(files: AgentFiles) -> ViewFactory:
     """Returns the view that an agent's module names; ``full`` if it names none that exists.
 
     The agent's module does not run.
     """
-    name, options = declared(files, "env_name"), {}
-    if isinstance(name, (tuple, list)) and len(name) == 2:
-        name, options = name
-    text = str(name)
     try:
-        view = _view_of_task(text) if text.startswith(_TASK_IDS) else _view_name(text)
-        return find_view((view, options))
-    except ConfigError:
+        return _view_of(declared(files, "env_name"))
+    except (ConfigError, RecursionError):
         return VIEWS["full"]  # reported when the agent is loaded
 
 
-def _view_name(env_name: str) -> str:
-    return env_name.removeprefix("supertuxkart/").rsplit("-v", 1)[0]
-
-
 def _load_adapter(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location("stkzoo_race_adapter", path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise ConfigError(f"the adapter {str(path)!r} is not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = _run_file("stkzoo_race_adapter", path)
     if not callable(getattr(module, "create_actor", None)):
         raise ConfigError(
             f"the adapter {str(path)!r} has no function create_actor; expected "
             "create_actor(get_actor, module_dir, observation_space, action_space)"
         )
+    return module
+
+
+def _run_file(name: str, file: Path) -> ModuleType:
+    """Imports a file under a name; an ``__init__.py`` as the package in its folder.
+
+    The name of such a folder may not be a valid identifier.
+    """
+    folders = [str(file.parent)] if file.name == "__init__.py" else None
+    spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=folders)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{str(file)!r} is not a Python file")
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        sys.modules.pop(name, None)
+        raise
     return module
 
 
@@ -296,8 +297,8 @@ class ModuleScope:
             ModuleNotFoundError: the module, or a module that it imports, does not exist.
         """
         importlib.invalidate_caches()
-        if self._place.package:
-            _import_package(Path(self._place.package), self._place.modules[0].partition(".")[0])
+        if self._place.package and _top(self._place.modules[0]) not in sys.modules:
+            _run_file(_top(self._place.modules[0]), Path(self._place.package, "__init__.py"))
         *others, last = self._place.modules
         for name in others:
             try:
@@ -309,12 +310,10 @@ class ModuleScope:
 
     def _others(self) -> dict[str, ModuleType]:
         """Returns the loaded modules whose names the agent's modules use too."""
-        foreign = {name for name in self._names if name in sys.modules and self._is_foreign(name)}
-        named = {name: sys.modules[name] for name in self._own if name in sys.modules}
-        if not foreign:
-            return named
-        loaded = list(sys.modules.items())
-        return named | {name: module for name, module in loaded if _top(name) in foreign}
+        foreign = {name for name in self._names if self._owns(sys.modules.get(name)) is False}
+        loaded = list(sys.modules.items()) if foreign else []
+        others = {name: module for name, module in loaded if _top(name) in foreign}
+        return others | {name: sys.modules[name] for name in self._own if name in sys.modules}
 
     def _new_modules(self) -> dict[str, ModuleType]:
         # Those that were imported in the context are the last ones. Others in the agent's folders
@@ -323,22 +322,17 @@ class ModuleScope:
         return {
             name: module
             for name, module in reversed(latest)
-            if name not in self._own and _top(name) != "stkzoo" and self._is_own(module)
+            if name not in self._own and _top(name) != "stkzoo" and self._owns(module)
         }
 
-    def _is_own(self, module: ModuleType) -> bool:
+    def _owns(self, module: ModuleType | None) -> bool | None:
+        """Returns whether a module is the agent's; ``None`` if it is built in or installed."""
         path = _path_of(module)
-        return path is not None and any(
-            path.is_relative_to(root) and not INSTALLED & set(path.relative_to(root).parts)
-            for root in self._roots
-        )
-
-    def _is_foreign(self, name: str) -> bool:
-        """Returns whether the module with this name belongs to another agent."""
-        path = _path_of(sys.modules.get(_top(name)))
-        if path is None or INSTALLED & set(path.parts):
-            return False
-        return not any(path.is_relative_to(root) for root in self._roots)
+        if path is None:
+            return None
+        root = next((root for root in self._roots if path.is_relative_to(root)), None)
+        parts = path.parts if root is None else path.relative_to(root).parts
+        return None if INSTALLED & set(parts) else root is not None
 
 
 def _path_of(module: ModuleType | None) -> Path | None:
@@ -361,21 +355,3 @@ def _siblings(place: AgentPlace) -> frozenset[str]:
     names = {entry.stem for entry in Path(place.first).glob("*.py")}
     names |= {entry.parent.name for entry in Path(place.first).glob("*/__init__.py")}
     return frozenset(names - set(sys.stdlib_module_names))
-
-
-def _import_package(folder: Path, name: str) -> None:
-    """Imports a package from its folder, whose name may not be a valid identifier."""
-    if name in sys.modules:
-        return
-    spec = importlib.util.spec_from_file_location(
-        name, folder / "__init__.py", submodule_search_locations=[str(folder)]
-    )
-    if spec is None or spec.loader is None:
-        raise ModuleNotFoundError(f"no package in {folder}", name=name)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        sys.modules.pop(name, None)
-        raise

@@ -25,11 +25,10 @@ from stkzoo.drivers.sandbox import (
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.racing_driver import RacingDriver, one_line
+from stkzoo.race.racing_driver import RacingDriver, TeamWords, one_line
 from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
-from stkzoo.race.words import TeamWords
 from stkzoo.views import full_with
 
 #: Without ``max_steps``, the time limit is the race length divided by this speed [m/s] ...

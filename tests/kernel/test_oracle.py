@@ -26,8 +26,8 @@ from stkzoo.views.plan import Seats
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
-from stkzoo.wrappers.racing.features import KERNEL_TABLES
-from stkzoo.wrappers.racing.road import LOOKS, NUM_POINTS
+from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS
 from tests import oracle
 from tests.oracle.racing_observer import own_arrays
 from tests.support.kernel_users import replaced_kernel

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stkzoo import kernel
-from stkzoo.wrappers.racing.road import _RULES, LOOKS, NUM_POINTS, STEP
+from stkzoo.wrappers.racing.features import LOOKS, STEP
+from stkzoo.wrappers.racing.surroundings import _RULES, NUM_POINTS
 from tests.oracle import road_tracer
 
 

@@ -21,20 +21,33 @@ from stkzoo.wrappers.racing.features import (
     ITEM_REACH,
     KART_REACH,
     KARTS,
+    LOOKS,
+    MARKS,
     NUM_POWERUPS,
     OWN_KINDS,
     OWN_NUMBERS,
-    OWN_UNITS,
     PLACES,
     SIZE,
+    STEP,
     TYPES_GOOD,
 )
-from stkzoo.wrappers.racing.road import LOOKS, MARKS, STEP
 from tests.oracle.observations import own_state
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[Any]
 Arrays = tuple[npt.NDArray[Any], ...]
+
+#: Continuous entries of the kart's own state, and their scales.
+OWN_UNITS = {
+    "velocity": 20.0,
+    "max_steer_angle": 1.0,
+    "skeed_factor": 1.0,
+    "energy": 20.0,
+    "attachment_time_left": 10.0,
+    "shield_time": 10.0,
+    "jumping": 1.0,
+    "powerup_count": 3.0,
+}
 
 
 class RacingObserver:

@@ -27,7 +27,8 @@ from stkzoo.wrappers.racing import (
     controls_of_choices,
     road_line,
 )
-from stkzoo.wrappers.racing.road import MARKS, NUM_POINTS, STEP
+from stkzoo.wrappers.racing.features import MARKS, STEP
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS
 
 
 class OneKart(gym.Env):

@@ -6,10 +6,9 @@ are pure functions over arrays with any leading axes. :class:`ControlWrapper` ap
 agent, and :class:`ControlView` defines a view with them.
 """
 
-from stkzoo.wrappers.control.car_action import CarAction, from_single_to_multi_action_space
-from stkzoo.wrappers.control.kart import CarParameters, Pedals
-from stkzoo.wrappers.control.kinds import (
+from stkzoo.wrappers.control.car_action import (
     AcclAction,
+    CarAction,
     LongitudinalAction,
     LongitudinalActionEnum,
     SpeedAction,
@@ -17,7 +16,9 @@ from stkzoo.wrappers.control.kinds import (
     SteerActionEnum,
     SteeringAngleAction,
     SteeringSpeedAction,
+    from_single_to_multi_action_space,
 )
+from stkzoo.wrappers.control.kart import CarParameters, Pedals
 from stkzoo.wrappers.control.wrapper import ControlView, ControlWrapper
 
 __all__ = [

@@ -16,8 +16,7 @@ from pettingzoo.utils import BaseParallelWrapper
 from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
 from stkzoo.views.walker import StepParts
-from stkzoo.wrappers.marl.cloning import ClonableWrapper
-from stkzoo.wrappers.marl.teams import Teams
+from stkzoo.wrappers.marl.teams import ClonableWrapper, Teams
 
 #: One message, ``(size,)``.
 Message = npt.NDArray[np.float32]

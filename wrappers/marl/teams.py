@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 from collections.abc import Mapping, Sequence, Set
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
+from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.errors import ConfigError, check_number
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
 from stkzoo.views.walker import StepParts
-from stkzoo.wrappers.marl.cloning import ClonableWrapper
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 #: Observed features of a teammate: position [m] and velocity [m/s] in the observing kart's frame
 #: (x right, y up, z forward), its lead over the observing kart along the race [m], rank, nitro,
@@ -31,6 +35,32 @@ MATE_FEATURES = (
     ("racing", 1),
 )
 _SIZE = sum(size for _, size in MATE_FEATURES)
+
+
+class ClonableWrapper(BaseParallelWrapper[str, Any, Any]):
+    """A wrapper of a race that its clones keep, because it has no state between two steps."""
+
+    def clone(self) -> Self:
+        """Returns this wrapper around a clone of its environment.
+
+        See :meth:`~stkzoo.env.parallel.RaceParallelEnv.clone`.
+        """
+        race = self.env.clone()
+        twin = copy.copy(self)
+        own = {name: value for name, value in vars(self).items() if name != "env"}
+        twin.__dict__.update(copy.deepcopy(own), env=race)
+        return twin
+
+    def lookahead(self) -> contextlib.closing[Self]:
+        """Yields a clone for trying actions and closes it at the end."""
+        return contextlib.closing(self.clone())
+
+    def follow(self, other: Self) -> None:
+        """Continues from the current state of another environment with equal wrappers.
+
+        See :meth:`~stkzoo.env.parallel.RaceParallelEnv.follow`.
+        """
+        self.env.follow(other.env)
 
 
 class Teams(ClonableWrapper):

@@ -1,6 +1,6 @@
 """The racing view: a fixed-size observation of road, karts and items, and discrete actions."""
 
-from stkzoo.wrappers.racing.features import MEANINGS, MIRROR, PARTS, PLACES, SIZE
+from stkzoo.wrappers.racing.features import LOOKS, MEANINGS, MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
 from stkzoo.wrappers.racing.racing_line import (
     BatchedRacingLines,
@@ -9,8 +9,13 @@ from stkzoo.wrappers.racing.racing_line import (
     racing_line,
     racing_lines_of,
 )
-from stkzoo.wrappers.racing.road import LOOKS, RoadTable, road_line
-from stkzoo.wrappers.racing.surroundings import ABSENT, Surroundings, surroundings_of
+from stkzoo.wrappers.racing.surroundings import (
+    ABSENT,
+    RoadTable,
+    Surroundings,
+    road_line,
+    surroundings_of,
+)
 from stkzoo.wrappers.racing.wrapper import (
     BRAKE,
     CHOICE_NAMES,

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from enum import Enum
+
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.names import AttachmentType, ItemType, PowerupType
-from stkzoo.wrappers.racing.road import BEYOND, MARKS, STEP
+
+#: Distance between the points of a road's line [m].
+STEP = 2.0
+
+#: Distances along the line, from the kart, at which the road is observed [m].
+MARKS = np.array([3, 6, 10, 14, 19, 25, 32, 40, 50, 62, 76, 92], np.float32)
+
+#: Sampled distances: beside the kart, at the marks, and for headings :data:`BEYOND` farther [m].
+BEYOND = 3.0
+LOOKS = np.concatenate([[0.0], MARKS, MARKS + BEYOND]).astype(np.float32)
 
 #: Numbers of the nearest other karts, good items ahead and bad items ahead in the view.
 KARTS, GOODS, BADS = 4, 4, 3
@@ -19,65 +31,50 @@ TYPESBAD = (ItemType.BANANA, ItemType.BUBBLEGUM)
 ATTACHMENTS = tuple(kind for kind in AttachmentType if kind is not AttachmentType.NOTHING)
 NUM_POWERUPS = max(PowerupType) + 1
 
-#: The view's parts in order: name, number of entries, values per entry. Entries of parts named
-#: ``_position`` or ``_direction`` are x (right), y (up), z (ahead).
-PARTS: dict[str, tuple[int, int]] = {
-    "velocity": (1, 3),
-    "max_steer_angle": (1, 1),
-    "skeed_factor": (1, 1),
-    "energy": (1, 1),
-    "attachment_time_left": (1, 1),
-    "shield_time": (1, 1),
-    "jumping": (1, 1),
-    "powerup_type": (1, NUM_POWERUPS),
-    "powerup_count": (1, 1),
-    "attachment": (1, len(ATTACHMENTS)),
-    "line_position": (1, 3),
-    "line_room": (1, 1),
-    "marks_direction": (len(MARKS), 3),
-    "marks_room": (len(MARKS), 1),
-    "marks_heading": (len(MARKS), 2),
-    "karts_direction": (KARTS, 3),
-    "karts_nearness": (KARTS, 1),
-    "goods_direction": (GOODS, 3),
-    "goods_nearness": (GOODS, 1),
-    "goods_beside": (GOODS, 1),
-    "goods_type": (GOODS, len(TYPES_GOOD)),
-    "bads_direction": (BADS, 3),
-    "bads_nearness": (BADS, 1),
-    "bads_beside": (BADS, 1),
-}
 
-_MARKS = ", ".join(f"{mark:g}" for mark in MARKS)
-_POWERUPS = ", ".join(kind.name for kind in PowerupType)
-_HANGING = ", ".join(kind.name for kind in ATTACHMENTS)
+def _names(kinds: Iterable[Enum]) -> str:
+    return ", ".join(kind.name for kind in kinds)
+
+
+_POWERUPS = f"1 for the power-up that the kart holds: {_names(PowerupType)}"
+_ATTACHED = f"1 for what is attached to the kart, all 0 for nothing: {_names(ATTACHMENTS)}"
+_GOOD = f"1 for its type: {_names(TYPES_GOOD)}"
+_METERS = ", ".join(f"{mark:g}" for mark in MARKS)
+_AHEAD = f"points on the line {_METERS} m ahead: position / distance ahead"
+_ROOM = "distance from each of these points to the edge of the road"
+_HEADING = "the line's direction there: sine and cosine; 0 rad is straight ahead"
+#: The view's parts in order: name, number of entries, values per entry, unit and meaning.
+_LAYOUT = (
+    ("velocity", 1, 3, "20 m/s", "the kart's velocity: right, up, ahead"),
+    ("max_steer_angle", 1, 1, "rad", "the wheels' angle at full lock, at the current speed"),
+    ("skeed_factor", 1, 1, "", "how much the kart skids; 1 is not at all"),
+    ("energy", 1, 1, "20 s", "nitro in the tank"),
+    ("attachment_time_left", 1, 1, "10 s", "how long the attachment stays"),
+    ("shield_time", 1, 1, "10 s", "how long the shield holds"),
+    ("jumping", 1, 1, "", "1 in the air, else 0"),
+    ("powerup_type", 1, NUM_POWERUPS, "", _POWERUPS),
+    ("powerup_count", 1, 1, "3", "how many times it can be fired"),
+    ("attachment", 1, len(ATTACHMENTS), "", _ATTACHED),
+    ("line_position", 1, 3, "10 m", "the nearest point of the road's line: right, up, ahead"),
+    ("line_room", 1, 1, "10 m", "distance from that point to the edge of the road"),
+    ("marks_direction", len(MARKS), 3, "", _AHEAD),
+    ("marks_room", len(MARKS), 1, "10 m", _ROOM),
+    ("marks_heading", len(MARKS), 2, "", _HEADING),
+    ("karts_direction", KARTS, 3, "", "unit vectors to the nearest karts within 60 m"),
+    ("karts_nearness", KARTS, 1, "", "1 / (1 + distance / 5 m); 0 where there is none"),
+    ("goods_direction", GOODS, 3, "", "unit vectors to the nearest good items ahead, within 60 m"),
+    ("goods_nearness", GOODS, 1, "", "1 / (1 + distance / 5 m); 0 where there is none"),
+    ("goods_beside", GOODS, 1, "5 m", "how far to the right each of them is"),
+    ("goods_type", GOODS, len(TYPES_GOOD), "", _GOOD),
+    ("bads_direction", BADS, 3, "", "unit vectors to the nearest bad items ahead, within 60 m"),
+    ("bads_nearness", BADS, 1, "", "1 / (1 + distance / 5 m); 0 where there is none"),
+    ("bads_beside", BADS, 1, "5 m", "how far to the right each of them is"),
+)
+#: Number of entries of each part, and values per entry. Entries of parts named ``_position`` or
+#: ``_direction`` are x (right), y (up), z (ahead).
+PARTS: dict[str, tuple[int, int]] = {name: (count, width) for name, count, width, *_ in _LAYOUT}
 #: Unit and meaning of each part.
-MEANINGS: dict[str, tuple[str, str]] = {
-    "velocity": ("20 m/s", "the kart's velocity: right, up, ahead"),
-    "max_steer_angle": ("rad", "the wheels' angle at full lock, at the current speed"),
-    "skeed_factor": ("", "how much the kart skids; 1 is not at all"),
-    "energy": ("20 s", "nitro in the tank"),
-    "attachment_time_left": ("10 s", "how long the attachment stays"),
-    "shield_time": ("10 s", "how long the shield holds"),
-    "jumping": ("", "1 in the air, else 0"),
-    "powerup_type": ("", f"1 for the power-up that the kart holds: {_POWERUPS}"),
-    "powerup_count": ("3", "how many times it can be fired"),
-    "attachment": ("", f"1 for what is attached to the kart, all 0 for nothing: {_HANGING}"),
-    "line_position": ("10 m", "the nearest point of the road's line: right, up, ahead"),
-    "line_room": ("10 m", "distance from that point to the edge of the road"),
-    "marks_direction": ("", f"points on the line {_MARKS} m ahead: position / distance ahead"),
-    "marks_room": ("10 m", "distance from each of these points to the edge of the road"),
-    "marks_heading": ("", "the line's direction there: sine and cosine; 0 rad is straight ahead"),
-    "karts_direction": ("", "unit vectors to the nearest karts within 60 m"),
-    "karts_nearness": ("", "1 / (1 + distance / 5 m); 0 where there is none"),
-    "goods_direction": ("", "unit vectors to the nearest good items ahead, within 60 m"),
-    "goods_nearness": ("", "1 / (1 + distance / 5 m); 0 where there is none"),
-    "goods_beside": ("5 m", "how far to the right each of them is"),
-    "goods_type": ("", f"1 for its type: {', '.join(kind.name for kind in TYPES_GOOD)}"),
-    "bads_direction": ("", "unit vectors to the nearest bad items ahead, within 60 m"),
-    "bads_nearness": ("", "1 / (1 + distance / 5 m); 0 where there is none"),
-    "bads_beside": ("5 m", "how far to the right each of them is"),
-}
+MEANINGS: dict[str, tuple[str, str]] = {name: (unit, text) for name, *_, unit, text in _LAYOUT}
 
 #: Number of values in the view.
 SIZE = sum(count * width for count, width in PARTS.values())
@@ -104,18 +101,6 @@ def _mirror() -> npt.NDArray[np.float32]:
 
 #: ``(SIZE,)`` of 1 and -1; multiplying a view by it mirrors the race left to right.
 MIRROR = _mirror()
-
-#: Continuous entries of the kart's own state, and their scales.
-OWN_UNITS = {
-    "velocity": 20.0,
-    "max_steer_angle": 1.0,
-    "skeed_factor": 1.0,
-    "energy": 20.0,
-    "attachment_time_left": 10.0,
-    "shield_time": 10.0,
-    "jumping": 1.0,
-    "powerup_count": 3.0,
-}
 
 #: Entries of the ``full`` view that the features use, as floats and as integers.
 OWN_NUMBERS = (

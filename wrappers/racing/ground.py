@@ -14,7 +14,8 @@ from stkzoo.engine.ground import Ground
 from stkzoo.mdp.geometry import line_places
 from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.names import GroundKind
-from stkzoo.wrappers.racing.road import NUM_POINTS, STEP, RoadTable
+from stkzoo.wrappers.racing.features import STEP
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadTable
 
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap

@@ -21,7 +21,7 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.mdp.spaces import GROUND_LINE_MARKS
 from stkzoo.names import GroundKind
-from stkzoo.wrappers.racing.road import RoadTable
+from stkzoo.wrappers.racing.surroundings import RoadTable
 from stkzoo.wrappers.racing.wrapper import BatchedRacingView
 
 FloatArray = npt.NDArray[np.float32]

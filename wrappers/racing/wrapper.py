@@ -19,9 +19,14 @@ from stkzoo.mdp.observations import as_actions
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
 from stkzoo.wrappers.observations import refuse_polar
-from stkzoo.wrappers.racing.features import KERNEL_TABLES, OWN_KINDS, OWN_NUMBERS, SIZE
-from stkzoo.wrappers.racing.road import LOOKS, MAX_SEGMENTS, RoadTable
-from stkzoo.wrappers.racing.surroundings import Known, Surroundings, surroundings_of
+from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_KINDS, OWN_NUMBERS, SIZE
+from stkzoo.wrappers.racing.surroundings import (
+    MAX_SEGMENTS,
+    Known,
+    RoadTable,
+    Surroundings,
+    surroundings_of,
+)
 
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap

@@ -15,19 +15,19 @@ from stkzoo.race.replay.file import (
     Replay,
     ReplayAgent,
     ReplayError,
+    ReplayWriter,
     action_of,
     controls_of,
     load_replay,
     save_replay,
 )
-from stkzoo.race.replay.ghost import ghost_of
 from stkzoo.race.replay.playback import (
     Playback,
+    ghost_of,
     other_versions,
     play_replay,
     recorded_driver,
 )
-from stkzoo.race.replay.writer import ReplayWriter
 
 __all__ = [
     "Playback",

@@ -11,8 +11,14 @@ from stkzoo.errors import ConfigError, check_whole, import_extra
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import RaceResult
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.feed import RaceNews, text_of
-from stkzoo.race.web.messages import control_rows, moment_message, race_message, trace_row
+from stkzoo.race.web.messages import (
+    RaceNews,
+    control_rows,
+    moment_message,
+    race_message,
+    text_of,
+    trace_row,
+)
 from stkzoo.render.scene import Scene
 
 

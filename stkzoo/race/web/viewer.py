@@ -13,8 +13,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 
 from stkzoo.errors import ConfigError, ProtocolError, shortened
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.feed import RaceNews, Text
-from stkzoo.race.web.messages import encoded, plain
+from stkzoo.race.web.messages import RaceNews, Text, encoded, plain
 
 logger = logging.getLogger(__name__)
 

@@ -74,7 +74,7 @@ def test_page_responds_while_others_hold_incomplete_requests(page, held):
 
 
 def test_an_incomplete_request_times_out(page, held, monkeypatch):
-    monkeypatch.setattr("stkzoo.race.web.gate._LIFETIME", 0.2)
+    monkeypatch.setattr("stkzoo.race.web.server._LIFETIME", 0.2)
     connect_all(("127.0.0.1", page.port), 3, HALF_REQUEST, held)
     assert wait_until(lambda: num_open(held) == 0)
 

@@ -19,8 +19,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.race import RaceResult, run_race
 from stkzoo.race.web import SPEEDS, LivePage
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.feed import COLUMNS, TraceLog
-from stkzoo.race.web.messages import encoded, plain
+from stkzoo.race.web.messages import COLUMNS, TraceLog, encoded, plain
 from tests.support.floods import upgrade_request
 from tests.support.processes import run_program, wait_until
 from tests.support.web_race import WatchedRace, viewer
