@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from stkzoo._schema import plain_text
-from stkzoo.errors import StkzooError, shortened
+from stkzoo.errors import StkzooError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _IMPORTLIB = Path(importlib.__file__).parent
@@ -25,8 +25,6 @@ _LIBRARIES = {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "pur
 _MAX_FRAMES = 30
 #: Maximum length of an error or a traceback [characters].
 MAX_TEXT = 4000
-#: Maximum length of an agent's value in an error [characters]; typical actions are shorter.
-_MAX_VALUE = 1000
 _KEPT_BYTES, _KEPT_LINES = 8192, 20
 #: Terminal escape sequences, such as colors and window titles.
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
@@ -83,11 +81,6 @@ def fitted(text: str, size: int) -> str:
 def json_size(text: str) -> int:
     """Returns the size of a text in a JSON file [bytes]."""
     return len(json.dumps(text))
-
-
-def value_in_words(value: object) -> str:
-    """Returns the ``repr`` of an agent's value, limited in length."""
-    return shortened(value, _MAX_VALUE)
 
 
 def printable(text: object, limit: int | None = None) -> str:
@@ -177,11 +170,9 @@ class OutputTail:
     def wait(self, seconds: float = 0.1) -> None:
         """Waits until all output that the process has written is read, up to a timeout [s]."""
         deadline = time.monotonic() + seconds
-        while self._thread.is_alive() and time.monotonic() < deadline:
-            if not self._is_readable(0):
-                time.sleep(0.002)  # the thread may not have stored its last block yet
-                return
+        while self._thread.is_alive() and self._is_readable(0) and time.monotonic() < deadline:
             time.sleep(0.001)
+        time.sleep(0.002)  # the thread may not have stored its last block yet
 
     def close(self) -> None:
         """Waits briefly for the last lines of a process that has ended, then stops the thread.
@@ -205,7 +196,7 @@ class OutputTail:
     def _next(self) -> bytes:
         """Returns the next output; empty at the end."""
         while not self._is_closing:
-            if not hasattr(select, "poll") or self._is_readable(_POLL):
+            if self._is_readable(_POLL):
                 return os.read(self._stream.fileno(), 65536)
         return b""
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib.util
 import re
-import shutil
 import stat
 import sys
 import zipfile
@@ -293,20 +292,14 @@ def _only_folder(folder: Path) -> Path:
 def unpack(path: Path, folder: Path) -> None:
     """Unpacks a zip into a new folder.
 
-    Only plain files and folders are created. Only the owner can read the files.
+    Only plain files and folders are created.
 
     Raises:
         ConfigError: the zip is damaged, encrypted or too large, or contains links or paths outside
             of it. The folder may then contain some of the files.
     """
     with _opened(path) as archive:
-        folder.mkdir(parents=True)
-        for member in _checked(archive):
-            target = folder / member.filename
-            target.parent.mkdir(parents=True, exist_ok=True)
-            with archive.open(member) as source, target.open("xb") as file:
-                shutil.copyfileobj(source, file)  # at most the listed size, which is checked
-            target.chmod(stat.S_IRUSR | stat.S_IWUSR)
+        archive.extractall(folder, _checked(archive))  # at most the listed sizes
 
 
 @contextmanager

@@ -14,11 +14,14 @@ from typing import Any
 from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo.drivers.code import Actor, AgentCode
-from stkzoo.drivers.failures import agent_trace, in_words, value_in_words
+from stkzoo.drivers.failures import agent_trace, in_words
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.replies import receive_pending
-from stkzoo.errors import ActionError, AgentError, AgentTimeout
+from stkzoo.errors import ActionError, AgentError, AgentTimeout, shortened
 from stkzoo.views.agent_chain import AgentChain
+
+#: Maximum length of an agent's value in an error [characters]; typical actions are shorter.
+_MAX_VALUE = 1000
 
 
 class InlineAgent:
@@ -122,8 +125,8 @@ class InlineAgent:
             return self._decode(action)
         except ActionError as error:
             details = (
-                f"the agent returned: {value_in_words(action)}\n"
-                f"its action space:   {value_in_words(self._chain.action_space)}"
+                f"the agent returned: {shortened(action, _MAX_VALUE)}\n"
+                f"its action space:   {shortened(self._chain.action_space, _MAX_VALUE)}"
             )
             raise AgentError(in_words(error), self._request.agent, details) from error
 

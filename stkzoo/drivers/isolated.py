@@ -19,19 +19,10 @@ from contextlib import ExitStack, contextmanager, suppress
 from typing import Any, NoReturn
 
 from stkzoo._python import python_command, search_path
-from stkzoo.drivers import keeper
+from stkzoo.drivers import keeper, messages
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.files import AgentFiles
 from stkzoo.drivers.instances import Decision, DriverRequest
-from stkzoo.drivers.messages import (
-    Decided,
-    Failed,
-    LoadRequest,
-    Ready,
-    Reply,
-    encode,
-    encode_observation,
-)
 from stkzoo.drivers.replies import ReplyChannel
 from stkzoo.drivers.sandbox import Enclosure, enclose
 from stkzoo.engine.process import ONE_THREAD, describe_end
@@ -79,6 +70,7 @@ class IsolatedAgent:
     ) -> None:
         self._request, self._agent, self._limits = request, request.agent, request.limits
         self._limit: float | None = None  # time limit of the current decision
+        self._memory = (request.limits.memory or 0) << 20  # [bytes]
         self.is_usable = True
         #: Number of track segments that the agent uses; ``None`` for all. Set by :meth:`ready`.
         self.paths_used: int | None = None
@@ -95,7 +87,7 @@ class IsolatedAgent:
         self._resources.callback(self._output.close)
         self._resources.callback(self._end)
         budget = request.clock.budget
-        start = LoadRequest(
+        start = messages.LoadRequest(
             agent=self._agent,
             place=place,
             adapter=adapter,
@@ -107,7 +99,7 @@ class IsolatedAgent:
             confinement=enclosure.confinement,
         )
         try:
-            self._send(encode(start), "start", self._limits.start_timeout)
+            self._send(messages.encode(start), "start", self._limits.start_timeout)
         except BaseException:
             self._resources.close()
             raise
@@ -115,7 +107,7 @@ class IsolatedAgent:
     def ready(self) -> str:
         """Waits until the agent is loaded and returns the name that it declares."""
         reply = self._receive("start")
-        if not isinstance(reply, Ready):
+        if not isinstance(reply, messages.Ready):
             self._fail("its process sent another message than its name")
         self.paths_used = reply.paths_used
         return reply.name
@@ -124,19 +116,15 @@ class IsolatedAgent:
         """Sends the observation, which may be encoded already."""
         self._limit = self._request.clock.limit(self._limits.action_timeout)
         if not isinstance(observation, bytes):
-            observation = encode_observation(observation, self.paths_used)
+            observation = messages.encode_observation(observation, self.paths_used)
         self._send(observation, "action", self._limit)
 
     def answer(self) -> Decision:
         """Waits for the decision; if it arrives too late, kills the agent's process."""
         reply = self._receive("action")
-        if not isinstance(reply, Decided):
+        if not isinstance(reply, messages.Decided):
             self._fail("its process sent another message than an action")
         return reply.decision(self._channel.seconds)
-
-    @property
-    def _memory(self) -> int:
-        return (self._limits.memory or 0) << 20
 
     def peak_memory(self) -> float | None:
         """Returns the largest peak memory of one of the agent's processes so far [MB].
@@ -167,12 +155,15 @@ class IsolatedAgent:
         if timeout is None:
             self._channel.deadline = None
 
-    def _receive(self, phase: str) -> Reply:
+    def _receive(self, phase: str) -> messages.Reply:
         """Waits for the process's next message and raises the error that it reports."""
         with self._talking(phase):
             reply = self._channel.receive()
-        if isinstance(reply, Failed):
-            error = self._with_output(reply.error(self._agent, self._channel.seconds))
+        if isinstance(reply, messages.Failed):
+            error = reply.error(self._agent, self._channel.seconds)
+            self._output.wait()
+            if output := self._output.text(_LINES_BEFORE_ERROR):
+                error.trace = f"{error.trace.rstrip()}\nlast output:\n{output}".lstrip()
             if self._is_enclosed and str(error).startswith(_OUT_OF_REACH):
                 error.args = (f"{error}{_HINT}", *error.args[1:])
             raise error
@@ -198,13 +189,6 @@ class IsolatedAgent:
             self._fail(f"its process {how} when the {phase} was due")
         except ProtocolError as problem:
             self._fail(f"its process sent an invalid message: {problem}")
-
-    def _with_output(self, error: AgentError) -> AgentError:
-        """Appends the agent's last lines of output to an error's traceback."""
-        self._output.wait()
-        if output := self._output.text(_LINES_BEFORE_ERROR):
-            error.trace = f"{error.trace.rstrip()}\nlast output:\n{output}".lstrip()
-        return error
 
     def _fail(self, message: str, kind: type[AgentError] = AgentError) -> NoReturn:
         seconds = self._channel.seconds

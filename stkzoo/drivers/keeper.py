@@ -19,8 +19,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 
-#: Lines of ``/proc/PROCESS/status`` for a process's own memory and its page tables.
-_OWN = ("RssAnon:", "VmPTE:")
 #: Interval between two checks of the agent's processes [ms].
 _INTERVAL = 100
 #: Maximum number of processes of one agent.
@@ -129,10 +127,12 @@ def _excess(memory: int) -> str:
     if len(files) > _MAX_FILES:
         return f"opened more than {_MAX_FILES} files with all its processes"
     in_files = _files_in_memory(files)
-    resident = _resident(found, in_files)
-    if resident > memory < _in_time(lambda: _shares(found, in_files), memory + 1):
-        return f"used more than {memory >> 20} MB with all its processes"
-    return ""
+    resident = _total(found, in_files, "status", "Rss")
+    if resident <= memory:
+        return ""
+    shares = _in_time(lambda: _total(found, in_files, "smaps_rollup", "Pss_"), resident)
+    is_excess = (shares or resident) > memory
+    return f"used more than {memory >> 20} MB with all its processes" if is_excess else ""
 
 
 def _processes() -> list[int]:
@@ -159,28 +159,20 @@ def _in_time(measure: Callable[[], int], otherwise: int) -> int:
     return measured[0] if measured else otherwise
 
 
-def _resident(processes: Sequence[int], in_files: int) -> int:
-    """Returns the memory of processes [bytes]; counts shared memory once per process.
+def _total(processes: Sequence[int], in_files: int, file: str, kind: str) -> int:
+    """Returns the memory of processes and their page tables [bytes]; 0 if it is not reported.
 
     Args:
         processes: process ids.
-        in_files: memory of open anonymous files [bytes].
+        in_files: memory of open anonymous files [bytes], which counts as shared memory.
+        file: file in ``/proc/PROCESS`` with the memory.
+        kind: ``"Rss"`` counts shared memory once per process, ``"Pss_"`` once.
     """
-    own = sum(memory_of(process, "status", _OWN) for process in processes)
-    shared = sum(memory_of(process, "status", ("RssShmem:",)) for process in processes)
-    return own + max(shared, in_files)
-
-
-def _shares(processes: Sequence[int], in_files: int) -> int:
-    """Returns the memory of processes [bytes]; counts shared memory once if the system allows."""
-    own, shared = (
-        sum(memory_of(process, "smaps_rollup", (name,)) for process in processes)
-        for name in ("Pss_Anon:", "Pss_Shmem:")
+    own, shared, tables = (
+        sum(memory_of(process, source, (name,)) for process in processes)
+        for source, name in ((file, f"{kind}Anon:"), (file, f"{kind}Shmem:"), ("status", "VmPTE:"))
     )
-    if not own:
-        return _resident(processes, in_files)
-    tables = sum(memory_of(process, "status", ("VmPTE:",)) for process in processes)
-    return own + tables + max(shared, in_files)
+    return own and own + tables + max(shared, in_files)
 
 
 def _open_files(processes: Sequence[int]) -> Iterator[str]:

@@ -20,25 +20,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from stkzoo.drivers import messages
 from stkzoo.drivers.code import AgentCode, load_agent
 from stkzoo.drivers.inline import InlineAgent
 from stkzoo.drivers.instances import DriverLimits, DriverRequest
-from stkzoo.drivers.messages import (
-    MAX_BYTES,
-    Decided,
-    Failed,
-    LoadRequest,
-    Ready,
-    Reply,
-    decode,
-    decode_observation,
-    encode,
-    start_reply,
-)
 from stkzoo.errors import AgentError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 
-_start_decoder = msgspec.msgpack.Decoder(LoadRequest)
+_start_decoder = msgspec.msgpack.Decoder(messages.LoadRequest)
 
 
 class Channel:
@@ -51,13 +40,13 @@ class Channel:
     def __init__(self, descriptor: int) -> None:
         self._connection = Connection(descriptor)
 
-    def send(self, message: Reply) -> None:
+    def send(self, message: messages.Reply) -> None:
         """Sends one message.
 
         Raises:
             OSError: the connection is closed.
         """
-        self._connection.send_bytes(encode(message))
+        self._connection.send_bytes(messages.encode(message))
 
     def receive(self) -> bytes:
         """Waits for one message.
@@ -66,7 +55,7 @@ class Channel:
             EOFError: the other end closed the connection.
             OSError: the connection failed, or the message is too long.
         """
-        return self._connection.recv_bytes(MAX_BYTES)
+        return self._connection.recv_bytes(messages.MAX_BYTES)
 
 
 def main(connection_fd: int) -> None:
@@ -79,18 +68,18 @@ def main(connection_fd: int) -> None:
     os.set_inheritable(connection_fd, False)
     channel = Channel(connection_fd)
     try:
-        start: LoadRequest = decode(_start_decoder, channel.receive())
+        start: messages.LoadRequest = messages.decode(_start_decoder, channel.receive())
         _limit(start.memory, start.cpu_time)
         if start.confinement is not None:
             start.confinement.apply()
         agent = _load(channel, start)
         while agent is not None:
-            channel.send(_decide(agent, decode_observation(channel.receive())))
+            channel.send(_decide(agent, messages.decode_observation(channel.receive())))
     except (EOFError, OSError):
         return  # the race is over
 
 
-def _load(channel: Channel, start: LoadRequest) -> InlineAgent | None:
+def _load(channel: Channel, start: messages.LoadRequest) -> InlineAgent | None:
     """Loads the agent and reports the outcome to the race."""
 
     def load(_: ExitStack) -> AgentCode:
@@ -109,19 +98,19 @@ def _load(channel: Channel, start: LoadRequest) -> InlineAgent | None:
     )
     agent = InlineAgent(request, load)
     _seed_everything(start.seed)
-    reply = start_reply(agent)
+    reply = messages.start_reply(agent)
     _seed_everything(start.seed)
     channel.send(reply)
-    return agent if isinstance(reply, Ready) else None
+    return agent if isinstance(reply, messages.Ready) else None
 
 
-def _decide(agent: InlineAgent, observation: Any) -> Reply:
+def _decide(agent: InlineAgent, observation: Any) -> messages.Reply:
     agent.ask(observation)
     try:
         decision = agent.answer()
     except AgentError as error:
-        return Failed.of(error)
-    return Decided.of(decision)
+        return messages.Failed.of(error)
+    return messages.Decided.of(decision)
 
 
 def _seed_everything(seed: int) -> None:

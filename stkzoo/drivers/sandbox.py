@@ -21,13 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stkzoo._temporary import TemporaryFolder
-from stkzoo.drivers.confinement import (
-    Confinement,
-    has_call_filter,
-    has_scopes,
-    has_tcp,
-    landlock_version,
-)
+from stkzoo.drivers import confinement
 from stkzoo.drivers.files import (
     ACTOR_MODULE,
     INSTALLED,
@@ -77,7 +71,7 @@ class Enclosure:
 
     command: Sequence[str] = ()
     environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
-    confinement: Confinement | None = None
+    confinement: confinement.Confinement | None = None
 
 
 def enclose(
@@ -111,11 +105,11 @@ def enclose(
     if kind == LANDLOCK:
         # A package is imported from its own folder. Other modules are searched in these.
         searched = [] if place.package else [place.first, place.last]
-        writable = [home, *changed, *_DEVICES]
-        return Enclosure(
-            (), environment, Confinement(False, [*paths, *_KERNEL], writable, searched)
-        )
-    return Enclosure(_bubblewrap_command(paths, changed), environment, Confinement(True))
+        readable, writable = [*paths, *_KERNEL], [home, *changed, *_DEVICES]
+        confined = confinement.Confinement(False, readable, writable, searched)
+        return Enclosure((), environment, confined)
+    command = _bubblewrap_command(paths, changed)
+    return Enclosure(command, environment, confinement.Confinement(True))
 
 
 def sandbox_kind(mode: str) -> str:
@@ -134,7 +128,7 @@ def sandbox_kind(mode: str) -> str:
         return BUBBLEWRAP
     if mode == "on":
         raise ConfigError(f"there is no sandbox for agents: {problem}; or use --sandbox auto")
-    return LANDLOCK if landlock_version() else NONE
+    return LANDLOCK if confinement.landlock_version() else NONE
 
 
 def own_cores(number: int, count: int) -> tuple[int, ...]:
@@ -161,15 +155,15 @@ def protections(kind: str) -> tuple[str, ...]:
     Args:
         kind: kind of sandbox, from :func:`sandbox_kind`.
     """
-    version = landlock_version() if kind == LANDLOCK else 0
-    has_filter = kind != NONE and has_call_filter()
+    version = confinement.landlock_version() if kind == LANDLOCK else 0
+    has_filter = kind != NONE and confinement.has_call_filter()
     active = {
         "files": kind != NONE,
         "environment variables": kind != NONE,
         "tracing": kind != NONE,
         "network": kind == BUBBLEWRAP or has_filter,
-        "TCP": has_tcp(version),
-        "signals": kind == BUBBLEWRAP or has_scopes(version),
+        "TCP": confinement.has_tcp(version),
+        "signals": kind == BUBBLEWRAP or confinement.has_scopes(version),
         "temporary files": kind == BUBBLEWRAP,
         "system calls": has_filter,
         "memory and processes of the group": sys.platform == "linux",

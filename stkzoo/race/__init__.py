@@ -11,29 +11,29 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from stkzoo._lazy import lazy_names
+from stkzoo.drivers import (
+    Actor,
+    ActorMaker,
+    Decision,
+    Driver,
+    DriverInstance,
+    DriverLimits,
+    DriverRequest,
+    driver_names,
+    find_driver,
+)
+from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.result import (
+    SCHEMA_VERSION,
+    ActionTime,
+    AgentFailure,
+    AgentResult,
+    RaceResult,
+)
+from stkzoo.race.settings import ERROR_HANDLING, RaceSettings
 
 if TYPE_CHECKING:
-    from stkzoo.drivers import (
-        Actor,
-        ActorMaker,
-        Decision,
-        Driver,
-        DriverInstance,
-        DriverLimits,
-        DriverRequest,
-        driver_names,
-        find_driver,
-    )
-    from stkzoo.race.listeners import RaceListener, RaceProgress
-    from stkzoo.race.result import (
-        SCHEMA_VERSION,
-        ActionTime,
-        AgentFailure,
-        AgentResult,
-        RaceResult,
-    )
     from stkzoo.race.runner import RaceInterrupted, run_race
-    from stkzoo.race.settings import ERROR_HANDLING, RaceSettings
     from stkzoo.race.video import RaceFilm, RaceVideo
 
 __all__ = [
@@ -61,29 +61,9 @@ __all__ = [
     "run_race",
 ]
 
-# Imported on first use, because an agent's process needs only a few of these names.
+# Imported on first use, because they load the environment and the renderer.
 _HOMES = {
-    "stkzoo.drivers": (
-        "Actor",
-        "ActorMaker",
-        "Decision",
-        "Driver",
-        "DriverInstance",
-        "DriverLimits",
-        "DriverRequest",
-        "driver_names",
-        "find_driver",
-    ),
-    "stkzoo.race.listeners": ("RaceListener", "RaceProgress"),
-    "stkzoo.race.result": (
-        "SCHEMA_VERSION",
-        "ActionTime",
-        "AgentFailure",
-        "AgentResult",
-        "RaceResult",
-    ),
     "stkzoo.race.runner": ("RaceInterrupted", "run_race"),
-    "stkzoo.race.settings": ("ERROR_HANDLING", "RaceSettings"),
     "stkzoo.race.video": ("RaceFilm", "RaceVideo"),
 }
 __getattr__ = lazy_names(__name__, _HOMES)

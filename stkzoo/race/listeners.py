@@ -128,7 +128,42 @@ class ResultKeeper(RaceListener):
         self.result = result
 
 
-class ExpendableListener(RaceListener):
+class ForwardingListener(RaceListener):
+    """Forwards all calls to another listener.
+
+    Args:
+        listener: the other listener.
+    """
+
+    def __init__(self, listener: RaceListener) -> None:
+        self._listener = listener
+
+    def env_options(self) -> dict[str, Any]:
+        """See :class:`RaceListener`."""
+        return self._listener.env_options()
+
+    def started(self, race: RaceProgress) -> None:
+        """See :class:`RaceListener`."""
+        self._forward(self._listener.started, race)
+
+    def stepped(self, race: RaceProgress) -> None:
+        """See :class:`RaceListener`."""
+        self._forward(self._listener.stepped, race)
+
+    def ended(self, result: RaceResult) -> None:
+        """See :class:`RaceListener`."""
+        self._forward(self._listener.ended, result)
+
+    def closed(self) -> None:
+        """See :class:`RaceListener`."""
+        self._forward(self._listener.closed)
+
+    def _forward(self, call: Callable[..., None], *arguments: Any) -> None:
+        """Makes a call; subclasses may change its arguments."""
+        call(*arguments)
+
+
+class ExpendableListener(ForwardingListener):
     """Wraps a listener so that its failure does not end the race.
 
     After a failure, the listener is closed and receives no further calls.
@@ -141,35 +176,14 @@ class ExpendableListener(RaceListener):
     """
 
     def __init__(self, listener: RaceListener) -> None:
-        self._listener = listener
+        super().__init__(listener)
         self.error: Exception | None = None
 
-    def env_options(self) -> dict[str, Any]:
-        """See :class:`RaceListener`."""
-        return self._listener.env_options()
-
-    def started(self, race: RaceProgress) -> None:
-        """See :class:`RaceListener`."""
-        self._call(self._listener.started, race)
-
-    def stepped(self, race: RaceProgress) -> None:
-        """See :class:`RaceListener`."""
-        self._call(self._listener.stepped, race)
-
-    def ended(self, result: RaceResult) -> None:
-        """See :class:`RaceListener`."""
-        self._call(self._listener.ended, result)
-
-    def closed(self) -> None:
-        """Closes the listener unless a failure has already closed it."""
-        if self.error is None:
-            self._call(self._listener.closed)
-
-    def _call(self, function: Callable[..., None], *arguments: object) -> None:
+    def _forward(self, call: Callable[..., None], *arguments: Any) -> None:
         if self.error is not None:
             return
         try:
-            function(*arguments)
+            call(*arguments)
         except Exception as error:  # noqa: BLE001 - a listener may raise anything
             self.error = error
             with suppress(Exception):

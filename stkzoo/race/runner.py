@@ -221,9 +221,13 @@ class _RaceRun:
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers))
         from_files = [agent for agent, driver in self._drivers.items() if driver.is_from_files]
-        self._cores = {
+        cores = {
             agent: own_cores(number, len(from_files)) for number, agent in enumerate(from_files)
         }
+        self._protections: tuple[str, ...] = ()
+        if self._sandbox is not None and not settings.inline:
+            own = ("cores",) if any(cores.values()) else ()
+            self._protections = (*protections(self._sandbox), *own)
         self.members = {
             agent: RacingDriver(
                 driver,
@@ -233,7 +237,7 @@ class _RaceRun:
                     env.action_spaces[agent],
                     settings.seed + number,
                     settings.limits,
-                    cores=self._cores.get(agent, ()),
+                    cores=cores.get(agent, ()),
                     env=env,
                     channel=self._words.channel(agent),
                 ),
@@ -244,7 +248,7 @@ class _RaceRun:
         }
         self._steps = 0
         self._stop = ""
-        self._steps_at_first: int | None = None
+        self._steps_at_first = math.inf  # when the first kart finished
         self._actions: dict[str, Any] = {}
         self._rewards: dict[str, float] = {}
         self._totals = dict.fromkeys(env.possible_agents, 0.0)
@@ -293,8 +297,8 @@ class _RaceRun:
         snapshot = self._env.snapshot
         assert snapshot is not None  # noqa: S101 - since reset
         self._rescues.update(snapshot.karts, float(snapshot.header["time"]))
-        if self._steps_at_first is None and self._num_finished():
-            self._steps_at_first = self._steps
+        if self._num_finished():
+            self._steps_at_first = min(self._steps_at_first, self._steps)
 
     def _step_checked(self) -> Any:
         """Steps the environment and replaces invalid actions."""
@@ -318,14 +322,11 @@ class _RaceRun:
             return "karts_finished"
         if settings.max_steps is not None and self._steps >= settings.max_steps:
             return "max_steps"
-        if self._steps_since_first() >= (settings.max_steps_after_first or math.inf):
+        if self._steps - self._steps_at_first >= (settings.max_steps_after_first or math.inf):
             return "max_steps_after_first"
         if settings.max_steps is None and self._steps >= self._patience:
             return "time_limit"
         return ""
-
-    def _steps_since_first(self) -> int:
-        return 0 if self._steps_at_first is None else self._steps - self._steps_at_first
 
     def _is_any_driving(self, agents: Sequence[str]) -> bool:
         """Returns whether any of these agents has neither finished nor retired."""
@@ -350,7 +351,7 @@ class _RaceRun:
             sources={agent: driver.source for agent, driver in self._drivers.items()},
             seed=self._settings.seed,
             steps=self._steps,
-            race_time=self._race_time(),
+            race_time=self._race_time,
             race_length=self._length,
             distances={
                 agent: min(info["distance"], self._length) for agent, info in self._infos.items()
@@ -375,6 +376,7 @@ class _RaceRun:
                 calls.callback(listener.ended, result)
         return result
 
+    @property
     def _race_time(self) -> float:
         return self._steps * self._env.options.step_size
 
@@ -393,19 +395,14 @@ class _RaceRun:
             seed=self._settings.seed,
             race_length=self._length,
             steps=self._steps,
-            race_time=self._race_time(),
+            race_time=self._race_time,
             agents=tuple(sorted(rows, key=lambda row: row.rank)),
             wall_time=time.monotonic() - self._begin,
             versions=self._versions,
             sandbox=self._sandbox,
-            protections=self._protections(),
+            protections=self._protections,
             time_budget=self._settings.time_budget,
         )
-
-    def _protections(self) -> tuple[str, ...]:
-        if self._sandbox is None or self._settings.inline:
-            return ()
-        return (*protections(self._sandbox), *(("cores",) if any(self._cores.values()) else ()))
 
     def _agent_result(self, agent: str, start_position: int) -> AgentResult:
         info: Mapping[str, Any] = self._infos[agent]

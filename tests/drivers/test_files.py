@@ -317,4 +317,4 @@ def test_two_files_with_the_same_name_are_refused(tmp_path):
 def test_unpacked_files_have_no_special_mode(tmp_path):
     path = written(tmp_path / "a.zip", ("run", stat.S_IFREG | 0o6777, "x"))
     files.unpack(Path(path), tmp_path / "out")
-    assert stat.S_IMODE((tmp_path / "out" / "run").stat().st_mode) == 0o600
+    assert (tmp_path / "out" / "run").stat().st_mode & 0o7133 == 0

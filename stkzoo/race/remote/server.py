@@ -16,17 +16,8 @@ from stkzoo.drivers.failures import MAX_TEXT, printable
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.messages import MAX_NAME, Message, encode
 from stkzoo.errors import ConfigError, ProtocolError, check_whole
-from stkzoo.race.remote import protocol
+from stkzoo.race.remote import protocol, sockets
 from stkzoo.race.remote.session import ClientSession, Reply
-from stkzoo.race.remote.sockets import (
-    DEFAULT_ADDRESS,
-    ClientAuthenticator,
-    ConnectionLimit,
-    ServerKeys,
-    full_address,
-    server_socket,
-    zmq_module,
-)
 
 logger = logging.getLogger(__name__)
 logger.addFilter(RepeatFilter())
@@ -68,21 +59,21 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
     def __init__(
         self,
         drivers: Sequence[Driver],
-        address: str = DEFAULT_ADDRESS,
+        address: str = sockets.DEFAULT_ADDRESS,
         *,
         limits: DriverLimits | None = None,
         max_sessions: int = 8,
-        keys: ServerKeys | None = None,
+        keys: sockets.ServerKeys | None = None,
         insecure: bool = False,
     ) -> None:
-        self._zmq = zmq_module()
+        self._zmq = sockets.zmq_module()
         self._drivers, self._limits = _checked(drivers), limits or DriverLimits()
         check_whole("max_sessions", max_sessions, 1)
-        self._max_sessions, keys = max_sessions, keys or ServerKeys()
+        self._max_sessions, keys = max_sessions, keys or sockets.ServerKeys()
         self._welcome = encode(
             protocol.Welcome(protocol.VERSION, version("stkzoo"), [*map(_offer, self._drivers)])
         )
-        address = full_address(address)
+        address = sockets.full_address(address)
         keys.check(address, insecure)
         self._clients: dict[bytes, ClientSession] = {}
         self._sessions: set[ClientSession] = set()  # including those that are ending
@@ -90,14 +81,14 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         self._context = self._zmq.Context()
         try:
             self._authenticator = (
-                ClientAuthenticator(self._context, keys.allowed) if keys.own else None
+                sockets.ClientAuthenticator(self._context, keys.allowed) if keys.own else None
             )
             self._outbox = self._context.socket(self._zmq.PULL)
             self._outbox.bind(_REPLIES)
-            self._socket = server_socket(self._context, address, keys)
+            self._socket = sockets.server_socket(self._context, address, keys)
             #: Address that the server listens on, including the port.
             self.address: str = self._socket.getsockopt_string(self._zmq.LAST_ENDPOINT)
-            self._connections = ConnectionLimit(self._socket)
+            self._connections = sockets.ConnectionLimit(self._socket)
         except BaseException:
             self._context.destroy(0)
             raise
@@ -148,12 +139,9 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         """Handles up to 20 queued messages."""
         for _ in range(20):  # then replies are sent and excess connections are counted
             try:
-                identity = self._socket.recv(self._zmq.NOBLOCK)
+                identity, *frames = self._socket.recv_multipart(self._zmq.NOBLOCK)
             except self._zmq.Again:
                 return
-            frames = [self._socket.recv()]
-            while self._socket.getsockopt(self._zmq.RCVMORE):
-                frames[1:] = [self._socket.recv()]  # the others are not kept
             try:
                 self._handle(identity, protocol.read_request(frames), len(frames[0]))
             except ProtocolError as error:

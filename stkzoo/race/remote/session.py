@@ -11,16 +11,10 @@ from contextlib import AbstractContextManager
 from queue import SimpleQueue
 
 from stkzoo._logs import RepeatFilter
+from stkzoo.drivers import messages
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import DriverInstance, DriverLimits, DriverRequest
-from stkzoo.drivers.messages import (
-    Decided,
-    Failed,
-    Message,
-    decode_observation,
-    start_reply,
-)
 from stkzoo.errors import ProtocolError
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.race.remote import protocol
@@ -34,7 +28,7 @@ _MAX_WAITING, _OVERHEAD = 16 << 20, 1 << 10
 _MAX_STARTS = 10_000
 
 #: Sends a message to the client; ``None`` ends the session.
-Reply = Callable[[Message | None], None]
+Reply = Callable[[messages.Message | None], None]
 
 
 class ClientSession(threading.Thread):
@@ -141,7 +135,7 @@ class ClientSession(threading.Thread):
             self._agents[seat] = start(self._request(request))
             self._starting.append(seat)
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
-            self._reply(protocol.Opened(seat, Failed.of(error)))
+            self._reply(protocol.Opened(seat, messages.Failed.of(error)))
 
     def _request(self, request: protocol.Open) -> DriverRequest:
         limits, action_timeout = self._limits, request.action_timeout
@@ -166,8 +160,8 @@ class ClientSession(threading.Thread):
             agent = self._agents.get(seat)
             if agent is None:
                 continue
-            outcome = start_reply(agent)
-            if isinstance(outcome, Failed):
+            outcome = messages.start_reply(agent)
+            if isinstance(outcome, messages.Failed):
                 self._drop(seat)
             self._reply(protocol.Opened(seat, outcome))
 
@@ -193,11 +187,11 @@ class ClientSession(threading.Thread):
         """Sends an observation to an agent; returns the failure if there is one."""
         agent = self._agents.get(seat)
         if agent is None:
-            failed = Failed("error", "there is no agent in this seat", "")
+            failed = messages.Failed("error", "there is no agent in this seat", "")
             return protocol.Answer(seat, failed, 0.0, is_usable=False)
         takes_encoded = getattr(agent, "takes_encoded", False)  # another process decodes it
         try:
-            agent.ask(observation if takes_encoded else decode_observation(observation))
+            agent.ask(observation if takes_encoded else messages.decode_observation(observation))
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
             return self._failed(seat, error)
         return None
@@ -207,11 +201,13 @@ class ClientSession(threading.Thread):
             decision = self._agents[seat].answer()
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
             return self._failed(seat, error)
-        return protocol.Answer(seat, Decided.of(decision), float(decision.seconds), is_usable=True)
+        return protocol.Answer(
+            seat, messages.Decided.of(decision), float(decision.seconds), is_usable=True
+        )
 
     def _failed(self, seat: int, error: Exception) -> protocol.Answer:
         """Returns the answer of an agent that failed, and closes it if it is no longer usable."""
         is_usable = bool(self._agents[seat].is_usable)
         if not is_usable:
             self._drop(seat)
-        return protocol.Answer(seat, Failed.of(error), 0.0, is_usable)
+        return protocol.Answer(seat, messages.Failed.of(error), 0.0, is_usable)

@@ -15,7 +15,7 @@ from stkzoo._installation import pip_install
 from stkzoo.drivers.driver import Driver
 from stkzoo.engine.assets import find_assets
 from stkzoo.errors import ConfigError
-from stkzoo.race.listeners import RaceListener, RaceProgress
+from stkzoo.race.listeners import ForwardingListener, RaceListener, RaceProgress
 from stkzoo.race.replay.file import Replay, ReplayError, action_of, next_digest
 from stkzoo.race.result import AgentFailure, RaceResult, versions_now
 from stkzoo.race.runner import run_race
@@ -247,32 +247,25 @@ def _has_happened(failure: AgentFailure, steps: int) -> bool:
     return is_on_the_grid or failure.step < steps
 
 
-class _WithRecordedFailures(RaceListener):
+class _WithRecordedFailures(ForwardingListener):
     """Wraps a listener and shows it the recorded failures.
 
     No agent fails in a replay, because the recording contains the replacement actions.
     """
 
     def __init__(self, listener: RaceListener, replay: Replay, comparison: _Comparison) -> None:
-        self._listener, self._comparison = listener, comparison
+        super().__init__(listener)
+        self._comparison = comparison
         agents = replay.result.agents if replay.result else ()
         self._failures = {row.agent: row.errors for row in agents}
 
-    def env_options(self) -> dict[str, Any]:
-        """See :class:`~stkzoo.race.listeners.RaceListener`, also for the other methods."""
-        return self._listener.env_options()
-
-    def started(self, race: RaceProgress) -> None:
-        self._listener.started(self._now(race))
-
-    def stepped(self, race: RaceProgress) -> None:
-        self._listener.stepped(self._now(race))
-
     def ended(self, result: RaceResult) -> None:
-        self._listener.ended(self._comparison.reported(result))
+        """See :class:`~stkzoo.race.listeners.RaceListener`."""
+        super().ended(self._comparison.reported(result))
 
-    def closed(self) -> None:
-        self._listener.closed()
+    def _forward(self, call: Callable[..., None], *arguments: Any) -> None:
+        now = (self._now(one) if isinstance(one, RaceProgress) else one for one in arguments)
+        super()._forward(call, *now)
 
     def _now(self, race: RaceProgress) -> RaceProgress:
         failures = {

@@ -10,15 +10,8 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError, check_whole, import_extra
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import RaceResult
+from stkzoo.race.web import messages
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.messages import (
-    RaceNews,
-    control_rows,
-    moment_message,
-    race_message,
-    text_of,
-    trace_row,
-)
 from stkzoo.render.scene import Scene
 
 
@@ -86,8 +79,8 @@ class RaceBroadcast:
         """
         self._scene = scene
         agents = tuple(f"kart_{number}" for number in range(len(scene.kart_indices)))
-        race = text_of(lambda: race_message(scene, sources or {}, seed))
-        self._server.news = RaceNews(race, agents)
+        race = messages.text_of(lambda: messages.race_message(scene, sources or {}, seed))
+        self._server.news = messages.RaceNews(race, agents)
         self.control.begin()
         self.add(snapshot, 0, details=details)
 
@@ -120,16 +113,16 @@ class RaceBroadcast:
         totals = [0.0] * scene.num_kart
         for number, kart in enumerate(scene.kart_indices):
             totals[kart] = (rewards or {}).get(f"kart_{number}", 0.0)
-        controls = control_rows(scene, snapshot, actions or {})
-        traces = trace_row(scene, snapshot, controls, totals)
+        controls = messages.control_rows(scene, snapshot, actions or {})
+        traces = messages.trace_row(scene, snapshot, controls, totals)
         news = self._server.news
         news.traces.add(steps, traces)
 
         def make_message() -> dict[str, Any]:
-            message = moment_message(scene, snapshot, steps, traces, controls)
+            message = messages.moment_message(scene, snapshot, steps, traces, controls)
             return {**message, "failures": dict(failures or {})}
 
-        moment = text_of(make_message)
+        moment = messages.text_of(make_message)
         self._server.news = replace(news, moment=moment, steps=steps, details=details or {})
 
     def wait_turn(self) -> bool:
@@ -148,7 +141,7 @@ class RaceBroadcast:
             result: result in the format of :meth:`stkzoo.race.RaceResult.to_dict`.
         """
         self.control.finish()
-        message = text_of(lambda: {"type": "result", "result": result})
+        message = messages.text_of(lambda: {"type": "result", "result": result})
         self._server.news = replace(self._server.news, result=message)
 
     def close(self) -> None:
