@@ -70,9 +70,15 @@ class MonoAgentWrapperAdapter:
             f"MonoAgentWrapperAdapter wraps a ParallelEnv or a gymnasium.Env, not {env!r}."
         )
 
+    keep_original = False
+
     def __init__(
         self, env: Any, wrapper_factories: Factories, *, keep_original: bool = False
     ) -> None: ...
+
+    def _copies(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns copies of unwrapped observations if requested; call it before wrappers run."""
+        return copy.deepcopy(dict(observations)) if self.keep_original else {}
 
 
 class GymAgentAdapter(
@@ -167,8 +173,8 @@ class GymAgentAdapter(
 
     def _handed_out(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
         """Returns copies of unwrapped observations if requested; call it before wrappers run."""
-        own = self._known(by_agent) if self.keep_original else {}
-        return {f"original/{agent}": copy.deepcopy(value) for agent, value in own.items()}
+        copies = self._copies(self._known(by_agent))
+        return {f"original/{agent}": value for agent, value in copies.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +211,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         )
         self._observation_spaces = self._walker.observation_spaces
         if self.keep_original:
-            originals = {agent: copy.deepcopy(env.observation_space(agent)) for agent in agents}
+            originals = self._copies({agent: env.observation_space(agent) for agent in agents})
             both = self._with_originals(self._observation_spaces, originals)
             self._observation_spaces = {agent: spaces.Dict(parts) for agent, parts in both.items()}
 
@@ -307,17 +313,18 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
             chain.recall(moment.wrappers[agent])
         self._retired = moment.retired
 
-    def clone(self) -> NoReturn:
-        """Raises ``ConfigError``: a clone would lack the wrappers."""
-        raise _unclonable("clone")
+    def clone(self, *_: object) -> NoReturn:
+        """Raises ``ConfigError``, as ``lookahead`` and ``follow`` do.
 
-    def lookahead(self) -> NoReturn:
-        """Raises ``ConfigError``: a clone would lack the wrappers."""
-        raise _unclonable("lookahead")
+        A clone would lack the wrappers, and the wrappers would not follow another environment.
+        """
+        raise ConfigError(
+            "clone(), lookahead() and follow() do not work around MonoAgentWrapperAdapter, whose "
+            "wrappers belong to one environment; make the race with view=wrapper_factories "
+            "instead, or use those of the race without these wrappers, its unwrapped"
+        )
 
-    def follow(self, other: object) -> NoReturn:  # noqa: ARG002 - the race's signature
-        """Raises ``ConfigError``: the wrappers would stay at their moment."""
-        raise _unclonable("follow")
+    lookahead = follow = clone
 
     def _race_method(self, name: str) -> Any:
         method = getattr(self.env, name, None)
@@ -340,10 +347,6 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
             for agent, observation in changed.items()
         }
 
-    def _copies(self, observations: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Returns copies of unwrapped observations if requested; call it before wrappers run."""
-        return copy.deepcopy(dict(observations)) if self.keep_original else {}
-
 
 def _num_adapters(env: Any) -> int:
     """Returns the number of adapters in an environment."""
@@ -352,14 +355,6 @@ def _num_adapters(env: Any) -> int:
         count += isinstance(env, ParallelAgentAdapter)
         env = env.env
     return count
-
-
-def _unclonable(method: str) -> ConfigError:
-    return ConfigError(
-        f"{method}() does not work around MonoAgentWrapperAdapter, whose wrappers belong to one "
-        "environment; make the race with view=wrapper_factories instead, or use "
-        f"unwrapped.{method}() for the race without these wrappers"
-    )
 
 
 #: The result of :func:`_subclass_in` for each pair of arguments.

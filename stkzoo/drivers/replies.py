@@ -101,7 +101,7 @@ def arrival_time() -> float:
 class ReplyChannel:
     """The race's end of the socket to an agent. It sends a message and receives a reply.
 
-    The message format is that of :class:`~stkzoo.drivers.process.Channel`. The deadline applies to
+    The message format is that of :class:`~stkzoo.drivers.isolated.Channel`. The deadline applies to
     the whole message, even if it arrives in many small parts.
 
     Args:

@@ -15,7 +15,7 @@ _KINDS = (
     ("stkzoo.engine.fork_server", "fork server"),
     ("stkzoo.engine.worker", "race"),
     ("stkzoo.engine.render_process", "drawing"),
-    ("stkzoo.drivers.process", "agent"),
+    ("stkzoo.drivers.isolated", "agent"),
     ("stkzoo.evaluation.batch.pool", "worker"),
     ("ffmpeg", "encoder"),
 )

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from stkzoo._temporary import remove_stale_folders
-from stkzoo.drivers import landlock, sandbox, seccomp
+from stkzoo.drivers import confinement, sandbox
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
 from tests.support.adversaries import (
@@ -308,8 +308,10 @@ def reached_in(result):
 needs_bubblewrap = pytest.mark.skipif(
     bool(sandbox.bubblewrap_problem()), reason=sandbox.bubblewrap_problem()
 )
-needs_seccomp = pytest.mark.skipif(not seccomp.is_available(), reason="needs libseccomp")
-needs_landlock = pytest.mark.skipif(landlock.version() < 6, reason="needs Landlock's version 6")
+needs_seccomp = pytest.mark.skipif(not confinement.has_call_filter(), reason="needs libseccomp")
+needs_landlock = pytest.mark.skipif(
+    confinement.landlock_version() < 6, reason="needs Landlock's version 6"
+)
 
 
 @needs_seccomp
@@ -550,7 +552,7 @@ def test_a_race_is_refused_if_its_sandbox_is_unavailable(monkeypatch):
 
 def test_a_missing_sandbox_is_logged_once(monkeypatch, caplog):
     monkeypatch.setattr(sandbox, "bubblewrap_problem", lambda: "bubblewrap is not installed")
-    monkeypatch.setattr(landlock, "version", lambda: 0)
+    monkeypatch.setattr(confinement, "landlock_version", lambda: 0)
     sandbox.say_what_is_missing.cache_clear()
     for _ in range(2):
         assert race(str(AGENTS / "plain"), max_steps=3).sandbox == "none"

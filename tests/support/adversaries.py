@@ -106,7 +106,7 @@ ADVERSARIES = {
 _PRELUDE = """
 import atexit, ctypes, gc, mmap, os, resource, select, signal, struct, sys, time
 from stkzoo.drivers.messages import Failed
-from stkzoo.drivers.process import Channel
+from stkzoo.drivers.isolated import Channel
 
 MARK = {mark!r}
 libc = ctypes.CDLL(None, use_errno=True)

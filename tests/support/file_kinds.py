@@ -44,7 +44,7 @@ from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_t
 from stkzoo.race import RaceResult, run_race
 from stkzoo.race.document import Document
 from stkzoo.race.remote.drivers import read_servers
-from stkzoo.race.remote.keys import new_key_files, read_publics, read_secret
+from stkzoo.race.remote.sockets import new_key_files, read_publics, read_secret
 from stkzoo.race.replay import ReplayWriter, load_replay
 from stkzoo.suite import Entry, EntryPlan, plan_entry
 

@@ -62,18 +62,16 @@ class MessageChannel(ClonableWrapper):
         )
         self._team_of = _teams_in(env) if within_teams else dict.fromkeys(env.possible_agents, 0)
         self._said: dict[str, Message] = {}
-        self._observation_spaces = {a: self._heard_space(a) for a in env.possible_agents}
-        self._action_spaces = {a: self._said_space(a) for a in env.possible_agents}
-
-    def _said_space(self, agent: str) -> spaces.Space[Any]:
-        action = copy.deepcopy(self.env.action_space(agent))
-        return spaces.Dict({"action": action, "message": copy.deepcopy(self._message_space)})
-
-    def _heard_space(self, agent: str) -> spaces.Space[Any]:
-        heard = heard_spaces(len(self.env.possible_agents) - 1, self.size)
-        return spaces.Dict(
-            {"observation": copy.deepcopy(self.env.observation_space(agent)), **heard}
-        )
+        self._observation_spaces: dict[str, spaces.Space[Any]] = {}
+        self._action_spaces: dict[str, spaces.Space[Any]] = {}
+        for agent in env.possible_agents:
+            seen, action = map(
+                copy.deepcopy, (env.observation_space(agent), env.action_space(agent))
+            )
+            heard = heard_spaces(len(env.possible_agents) - 1, self.size)
+            self._observation_spaces[agent] = spaces.Dict({"observation": seen, **heard})
+            said = copy.deepcopy(self._message_space)
+            self._action_spaces[agent] = spaces.Dict({"action": action, "message": said})
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's observation space, the same object on every call."""
@@ -130,15 +128,12 @@ class MessageChannel(ClonableWrapper):
         return row
 
     def _with_messages(self, observations: dict[str, Any]) -> dict[str, Any]:
-        return {
-            agent: {"observation": observation, **self._heard(agent)}
-            for agent, observation in observations.items()
-        }
-
-    def _heard(self, agent: str) -> dict[str, Any]:
-        others = [other for other in self.env.possible_agents if other != agent]
-        said = {o: self._said[o] for o in others if o in self._said and self._hears(agent, o)}
-        return heard_messages([said.get(other) for other in others], self.size)
+        heard = {}
+        for agent in observations:
+            others = [other for other in self.env.possible_agents if other != agent]
+            said = [self._said.get(o) if self._hears(agent, o) else None for o in others]
+            heard[agent] = heard_messages(said, self.size)
+        return {a: {"observation": seen, **heard[a]} for a, seen in observations.items()}
 
     def _hears(self, agent: str, other: str) -> bool:
         if self._team_of[agent] != self._team_of[other]:

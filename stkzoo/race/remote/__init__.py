@@ -12,16 +12,18 @@ from stkzoo.race.remote.drivers import (
     ServerAccess,
     read_servers,
 )
-from stkzoo.race.remote.keys import (
+from stkzoo.race.remote.server import RaceServer
+from stkzoo.race.remote.sockets import (
+    DEFAULT_ADDRESS,
     KeyPair,
+    ServerKeys,
+    full_address,
     new_key_files,
     new_keys,
     read_public,
     read_publics,
     read_secret,
 )
-from stkzoo.race.remote.server import RaceServer
-from stkzoo.race.remote.sockets import DEFAULT_ADDRESS, ServerKeys, full_address
 
 __all__ = [
     "DEFAULT_ADDRESS",

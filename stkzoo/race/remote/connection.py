@@ -16,8 +16,7 @@ from stkzoo.drivers.messages import Failed, Message, Ready, encode
 from stkzoo.drivers.replies import arrival_time, pending_replies, receive_pending, wait_for
 from stkzoo.errors import ProtocolError, RemoteError
 from stkzoo.race.remote import protocol
-from stkzoo.race.remote.keys import KeyPair
-from stkzoo.race.remote.sockets import client_socket, zmq_module
+from stkzoo.race.remote.sockets import KeyPair, client_socket, zmq_module
 
 #: Time limit for ZeroMQ to send the last message in the background [ms].
 _GOODBYE = 500

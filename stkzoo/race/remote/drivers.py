@@ -29,9 +29,15 @@ from stkzoo.errors import (
 )
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.race.remote.connection import Connection, Server
-from stkzoo.race.remote.keys import KeyPair, new_keys, read_public, read_secret
 from stkzoo.race.remote.protocol import Answer, Welcome
-from stkzoo.race.remote.sockets import full_address, zmq_module
+from stkzoo.race.remote.sockets import (
+    KeyPair,
+    full_address,
+    new_keys,
+    read_public,
+    read_secret,
+    zmq_module,
+)
 
 #: Additional time for a server to report that an agent exceeded its time limit [s].
 _MARGIN = 5.0

@@ -6,7 +6,7 @@ number of an agent on one connection.
 
 from __future__ import annotations
 
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
 from msgspec import Meta, Struct
@@ -148,9 +148,7 @@ def read_request(frames: list[bytes]) -> ClientMessage:
     Raises:
         ProtocolError: the frames are not such a message, or it has another version.
     """
-    message: ClientMessage = decode(_from_client, _only(frames))
-    if isinstance(message, Hello):
-        _check_version(message.protocol)
+    message: ClientMessage = _read(_from_client, frames)
     return message
 
 
@@ -160,21 +158,17 @@ def read_reply(frames: list[bytes]) -> ServerMessage:
     Raises:
         ProtocolError: the frames are not such a message, or it has another version.
     """
-    message: ServerMessage = decode(_from_server, _only(frames))
-    if isinstance(message, Welcome):
-        _check_version(message.protocol)
+    message: ServerMessage = _read(_from_server, frames)
     return message
 
 
-def _only(frames: list[bytes]) -> bytes:
+def _read(decoder: msgspec.msgpack.Decoder[Any], frames: list[bytes]) -> Any:
     if len(frames) != 1:
         raise ProtocolError("a message of several frames came, expected one frame")
-    return frames[0]
-
-
-def _check_version(protocol: int) -> None:
-    if protocol != VERSION:
+    message = decode(decoder, frames[0])
+    if isinstance(message, Hello | Welcome) and message.protocol != VERSION:
         raise ProtocolError(
-            f"the other end speaks protocol {protocol}, this one {VERSION}; "
+            f"the other end speaks protocol {message.protocol}, this one {VERSION}; "
             "install the same stkzoo on both sides"
         )
+    return message

@@ -102,7 +102,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         jobs: dict[Any, Callable[[], object]] = {
             self._connections.socket: self._connections.update,
             self._socket: self._receive,
-            self._outbox: self._send_replies,
+            self._outbox: self._send_reply,
         }
         if self._authenticator is not None:
             jobs[self._authenticator.socket] = self._authenticator.answer
@@ -136,16 +136,11 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
     # ------------------------------------------------------------------ incoming messages
 
     def _receive(self) -> None:
-        """Handles up to 20 queued messages."""
-        for _ in range(20):  # then replies are sent and excess connections are counted
-            try:
-                identity, *frames = self._socket.recv_multipart(self._zmq.NOBLOCK)
-            except self._zmq.Again:
-                return
-            try:
-                self._handle(identity, protocol.read_request(frames), len(frames[0]))
-            except ProtocolError as error:
-                self._refuse(identity, str(error))
+        identity, *frames = self._socket.recv_multipart()
+        try:
+            self._handle(identity, protocol.read_request(frames), len(frames[0]))
+        except ProtocolError as error:
+            self._refuse(identity, str(error))
 
     def _handle(self, identity: bytes, message: protocol.ClientMessage, size: int) -> None:
         client = self._clients.get(identity)
@@ -216,16 +211,12 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
             yield reply
 
-    def _send_replies(self) -> None:
-        for _ in range(100):
-            try:
-                identity, data = self._outbox.recv_multipart(self._zmq.NOBLOCK)
-            except self._zmq.Again:
-                return
-            if not data or not self._send(identity, data):
-                self._dismiss(identity)
-            elif identity in self._clients:
-                self._clients[identity].pinged = time.monotonic()
+    def _send_reply(self) -> None:
+        identity, data = self._outbox.recv_multipart()
+        if not data or not self._send(identity, data):
+            self._dismiss(identity)
+        elif identity in self._clients:
+            self._clients[identity].pinged = time.monotonic()
 
     def _check_clients(self) -> None:
         """Pings silent clients; ends sessions of clients that disconnected or timed out."""

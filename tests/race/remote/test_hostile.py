@@ -247,7 +247,7 @@ def test_a_server_that_sends_more_messages_than_requested_affects_only_its_own_k
 
 AGENT = """
 from stkzoo.drivers.messages import Decided, Failed, Ready
-from stkzoo.drivers.process import Channel
+from stkzoo.drivers.isolated import Channel
 
 send = Channel.send
 Channel.send = lambda self, reply: send(self, {lie} if isinstance(reply, {when}) else reply)

@@ -1,7 +1,7 @@
 """Sends its answer to the next request together with the current one."""
 
+from stkzoo.drivers.isolated import Channel
 from stkzoo.drivers.messages import Decided, encode
-from stkzoo.drivers.process import Channel
 
 send = Channel.send
 
