@@ -251,7 +251,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         if not agents:
             return {}, {}, {}, {}, {}
         # The actions of agents that the game drives are optional in a race.
-        require_actions(actions, agents, getattr(self.env.unwrapped, "_ai_agents", ()))
+        require_actions(actions, agents, getattr(self.env.unwrapped, "ai_agents", ()))
         base = self._walker.begin_step(self._walker.read_actions(actions, agents), agents)
         for agent in self._retired.intersection(self.env.agents):
             base[agent] = create_zero_array(self.env.action_space(agent))

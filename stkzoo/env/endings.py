@@ -11,8 +11,6 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.options import RaceOptions
 from stkzoo.mdp.events import STREAKS
 
-#: Rewards, terminations and truncations, each by agent.
-Ends = tuple[dict[str, float], dict[str, bool], dict[str, bool]]
 #: Rewards, terminations and truncations, each an array with one number per slot.
 EndArrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
 
@@ -40,9 +38,9 @@ class Endings:
 
     def end(
         self,
-        ends: Ends,
+        ends: EndArrays,
+        slots: npt.NDArray[np.intp],
         agents: Sequence[str],
-        karts: npt.NDArray[np.intp],
         after: Snapshot,
         seconds: npt.NDArray[np.float64],
     ) -> None:
@@ -50,24 +48,24 @@ class Endings:
 
         Args:
             ends: rewards, terminations and truncations of the step; changed in place.
+            slots: ``(A,)`` slot of each agent.
             agents: the A agents that were still racing.
-            karts: ``(A,)`` kart indices of the agents.
             after: snapshot after the step.
-            seconds: ``(K, 3)`` float64, how long each kart has been in each state of
+            seconds: ``(A, 3)`` float64, how long each agent's kart has been in each state of
                 :data:`stkzoo.mdp.events.STREAKS` [s].
         """
         _, terminations, truncations = ends
         is_cut = self._is_cut(after)
-        fails = seconds[karts] > np.array(self._limits) - 1e-6  # float sums are inexact
-        for agent, failed in zip(agents, fails.tolist(), strict=True):
-            if terminations[agent]:
+        fails = seconds > np.array(self._limits) - 1e-6  # float sums are inexact
+        for slot, agent, failed in zip(slots.tolist(), agents, fails.tolist(), strict=True):
+            if terminations[slot]:
                 self.reasons[agent] = "finish"
             elif any(failed):
                 self.reasons[agent] = STREAKS[failed.index(True)]
-                terminations[agent], truncations[agent] = True, False
+                terminations[slot], truncations[slot] = True, False
             elif is_cut:
-                self.reasons[agent], truncations[agent] = "first_finish", True
-            elif truncations[agent]:
+                self.reasons[agent], truncations[slot] = "first_finish", True
+            elif truncations[slot]:
                 self.reasons[agent] = "max_cycles"
 
     def _is_cut(self, after: Snapshot) -> bool:

@@ -17,11 +17,11 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import decode_track
-from stkzoo.env.endings import EndArrays, Endings, Ends, endings_of
+from stkzoo.env.endings import EndArrays, Endings, endings_of
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
-from stkzoo.kernel import StepScorer
+from stkzoo.kernel import StepScorer, split_batch
 from stkzoo.mdp.events import EVENTS, RaceEvents
 from stkzoo.mdp.observations import as_actions, observe_karts
 from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
@@ -33,8 +33,32 @@ from stkzoo.wrappers.racing import ground_table, racing_lines_of
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
-#: Keys of infos whose values are whole numbers.
-WHOLE_INFOS = frozenset({"position", "lap", "episode/length"})
+#: Keys of infos whose values are whole numbers, in the order of their rows in a table.
+WHOLE_INFOS = ("position", "lap", "episode/length")
+
+
+class InfoTable:
+    """Infos of slots, with the same keys for each.
+
+    Args:
+        keys: the keys, in order.
+        count: number of slots, S.
+
+    Attributes:
+        columns: ``(S,)`` values of each key: int64 for ranks, laps and lengths, else float64.
+        has: ``(S,)`` bool, slots with an info.
+        wholes: ``(3, S)`` int64, all whole numbers.
+        numbers: ``(K, S)`` float64, all other values.
+    """
+
+    def __init__(self, keys: Sequence[str], count: int) -> None:
+        self.wholes = np.zeros((len(WHOLE_INFOS), count), np.int64)
+        self.numbers = np.zeros((len(keys) - len(WHOLE_INFOS), count))
+        self.has = np.zeros(count, np.bool_)
+        wholes, numbers = iter(self.wholes), iter(self.numbers)
+        self.columns: dict[str, npt.NDArray[Any]] = {
+            key: next(wholes if key in WHOLE_INFOS else numbers) for key in keys
+        }
 
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
@@ -158,47 +182,34 @@ class Episode:
         numbers = np.frombuffer(b"".join(reversed(rows)), np.float32)
         return np.array(numbers.reshape(len(rows), self.num_players, len(CONTROLS)))
 
-    def advance(self, snapshot: Snapshot, seats: Seats) -> Ends:
-        """Advances to the moment after a step.
+    def advance(self, snapshot: Snapshot, seats: Seats, slots: IntArray, ends: EndArrays) -> None:
+        """Advances to the moment after a step and writes the results of the agents that acted.
 
         Args:
             snapshot: snapshot after the step.
             seats: the agents that acted.
-
-        Returns:
-            Their rewards, terminations and truncations.
-        """
-        before, is_over = self._move_to(snapshot)
-        return self._record.score(before, snapshot, seats, is_over)
-
-    def advance_into(
-        self, snapshot: Snapshot, seats: Seats, slots: IntArray, ends: EndArrays
-    ) -> None:
-        """Does the same as :meth:`advance` and writes the results into arrays.
-
-        Args:
-            snapshot: see :meth:`advance`.
-            seats: see :meth:`advance`.
             slots: slot of each agent.
-            ends: rewards, terminations and truncations of all slots.
+            ends: rewards, terminations and truncations of all slots; changed in place.
         """
-        before, is_over = self._move_to(snapshot)
-        self._record.score_into(before, snapshot, seats, is_over, slots, ends)
-
-    def _move_to(self, snapshot: Snapshot) -> tuple[Snapshot, bool]:
-        """Returns the snapshot before, and whether the time limit is reached."""
         before, self.snapshot = self.snapshot, snapshot
         self._num_steps += 1
         is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
-        return before, is_over
+        self._record.score(before, snapshot, seats, is_over, slots, ends)
+
+    def ends_of(self, seats: Seats) -> EndArrays:
+        """Returns arrays for the rewards, terminations and truncations of some agents.
+
+        Later calls return the same arrays.
+        """
+        return self._record.ends_of(seats)
 
     @property
     def info_keys(self) -> tuple[str, ...]:
         """Keys of every info, in order."""
         return self._record.info_keys
 
-    def infos_into(self, seats: Seats, slots: IntArray, table: FloatArray) -> None:
-        """Writes the infos of some agents into a table; see :meth:`EpisodeRecord.infos_into`."""
+    def infos_into(self, seats: Seats, slots: IntArray, table: InfoTable) -> None:
+        """Writes the infos of some agents into a table with :attr:`info_keys`."""
         self._record.infos_into(self.snapshot, seats, self._num_steps, slots, table)
 
     def infos(self, seats: Seats) -> dict[str, dict[str, Any]]:
@@ -276,6 +287,23 @@ class _RewardGroup:
     built_in: tuple[tuple[str, ...], FloatArray, IntArray]
 
 
+@dataclass(frozen=True, slots=True)
+class _Desk:
+    """What the record uses for the same agents in every step.
+
+    Attributes:
+        seats: the agents.
+        scorer: computes their rewards, ends and infos.
+        table: a table for their infos.
+        ends: arrays for their rewards, terminations and truncations.
+    """
+
+    seats: Seats
+    scorer: StepScorer
+    table: InfoTable
+    ends: EndArrays
+
+
 class EpisodeRecord:
     """Rewards, ends and infos of one episode.
 
@@ -317,27 +345,9 @@ class EpisodeRecord:
             *(f"episode/{column}" for column in columns),
             *("episode/return", "episode/length"),
         )
-        self._scorer: tuple[Seats, StepScorer] | None = None
+        self._desk: _Desk | None = None
 
-    def score(self, before: Snapshot, after: Snapshot, seats: Seats, is_over: bool) -> Ends:
-        """Computes the rewards and ends of one step and adds them to the record.
-
-        Args:
-            before: snapshot before the step.
-            after: snapshot after the step.
-            seats: the agents that were still racing.
-            is_over: whether the time limit is reached.
-
-        Returns:
-            Their rewards, terminations and truncations.
-        """
-        self._prepare(before, after)
-        ends = self._scorer_of(seats).score(before.data, after.data, is_over)
-        if self._endings is not None and self._events is not None:
-            self._endings.end(ends, seats.agents, seats.karts, after, self._events.seconds)
-        return ends
-
-    def score_into(
+    def score(
         self,
         before: Snapshot,
         after: Snapshot,
@@ -346,25 +356,21 @@ class EpisodeRecord:
         slots: IntArray,
         ends: EndArrays,
     ) -> None:
-        """Does the same as :meth:`score` and writes the results into arrays.
+        """Computes the rewards and ends of one step and adds them to the record.
 
         Args:
-            before: see :meth:`score`.
-            after: see :meth:`score`.
-            seats: see :meth:`score`.
-            is_over: see :meth:`score`.
+            before: snapshot before the step.
+            after: snapshot after the step.
+            seats: the agents that were still racing.
+            is_over: whether the time limit is reached.
             slots: slot of each agent.
-            ends: rewards, terminations and truncations of all slots.
+            ends: rewards, terminations and truncations of all slots; changed in place.
         """
-        if self._endings is not None:
-            rewards, terminations, truncations = self.score(before, after, seats, is_over)
-            ends[0][slots] = list(rewards.values())
-            ends[1][slots] = list(terminations.values())
-            ends[2][slots] = list(truncations.values())
-            return
         self._prepare(before, after)
-        scorer = self._scorer_of(seats)
+        scorer = self._desk_of(seats).scorer
         scorer.score_into(before.data, after.data, is_over, slots, *ends)
+        if self._endings is not None and self._events is not None:
+            self._endings.end(ends, slots, seats.agents, after, self._events.seconds[seats.karts])
 
     def infos(self, snapshot: Snapshot, seats: Seats, length: int) -> dict[str, dict[str, Any]]:
         """Returns new infos of some agents: plain numbers under the same keys in every step.
@@ -382,31 +388,29 @@ class EpisodeRecord:
             seats: the agents.
             length: number of steps so far.
         """
-        infos = self._scorer_of(seats).infos(snapshot.data, length)
-        for agent, reason in self._endings.reasons.items() if self._endings else ():
-            if agent in infos:
-                infos[agent]["ended_by"] = reason
+        table = self._desk_of(seats).table
+        self.infos_into(snapshot, seats, length, seats.order, table)
+        rows = split_batch(table.columns, len(seats.agents))
+        infos: dict[str, dict[str, Any]] = dict(zip(seats.agents, rows, strict=True))
+        if self._endings is not None:
+            for agent in self._endings.reasons.keys() & infos.keys():
+                infos[agent]["ended_by"] = self._endings.reasons[agent]
         return infos
 
     def infos_into(
-        self,
-        snapshot: Snapshot,
-        seats: Seats,
-        length: int,
-        slots: IntArray,
-        table: FloatArray,
+        self, snapshot: Snapshot, seats: Seats, length: int, slots: IntArray, table: InfoTable
     ) -> None:
-        """Does the same as :meth:`infos`, for agents that are still racing, as a table.
+        """Writes the infos of some agents into a table.
 
         Args:
             snapshot: see :meth:`infos`.
             seats: see :meth:`infos`.
             length: see :meth:`infos`.
             slots: slot of each agent.
-            table: ``(K, S)`` float64 with a row for each of :attr:`info_keys` and a column for each
-                slot; changed in place.
+            table: a table with :attr:`info_keys`; changed in place.
         """
-        self._scorer_of(seats).infos_into(snapshot.data, length, slots, table)
+        scorer = self._desk_of(seats).scorer
+        scorer.infos_into(snapshot.data, length, slots, table.wholes, table.numbers)
 
     @property
     def _shown_events(self) -> FloatArray | None:
@@ -423,10 +427,19 @@ class EpisodeRecord:
             for name, column in group.custom.items():
                 self._last[group.rows, column] = group.reward.value(name, step)[group.karts]
 
-    def _scorer_of(self, seats: Seats) -> StepScorer:
-        if self._scorer is None or self._scorer[0] is not seats:
-            self._scorer = seats, self._new_scorer(seats)
-        return self._scorer[1]
+    def ends_of(self, seats: Seats) -> EndArrays:
+        """See :meth:`Episode.ends_of`."""
+        return self._desk_of(seats).ends
+
+    def _desk_of(self, seats: Seats) -> _Desk:
+        desk = self._desk
+        if desk is None or desk.seats is not seats:
+            count = len(seats.agents)
+            terminations, truncations = np.zeros((2, count), np.bool_)
+            ends = np.zeros(count), terminations, truncations
+            table = InfoTable(self.info_keys, count)
+            desk = self._desk = _Desk(seats, self._new_scorer(seats), table, ends)
+        return desk
 
     def _new_scorer(self, seats: Seats) -> StepScorer:
         rows = np.array([self._rows[agent] for agent in seats.agents], np.intp)
@@ -439,12 +452,10 @@ class EpisodeRecord:
         if events is None:
             events = np.zeros((int(self._karts.max()) + 1, 0))
         return StepScorer(
-            seats.agents,
             seats.karts,
             rows,
             self._last,
             self._sums,
-            self.info_keys,
             self._race_length,
             tuple(rewards),
             events,
@@ -452,7 +463,7 @@ class EpisodeRecord:
 
     def __getstate__(self) -> dict[str, Any]:
         # The scorer writes into these arrays, so a copy needs its own.
-        return {**self.__dict__, "_scorer": None}
+        return {**self.__dict__, "_desk": None}
 
 
 def _groups(

@@ -53,15 +53,18 @@ class RaceRoster:
         num_kart: number of karts.
         num_agents: number of agents.
         ai_agents: agents that the game's AI drives.
+        has_opponents: whether there are opponents.
     """
 
     num_kart: int
     num_agents: int
     ai_agents: frozenset[str]
+    has_opponents: bool
 
     def __str__(self) -> str:
         of_ai = f" ({', '.join(sorted(self.ai_agents))} with use_ai)" if self.ai_agents else ""
-        return f"{self.num_kart} karts and {self.num_agents} agents{of_ai}"
+        opponents = " with opponents" if self.has_opponents else ""
+        return f"{self.num_kart} karts and {self.num_agents} agents{of_ai}{opponents}"
 
 
 def draw_race(

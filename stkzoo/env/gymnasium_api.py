@@ -18,14 +18,14 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.track import TrackMap
-from stkzoo.env.branching import ClonableEnv
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.env.options import RaceOptions
-from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.parallel import ClonableEnv, RaceParallelEnv
+from stkzoo.env.race import Started
 from stkzoo.env.rendering import RENDER_MODES
 from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
-from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole, unknown_name
+from stkzoo.errors import ActionError, ApiOrderError, ConfigError, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
@@ -181,13 +181,13 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
 
     def restore_state(self, state: RaceState) -> None:
         """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.restore_state`."""
-        with self.core._exchange():
+        with self.core.live_race.exchange():
             self.core.restore_state(state)
             self._go_on(state.front)
 
     def follow(self, other: Self) -> None:
         """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.follow`."""
-        with self.core._exchange():
+        with self.core.live_race.exchange():
             self.core.follow(other.core)
             self._go_on(other._front())
 
@@ -202,13 +202,15 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
     def _recall(self, front: Any) -> None:
         """Restores a state from :meth:`_front`; that of another class is derived from the core."""
 
-    def _reset_core(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Any, Any]:
-        """Resets the core with this environment's random generator, which Gymnasium seeds."""
-        with self.core._turn.of("reset"):
-            seed = None if seed is None else check_whole("seed", seed, 0)
-            gym.Env.reset(self, seed=seed)
-            self.core.np_random = self.np_random
-            return self.core._reset(seed, options)
+    def _reset_core(self, seed: int | None, options: dict[str, Any] | None) -> Started:
+        """Resets the core, which shares its random generator with this environment."""
+        with self.core.live_race.turn.of("reset"):
+            if seed is None:
+                self.core.np_random = self.np_random
+            started = self.core.reset(seed, options)
+            gym.Env.reset(self, seed=None if seed is None else int(seed))
+            self._np_random = self.core.np_random
+            return started
 
     def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
         if self.core.snapshot is not None and not self.core.agents:
@@ -350,7 +352,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     ) -> None:
         EzPickle.__init__(self, agents=agents, **options)
         super().__init__(agents, **options)
-        if not self.core._chains.is_compiled:
+        if not self.core.live_race.is_compiled:
             raise ConfigError(
                 "view has wrappers in Python, which cannot change the observations of agents that "
                 'have finished. Put them into MonoAgentWrapperAdapter(env, {"0": ...}), or into '
@@ -374,7 +376,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
-        with self.core._turn.of("reset"):
+        with self.core.live_race.turn.of("reset"):
             observations, infos = self._reset_core(seed, options)
             self._recall(None)
             self._infos.update(infos)
@@ -387,7 +389,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         self, action: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
-        with self.core._turn.of("step"):
+        with self.core.live_race.turn.of("step"):
             return self._step(action)
 
     def _step(

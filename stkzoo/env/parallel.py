@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -13,45 +15,86 @@ import numpy.typing as npt
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
-from stkzoo.agent_names import find_agent, of_agent
+from stkzoo.agent_names import of_agent
 from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
-from stkzoo.engine.race import RaceStart
+from stkzoo.engine.ground import Ground
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
-from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.env.branching import BranchingRace
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.engine.track import TrackMap
 from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import Episode, rewards_of_agents
-from stkzoo.env.grid import draw_race
+from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_stream
-from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
-from stkzoo.env.starts import MAX_START_DRAWS, is_random
-from stkzoo.errors import (
-    ApiOrderError,
-    ConfigError,
-    check_arguments,
-    check_number,
-    check_whole,
-    unknown_name,
-)
+from stkzoo.env.race import Race
+from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate, scene_of
+from stkzoo.env.scenario import Scenario
+from stkzoo.env.state import RaceState
+from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.mdp.state import state_space
+from stkzoo.render.scene import Scene
 from stkzoo.views import base_space, views_of_agents
 from stkzoo.views.chains import AgentChains
 from stkzoo.views.walker import StepParts
 
 if TYPE_CHECKING:
-    from stkzoo.drivers import Driver
+    from typing_extensions import Self
+
     from stkzoo.env.opponent_choice import OpponentChoice
 
 
 Observations = dict[str, Any]
 
 
+class ClonableEnv(EzPickle):
+    """An environment that can continue from the state of another environment of its class."""
+
+    if TYPE_CHECKING:
+        options: RaceOptions
+
+        def follow(self, other: Self) -> None:
+            """Continues from the current state of another environment."""
+
+        def close(self) -> None:
+            """Stops the game process."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns the arguments and the options of the next race."""
+        return {**super().__getstate__(), "options": self.options}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Makes the environment in place, because its cameras refer to it."""
+        self.__init__(*state["_ezpickle_args"], **state["_ezpickle_kwargs"])  # type: ignore[misc]
+        self.options = state["options"]
+
+    def clone(self) -> Self:
+        """Returns an independent environment that continues from this moment.
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
+        """
+        make: Any = type(self)
+        twin: Self = make(*self._ezpickle_args, **self._ezpickle_kwargs)
+        twin.follow(self)
+        return twin
+
+    def lookahead(self) -> contextlib.closing[Self]:
+        """Yields a clone for trying actions and closes it at the end.
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
+        """
+        return contextlib.closing(self.clone())
+
+
 @check_arguments
-class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
+class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
     """One race of SuperTuxKart in which every agent drives a kart.
 
     Agents are named ``kart_0`` to ``kart_{n-1}``. When an agent's kart finishes, the agent gets its
@@ -88,6 +131,9 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             (:func:`stkzoo.race.find_driver`), policies, drivers and pools, one per kart; or an
             :class:`~stkzoo.OpponentPool`, which drives all karts that are not agents. A mapping
             from names to weights also defines a pool.
+
+    Attributes:
+        live_race: the :class:`~stkzoo.env.race.Race` that this environment drives.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -135,48 +181,56 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         arguments = {name: value for name, value in locals().items() if name != "self"}
         EzPickle.__init__(self, **arguments)
         arguments["step_size"] = 0.1 if step_size is None else step_size
-        chosen = {name: arguments[name] for name in RaceOptions.__dataclass_fields__}
-        self.options = RaceOptions(**chosen)
+        options = RaceOptions(**{n: arguments[n] for n in RaceOptions.__dataclass_fields__})
         choice, num_opponents = _opponents(opponents, agents, num_kart)
-        self.specs = _specs(agents, num_kart - num_opponents)
+        specs = _specs(agents, num_kart - num_opponents)
         check_whole("num_cameras", num_cameras, 0, MAX_CAMERAS)
+        check_whole("max_snapshots", max_snapshots, 0)
         engine_timeout = check_number("engine_timeout", engine_timeout, 1e-3, 1e6)
-        self._opponents = None
-        BranchingRace.__init__(self, max_snapshots)
         self.render_mode = render_mode
         self.metadata = {
             **self.metadata,
             "render_modes": available_modes(),
-            "render_fps": frame_rate(self.options.step_size),
+            "render_fps": frame_rate(options.step_size),
         }
-        self._rendering = Rendering(render_mode, render_backend, render_size, graphics_config)
-        self._num_cameras = num_cameras
-        self._assets = find_assets()
-        self.options.tracks(self._assets.tracks)
-
-        check_agents(self.specs, num_kart, self._assets.karts)
-        self.possible_agents = [f"kart_{index}" for index in range(len(self.specs))]
-        self._ai_agents = self._agents_of_ai()
-        self._rewards = rewards_of_agents(reward, self.possible_agents)
+        rendering = Rendering(render_mode, render_backend, render_size, graphics_config)
+        assets = find_assets()
+        options.tracks(assets.tracks)
+        check_agents(specs, num_kart, assets.karts)
+        self.possible_agents = [f"kart_{index}" for index in range(len(specs))]
+        rewards = rewards_of_agents(reward, self.possible_agents)
         this = weakref.ref(self)  # cameras do not keep the environment alive
-        self.cameras = RaceCameras(self.possible_agents, lambda: getattr(this(), "_episode", None))
+        cameras = RaceCameras(self.possible_agents, lambda: (env := this()) and env._episode)
         views = views_of_agents(view, self.possible_agents)
-        self._chains = AgentChains(
-            {agent: base_space(own, agent in self._ai_agents) for agent, own in views.items()},
+        ai_agents = {a for a, s in zip(self.possible_agents, specs, strict=True) if s.use_ai}
+        chains = AgentChains(
+            {agent: base_space(own, agent in ai_agents) for agent, own in views.items()},
             {agent: kart_action_space() for agent in self.possible_agents},
-            self.cameras.connected(views),
-            ignored=self._ai_agents,
+            cameras.connected(views),
+            ignored=ai_agents,
             columns=CONTROLS,
         )
-        self.observation_spaces = self._chains.observation_spaces
-        self.action_spaces = self._chains.action_spaces
+        self.observation_spaces = chains.observation_spaces
+        self.action_spaces = chains.action_spaces
         self.state_space = state_space(num_kart)
+        drivers = None
         if choice is not None:
             from stkzoo.env.opponents import RaceOpponents
 
-            view = next(iter(views.values()))
-            self._opponents = RaceOpponents(choice, len(self.specs), num_opponents, view)
-        self._session = _session(self._assets, use_subprocess, engine_timeout)
+            drivers = RaceOpponents(choice, len(specs), num_opponents, next(iter(views.values())))
+        self.live_race = Race(
+            options=options,
+            specs=specs,
+            rewards=rewards,
+            assets=assets,
+            new_session=partial(_session, assets, use_subprocess, engine_timeout),
+            chains=chains,
+            rendering=rendering,
+            cameras=cameras,
+            opponents=drivers,
+            num_cameras=num_cameras,
+            max_snapshots=max_snapshots,
+        )
 
     # ------------------------------------------------------------------ PettingZoo's API
 
@@ -219,41 +273,11 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ConfigError: an option is invalid, or there is no display for ``"human"``.
             EngineError: the game does not start.
         """
-        with self._turn.of("reset"):
-            if seed is not None or self._np_random is None:
-                self._np_random = random_stream(seed)
-            return self._reset(seed, options)
-
-    def _reset(
-        self, seed: int | None, options: Mapping[str, Any] | None
-    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
-        """Starts a race with the current random generator; ``seed`` is for the wrappers only."""
-        self._rendering.check()
-        options = {} if options is None else options
-        options_now = self._options_now(options)
-        self._check_specs()
-        with self._exchange():
-            if options.get("scenario") is not None:
-                agents, self._episode = self._from_scenario(
-                    options["scenario"], options, options_now
-                )
-            elif options.get("state") is not None:
-                agents, self._episode = self._from_state(options["state"], options, options_now)
-            else:
-                agents = list(self.possible_agents)
-                self._episode = self._new_race(options_now, options)
-            self.agents, self._stepping = [], None  # in case a wrapper fails
-        seats = self._episode.seats(agents)
-        result = self._chains.reset(
-            seats,
-            self._episode,
-            self._episode.infos(seats),
-            seed=seed,
-            options=dict(options),
-        )
-        self.agents = agents
-        self._rendering.reset(self._episode)
-        return result
+        race = self.live_race
+        with race.turn.of("reset"):
+            if seed is not None:
+                race.np_random = random_stream(seed)
+            return race.start(seed, {} if options is None else options)
 
     def step(self, actions: Mapping[str, Any]) -> StepParts:
         """Advances the race by one step.
@@ -276,13 +300,14 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``, or while another thread's call runs.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
-        turn = self._turn
+        race = self.live_race
+        turn = race.turn
         if not turn.lock.acquire(blocking=False):
             raise turn.conflict("step")
         turn.call = "step"
         try:
-            self._request_step(actions)
-            return self._finish_step()
+            race.request(actions)
+            return race.finish()
         finally:
             turn.lock.release()
 
@@ -300,14 +325,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``, or twice without :meth:`step_wait`.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
-        with self._turn.of("step_async"):
-            self._request_step(actions)
-
-    def _request_step(self, actions: Mapping[str, Any]) -> None:
-        controls = self.decode(actions)
-        if self._opponents is not None:
-            drive_opponents([self], [controls])
-        self.send(controls)
+        with self.live_race.turn.of("step_async"):
+            self.live_race.request(actions)
 
     def decode(self, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
         """First half of :meth:`step_async`: checks the actions and converts them to controls.
@@ -323,8 +342,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ActionError: an action is missing or invalid.
             ApiOrderError: called before the first ``reset``, or while a step is running.
         """
-        episode = self._idle_episode()
-        return self._chains.decode(actions, episode.seats(self.agents), episode)
+        return self.live_race.decode(actions)
 
     def send(self, controls: npt.NDArray[np.float32]) -> None:
         """Second half of :meth:`step_async`: starts the step in the game.
@@ -332,11 +350,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         Args:
             controls: controls from :meth:`decode`, ``(P, 7)`` float32.
         """
-        episode = self._running("step")
-        if self.agents:
-            self._session.step_async(controls)
-            episode.remember(controls)
-        self._stepping = episode
+        self.live_race.send(controls)
 
     def step_wait(self) -> StepParts:
         """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.
@@ -345,28 +359,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called without :meth:`step_async`.
             EngineError: the game crashed or hung; ``reset`` starts a new race.
         """
-        with self._turn.of("step_wait"):
-            return self._finish_step()
-
-    def _finish_step(self) -> StepParts:
-        episode, agents = self._awaited_episode(), self.agents
-        try:  # until the episode has advanced, signal handlers cannot save or copy the race
-            if not agents:
-                return {}, {}, {}, {}, {}
-            seats = episode.seats(agents)
-            ends = episode.advance(self._session.step_wait(), seats)
-        finally:
-            self._stepping = None
-        rewards, terminations, truncations = ends
-        observations = self._chains.observe(seats, episode)
-        infos = episode.infos(seats)
-        parts = observations, rewards, terminations, truncations, infos
-        self._chains.finish(seats, parts)
-        if any(terminations.values()) or any(truncations.values()):
-            self.agents = [a for a in agents if not (terminations[a] or truncations[a])]
-        if self.render_mode is not None:
-            self._rendering.follow(episode)
-        return parts
+        with self.live_race.turn.of("step_wait"):
+            return self.live_race.finish()
 
     def render(self) -> Any:
         """Renders the race according to ``render_mode``.
@@ -382,7 +376,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             EngineError: the game cannot render on this machine and ``render_backend`` is
                 ``"engine"``.
         """
-        return self._rendering.render(self._episode)
+        return self.live_race.rendering.render(self._episode)
 
     def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
         """Returns each agent's camera frame, ``(height, width, 3)`` uint8, in any render mode.
@@ -392,7 +386,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             EngineError: the game cannot render on this machine and ``render_backend`` is
                 ``"engine"``.
         """
-        return self._rendering.frames(self._episode, self.possible_agents)
+        return self.live_race.rendering.frames(self._episode, self.possible_agents)
 
     def state(self) -> npt.NDArray[np.float32]:
         """Returns the state of the race: a vector in ``state_space`` (:mod:`stkzoo.mdp.state`).
@@ -400,16 +394,12 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         Raises:
             ApiOrderError: called before the first ``reset``.
         """
-        return self._running("state").state()
+        return self.live_race.running("state").state()
 
     def close(self) -> None:
         """Stops the game process. You may call ``reset`` again."""
-        with self._turn.of("close"):
-            self._end_race()
-            self._session.close()
-            self._rendering.close()
-            self.cameras.close()
-            self._chains.close()
+        with self.live_race.turn.of("close"):
+            self.live_race.close()
 
     def __enter__(self) -> RaceParallelEnv:
         return self
@@ -425,9 +415,79 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
         return self
 
     @property
+    def agents(self) -> list[str]:
+        """Agents that are still racing."""
+        return self.live_race.agents
+
+    @property
+    def specs(self) -> Sequence[AgentSpec]:
+        """Options of the agents."""
+        return self.live_race.specs
+
+    @property
+    def ai_agents(self) -> set[str]:
+        """Agents that the game's AI drives; their actions are optional and ignored."""
+        return self.live_race.ai_agents
+
+    @property
+    def cameras(self) -> RaceCameras:
+        """The agents' cameras."""
+        return self.live_race.cameras
+
+    @property
+    def options(self) -> RaceOptions:
+        """Options of the next race."""
+        return self.live_race.options
+
+    @options.setter
+    def options(self, options: RaceOptions) -> None:
+        self.live_race.options = options
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The environment's random generator, which ``reset(seed=...)`` seeds."""
+        return self.live_race.np_random
+
+    @np_random.setter
+    def np_random(self, random: np.random.Generator) -> None:
+        self.live_race.np_random = random
+
+    @property
+    def race(self) -> RaceInfo | None:
+        """Names of the current race and its karts; ``None`` before the first reset."""
+        return self._episode.race if self._episode else None
+
+    @property
+    def scene(self) -> Scene | None:
+        """Data of the current race for rendering; ``None`` before the first reset."""
+        return scene_of(self._episode) if self._episode else None
+
+    @property
+    def track_map(self) -> TrackMap | None:
+        """Map of the current track; ``None`` before the first reset."""
+        return self._episode.track_map if self._episode else None
+
+    @property
+    def ground(self) -> Ground | None:
+        """Ground and walls of the current track; ``None`` before the first reset.
+
+        They are read from the track's meshes, which takes 0.2 to 2 s the first time.
+        """
+        return self._episode.ground if self._episode else None
+
+    @property
+    def snapshot(self) -> Snapshot | None:
+        """Snapshot of all karts at the current moment; ``None`` before the first reset."""
+        return self._episode.snapshot if self._episode else None
+
+    @property
+    def _episode(self) -> Episode | None:
+        return self.live_race.episode
+
+    @property
     def render_backend(self) -> str:
         """Renderer in use: ``"engine"`` or ``"map"``; ``"auto"`` before the first frame."""
-        return self._rendering.backend
+        return self.live_race.rendering.backend
 
     @property
     def step_size(self) -> float:
@@ -456,8 +516,8 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``.
             ConfigError: ``agents`` is not a list of agents.
         """
-        episode = self._running("observe_batch")
-        ids = self._ids_of(agents)
+        episode = self.live_race.running("observe_batch")
+        ids = self.live_race.ids_of(agents)
         if not ids:
             raise ConfigError("agents is empty, expected a list of one agent or more")
         return episode.observe_batch(ids)
@@ -472,8 +532,7 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``.
             ConfigError: ``agents`` is not a list of agents.
         """
-        episode = self._running("observe")
-        return self._chains.observe(episode.seats(self._ids_of(agents)), episode)
+        return self.live_race.observe(agents)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Returns the agents' current infos, before their wrappers.
@@ -485,122 +544,68 @@ class RaceParallelEnv(BranchingRace, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``.
             ConfigError: ``agents`` is not a list of agents.
         """
-        episode = self._running("infos")
-        return episode.infos(episode.seats(self._ids_of(agents)))
+        return self.live_race.infos(agents)
 
-    # ------------------------------------------------------------------ helpers
+    # ------------------------------------------------------------------ saved moments
 
-    def _ids_of(self, agents: Sequence[str]) -> list[str]:
-        if isinstance(agents, str) or not isinstance(agents, Sequence):
-            raise ConfigError(f"agents is {agents!r}, expected a list of agents")
-        known = self._chains.observation_spaces
-        return [
-            agent if isinstance(agent, str) and agent in known else find_agent(agent, known)
-            for agent in agents
-        ]
+    def save_state(self) -> RaceState:
+        """Saves the current moment of the race, which continues unaffected.
 
-    def _new_race(self, options: RaceOptions, asked: Mapping[str, Any]) -> Episode:
-        random = self.np_random
-        options, drivers, opponents = self._draw_opponents(options, asked, random)
-        tracks = options.tracks(self._assets.tracks)
-        has_window = self.render_mode == "human"
-        self._end_race()  # in case the start fails
-        for draws_left in reversed(range(MAX_START_DRAWS)):
-            setup, kart_indices = draw_race(
-                options, self.specs, tracks, self._num_cameras, has_window, random, opponents
-            )
-            try:
-                begun = self._begin(setup)
-                break
-            except ConfigError:  # a place where no kart can stand
-                if not draws_left or not is_random(options.start):
-                    raise
-        root = self._assets.root
-        episode = Episode(options, setup, kart_indices, begun, self._rewards, root)
-        if self._opponents is not None:
-            self._opponents.begin(drivers, episode)
-        return episode
+        Raises:
+            ApiOrderError: called before the first ``reset``, or with ``max_snapshots`` states open.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
+        """
+        with self.live_race.turn.of("save_state"):
+            return self.live_race.save()
 
-    def _draw_opponents(
-        self, options: RaceOptions, asked: Mapping[str, Any], random: np.random.Generator
-    ) -> tuple[RaceOptions, tuple[Driver, ...], list[AgentSpec]]:
-        """Draws the opponents; returns the race's options, the drivers and their specs."""
-        if self._opponents is None:
-            return options, (), []
-        drivers, level = self._opponents.draw(random, asked.get("difficulty"))
-        options = options if level is None else replace(options, difficulty=level)
-        return options, drivers, self._opponents.specs(drivers)
+    def restore_state(self, state: RaceState) -> None:
+        """Continues from a saved state, with everything as it was at that moment.
 
-    def _begin(self, setup: RaceSetup) -> RaceStart:
-        """Starts a race in the game; :class:`~stkzoo.env.vec.ahead.AheadRace` overrides it."""
-        return self._session.start(setup)
+        This includes the counters of the episode, the reward of the environment that saved the
+        state, the state of wrappers, and the random generator, so later resets repeat too. The race
+        that was running in this environment ends.
 
-    def _running(self, method: str) -> Episode:
-        if self._episode is None:
-            raise ApiOrderError(f"{method}() before reset(); call reset() first")
-        return self._episode
+        Args:
+            state: a state of this environment, or of another one with the same karts, agents and
+                opponents.
 
-    def _idle_episode(self) -> Episode:
-        """Returns the running episode; raises if it is already stepping."""
-        episode = self._running("step")
-        if self._stepping is episode:
-            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
-        return episode
+        Raises:
+            ApiOrderError: the state was closed.
+            ConfigError: the state belongs to an environment with other karts or agents.
+            EngineError: this platform cannot fork races, or the state's process has ended; this
+                environment's race continues.
+        """
+        with self.live_race.turn.of("restore_state"):
+            self.live_race.restore(state)
 
-    def _awaited_episode(self) -> Episode:
-        """Returns the episode that is stepping. The caller finishes its step and forgets it."""
-        episode = self._stepping
-        if episode is None or episode is not self._episode:
-            raise ApiOrderError("step_wait() without step_async(); call step_async() first")
-        return episode
+    def follow(self, other: Self) -> None:
+        """Continues from the current state of another environment, like a clone of it.
 
-    def _agents_of_ai(self) -> set[str]:
-        pairs = zip(self.possible_agents, self.specs, strict=True)
-        return {agent for agent, spec in pairs if spec.use_ai}
+        Args:
+            other: an environment with the same karts, agents and opponents.
 
-    def _check_specs(self) -> None:
-        check_agents(self.specs, self.options.num_kart, self._assets.karts)
-        if self._agents_of_ai() != self._ai_agents:
-            raise ConfigError(
-                "use_ai of an agent was changed after the environment was made, which would "
-                "change its spaces; make a new environment"
-            )
+        Raises:
+            ApiOrderError: the other environment was not reset yet.
+            ConfigError: the other environment has other karts or agents.
+            AgentException: an agent's wrapper holds an object that cannot be copied.
+            EngineError: this platform cannot fork races, or the game crashed.
+        """
+        with self.live_race.turn.of("follow"), other.live_race.turn.of("clone"):
+            self.live_race.follow(other.live_race)
 
-    def _options_now(self, options: Mapping[str, Any]) -> RaceOptions:
-        episode = self.options.changed(options)
-        if episode.num_kart != self.options.num_kart:
-            raise ConfigError(
-                f"options request {episode.num_kart} karts, but this environment has "
-                f"{self.options.num_kart}; make another environment"
-            )
-        known = (*RaceOptions.__dataclass_fields__, "state", "scenario")
-        for name in options:
-            # PettingZoo's conformance tests reset with {"options": 1}.
-            if name not in (*known, "options"):
-                raise unknown_name("option", name, known)
-        return episode
+    def scenario(self) -> Scenario:
+        """Returns the current moment as a scenario, which can be saved and replayed elsewhere.
 
+        Raises:
+            ApiOrderError: called before the first ``reset``, or while a step is running.
+        """
+        return self.live_race.scenario()
 
-def drive_opponents(
-    races: Sequence[RaceParallelEnv], controls: Sequence[npt.NDArray[np.float32]]
-) -> None:
-    """Adds the opponents' controls to those from :meth:`RaceParallelEnv.decode`.
-
-    Karts of the same driver are computed together, also across races.
-
-    Args:
-        races: the races that are about to step.
-        controls: controls of each race, ``(P, 7)`` float32; changed in place.
-    """
-    driven = [
-        (race._opponents, race._running("step"), own)
-        for race, own in zip(races, controls, strict=True)
-        if race._opponents is not None and race._opponents.is_driving and race.agents
-    ]
-    if driven:
-        from stkzoo.env.opponents import drive_together
-
-        drive_together(driven)
+    @property
+    def num_snapshots(self) -> int:
+        """Number of open states that this environment saved."""
+        return self.live_race.num_snapshots
 
 
 def _opponents(

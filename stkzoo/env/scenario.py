@@ -133,9 +133,21 @@ class Scenario:
         """Karts and agents of the race."""
         karts = self.setup.karts
         driven = (n for n, kart in enumerate(self.kart_indices) if karts[kart].is_bot)
-        return RaceRoster(
-            len(karts), len(self.kart_indices), frozenset(f"kart_{number}" for number in driven)
-        )
+        ai_agents = frozenset(f"kart_{number}" for number in driven)
+        return RaceRoster(len(karts), len(self.kart_indices), ai_agents, bool(self.opponents))
+
+
+def read_scenario(choice: object) -> Scenario:
+    """Returns a scenario, or that of a file.
+
+    Raises:
+        ConfigError: the choice is neither, or the file cannot be read.
+    """
+    if isinstance(choice, (str, os.PathLike)):
+        return Scenario.load(choice)
+    if not isinstance(choice, Scenario):
+        raise ConfigError(f"scenario is {choice!r}, expected a Scenario or the path of its file")
+    return choice
 
 
 def digest_of(snapshot: Snapshot) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -12,7 +13,8 @@ from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceInfo, RaceRoster
-from stkzoo.errors import ApiOrderError
+from stkzoo.env.options import OF_AN_EPISODE, RaceOptions
+from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.views.chains import ChainsMemory
 
 if TYPE_CHECKING:
@@ -123,3 +125,40 @@ class RaceState:
         is_open = "" if self.is_open else ", closed"
         time = float(self.snapshot.header["time"])
         return f"<RaceState of {self.race.track!r} at {time:.2f} s{is_open}>"
+
+
+def checked_state(state: object) -> RaceState:
+    """Returns a saved state.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    if not isinstance(state, RaceState):
+        raise ConfigError(f"state is {state!r}, expected a RaceState from save_state()")
+    return state
+
+
+def check_beside(what: str, asked: Mapping[str, Any], agents: Sequence[str]) -> None:
+    """Checks that an episode can start at the moment of a saved state or scenario.
+
+    Args:
+        what: ``"state"`` or ``"scenario"``.
+        asked: all options of ``reset``.
+        agents: agents that were racing at that moment.
+
+    Raises:
+        ApiOrderError: there are no agents.
+        ConfigError: an option is about what the moment already determines.
+    """
+    own = {what, "num_kart", *OF_AN_EPISODE}
+    both = ({*RaceOptions.__dataclass_fields__, "state"} - own) & set(asked)
+    if both:
+        raise ConfigError(
+            f"options have a {what} and {', '.join(sorted(both))}, which the {what} already "
+            "determines; leave out one of them"
+        )
+    if not agents:
+        raise ApiOrderError(
+            f"the {what} was saved after all agents had left, so no agent can act; use an earlier "
+            f"{what}"
+        )

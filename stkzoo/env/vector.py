@@ -13,7 +13,7 @@ from gymnasium.vector import AsyncVectorEnv
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.vec.env import RaceVectorEnv
-from stkzoo.env.vec.spaces import is_of_fixed_size
+from stkzoo.env.vec.rows import is_of_fixed_size
 from stkzoo.errors import check_whole, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 

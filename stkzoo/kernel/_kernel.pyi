@@ -114,7 +114,7 @@ class KartObserver:
         data: bytes,
         who: npt.NDArray[np.intp],
     ) -> list[Any]:
-        """Returns a list with one observation per kart.
+        """Returns a list with one observation per kart, in a view with lists of varying length.
 
         Args:
             track: the race's track.
@@ -122,6 +122,9 @@ class KartObserver:
             kart_types: model name of each kart.
             data: bytes of the snapshot.
             who: ``(A,)`` indices of the observing karts.
+
+        Raises:
+            ValueError: the view has a fixed size, or the arguments do not fit together.
         """
     def observe_into(
         self,
@@ -173,8 +176,8 @@ class RacingObserver:
         data: bytes,
         road: int,
         who: npt.NDArray[np.intp],
+        rows: npt.NDArray[np.intp],
         out: npt.NDArray[np.float32],
-        rows: npt.NDArray[np.intp] = ...,
     ) -> None:
         """Writes the view of each kart of ``who`` into a row of ``out``.
 
@@ -182,8 +185,8 @@ class RacingObserver:
             data: bytes of a snapshot.
             road: index of its track.
             who: ``(n,)`` indices of karts.
-            out: ``(N, SIZE)``.
-            rows: ``(n,)`` row of each kart; by default, ``out`` has one row per kart, in order.
+            rows: ``(n,)`` row of each kart.
+            out: ``(N, SIZE)``, which is written.
         """
     def look(
         self,
@@ -292,31 +295,20 @@ class ActionReader:
     def read(
         self,
         actions: Any,
-        agents: tuple[str, ...],
+        who: tuple[str, ...] | npt.NDArray[np.intp],
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
+        count: int = -1,
     ) -> bool:
-        """Reads the action of each agent into its row of the controls.
-
-        Returns:
-            Whether every agent has an action that is in its space and in a usual form.
-        """
-    def read_batch(
-        self,
-        batch: Any,
-        count: int,
-        slots: npt.NDArray[np.intp],
-        rows: npt.NDArray[np.intp],
-        controls: npt.NDArray[np.float32],
-    ) -> bool:
-        """Reads the actions of some slots into rows of the controls.
+        """Reads one action for each of ``rows`` into that row of the controls.
 
         Args:
-            batch: an array with a row for each slot, or a dict of such arrays.
-            count: number of slots.
-            slots: slot of each action to read.
+            actions: actions by agent; with ``count``, an array with a row for each slot, or a dict
+                of such arrays.
+            who: the agents; with ``count``, their slots.
             rows: row of each action in ``controls``.
             controls: ``(P, C)`` float32, whose rows are overwritten.
+            count: number of slots.
 
         Returns:
             Whether all actions are in their space and in a usual form.
@@ -405,15 +397,14 @@ class StepScorer:
     """Computes rewards, ends and infos of some agents of a race.
 
     Args:
-        agents: ids of the agents.
         karts: kart of each agent.
         rows: row of each agent in ``last`` and ``sums``.
-        last: ``(R, C)`` reward terms and events of the latest step, which :meth:`score` writes.
-        sums: ``(R, C)`` sums of ``last`` over the episode, which :meth:`score` updates.
-        keys: keys of an info, in order.
+        last: ``(R, C)`` reward terms and events of the latest step, which :meth:`score_into`
+            writes.
+        sums: ``(R, C)`` sums of ``last`` over the episode, which :meth:`score_into` updates.
         race_length: number of laps times the length of a lap [m].
         rewards: for each group of agents that share a reward: names of the reward's terms, their
-            weights, their columns in ``last``, and the agents' indices in ``agents``. The caller
+            weights, their columns in ``last``, and the agents' indices in ``karts``. The caller
             writes the terms that are Python functions into ``last``.
         events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
             of ``last``.
@@ -421,26 +412,14 @@ class StepScorer:
 
     def __new__(
         cls,
-        agents: tuple[str, ...],
         karts: npt.NDArray[np.intp],
         rows: npt.NDArray[np.intp],
         last: npt.NDArray[np.float64],
         sums: npt.NDArray[np.float64],
-        keys: tuple[str, ...],
         race_length: float,
         rewards: tuple[Any, ...],
         events: npt.NDArray[np.float64],
     ) -> StepScorer: ...
-    def score(
-        self, before: bytes, after: bytes, is_over: bool
-    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
-        """Returns the rewards, terminations and truncations of the step between two snapshots.
-
-        Args:
-            before: bytes of the snapshot before the step.
-            after: bytes of the snapshot after the step.
-            is_over: whether the time limit is reached.
-        """
     def score_into(
         self,
         before: bytes,
@@ -451,33 +430,34 @@ class StepScorer:
         terminations: npt.NDArray[np.bool_],
         truncations: npt.NDArray[np.bool_],
     ) -> None:
-        """Writes the results of :meth:`score` into arrays with one number for each slot.
+        """Computes the step between two snapshots and writes its results, a number for each slot.
 
         Args:
-            before: see :meth:`score`.
-            after: see :meth:`score`.
-            is_over: see :meth:`score`.
+            before: bytes of the snapshot before the step.
+            after: bytes of the snapshot after the step.
+            is_over: whether the time limit is reached.
             slots: slot of each agent.
             rewards: ``(S,)`` float64, which is written.
             terminations: ``(S,)`` bool, which is written.
             truncations: ``(S,)`` bool, which is written.
         """
-    def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]:
-        """Returns the infos of the agents at a snapshot, after ``length`` steps."""
     def infos_into(
         self,
         data: bytes,
         length: int,
         slots: npt.NDArray[np.intp],
-        table: npt.NDArray[np.float64],
+        wholes: npt.NDArray[np.int64],
+        numbers: npt.NDArray[np.float64],
     ) -> None:
-        """Writes the results of :meth:`infos` into a table.
+        """Writes the infos of the agents at a snapshot into two tables with a column per slot.
 
         Args:
-            data: see :meth:`infos`.
-            length: see :meth:`infos`.
+            data: bytes of the snapshot.
+            length: number of steps of the episode.
             slots: slot of each agent.
-            table: array to write, with a row for each key and a column for each slot.
+            wholes: ``(3, S)`` rank, laps and ``length``, which are written.
+            numbers: ``(3 + 2 C, S)`` distance [m], finish time [s], the agent's row of ``last``,
+                its row of ``sums``, and the sum of its reward terms, which are written.
         """
 
 def reward_term(
@@ -551,3 +531,20 @@ def look_along(
 
 def stack_vectors(rows: tuple[Any, ...], blank: float, out: npt.NDArray[np.float32]) -> None:
     """Writes the vectors of each row, ``(A, n, 3)``, padded with ``blank``."""
+
+def new_batch(like: Any, count: int) -> Any:
+    """Returns a batch of ``count`` rows without content in the form of another batch.
+
+    A batch holds one value for each of several agents: an array with a row for each, a list of
+    texts, or a dict of batches.
+
+    Args:
+        like: a batch with any number of rows.
+        count: number of rows.
+    """
+
+def split_batch(batch: Any, count: int) -> list[Any]:
+    """Returns the values of a batch's first ``count`` rows.
+
+    Rows of arrays are views; the entries of arrays with one axis are Python numbers.
+    """

@@ -64,25 +64,36 @@ static int number_at(PyArrayObject *array, npy_intp i, double *value)
     }
 }
 
-static int read_array(const Leaf *leaf, PyArrayObject *array, float *row)
+/* Reads a leaf's numbers from element `first` of an array on. */
+static int read_numbers(const Leaf *leaf, PyArrayObject *array, npy_intp first, float *row)
 {
-    if (!PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISBEHAVED_RO(array) ||
-        PyArray_SIZE(array) != leaf->count || (leaf->count > 1 && PyArray_NDIM(array) != 1)) {
-        return 0;
-    }
     for (npy_intp i = 0; i < leaf->count; i++) {
         double value;
-        if (!number_at(array, i, &value) || !put(leaf->entries + i, value, row)) {
-            return 0;
-        }
+        if (!number_at(array, first + i, &value) || !put(leaf->entries + i, value, row)) return 0;
     }
     return 1;
 }
 
-static int read_leaf(const Leaf *leaf, PyObject *object, float *row)
+/* Returns whether an array has the numbers of a leaf, or a row with them for each of `count` slots. */
+static int fits_leaf(const Leaf *leaf, PyArrayObject *array, npy_intp count)
 {
-    if (PyArray_Check(object)) return read_array(leaf, (PyArrayObject *)object, row);
-    if (leaf->count != 1) return 0;
+    const int axes = PyArray_NDIM(array), has_slots = count >= 0;
+    if (!PyArray_IS_C_CONTIGUOUS(array) || !PyArray_ISBEHAVED_RO(array) ||
+        (has_slots && (axes == 0 || PyArray_DIM(array, 0) != count))) {
+        return 0;
+    }
+    return PyArray_SIZE(array) == leaf->count * (has_slots ? count : 1) &&
+           (leaf->count == 1 || axes == 1 + has_slots);
+}
+
+/* Reads a leaf from an array or a number; from a row of an array if `count` is at least 0. */
+static int read_leaf(const Leaf *leaf, PyObject *object, npy_intp slot, npy_intp count, float *row)
+{
+    if (PyArray_Check(object)) {
+        PyArrayObject *array = (PyArrayObject *)object;
+        return fits_leaf(leaf, array, count) && read_numbers(leaf, array, slot * leaf->count, row);
+    }
+    if (leaf->count != 1 || count >= 0) return 0;
     if (!PyFloat_Check(object) && !PyLong_Check(object) && !PyArray_IsScalar(object, Integer) &&
         !PyArray_IsScalar(object, Floating) && !PyArray_IsScalar(object, Bool)) {
         return 0;
@@ -95,127 +106,64 @@ static int read_leaf(const Leaf *leaf, PyObject *object, float *row)
     return put(leaf->entries, value, row);
 }
 
-static int read_action(const ActionReader *self, PyObject *action, float *row)
+/* Reads an action, or the action of a slot from a batch for `count` slots. Returns 0 if it cannot be
+   read, and -1 with an exception set on failure. */
+static int read_action(const ActionReader *self, PyObject *action, npy_intp slot, npy_intp count,
+                       float *row)
 {
     const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names);
-    if (num_names == 0) return read_leaf(self->leaves, action, row);
+    memset(row, 0, (size_t)self->num_columns * sizeof *row);
+    if (num_names == 0) return read_leaf(self->leaves, action, slot, count, row);
     if (!PyDict_Check(action) || PyDict_GET_SIZE(action) != num_names) return 0;
     for (Py_ssize_t i = 0; i < num_names; i++) {
         PyObject *part = PyDict_GetItemWithError(action, PyTuple_GET_ITEM(self->names, i));
         if (!part) return PyErr_Occurred() ? -1 : 0;
         Py_INCREF(part); /* converting a number can run code that removes it from the dict */
-        const int is_read = read_leaf(self->leaves + i, part, row);
+        const int is_read = read_leaf(self->leaves + i, part, slot, count, row);
         Py_DECREF(part);
         if (is_read <= 0) return is_read;
     }
     return 1;
 }
 
-/* read(actions, agents, rows, controls): reads the action of agents[i] from the dict `actions` into
-   row rows[i] of `controls`. Returns False if an action is missing or cannot be read. */
+/* read(actions, who, rows, controls, count): reads one action for each row of `rows` into that row of
+   `controls`. Without `count`, `actions` is a dict by agent and `who` a tuple of agents. Otherwise,
+   `actions` is a batch, which is one array or a dict of arrays with a row for each of `count` slots,
+   and `who` holds the slots. Returns False if an action is missing or cannot be read. */
 static PyObject *reader_read(PyObject *object, PyObject *args)
 {
     const ActionReader *self = (ActionReader *)object;
-    PyObject *actions, *agents;
-    Indices rows;
+    PyObject *actions, *who;
+    Indices rows, slots = {NULL, 0};
     Floats controls;
-    if (!PyArg_ParseTuple(args, "OO!O&O&", &actions, &PyTuple_Type, &agents, as_indices, &rows,
-                          as_written_floats, &controls)) {
+    Py_ssize_t count = -1;
+    if (!PyArg_ParseTuple(args, "OOO&O&|n", &actions, &who, as_indices, &rows, as_written_floats,
+                          &controls, &count)) {
         return NULL;
     }
-    if (PyTuple_GET_SIZE(agents) != rows.size) {
-        return PyErr_Format(PyExc_ValueError, "%zd agents for %zd rows", PyTuple_GET_SIZE(agents),
-                            rows.size);
+    const int is_batch = count >= 0;
+    if (is_batch ? !as_indices(who, &slots) : !PyTuple_Check(who)) {
+        return PyErr_Occurred() ? NULL : PyErr_Format(PyExc_TypeError, "expected a tuple of agents");
     }
-    if (!are_below(rows, controls.size / self->num_columns)) {
-        return PyErr_Format(PyExc_IndexError, "a row index is out of range");
-    }
-    if (!PyDict_Check(actions)) Py_RETURN_FALSE;
-    for (npy_intp i = 0; i < rows.size; i++) {
-        PyObject *action = PyDict_GetItemWithError(actions, PyTuple_GET_ITEM(agents, i));
-        if (!action && PyErr_Occurred()) return NULL;
-        float *row = controls.data + rows.data[i] * self->num_columns;
-        memset(row, 0, (size_t)self->num_columns * sizeof *row);
-        Py_XINCREF(action); /* see read_action */
-        const int is_read = action ? read_action(self, action, row) : 0;
-        Py_XDECREF(action);
-        if (is_read < 0) return NULL;
-        if (!is_read) Py_RETURN_FALSE;
-    }
-    Py_RETURN_TRUE;
-}
-
-/* Returns whether an object is an array with the leaf's numbers for each of `count` slots. */
-static int is_column(const Leaf *leaf, PyObject *object, npy_intp count)
-{
-    PyArrayObject *array = (PyArrayObject *)object;
-    return PyArray_Check(object) && PyArray_IS_C_CONTIGUOUS(array) && PyArray_ISBEHAVED_RO(array) &&
-           PyArray_NDIM(array) > 0 && PyArray_DIM(array, 0) == count &&
-           PyArray_SIZE(array) == count * leaf->count &&
-           (leaf->count == 1 || PyArray_NDIM(array) == 2);
-}
-
-/* Returns the batch's array for leaf i; NULL if it is missing or has another form. */
-static PyArrayObject *column_of(const ActionReader *self, PyObject *batch, Py_ssize_t i,
-                                npy_intp count)
-{
-    PyObject *column = batch;
-    if (PyTuple_GET_SIZE(self->names) > 0) {
-        column = PyDict_GetItemWithError(batch, PyTuple_GET_ITEM(self->names, i));
-    }
-    return column && is_column(self->leaves + i, column, count) ? (PyArrayObject *)column : NULL;
-}
-
-static int read_column(const ActionReader *self, const Leaf *leaf, PyArrayObject *column,
-                       Indices slots, Indices rows, float *controls)
-{
-    for (npy_intp i = 0; i < slots.size; i++) {
-        float *row = controls + rows.data[i] * self->num_columns;
-        for (npy_intp n = 0; n < leaf->count; n++) {
-            double value;
-            if (!number_at(column, slots.data[i] * leaf->count + n, &value) ||
-                !put(leaf->entries + n, value, row)) {
-                return 0;
-            }
-        }
-    }
-    return 1;
-}
-
-/* read_batch(batch, count, slots, rows, controls): reads the action of slots[i] from a batch into
-   row rows[i] of `controls`. The batch is one array or a dict of arrays, each with a row for each
-   of `count` slots. Returns False if the batch has another form or an action cannot be read. */
-static PyObject *reader_read_batch(PyObject *object, PyObject *args)
-{
-    const ActionReader *self = (ActionReader *)object;
-    PyObject *batch;
-    Py_ssize_t count;
-    Indices slots, rows;
-    Floats controls;
-    if (!PyArg_ParseTuple(args, "OnO&O&O&", &batch, &count, as_indices, &slots, as_indices, &rows,
-                          as_written_floats, &controls)) {
-        return NULL;
-    }
-    if (slots.size != rows.size) {
-        return PyErr_Format(PyExc_ValueError, "%zd slots for %zd rows", slots.size, rows.size);
+    const npy_intp size = is_batch ? slots.size : PyTuple_GET_SIZE(who);
+    if (size != rows.size) {
+        return PyErr_Format(PyExc_ValueError, "%zd actions for %zd rows", size, rows.size);
     }
     if (!are_below(slots, count) || !are_below(rows, controls.size / self->num_columns)) {
         return PyErr_Format(PyExc_IndexError, "a slot or row index is out of range");
     }
-    const Py_ssize_t num_names = PyTuple_GET_SIZE(self->names);
-    if (num_names && (!PyDict_Check(batch) || PyDict_GET_SIZE(batch) != num_names)) Py_RETURN_FALSE;
-    for (npy_intp i = 0; i < rows.size; i++) {
-        memset(controls.data + rows.data[i] * self->num_columns, 0,
-               (size_t)self->num_columns * sizeof *controls.data);
+    if (!is_batch && !PyDict_Check(actions)) Py_RETURN_FALSE;
+    int is_read = 1;
+    for (npy_intp i = 0; is_read > 0 && i < size; i++) {
+        PyObject *action =
+            is_batch ? actions : PyDict_GetItemWithError(actions, PyTuple_GET_ITEM(who, i));
+        if (!action && PyErr_Occurred()) return NULL;
+        Py_XINCREF(action); /* see read_action */
+        float *row = controls.data + rows.data[i] * self->num_columns;
+        is_read = action ? read_action(self, action, is_batch ? slots.data[i] : 0, count, row) : 0;
+        Py_XDECREF(action);
     }
-    for (Py_ssize_t i = 0; i < (num_names ? num_names : 1); i++) {
-        PyArrayObject *column = column_of(self, batch, i, count);
-        if (PyErr_Occurred()) return NULL;
-        if (!column || !read_column(self, self->leaves + i, column, slots, rows, controls.data)) {
-            Py_RETURN_FALSE;
-        }
-    }
-    Py_RETURN_TRUE;
+    return is_read < 0 ? NULL : PyBool_FromLong(is_read);
 }
 
 /* Sets an entry from a tuple (low, high, is_whole, column, table or None). */
@@ -275,7 +223,4 @@ static int reader_set_up(ActionReader *self, PyObject *args, PyObject *Py_UNUSED
 }
 
 KERNEL_TYPE(ActionReader, reader, "Converts actions of one space to controls.",
-            {"read", reader_read, METH_VARARGS,
-             "Reads actions into rows of controls."},
-            {"read_batch", reader_read_batch, METH_VARARGS,
-             "Reads a batch of actions into rows of controls."})
+            {"read", reader_read, METH_VARARGS, "Reads actions into rows of controls."})

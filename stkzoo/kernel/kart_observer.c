@@ -27,7 +27,7 @@ typedef struct {
 } Scene;
 
 enum { ITEMS, KARTS, PATHS, OWN }; /* groups: what the rows of an entry describe */
-enum { NUMBER, CHOICE, MASK, NAME, CONTROL };
+enum { NUMBER, CHOICE, MASK, NAME };
 enum { HEADER, KART, SCENE, NODES, WIDTHS, DISTANCES, NEAREST, MOTION }; /* sources of numbers */
 enum { IS_POINT = 1, IS_PLACE = 2 }; /* stored in the world frame; converted in a polar view */
 
@@ -75,7 +75,6 @@ static const Key KEYS[] = {
     {"items_mask", MASK, ITEMS, 1},
     {"karts_mask", MASK, KARTS, 1},
     {"paths_mask", MASK, PATHS, 1},
-    {"action", CONTROL, OWN, 1},
 };
 
 enum { NUM_KEYS = sizeof KEYS / sizeof *KEYS };
@@ -98,6 +97,7 @@ typedef struct {
     int sizes[4]; /* rows of each group; -1 for a variable number */
     int is_polar, is_flat;
     int needs[4]; /* whether there are entries of each group */
+    int has_lists, has_arrays; /* whether entries of other groups than OWN vary in length, or not */
     npy_intp num_continuous, num_discrete; /* sizes of a flat observer's vectors */
     Indices joined;                        /* one-hot length of each choice; empty if not joined */
     npy_intp num_ones;                     /* sum of these lengths */
@@ -357,54 +357,20 @@ static void write_mask(const Scene *scene, const Key *key, npy_int8 *out)
     for (npy_intp i = 0; i < scene->rows[key->group]; i++) out[i] = i < scene->real[key->group];
 }
 
-static PyObject *one_number(float number)
-{
-    npy_intp one = 1;
-    void *data;
-    PyObject *array = new_array(1, &one, NPY_FLOAT32, &data);
-    if (array) memcpy(data, &number, sizeof number);
-    return array;
-}
-
-/* Returns the controls of the kart's driver as an action. */
-static PyObject *control_of(const Kart *me)
-{
-    /* The keys are in the order of the action space, the columns in that of
-       stkzoo.engine.snapshot.CONTROLS. */
-    const float *c = me->control;
-    return Py_BuildValue("{sN,sl,sl,sl,sl,sl,sN}", "acceleration", one_number(c[0]), "brake",
-                         (long)c[2], "drift", (long)c[3], "fire", (long)c[4], "nitro", (long)c[5],
-                         "rescue", (long)c[6], "steer", one_number(c[1]));
-}
-
-/* Returns the value of an entry in Gymnasium's format. */
-static PyObject *value_of(const KartObserver *observer, const Scene *scene, Entry *entry)
+/* Returns the value of an entry in Gymnasium's format: lists are tuples of arrays or numbers. */
+static PyObject *value_of(const Scene *scene, Entry *entry)
 {
     const Key *key = entry->key;
-    const int is_own = key->group == OWN;
-    npy_intp shape[2] = {scene->rows[key->group], key->width};
-    void *data;
-    PyObject *array;
-    switch (key->kind) {
-    case NAME:
+    npy_intp width = key->width;
+    if (key->kind == NAME) {
         return Py_XNewRef(PyTuple_GetItem(scene->kart_types, scene->me - scene->snapshot.karts));
-    case CONTROL: return control_of(scene->me);
-    case MASK:
-        array = new_array(1, shape, NPY_INT8, &data);
-        if (array) write_mask(scene, key, data);
-        return array;
-    case CHOICE:
-        if (is_own) return PyLong_FromLongLong(choice_of(scene, key));
-        if (observer->sizes[key->group] < 0) return choice_rows(scene);
-        array = new_array(1, shape, NPY_INT64, &data);
-        if (array) write_choices(scene, key, data);
-        return array;
-    default:
-        if (!is_own && observer->sizes[key->group] < 0) return number_rows(scene, entry);
-        array = new_array(is_own ? 1 : 2, is_own ? shape + 1 : shape, NPY_FLOAT32, &data);
-        if (array) write_numbers(scene, key, data);
-        return array;
     }
+    if (key->group != OWN) return key->kind == CHOICE ? choice_rows(scene) : number_rows(scene, entry);
+    if (key->kind == CHOICE) return PyLong_FromLongLong(choice_of(scene, key));
+    void *data;
+    PyObject *array = new_array(1, &width, NPY_FLOAT32, &data);
+    if (array) write_numbers(scene, key, data);
+    return array;
 }
 
 static PyObject *as_dict(KartObserver *observer, const Scene *scene)
@@ -412,7 +378,7 @@ static PyObject *as_dict(KartObserver *observer, const Scene *scene)
     PyObject *dict = PyDict_New();
     for (int i = 0; dict && i < observer->num_entries; i++) {
         Entry *entry = observer->entries + i;
-        PyObject *value = value_of(observer, scene, entry);
+        PyObject *value = value_of(scene, entry);
         if (!value || PyDict_SetItem(dict, entry->name, value) < 0) Py_CLEAR(dict);
         Py_XDECREF(value);
     }
@@ -471,33 +437,6 @@ static int write_vectors(const KartObserver *observer, const Scene *scene, float
     }
     if (!observer->joined.data) return 0;
     return write_ones(observer->joined, choices, numbers + observer->num_continuous);
-}
-
-/* Returns the observation of a flat view: one vector, or a dict of vectors in the order of the
-   space's keys. */
-static PyObject *as_vectors(const KartObserver *observer, const Scene *scene)
-{
-    const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
-    npy_intp sizes[] = {observer->num_continuous + observer->num_ones, observer->num_discrete,
-                        observer->nitro.size};
-    void *numbers = NULL, *choices = NULL, *marks = NULL;
-    PyObject *continuous = new_array(1, sizes, NPY_FLOAT32, &numbers), *seen = NULL;
-    PyObject *discrete = new_array(1, sizes + 1, NPY_INT64, &choices);
-    PyObject *mask = has_mask ? new_array(1, sizes + 2, NPY_INT8, &marks) : NULL;
-    int status = continuous && discrete && (mask || !has_mask) ? 0 : -1;
-    if (!status) status = write_vectors(observer, scene, numbers, choices, marks);
-    if (!status && is_joined && !has_mask) {
-        seen = Py_NewRef(continuous);
-    } else if (!status) { /* Py_BuildValue ignores arguments beyond its format */
-        const char *first = is_joined ? "observation" : "continuous";
-        seen = has_mask ? Py_BuildValue(is_joined ? "{sO,sO}" : "{sO,sO,sO}", "action_mask", mask,
-                                        first, continuous, "discrete", discrete)
-                        : Py_BuildValue("{sO,sO}", first, continuous, "discrete", discrete);
-    }
-    Py_XDECREF(continuous);
-    Py_XDECREF(discrete);
-    Py_XDECREF(mask);
-    return seen;
 }
 
 /* ---------------------------------------------------------------- rows of a batch */
@@ -567,11 +506,6 @@ static int find_columns(KartObserver *observer, const Scene *scene, Indices rows
 {
     for (int i = 0; i < observer->num_entries; i++) {
         const Key *key = observer->entries[i].key;
-        const int is_own = key->group == OWN;
-        if ((!is_own && observer->sizes[key->group] < 0) || key->kind == CONTROL) {
-            PyErr_Format(PyExc_ValueError, "%s has no row in a batch", key->name);
-            return -1;
-        }
         columns[i] = NULL;
         if (key->kind == NAME) continue;
         columns[i] = column_of(batch, key->name,
@@ -697,24 +631,23 @@ static int set_scene(const KartObserver *observer, Scene *scene)
 }
 
 /* observe(track, num_paths, kart_types, data, who): returns a list with one observation for each
-   kart of `who`. */
+   kart of `who`, in a view with lists of varying length. */
 static PyObject *observer_observe(PyObject *self, PyObject *args)
 {
     KartObserver *observer = (KartObserver *)self;
     Scene scene;
     Indices who;
+    if (observer->has_arrays) return refuse("this view has rows; use observe_into"), NULL;
     if (!PyArg_ParseTuple(args, "O!nO!O&O&", &TrackGraphType, &scene.track, &scene.num_paths,
                           &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
                           &who) ||
         set_scene(observer, &scene) < 0) {
         return NULL;
     }
-    const int is_ready = observer->is_flat || grow(observer, who.size) == 0;
-    PyObject *list = is_ready ? PyList_New(who.size) : NULL;
+    PyObject *list = grow(observer, who.size) == 0 ? PyList_New(who.size) : NULL;
     for (npy_intp i = 0; list && i < who.size; i++) {
-        PyObject *seen = look(observer, &scene, who.data[i]) < 0 ? NULL
-                         : observer->is_flat ? as_vectors(observer, &scene)
-                                             : as_dict(observer, &scene);
+        PyObject *seen =
+            look(observer, &scene, who.data[i]) < 0 ? NULL : as_dict(observer, &scene);
         if (!seen) Py_CLEAR(list);
         else PyList_SET_ITEM(list, i, seen);
     }
@@ -731,6 +664,7 @@ static PyObject *observer_observe_into(PyObject *self, PyObject *args)
     Scene scene;
     Indices who, rows;
     PyObject *batch;
+    if (observer->has_lists) return refuse("lists of varying length have no rows"), NULL;
     if (!PyArg_ParseTuple(args, "O!nO!O&O&O&O", &TrackGraphType, &scene.track, &scene.num_paths,
                           &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
                           &who, as_indices, &rows, &batch)) {
@@ -751,13 +685,15 @@ static int add_entry(KartObserver *observer, PyObject *name)
     const Key *key = KEYS;
     if (!PyUnicode_Check(name)) return refuse("the name of an entry must be text");
     while (key < KEYS + NUM_KEYS && PyUnicode_CompareWithASCIIString(name, key->name)) key++;
-    if (key == KEYS + NUM_KEYS || (key->kind == CONTROL && observer->is_flat)) {
+    if (key == KEYS + NUM_KEYS) {
         PyErr_Format(PyExc_ValueError, "there is no entry named %S", name);
         return -1;
     }
     PyObject *pool = keep(observer, PyList_New(0));
     if (!pool) return -1;
     const npy_intp rows = key->group == OWN ? 1 : observer->sizes[key->group];
+    if (rows < 0) observer->has_lists = 1;
+    else if (key->group != OWN || key->kind == MASK) observer->has_arrays = 1;
     observer->entries[observer->num_entries++] = (Entry){key, name, pool, 0};
     observer->needs[key->group] = 1;
     if (key->kind == CHOICE) observer->num_discrete += rows;
@@ -804,11 +740,12 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
     }
     const Py_ssize_t count = PyTuple_GET_SIZE(names);
     if (count > NUM_KEYS) return refuse("too many entries");
-    if (observer->is_flat && (sizes[ITEMS] < 0 || sizes[KARTS] < 0 || sizes[PATHS] < 0)) {
-        return refuse("a flat view must have a fixed size");
-    }
     for (Py_ssize_t i = 0; i < count; i++) {
         if (add_entry(observer, PyTuple_GET_ITEM(names, i)) < 0) return -1;
+    }
+    observer->has_arrays |= observer->is_flat;
+    if (observer->has_arrays && observer->has_lists) {
+        return refuse("a view must have a fixed size for all of its lists or for none");
     }
     return set_extras(observer, joined, nitro, fire);
 }

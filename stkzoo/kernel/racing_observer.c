@@ -308,28 +308,23 @@ static void see_items(const Eye *eye, const Snapshot *snapshot, npy_intp most, f
 
 /* ---------------------------------------------------------------- the type */
 
-/* observe(data, road, who, out, rows): writes the view of kart who[i] into row rows[i] of `out`.
-   Without `rows`, `out` has one row per kart, in order. */
+/* observe(data, road, who, rows, out): writes the view of kart who[i] into row rows[i] of `out`. */
 static PyObject *racing_observe(PyObject *self, PyObject *args)
 {
     const RacingObserver *view = (RacingObserver *)self;
     Snapshot snapshot;
     npy_intp track;
-    Indices who, rows = {NULL, 0};
+    Indices who, rows;
     Floats out;
-    if (!PyArg_ParseTuple(args, "O&nO&O&|O&", as_snapshot, &snapshot, &track, as_indices, &who,
-                          as_written_floats, &out, as_indices, &rows)) {
+    if (!PyArg_ParseTuple(args, "O&nO&O&O&", as_snapshot, &snapshot, &track, as_indices, &who,
+                          as_indices, &rows, as_written_floats, &out)) {
         return NULL;
     }
-    const int has_rows = PyTuple_GET_SIZE(args) > 4;
-    if (!has_rows && out.size != who.size * view->size) {
-        return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers", who.size * view->size);
-    }
-    if (has_rows && (rows.size != who.size || out.size % view->size)) {
+    if (rows.size != who.size || out.size % view->size) {
         return PyErr_Format(PyExc_ValueError, "%zd karts for %zd rows of %zd numbers", who.size,
                             rows.size, view->size);
     }
-    if (has_rows && !are_below(rows, out.size / view->size)) {
+    if (!are_below(rows, out.size / view->size)) {
         return PyErr_Format(PyExc_IndexError, "a row index is out of range");
     }
     const npy_intp marks = view->marks.size, num_looks = 1 + 2 * marks;
@@ -342,8 +337,7 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
     for (npy_intp i = 0; i < who.size; i++) {
         Eye eye;
         if (open_eye(view, track, &snapshot, who.data[i], &eye) < 0) break;
-        const npy_intp row = has_rows ? rows.data[i] : i;
-        Pen pen = {.view = view, .out = out.data + row * view->size};
+        Pen pen = {.view = view, .out = out.data + rows.data[i] * view->size};
         const OwnState own = own_of(eye.kart);
         look_at(view, &eye, 0, road);
         for (npy_intp mark = 0; mark < marks; mark++) {

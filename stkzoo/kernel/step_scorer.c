@@ -23,12 +23,9 @@ typedef struct {
 
 typedef struct {
     OBJECT_HEAD
-    PyObject *agents, *keys; /* tuples of agents' ids and of the keys of an info */
-    PyObject *blank_info;    /* dict with all keys */
-    double *info;            /* (6 + 2 C,) values of one info */
-    Indices karts, rows;     /* each agent's kart, and its row in `last` and `sums` */
-    Doubles last, sums;      /* (R, C): reward terms, then events, of the step; their sums */
-    Doubles events;          /* (K, E): events of all karts in the step */
+    Indices karts, rows; /* each agent's kart, and its row in `last` and `sums` */
+    Doubles last, sums;  /* (R, C): reward terms, then events, of the step; their sums */
+    Doubles events;      /* (K, E): events of all karts in the step */
     npy_intp num_columns, num_terms, num_events;
     double race_length;
     Reward *rewards;
@@ -206,45 +203,25 @@ static void add_up(StepScorer *self)
 
 /* ---------------------------------------------------------------- results */
 
-static int put(PyObject *dict, PyObject *key, PyObject *value)
-{
-    const int status = value ? PyDict_SetItem(dict, key, value) : -1;
-    Py_XDECREF(value);
-    return status;
-}
-
-/* Writes the values of an agent's info, with value i at out[i * step]. */
-static void write_info(const StepScorer *self, npy_intp agent, const Kart *kart, double length,
-                       double *out, npy_intp step)
+/* Writes an agent's info: its whole numbers and its other numbers, each in a column of a table. */
+static void write_info(const StepScorer *self, npy_intp agent, const Kart *kart, npy_int64 length,
+                       npy_intp step, npy_int64 *wholes, double *numbers)
 {
     const npy_intp width = self->num_columns;
     const double *last = row_of(self, self->last, agent), *sums = row_of(self, self->sums, agent);
     double total = 0;
-    const double own[] = {kart->position, driven(kart),
-                          kart->finished_laps > 0 ? kart->finished_laps : 0, kart->finish_time};
-    for (int i = 0; i < 4; i++, out += step) *out = own[i];
-    for (npy_intp c = 0; c < width; c++, out += step) *out = last[c];
-    for (npy_intp c = 0; c < width; c++, out += step) {
+    wholes[0] = kart->position;
+    wholes[step] = kart->finished_laps > 0 ? kart->finished_laps : 0;
+    wholes[2 * step] = length;
+    numbers[0] = driven(kart);
+    numbers[step] = kart->finish_time;
+    numbers += 2 * step;
+    for (npy_intp c = 0; c < width; c++, numbers += step) *numbers = last[c];
+    for (npy_intp c = 0; c < width; c++, numbers += step) {
         if (c < self->num_terms) total += sums[c];
-        *out = sums[c];
+        *numbers = sums[c];
     }
-    out[0] = total;
-    out[step] = length;
-}
-
-static PyObject *info_of(const StepScorer *self, npy_intp agent, const Kart *kart, PyObject *length)
-{
-    PyObject *dict = PyDict_Copy(self->blank_info); /* faster than filling an empty dict */
-    const npy_intp count = PyTuple_GET_SIZE(self->keys);
-    write_info(self, agent, kart, 0, self->info, 1);
-    for (npy_intp i = 0; dict && i < count; i++) {
-        const int is_whole = i == 0 || i == 2; /* position and lap */
-        PyObject *value = i == count - 1 ? Py_NewRef(length)
-                          : is_whole     ? PyLong_FromDouble(self->info[i])
-                                         : PyFloat_FromDouble(self->info[i]);
-        if (put(dict, PyTuple_GET_ITEM(self->keys, i), value)) Py_CLEAR(dict);
-    }
-    return dict;
+    *numbers = total;
 }
 
 static double total_of(const StepScorer *self, npy_intp agent)
@@ -261,24 +238,6 @@ static int is_of_this_race(const StepScorer *self, const Snapshot *snapshot)
     PyErr_Format(PyExc_ValueError, "a snapshot of another race, with %d karts",
                  snapshot->header->num_kart);
     return 0;
-}
-
-static PyObject *ends_and_rewards(const StepScorer *self, const Snapshot *after, int is_over)
-{
-    PyObject *rewards = PyDict_New(), *ended = PyDict_New(), *cut = PyDict_New();
-    int status = rewards && ended && cut ? 0 : -1;
-    for (npy_intp agent = 0; !status && agent < self->karts.size; agent++) {
-        PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
-        const int has_ended = after->karts[self->karts.data[agent]].has_finished_race > 0;
-        status = put(rewards, name, PyFloat_FromDouble(total_of(self, agent)));
-        status = status ? status : put(ended, name, PyBool_FromLong(has_ended));
-        status = status ? status : put(cut, name, PyBool_FromLong(is_over && !has_ended));
-    }
-    PyObject *parts = status ? NULL : PyTuple_Pack(3, rewards, ended, cut);
-    Py_XDECREF(rewards);
-    Py_XDECREF(ended);
-    Py_XDECREF(cut);
-    return parts;
 }
 
 /* Computes the step's terms and adds them to the sums. Returns 0 with an exception set if the
@@ -298,21 +257,6 @@ static int advance(StepScorer *self, const Snapshot *before, const Snapshot *aft
     return 1;
 }
 
-/* score(before, after, is_over): returns the rewards, terminations and truncations of the step
-   between the bytes of two snapshots, as three dicts by agent. `is_over` is whether the time limit
-   has been reached. */
-static PyObject *scorer_score(PyObject *object, PyObject *args)
-{
-    StepScorer *self = (StepScorer *)object;
-    Snapshot before, after;
-    int is_over;
-    if (!PyArg_ParseTuple(args, "O&O&p", as_snapshot, &before, as_snapshot, &after, &is_over) ||
-        !advance(self, &before, &after)) {
-        return NULL;
-    }
-    return ends_and_rewards(self, &after, is_over);
-}
-
 /* Returns whether each agent has a slot below `count`; sets an exception otherwise. */
 static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
 {
@@ -327,8 +271,9 @@ static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
     return 1;
 }
 
-/* score_into(before, after, is_over, slots, rewards, terminations, truncations): writes the results
-   of score() into arrays with one element per slot; agent i has slots[i]. */
+/* score_into(before, after, is_over, slots, rewards, terminations, truncations): computes the step
+   between the bytes of two snapshots, and writes the results into arrays with one element per slot;
+   agent i has slots[i]. `is_over` is whether the time limit has been reached. */
 static PyObject *scorer_score_into(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
@@ -356,47 +301,31 @@ static PyObject *scorer_score_into(PyObject *object, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* infos(data, length): returns the infos at a snapshot, a dict by agent. `length` is the number of
+/* infos_into(data, length, slots, wholes, numbers): writes the infos at a snapshot into two tables,
+   each with a row per key and a column per slot; agent i has slots[i]. `length` is the number of
    steps of the episode. */
-static PyObject *scorer_infos(PyObject *object, PyObject *args)
-{
-    const StepScorer *self = (StepScorer *)object;
-    Snapshot now;
-    PyObject *length;
-    if (!PyArg_ParseTuple(args, "O&O", as_snapshot, &now, &length) || !is_of_this_race(self, &now)) {
-        return NULL;
-    }
-    PyObject *infos = PyDict_New();
-    for (npy_intp agent = 0; infos && agent < self->karts.size; agent++) {
-        const Kart *kart = now.karts + self->karts.data[agent];
-        PyObject *name = PyTuple_GET_ITEM(self->agents, agent);
-        if (put(infos, name, info_of(self, agent, kart, length)) < 0) Py_CLEAR(infos);
-    }
-    return infos;
-}
-
-/* infos_into(data, length, slots, table): writes the values of infos() into a table with a row per
-   key and a column per slot; agent i has slots[i]. */
 static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 {
     const StepScorer *self = (StepScorer *)object;
     Snapshot now;
-    double length;
+    npy_intp length;
     Indices slots;
-    Doubles table;
-    if (!PyArg_ParseTuple(args, "O&dO&O&", as_snapshot, &now, &length, as_indices, &slots,
-                          as_written_doubles, &table) ||
+    Wholes wholes;
+    Doubles numbers;
+    if (!PyArg_ParseTuple(args, "O&nO&O&O&", as_snapshot, &now, &length, as_indices, &slots,
+                          as_written_wholes, &wholes, as_written_doubles, &numbers) ||
         !is_of_this_race(self, &now)) {
         return NULL;
     }
-    const npy_intp num_keys = PyTuple_GET_SIZE(self->keys), count = table.size / num_keys;
-    if (table.size % num_keys) {
-        return PyErr_Format(PyExc_ValueError, "a table must have %zd rows", num_keys);
+    const npy_intp count = wholes.size / 3, num_rows = 3 + 2 * self->num_columns;
+    if (wholes.size != 3 * count || numbers.size != num_rows * count) {
+        return PyErr_Format(PyExc_ValueError, "expected tables of 3 and %zd rows", num_rows);
     }
     if (!are_slots(self, slots, count)) return NULL;
     for (npy_intp agent = 0; agent < slots.size; agent++) {
-        const Kart *kart = now.karts + self->karts.data[agent];
-        write_info(self, agent, kart, length, table.data + slots.data[agent], count);
+        const npy_intp slot = slots.data[agent];
+        write_info(self, agent, now.karts + self->karts.data[agent], length, count,
+                   wholes.data + slot, numbers.data + slot);
     }
     Py_RETURN_NONE;
 }
@@ -432,15 +361,12 @@ static int set_rows(StepScorer *self, PyArrayObject *sums, PyArrayObject *events
     if (PyArray_NDIM(sums) != 2 || PyArray_NDIM(events) != 2) {
         return refuse("sums and events must be rows of numbers");
     }
-    const npy_intp num_rows = PyArray_DIM(sums, 0), count = PyTuple_GET_SIZE(self->agents);
+    const npy_intp num_rows = PyArray_DIM(sums, 0), count = self->karts.size;
     self->num_columns = PyArray_DIM(sums, 1);
     self->num_events = PyArray_DIM(events, 1);
     self->num_terms = self->num_columns - self->num_events;
-    if (self->karts.size != count || self->rows.size != count ||
-        self->last.size != self->sums.size ||
-        !are_below(self->rows, num_rows) ||
-        PyTuple_GET_SIZE(self->keys) != 6 + 2 * self->num_columns || self->num_terms < 0 ||
-        !are_below(self->karts, PyArray_DIM(events, 0))) {
+    if (self->rows.size != count || self->last.size != self->sums.size || self->num_terms < 0 ||
+        !are_below(self->rows, num_rows) || !are_below(self->karts, PyArray_DIM(events, 0))) {
         return refuse("the arrays do not fit together");
     }
     if (!(self->is_racing = room_for(self, num_rows, sizeof *self->is_racing))) return -1;
@@ -448,25 +374,18 @@ static int set_rows(StepScorer *self, PyArrayObject *sums, PyArrayObject *events
     return 0;
 }
 
-/* StepScorer(agents, karts, rows, last, sums, keys, race_length, rewards, events): `rewards` is a
-   tuple of tuples for set_reward(). */
+/* StepScorer(karts, rows, last, sums, race_length, rewards, events): `rewards` is a tuple of tuples
+   for set_reward(). */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;
-    if (!PyArg_ParseTuple(args, "O!O&O&O&O&O!dO!O&", &PyTuple_Type, &self->agents, as_indices,
-                          &self->karts, as_indices, &self->rows, as_written_doubles, &self->last,
-                          as_written_doubles, &self->sums, &PyTuple_Type, &self->keys,
+    if (!PyArg_ParseTuple(args, "O&O&O&O&dO!O&", as_indices, &self->karts, as_indices, &self->rows,
+                          as_written_doubles, &self->last, as_written_doubles, &self->sums,
                           &self->race_length, &PyTuple_Type, &rewards, as_written_doubles,
                           &self->events) ||
-        set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 4),
-                 (PyArrayObject *)PyTuple_GET_ITEM(args, 8)) < 0 ||
-        !(self->blank_info = keep(self, PyDict_New())) ||
-        !(self->info = room_for(self, PyTuple_GET_SIZE(self->keys), sizeof *self->info))) {
+        set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 3),
+                 (PyArrayObject *)PyTuple_GET_ITEM(args, 6)) < 0) {
         return -1;
-    }
-    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(self->keys); i++) {
-        PyObject *key = PyTuple_GET_ITEM(self->keys, i);
-        if (PyDict_SetItem(self->blank_info, key, Py_None) < 0) return -1;
     }
     self->num_rewards = PyTuple_GET_SIZE(rewards);
     self->rewards = room_for(self, self->num_rewards, sizeof *self->rewards);
@@ -477,7 +396,5 @@ static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(k
 }
 
 KERNEL_TYPE(StepScorer, scorer, "Makes the rewards, ends and infos of agents.",
-            {"score", scorer_score, METH_VARARGS, "Returns rewards and ends."},
             {"score_into", scorer_score_into, METH_VARARGS, "Writes rewards and ends into arrays."},
-            {"infos", scorer_infos, METH_VARARGS, "Returns the infos by agent."},
-            {"infos_into", scorer_infos_into, METH_VARARGS, "Writes the infos into a table."})
+            {"infos_into", scorer_infos_into, METH_VARARGS, "Writes infos into tables."})

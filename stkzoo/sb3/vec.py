@@ -15,8 +15,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from stkzoo.env.vec.env import RaceVectorEnv
+from stkzoo.env.vec.rows import SlotInfos, SlotSteps
 from stkzoo.env.vec.starts import seeds_of_races
-from stkzoo.env.vec.steps import InfoDicts, InfoTables, SlotSteps
 from stkzoo.errors import ConfigError
 
 Indices = None | int | Iterable[int]
@@ -249,7 +249,7 @@ class SlotInfo(Mapping[str, Any]):
 
     __slots__ = ("_added", "_infos", "_keys", "_slot")
 
-    def __init__(self, infos: InfoTables | InfoDicts, slot: int, added: Mapping[str, Any]) -> None:
+    def __init__(self, infos: SlotInfos, slot: int, added: Mapping[str, Any]) -> None:
         self._infos, self._slot, self._added = infos, slot, added
         self._keys = infos.keys_of(slot)
 

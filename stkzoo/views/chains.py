@@ -12,13 +12,97 @@ from gymnasium import spaces
 
 from stkzoo.agent_names import require_actions
 from stkzoo.errors import AgentException
-from stkzoo.kernel import ActionReader, CarController
+from stkzoo.kernel import ActionReader, CarController, new_batch, split_batch
+from stkzoo.mdp.observations import as_actions
 from stkzoo.views.agent_chain import WrapperMemory
-from stkzoo.views.plan import ObservationSource, Observer, RowObserver, Seats, ViewPlan
+from stkzoo.views.batches import form_of, write_rows
+from stkzoo.views.plan import ObservationSource, RowObserver, Seats, ViewPlan, is_extra
 from stkzoo.views.walker import ChainWalker, Factories, Failures, StepParts
 
 IntArray = npt.NDArray[np.intp]
 FloatArray = npt.NDArray[np.float32]
+
+
+class RecordsObserver:
+    """Makes observations from the game's records, the ground and the actions of the game's AI.
+
+    Args:
+        plan: plan of the view.
+    """
+
+    def __init__(self, plan: ViewPlan) -> None:
+        self._kernel, self._names = plan.new_observer(), plan.names
+        self._extras = tuple(filter(is_extra, self._names))
+
+    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
+        """Returns the karts' observations in a view with lists of varying length."""
+        seen = self._kernel.observe(*source.course, source.snapshot.data, karts)
+        if not self._extras:
+            return seen
+        more = split_batch(self._values(source, karts), len(karts))
+        both = [own | other for own, other in zip(seen, more, strict=True)]
+        return [{name: own[name] for name in self._names} for own in both]
+
+    def observe_into(
+        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
+    ) -> None:
+        """See :class:`RowObserver`; for views of a fixed size."""
+        self._kernel.observe_into(*source.course, source.snapshot.data, karts, rows, batch)
+        if self._extras:
+            write_rows(batch, rows, self._values(source, karts))
+
+    def _values(self, source: ObservationSource, karts: IntArray) -> dict[str, Any]:
+        """Returns a batch of the entries that are not in the records."""
+        values: dict[str, Any] = {}
+        if "action" in self._extras:
+            values["action"] = dict(
+                sorted(as_actions(source.snapshot.karts["control"][karts]).items())
+            )
+        if len(self._extras) > len(values):
+            values |= source.ground_ahead(karts)
+        return values
+
+
+class _PlanKernel:
+    """What the kernel does for all agents with equal plans.
+
+    Args:
+        plan: the plan.
+        space: space of the observations that it makes.
+
+    Attributes:
+        reader: converts actions to controls.
+        car: converts actions in physical units to controls, if the plan has such actions.
+    """
+
+    def __init__(self, plan: ViewPlan, space: spaces.Space[Any]) -> None:
+        self.reader: ActionReader = plan.new_reader()
+        self.car: CarController | None = plan.new_controller()
+        records = RecordsObserver(plan)
+        self._lists = None if plan.has_rows else records
+        self._rows: RowObserver = plan.observer or records
+        self._form = form_of(space) if plan.has_rows else None
+
+    def observe(self, source: ObservationSource, karts: IntArray, order: IntArray) -> list[Any]:
+        """Returns the karts' observations, which share no memory with others.
+
+        Args:
+            source: the race at this moment.
+            karts: ``(A,)`` indices of the karts.
+            order: the numbers from 0 to A - 1.
+        """
+        if self._lists is not None:
+            return self._lists.observe(source, karts)
+        count = len(karts)
+        batch = new_batch(self._form, count)
+        self._rows.observe_into(source, karts, order, batch)
+        return split_batch(batch, count)
+
+    def observe_into(
+        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
+    ) -> None:
+        """Writes the karts' observations into rows of a batch, if they have a fixed size."""
+        self._rows.observe_into(source, karts, rows, batch)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,36 +110,32 @@ class _Group:
     """Agents with equal plans.
 
     Attributes:
+        kernel: makes their observations and reads their actions.
         agents: all agents of the group.
         places: their places among the seats.
         karts: their karts.
         rows: their rows in the controls.
-        observer: makes their observations.
-        row_observer: the same, if it writes into rows of a batch.
-        reader: converts their actions to controls.
-        acting: agents whose actions the reader takes directly.
+        numbers: their positions among all agents of the race.
+        order: their numbers within the group: 0, 1, ...
+        acting: agents whose actions the kernel reads directly.
         acting_places: their places among the seats.
         acting_rows: their rows in the controls.
         walking: agents whose actions pass through Python wrappers first.
         walking_rows: their rows in the controls.
-        car: converts actions in physical units to controls, if the plan has such actions.
-        numbers: positions of the group's agents among all agents of the race.
     """
 
+    kernel: _PlanKernel
     agents: tuple[str, ...]
     places: IntArray
     karts: IntArray
     rows: IntArray
-    observer: Observer
-    row_observer: RowObserver | None
-    reader: ActionReader
+    numbers: IntArray
+    order: IntArray
     acting: tuple[str, ...]
     acting_places: IntArray
     acting_rows: IntArray
     walking: tuple[str, ...]
     walking_rows: IntArray
-    car: CarController | None
-    numbers: IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +194,7 @@ class AgentChains:
         observation_spaces: each agent's observation space, after its wrappers.
         action_spaces: each agent's action space, before its wrappers.
         is_compiled: whether the kernel runs all wrappers.
-        has_rows: whether it does and :meth:`observe_into` is available.
+        has_rows: whether it does and observations have a fixed size, for :meth:`observe_into`.
 
     Args:
         observation_spaces: each agent's space in the ``full`` view.
@@ -144,7 +224,7 @@ class AgentChains:
         self._identities = {agent: plan.identity() for agent, plan in self._plans.items()}
         self._numbers = {agent: number for number, agent in enumerate(self._chains)}
         self._ignored = frozenset(ignored)
-        self._kernels: dict[Hashable, tuple[Observer, ActionReader, CarController | None]] = {}
+        self._kernels: dict[Hashable, _PlanKernel] = {}
         #: Wheel angle [rad], remaining speed change [m/s] and step length [s] of each agent with
         #: actions in physical units
         #: (:class:`~stkzoo.kernel.CarController`).
@@ -192,13 +272,13 @@ class AgentChains:
         unread = [
             group
             for group in roster.groups
-            if not group.reader.read(actions, group.acting, group.acting_rows, controls)
+            if not group.kernel.reader.read(actions, group.acting, group.acting_rows, controls)
         ]
         if unread or roster.walked:
             require_actions(actions, seats.agents, self._ignored)
             for group in unread:
                 usual = {a: self._chains[a].read_action(actions[a]) for a in group.acting}
-                group.reader.read(usual, group.acting, group.acting_rows, controls)
+                group.kernel.reader.read(usual, group.acting, group.acting_rows, controls)
             asked = [agent for agent in roster.walked if agent not in self._ignored]
             walked = self._walker.read_actions(actions, asked)
         return CheckedActions(roster, controls, walked)
@@ -219,14 +299,14 @@ class AgentChains:
                 :meth:`check` converts or rejects.
         """
         roster = self._roster(seats)
-        if roster.walked:
-            return None
         controls = np.zeros((seats.num_rows, len(self._columns)), np.float32)
-        for group in roster.groups:
-            own = slots[group.acting_places]
-            if not group.reader.read_batch(batch, num_slots, own, group.acting_rows, controls):
-                return None
-        return CheckedActions(roster, controls, {})
+        is_read = not roster.walked and all(
+            group.kernel.reader.read(
+                batch, slots[group.acting_places], group.acting_rows, controls, num_slots
+            )
+            for group in roster.groups
+        )
+        return CheckedActions(roster, controls, {}) if is_read else None
 
     def convert(self, checked: CheckedActions, source: ObservationSource) -> FloatArray:
         """Second half of :meth:`decode`: runs the wrappers of the agents that act.
@@ -246,11 +326,12 @@ class AgentChains:
         if roster.walked:
             base = self._walker.begin_step(checked.walked, roster.walked)
             for group in roster.groups:
-                group.reader.read(base, group.walking, group.walking_rows, controls)
+                group.kernel.reader.read(base, group.walking, group.walking_rows, controls)
         for group in roster.groups:
-            if group.car is not None:  # the controls are in physical units
+            car = group.kernel.car
+            if car is not None:  # the controls are in physical units
                 data, numbers = source.snapshot.data, group.numbers
-                group.car.drive(controls, group.rows, data, group.karts, self._cars, numbers)
+                car.drive(controls, group.rows, data, group.karts, self._cars, numbers)
         return controls
 
     def observe(self, seats: Seats, source: ObservationSource) -> dict[str, Any]:
@@ -264,7 +345,7 @@ class AgentChains:
         # With one group, the agents are in order already.
         observations = dict.fromkeys(seats.agents) if len(groups) > 1 else {}
         for group in groups:
-            seen = group.observer.observe(source, group.karts)
+            seen = group.kernel.observe(source, group.karts, group.order)
             observations.update(zip(group.agents, seen, strict=True))
         return observations
 
@@ -280,9 +361,7 @@ class AgentChains:
             batch: an array with one row per slot, or a dict of arrays and lists by entry.
         """
         for group in self._roster(seats).groups:
-            if group.row_observer is not None:
-                own = slots[group.places]
-                group.row_observer.observe_into(source, group.karts, own, batch)
+            group.kernel.observe_into(source, group.karts, slots[group.places], batch)
 
     def reset(
         self,
@@ -402,70 +481,31 @@ class AgentChains:
     def _group(self, seats: Seats, places: list[int]) -> _Group:
         agents = seats.agents
         own = tuple(agents[place] for place in places)
-        identity, plan = self._identities[own[0]], self._plans[own[0]]
-        if identity not in self._kernels:
-            observer = plan.observer or _observer_of(plan)
-            objects = observer, plan.new_reader(), plan.new_controller()
-            self._kernels[identity] = objects
-        observer, reader, car = self._kernels[identity]
         players = [place for place in places if agents[place] not in self._ignored]
         acting = [place for place in players if self._chains[agents[place]].is_empty]
         walking = [place for place in players if place not in acting]
         return _Group(
+            kernel=self._kernel_of(own[0]),
             agents=own,
             places=np.array(places, np.intp),
             karts=seats.karts[places],
             rows=seats.rows[places],
-            observer=observer,
-            row_observer=observer if isinstance(observer, RowObserver) else None,
-            reader=reader,
+            numbers=np.array([self._numbers[agent] for agent in own], np.intp),
+            order=np.arange(len(own)),
             acting=tuple(agents[place] for place in acting),
             acting_places=np.array(acting, np.intp),
             acting_rows=seats.rows[acting],
             walking=tuple(agents[place] for place in walking),
             walking_rows=seats.rows[walking],
-            car=car,
-            numbers=np.array([self._numbers[agent] for agent in own], np.intp),
         )
 
+    def _kernel_of(self, agent: str) -> _PlanKernel:
+        identity = self._identities[agent]
+        if identity not in self._kernels:
+            space = self._chains[agent].base_observation_space
+            self._kernels[identity] = _PlanKernel(self._plans[agent], space)
+        return self._kernels[identity]
+
     def __getstate__(self) -> dict[str, Any]:
-        # The kernel objects are rebuilt from the plans on demand.
+        # The kernel objects are made again from the plans on demand.
         return {**self.__dict__, "_kernels": {}, "_latest_roster": None}
-
-
-def _observer_of(plan: ViewPlan) -> Observer:
-    return _GroundObserver(plan) if plan.sees_ground else _RecordsObserver(plan)
-
-
-class _RecordsObserver:
-    """Makes observations from the game's records."""
-
-    def __init__(self, plan: ViewPlan) -> None:
-        self._observer = plan.new_observer()
-
-    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
-        """See :class:`Observer`."""
-        return self._observer.observe(*source.course, source.snapshot.data, karts)
-
-    def observe_into(
-        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
-    ) -> None:
-        """See :class:`RowObserver`."""
-        data = source.snapshot.data
-        self._observer.observe_into(*source.course, data, karts, rows, batch)
-
-
-class _GroundObserver:
-    """Makes observations from the game's records and the ground."""
-
-    def __init__(self, plan: ViewPlan) -> None:
-        self._records, self._names = _RecordsObserver(plan), plan.names
-
-    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
-        """See :class:`Observer`."""
-        observations = self._records.observe(source, karts)
-        ahead = source.ground_ahead(karts)
-        for row, own in enumerate(observations):
-            seen = own | {key: values[row] for key, values in ahead.items()}
-            observations[row] = {name: seen[name] for name in self._names}
-        return observations

@@ -8,8 +8,8 @@ observations directly from the game's records, and controls directly from their 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -40,12 +40,17 @@ class Seats:
         rows: ``(A,)`` row of each agent in the controls, meaningless for agents that the game's AI
             drives.
         num_rows: number of rows of the controls.
+        order: ``(A,)`` number of each agent among these agents: 0, 1, ...
     """
 
     agents: tuple[str, ...]
     karts: IntArray
     rows: IntArray
     num_rows: int
+    order: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "order", np.arange(len(self.agents)))
 
 
 class ObservationSource(Protocol):
@@ -71,16 +76,8 @@ class ObservationSource(Protocol):
         """Returns the observation entries of the ground ahead of some karts."""
 
 
-class Observer(Protocol):
-    """Makes one observation per kart."""
-
-    def observe(self, source: ObservationSource, karts: IntArray) -> list[Any]:
-        """Returns the karts' observations in Gymnasium's form."""
-
-
-@runtime_checkable
-class RowObserver(Observer, Protocol):
-    """An observer that also writes into rows of a batch."""
+class RowObserver(Protocol):
+    """Makes the observations of karts as rows of a batch (:mod:`stkzoo.views.batches`)."""
 
     def observe_into(
         self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
@@ -131,7 +128,7 @@ class ViewPlan:
         self.joined: tuple[int, ...] | None = None
         self.nitro: npt.NDArray[np.bool_] | None = None
         self.fire: npt.NDArray[np.bool_] | None = None
-        self.observer: Observer | None = None
+        self.observer: RowObserver | None = None
         self.columns = tuple(columns)
         self.leaves: dict[str, Leaf] = {
             key: (_entry(action_space[key], column),) for column, key in enumerate(columns)
@@ -148,15 +145,8 @@ class ViewPlan:
 
     @property
     def has_rows(self) -> bool:
-        """Whether the kernel writes observations into rows of a batch.
-
-        This needs observations of a fixed size without the ground and the game AI's ``action``.
-        """
-        if self.observer is not None:
-            return isinstance(self.observer, RowObserver)
-        groups = {name.partition("_")[0] for name in self.names}
-        is_fixed = groups & {"items", "karts", "paths"} <= self.sizes.keys()
-        return is_fixed and not (self.has_action or self.sees_ground)
+        """Whether observations have a fixed size, so that they can be rows of a batch."""
+        return self.observer is not None or bool(self.sizes)
 
     @property
     def has_choices(self) -> bool:
@@ -199,9 +189,9 @@ class ViewPlan:
         return None if self.car is None else self.car.car_action.new_controller(self.columns)
 
     def new_observer(self) -> KartObserver:
-        """Returns the object that makes observations from the game's records, without ground."""
+        """Returns the object that makes observations from the game's records only."""
         return KartObserver(
-            tuple(name for name in self.names if not name.startswith("ground_")),
+            tuple(name for name in self.names if not is_extra(name)),
             **self.sizes,
             polar=self.is_polar,
             flat=self.is_flat,
@@ -209,6 +199,11 @@ class ViewPlan:
             nitro=self.nitro,
             fire=self.fire,
         )
+
+
+def is_extra(name: str) -> bool:
+    """Returns whether an entry of observations is the AI's action or about the ground."""
+    return name == "action" or name.startswith("ground_")
 
 
 def _entry(part: Any, column: int) -> Entry:

@@ -78,7 +78,7 @@ def test_a_reset_recovers_from_an_interrupted_vector_step():
         return fingerprint(parts)
 
     expected = seen()
-    stopped = envs.races[1]._session.pid
+    stopped = envs.races[1].live_race.session.pid
     os.kill(stopped, signal.SIGSTOP)
     thread = interrupt_when(lambda: True)
     with pytest.raises(KeyboardInterrupt):

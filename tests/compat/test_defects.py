@@ -196,7 +196,9 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
     earned = dict.fromkeys(agents, 0.0)
     for after in moments:
         seats = Seats(tuple(agents[kart] for kart in karts), karts, karts, len(agents))
-        for agent, amount in record.score(before, after, seats, False)[0].items():
+        ends = record.ends_of(seats)
+        record.score(before, after, seats, False, seats.order, ends)
+        for agent, amount in zip(seats.agents, ends[0].tolist(), strict=True):
             earned[agent] += amount
         karts = np.flatnonzero(after.karts["has_finished_race"] == 0)
         before = after

@@ -141,7 +141,7 @@ def test_an_opponent_that_fails_drops_out_and_the_race_continues(caplog):
         assert any("opponent exits of kart_2 is out" in text for text in said)
         assert any("kart_3 is out" in text and "9.0" in text for text in said)
         env.reset(seed=2)
-        assert len(env._opponents.ask(env._episode)) == 3
+        assert len(env.live_race.opponents.ask(env._episode)) == 3
 
 
 class _Counts(gym.ObservationWrapper):
@@ -174,7 +174,7 @@ def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
             drive(env, 6)
         assert "kart_1 is out" in caplog.text
         assert "no more" in caplog.text
-        assert [own.agent for own, _ in env._opponents.ask(env._episode)] == ["kart_2"]
+        assert [own.agent for own, _ in env.live_race.opponents.ask(env._episode)] == ["kart_2"]
         assert made[-1].count == 7
 
 
@@ -184,7 +184,7 @@ def test_views_of_few_groups_of_opponents_are_kept():
     with race_v0.parallel_env(**RACE, num_kart=7, opponents=pool) as env:
         for seed in range(20):
             env.reset(seed=seed)
-        assert len(env._opponents._known_chains) == 16
+        assert len(env.live_race.opponents._known_chains) == 16
 
 
 def test_policies_of_opponents_get_no_images():
@@ -196,7 +196,7 @@ def test_policies_of_opponents_get_no_images():
     driver = Driver.of_policy(forward, view=RACE["view"])
     with against([driver], view=("camera", {"backend": "map"})) as env:
         env.reset(seed=1)
-        assert len(env._opponents.ask(env._episode)) == 1
+        assert len(env.live_race.opponents.ask(env._episode)) == 1
 
 
 def test_a_mapping_is_a_pool_of_drivers_by_weight():

@@ -22,7 +22,7 @@ def play(env, seed, steps=60):
 
 
 def pid_of(env):
-    return env._session.pid
+    return env.live_race.session.pid
 
 
 @pytest.mark.slow

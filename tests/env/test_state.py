@@ -127,7 +127,7 @@ def test_lookahead_does_not_change_the_environment(env):
         drive(branch, 31, 50)
         branch.action_space("kart_0").sample()
         branch.reset()
-        pid = branch._session.pid
+        pid = branch.live_race.session.pid
     assert drive(env) == expected
     assert wait_until(lambda: not process_exists(pid))
 
@@ -366,14 +366,14 @@ def test_only_a_reset_goes_on_after_an_interrupt_between_two_moments(
 ):
     state = started(env).save_state()
     expected = drive(env)
-    whole = getattr(env, place)
+    whole = getattr(env.live_race, place)
 
     def interrupted(*arguments):
         whole(*arguments)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(env, place, interrupted)
+        patch.setattr(env.live_race, place, interrupted)
         with pytest.raises(KeyboardInterrupt):
             go_on(env, state)
     assert not env.agents
@@ -395,7 +395,7 @@ def test_a_stopped_state_times_out_and_is_ended():
 def test_a_killed_race_does_not_harm_its_states(env):
     state = started(env).save_state()
     expected = drive(env)
-    os.kill(env._session.pid, signal.SIGKILL)
+    os.kill(env.live_race.session.pid, signal.SIGKILL)
     with pytest.raises(EngineCrashed):
         drive(env)
     env.restore_state(state)
@@ -422,7 +422,7 @@ def test_many_states_leave_no_process_and_no_open_file_behind(env):
         with env.save_state() as state:
             env.restore_state(state)
             env.step(actions_at(env, 30))
-        files_of_game.add(len(os.listdir(f"/proc/{env._session.pid}/fd")))
+        files_of_game.add(len(os.listdir(f"/proc/{env.live_race.session.pid}/fd")))
     assert wait_until(lambda: len(children_of(fork_server_pid())) == 1), before
     assert len(os.listdir("/proc/self/fd")) == files
     assert len(files_of_game) == 1
@@ -431,7 +431,7 @@ def test_many_states_leave_no_process_and_no_open_file_behind(env):
 def test_unreferenced_states_and_clones_end(env):
     started(env)
     state, clone = env.save_state(), env.clone()
-    pids = [state.pid, clone._session.pid]
+    pids = [state.pid, clone.live_race.session.pid]
     del state, clone
     gc.collect()
     assert wait_until(lambda: not any(map(process_exists, pids)))
@@ -446,7 +446,7 @@ PROGRAM = """
     states = [env.save_state() for _ in range(3)]
     clone = env.clone()
     (fork_server,) = fork_client._fork_servers.values()
-    print(fork_server._process.pid, env._session.pid, clone._session.pid,
+    print(fork_server._process.pid, env.live_race.session.pid, clone.live_race.session.pid,
           *(state.pid for state in states), flush=True)
     {ending}
 """

@@ -33,7 +33,7 @@ class Parallel:
 
     def __init__(self):
         self.env = self.core = race_v0.parallel_env(**OPTIONS)
-        self.turn = self.core._turn
+        self.turn = self.core.live_race.turn
 
     def step(self):
         return self.env.step(dict.fromkeys(self.env.agents, 0))
@@ -50,7 +50,7 @@ class Single(Parallel):
     def __init__(self):
         self.env = stkzoo.STKRaceEnv(**OPTIONS)
         self.core = self.env.core
-        self.turn = self.core._turn
+        self.turn = self.core.live_race.turn
 
     def step(self):
         return self.env.step(0)
@@ -87,7 +87,7 @@ def is_stepping(turn):
 @contextmanager
 def stepping(form):
     """Holds another thread in the middle of a step by stopping its game."""
-    pid, results = form.core._session.pid, []
+    pid, results = form.core.live_race.session.pid, []
     os.kill(pid, signal.SIGSTOP)
     thread = threading.Thread(target=lambda: results.append(form.step()))
     thread.start()
@@ -131,7 +131,7 @@ SIGNALS = """
         {handler}
 
     signal.signal(signal.SIGALRM, handle)
-    os.kill(env._session.pid, signal.SIGSTOP)
+    os.kill(env.live_race.session.pid, signal.SIGSTOP)
     signal.setitimer(signal.ITIMER_REAL, 0.3)
     try:
         env.step(actions)
@@ -165,7 +165,7 @@ def test_a_signal_handler_cannot_save_or_copy_the_race_in_the_middle_of_a_step(m
     race, receive, refused = form.core, wire.receive, []
 
     def interrupted(connection):
-        if connection is race._session._process.connection:
+        if connection is race.live_race.session._process.connection:
             monkeypatch.undo()
             for call in (race.save_state, race.clone, race.scenario):
                 with pytest.raises(ApiOrderError):
@@ -204,7 +204,7 @@ def test_an_environment_can_move_between_threads():
     first = in_thread(lambda: trace(env))
     assert in_thread(lambda: trace(env)) == first
     assert trace(env) == first
-    pid = env._session.pid
+    pid = env.live_race.session.pid
     in_thread(env.close)
     assert wait_until(lambda: not process_exists(pid))
 

@@ -18,6 +18,7 @@ from stkzoo import (
     RaceVectorEnv,
     race_v0,
 )
+from stkzoo.env.vec.starts import AheadStarts
 from stkzoo.views import VIEWS
 from tests.support.processes import process_exists, wait_until
 
@@ -59,12 +60,13 @@ def same(one, other):
 
 
 def pids(envs):
-    return [race._session.pid for race in envs.races]
+    return [race.live_race.session.pid for race in envs.races]
 
 
 def next_pids(envs):
     """Returns the process ids of prefetched races."""
-    return [race._next[1].pid for race in envs.races if race._next]
+    ahead = [row._ahead._next for row in envs._rows if row._ahead]
+    return [following[1].pid for following in ahead if following]
 
 
 def are_gone(pids):
@@ -173,7 +175,7 @@ def test_all_races_start_a_step_before_any_is_waited_for():
     envs.reset(seed=1)
     os.kill(pids(envs)[0], signal.SIGSTOP)
     envs.step_async(envs.action_space.sample())
-    connection = envs.races[1]._session._process.connection
+    connection = envs.races[1].live_race.session._process.connection
     assert select.select([connection], [], [], 5.0)[0]
     os.kill(pids(envs)[0], signal.SIGCONT)
     assert envs.step_wait()[4]["active"].all()
@@ -486,15 +488,13 @@ def test_reset_can_be_called_between_step_async_and_step_wait():
 def test_a_race_that_does_not_start_is_an_error(monkeypatch):
     envs = make(1, prefetch=False)
     envs.reset(seed=1)
-    (race,) = envs.races
-    session = race._session
 
-    def start_and_die(setup):
+    def start_and_die(_, setup, session):
         session.start(setup)
         os.kill(session.pid, signal.SIGKILL)
         session.step(np.zeros((2, 7), np.float32))
 
-    monkeypatch.setattr(race, "_begin", start_and_die)
+    monkeypatch.setattr(AheadStarts, "begin", start_and_die)
     with pytest.raises(EngineCrashed, match="SIGKILL"):
         envs.reset()
     assert envs.num_crashes == 2

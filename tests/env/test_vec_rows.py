@@ -8,7 +8,7 @@ import pytest
 from gymnasium.wrappers import RescaleAction
 
 from stkzoo import ActionError, AgentSpec, RaceVectorEnv, Start
-from stkzoo.env.vec.batch_race import BatchRace
+from stkzoo.env.race import Race
 from stkzoo.views import VIEWS
 from tests.env.test_vec import pids, same
 from tests.support.views import MECHANISMS, marked
@@ -30,7 +30,7 @@ VARIED = [
 
 def agent_by_agent(monkeypatch):
     """Makes new environments collect values agent by agent, as for wrappers in Python."""
-    monkeypatch.setattr(BatchRace, "has_rows", False)
+    monkeypatch.setattr(Race, "has_rows", False)
 
 
 @pytest.fixture(params=[True, False], ids=["rows", "agents"])
@@ -50,7 +50,7 @@ def play(num_steps=NUM_STEPS, kill_at=None, options_later=None, **options):
             if step == kill_at:
                 os.kill(pids(envs)[0], signal.SIGKILL)
             trace.append((*envs.step(envs.action_space.sample()), envs.racing))
-        return trace, envs._has_rows
+        return trace, envs.races[0].live_race.has_rows
     finally:
         envs.close()
 
@@ -88,6 +88,7 @@ def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
         {"reward": {"kart_0": "race", "kart_1": {"mine": lambda step: step.distance}}},
         {"opponents": ["pursuit"], "view": "racing"},
         {"max_paths": 4, "view": "racing"},
+        {"agents": [AgentSpec(use_ai=True)] * 2, "view": "simple"},
         {"view": {"kart_0": "box_discrete", "kart_1": ("box_discrete", {"state_items": 5})}},
     ],
     ids=lambda options: next(iter(options)),
@@ -146,9 +147,8 @@ def rescaled(env):
     [
         {"view": rescaled},
         {"view": {"kart_0": rescaled, "kart_1": rescaled}},
-        {"view": "simple", "agents": [AgentSpec(use_ai=True)] * 2},
     ],
-    ids=["all", "each", "ai"],
+    ids=["all", "each"],
 )
 def test_other_views_are_collected_agent_by_agent(options):
     trace, has_rows = play(3, **{"start": None, **options})

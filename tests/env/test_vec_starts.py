@@ -41,7 +41,7 @@ def drive(envs, seed, steps=30):
 
 
 def waiting(envs):
-    return [session.pid for session, _ in envs._starts._kept.values()]
+    return [session.pid for session, _ in envs._repeated._kept.values()]
 
 
 def engine_seeds(envs):
@@ -63,7 +63,7 @@ def test_a_few_starts_are_kept_and_repeated(make):
 def test_a_copied_start_gives_the_same_race_as_a_new_one(make):
     copied, started = make(), make()
     for race in started.races:
-        race.starts = None  # the same seeds, but the game starts each race
+        race.live_race.starts = None  # the same seeds, but the game starts each race
     for ours, theirs in zip(drive(copied, 3), drive(started, 3), strict=True):
         np.testing.assert_array_equal(ours, theirs)
 

@@ -78,6 +78,8 @@ def cases():
     points, flags = np.ones((2, 3), np.float32), np.ones(2, np.bool_)
     kept["to_polar"] = [((points,), {}, None, ())]
     kept["action_mask"] = [((flags, flags, points[0], np.ones(3, np.int64)), {}, None, ())]
+    kept["new_batch"] = [((batch_of(), 3), {}, None, ())]
+    kept["split_batch"] = [((batch_of(), 4), {}, None, ())]
     kept["reward_term"] = [(("advance", KARTS, KARTS, 20.0), {}, None, ())]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),
@@ -128,7 +130,7 @@ def stepper_arguments():
 
 #: Methods that write into the caller's arrays.
 ROWS = {
-    "ActionReader": "read_batch",
+    "ActionReader": "read",
     "KartObserver": "observe_into",
     "RacingObserver": "observe",
     "StepScorer": "score_into infos_into",
@@ -250,12 +252,12 @@ def test_a_block_with_too_few_items_is_refused():
 @pytest.mark.parametrize("place", [float("nan"), float("inf"), 1e30])
 def test_a_kart_with_an_invalid_location_can_be_observed(cases, place):
     observed = (case for case in cases["RacingObserver"] if case[2] == "observe")
-    args, _, _, (data, road, who, out) = next(observed)
+    args, _, _, (data, road, who, rows, out) = next(observed)
     karts = np.frombuffer(data, KART_DTYPE, len(who), HEADER_DTYPE.itemsize).copy()
     karts["location"] = place
     start, end = HEADER_DTYPE.itemsize, HEADER_DTYPE.itemsize + karts.nbytes
     kernel.RacingObserver(*args).observe(
-        data[:start] + karts.tobytes() + data[end:], road, who, out
+        data[:start] + karts.tobytes() + data[end:], road, who, rows, out
     )
 
 

@@ -86,7 +86,7 @@ def test_the_block_matches_the_attributes_in_all_phases_and_for_bots():
     agents = [AgentSpec(use_ai=True), AgentSpec(), AgentSpec()]
     env = race_v0.parallel_env(agents=agents, num_kart=4, track="lighthouse", use_subprocess=False)
     env.reset(seed=0)
-    race = env._session._race
+    race = env.live_race.session._race
     for _ in range(45):
         env.step({a: env.action_space(a).sample() for a in env.agents})
         assert race.read_attributes(True) == env.snapshot

@@ -22,7 +22,8 @@ from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_spa
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.views import VIEWS as ALL_VIEWS
 from stkzoo.views import AgentChain, base_space, find_view, full_with
-from stkzoo.views.plan import Seats
+from stkzoo.views.chains import RecordsObserver
+from stkzoo.views.plan import Seats, ViewPlan
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
 from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
@@ -134,7 +135,7 @@ def test_a_race_is_the_same_with_and_without_the_kernel(view, track, numpy_only)
     for _ in range(12):
         actions.append({a: with_kernel.action_space(a).sample() for a in with_kernel.agents})
         steps.append(with_kernel.step(actions[-1]))
-    assert with_kernel._chains._latest_roster.walked == ()
+    assert with_kernel.live_race._chains._latest_roster.walked == ()
     with_kernel.close()
 
     numpy_only()
@@ -163,7 +164,7 @@ def test_rows_are_the_same_with_and_without_the_kernel(view, track, numpy_only):
 
     def trace():
         with contextlib.closing(RaceVectorEnv(2, **settings)) as envs:
-            assert envs._has_rows
+            assert envs.races[0].live_race.has_rows
             results = [envs.reset(seed=3)]
             envs.action_space.seed(3)
             actions = (envs.action_space.sample() for _ in range(12))
@@ -227,18 +228,14 @@ def test_a_compiled_view_matches_its_wrappers(view):
     base = full_with(extras_of(seen))
     with race_v0.parallel_env(view={0: view, 1: base, 2: base}, **settings) as env:
         chain = AgentChain("kart_0", seen, kart_action_space(), find_view(view))
+        full = RecordsObserver(ViewPlan(seen, kart_action_space(), CONTROLS))
         observations, _ = env.reset(seed=3)
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))
         for _ in range(20):
-            seen = env._chains._kernels[full_of(env)][0].observe(env._episode, np.array([0]))
+            seen = full.observe(env._episode, np.array([0]))
             assert_close(observations["kart_0"], chain.observe(seen[0]))
             observations = env.step({a: env.action_space(a).sample() for a in env.agents})[0]
-
-
-def full_of(env):
-    """Returns the identity of an agent's plan for the full view."""
-    return env._chains._identities["kart_1"]
 
 
 @given(seed=st.integers(0, 2**32 - 1))
@@ -273,7 +270,7 @@ def seen_by_twin(snapshot, table, who):
     roads = ((table.lines, table.starts, table.along),)
     twin = oracle.RacingObserver(roads, *KERNEL_TABLES)
     view = np.empty((len(who), SIZE), np.float32)
-    twin.observe(snapshot.data, 0, who, view)
+    twin.observe(snapshot.data, 0, who, np.arange(len(who)), view)
     counts = ((len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3))
     around = [np.empty((len(who), *shape), np.float32) for shape in counts]
     types = np.empty((len(who), len(snapshot.items)), np.int64)
@@ -340,7 +337,7 @@ def fuzzed(random, value):
 def test_actions_are_read_as_by_the_wrappers(view):
     """The oracle and the wrappers give the same controls for accepted actions."""
     env = race_v0.parallel_env(num_kart=1, track="lighthouse", view=view)
-    chains, space = env._chains, env.action_space("kart_0")
+    chains, space = env.live_race._chains, env.action_space("kart_0")
     chain = AgentChain("kart_0", *bare_spaces(view), ALL_VIEWS[view])
     space.seed(0)
     random = np.random.default_rng(0)
@@ -353,7 +350,7 @@ def test_actions_are_read_as_by_the_wrappers(view):
     for _ in range(1000):
         actions = {"kart_0": fuzzed(random, space.sample())}
         ours, theirs = np.zeros((2, 1, 7), np.float32)
-        if not group.reader.read(actions, group.agents, group.rows, ours):
+        if not group.kernel.reader.read(actions, group.agents, group.rows, ours):
             continue
         num_taken += 1
         assert twin.read(actions, group.agents, group.rows, theirs), actions
@@ -380,10 +377,10 @@ def test_batches_of_actions_match_the_oracle():
         good = {"a": random.uniform(-1, 1, (5, 1)), "b": random.integers(0, 2, (5, 2))}
         batch = fuzzed(random, good) if random.random() < 0.5 else good
         ours, theirs = np.ones((2, 5, 4), np.float32)
-        is_read = readers[0].read_batch(batch, 5, slots, rows, ours)
+        is_read = readers[0].read(batch, slots, rows, ours, 5)
         if is_read:
             num_taken += 1
-            assert readers[1].read_batch(batch, 5, slots, rows, theirs), batch
+            assert readers[1].read(batch, slots, rows, theirs, 5), batch
             assert ours.tolist() == theirs.tolist()
             assert (ours[[2, 4]] == 1).all()
     assert 250 < num_taken < 500
@@ -441,5 +438,5 @@ def test_custom_wrappers_and_terms_work_without_the_kernel():
     )
     env.reset(seed=0)
     env.step({a: env.action_space(a).sample() for a in env.agents})
-    assert env._chains._latest_roster.walked == ("kart_0",)
+    assert env.live_race._chains._latest_roster.walked == ("kart_0",)
     env.close()

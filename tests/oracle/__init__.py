@@ -11,7 +11,7 @@ from tests.oracle.mlp import Mlp
 from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import RacingObserver
 from tests.oracle.road_tracer import look_along, stack_vectors, trace_roads
-from tests.oracle.rows import join_rows
+from tests.oracle.rows import join_rows, new_batch, split_batch
 from tests.oracle.step_scorer import StepScorer, reward_term
 from tests.oracle.track_graph import TrackGraph
 
@@ -26,7 +26,9 @@ __all__ = [
     "action_mask",
     "join_rows",
     "look_along",
+    "new_batch",
     "reward_term",
+    "split_batch",
     "stack_vectors",
     "to_polar",
     "trace_roads",

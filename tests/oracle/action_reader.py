@@ -26,37 +26,35 @@ class ActionReader:
     def read(
         self,
         actions: Any,
-        agents: tuple[str, ...],
+        who: Any,
         rows: npt.NDArray[np.intp],
         controls: npt.NDArray[np.float32],
+        count: int = -1,
     ) -> bool:
-        return isinstance(actions, dict) and all(
-            self._read_action(actions.get(agent), controls[row])
-            for agent, row in zip(agents, rows.tolist(), strict=True)
+        if count >= 0:
+            chosen = self._actions_of_slots(actions, count, who)
+        else:
+            chosen = [actions.get(agent) for agent in who] if isinstance(actions, dict) else None
+        return chosen is not None and all(
+            self._read_action(action, controls[row])
+            for action, row in zip(chosen, rows.tolist(), strict=True)
         )
 
-    def read_batch(
-        self,
-        batch: Any,
-        count: int,
-        slots: npt.NDArray[np.intp],
-        rows: npt.NDArray[np.intp],
-        controls: npt.NDArray[np.float32],
-    ) -> bool:
+    def _actions_of_slots(
+        self, batch: Any, count: int, slots: npt.NDArray[np.intp]
+    ) -> list[Any] | None:
+        """Returns the actions of some slots; ``None`` if the batch has another form."""
         columns = batch if self._names else {"": batch}
         names = self._names or ("",)
         if not isinstance(columns, dict) or columns.keys() != {*names}:
-            return False
+            return None
         if not all(
             _is_column(leaf, columns[name], count)
             for name, leaf in zip(names, self._leaves, strict=True)
         ):
-            return False
-        for slot, row in zip(slots.tolist(), rows.tolist(), strict=True):
-            action = {name: columns[name][slot] for name in names}
-            if not self._read_action(action if self._names else action[""], controls[row]):
-                return False
-        return True
+            return None
+        actions = ({name: columns[name][slot] for name in names} for slot in slots.tolist())
+        return [action if self._names else action[""] for action in actions]
 
     def _read_action(self, action: Any, row: npt.NDArray[np.float32]) -> bool:
         row[:] = 0.0

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
-from tests.oracle.observations import ai_actions, karts_motion, observe_karts, to_polar
+from tests.oracle.observations import karts_motion, observe_karts, to_polar
 from tests.oracle.track_graph import TrackGraph
 
 IntArray = npt.NDArray[np.intp]
@@ -44,8 +44,7 @@ class KartObserver:
         who: IntArray,
     ) -> list[Any]:
         made = self._batch(track, num_paths, kart_types, data, who)
-        lists = {group for group, size in self._sizes.items() if size < 0}
-        return _singles(made, set() if self._is_flat else lists)
+        return _singles(made, {*self._sizes})
 
     def observe_into(
         self,
@@ -81,8 +80,6 @@ class KartObserver:
         batch = observe_karts(track, kart_types, snapshot, who, num_paths)
         if {"karts_velocity", "karts_heading"} & set(self._names):
             batch |= karts_motion(snapshot, who)
-        if "action" in self._names:
-            batch["action"] = dict(sorted(ai_actions(snapshot, who).items()))
         for group, size in self._sizes.items():
             if size >= 0:
                 _resize(batch, group, size)
@@ -132,15 +129,11 @@ def _resize(batch: Batch, group: str, size: int) -> None:
         batch[f"{group}_mask"] = mask
 
 
-def _singles(batch: Any, lists: set[str]) -> list[Any]:
+def _singles(batch: Batch, lists: set[str]) -> list[Any]:
     """Returns the rows of a batch in Gymnasium's format, with entries of ``lists`` as tuples."""
-    if not isinstance(batch, dict):
-        return list(batch)
     columns = []
     for key, part in batch.items():
-        if isinstance(part, dict):
-            columns.append(_singles(part, lists))
-        elif part.ndim == 1:
+        if part.ndim == 1:
             columns.append(part.tolist())
         elif key.partition("_")[0] in lists:
             columns.append([tuple(row) for row in np.array(part)])

@@ -66,8 +66,8 @@ class RacingObserver:
         data: bytes,
         road: int,
         who: npt.NDArray[np.intp],
+        rows: npt.NDArray[np.intp],
         out: FloatArray,
-        rows: npt.NDArray[np.intp] | None = None,
     ) -> None:
         snapshot = Snapshot(data)
         counts = (len(LOOKS), len(snapshot.karts), len(snapshot.items))
@@ -80,7 +80,7 @@ class RacingObserver:
         self.look(data, road, who, LOOKS, numbers, kinds, (*around, types))
         view = np.empty((len(who), SIZE), np.float32)
         self.write(numbers, kinds, (*around, types), view)
-        out[slice(None) if rows is None else rows] = view
+        out[rows] = view
 
     def look(
         self,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import Any
 
+import numpy as np
+
 _shape_of, _dtype_of = attrgetter("shape"), attrgetter("dtype")
 
 
@@ -24,3 +26,20 @@ def join_rows(rows: tuple[Any, ...]) -> bytes | None:
         return b"".join(rows)
     except (TypeError, ValueError, BufferError):  # an array is not contiguous
         return None
+
+
+def new_batch(like: Any, count: int) -> Any:
+    if isinstance(like, dict):
+        return {key: new_batch(part, count) for key, part in like.items()}
+    if isinstance(like, list):
+        return [None] * count
+    return np.empty((count, *like.shape[1:]), like.dtype)
+
+
+def split_batch(batch: Any, count: int) -> list[Any]:
+    if isinstance(batch, dict):
+        columns = [split_batch(part, count) for part in batch.values()]
+        return [dict(zip(batch, row, strict=True)) for row in zip(*columns, strict=True)]
+    if isinstance(batch, list):
+        return batch[:count]
+    return batch[:count].tolist() if batch.ndim == 1 else list(batch[:count])

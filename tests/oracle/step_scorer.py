@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import reduce
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -100,33 +99,19 @@ def reward_term(name: str, before: bytes, after: bytes, race_length: float) -> F
 class StepScorer:
     def __init__(
         self,
-        agents: tuple[str, ...],
         karts: IntArray,
         rows: IntArray,
         last: FloatArray,
         sums: FloatArray,
-        keys: tuple[str, ...],
         race_length: float,
         rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray, IntArray], ...],
         events: FloatArray,
     ) -> None:
-        self._agents, self._karts, self._rows = agents, karts, rows
-        self._last, self._sums, self._keys = last, sums, keys
+        self._karts, self._rows, self._last, self._sums = karts, rows, last, sums
         self._race_length, self._rewards = race_length, rewards
         self._events, self._num_terms = events, last.shape[1] - events.shape[1]
         self._absent = np.ones(len(last), np.bool_)
         self._absent[rows] = False
-
-    def score(
-        self, before: bytes, after: bytes, is_over: bool
-    ) -> tuple[dict[str, float], dict[str, bool], dict[str, bool]]:
-        totals, finished = self._advance(before, after)
-        cut_short = finished < bool(is_over)
-        rewards, terminations, truncations = (
-            dict(zip(self._agents, values.tolist(), strict=True))
-            for values in (totals, finished, cut_short)
-        )
-        return rewards, terminations, truncations
 
     def score_into(
         self,
@@ -156,29 +141,20 @@ class StepScorer:
         totals = self._last[:, : self._num_terms].sum(axis=1)[self._rows]
         return totals, step.after.karts["has_finished_race"][self._karts] > 0
 
-    def infos(self, data: bytes, length: int) -> dict[str, dict[str, Any]]:
-        values = (self._values(data, row, kart) for row, kart in self._places())
-        return {
-            agent: dict(zip(self._keys, [*own, length], strict=True))
-            for agent, own in zip(self._agents, values, strict=True)
-        }
-
-    def infos_into(self, data: bytes, length: int, slots: IntArray, table: FloatArray) -> None:
-        for slot, (row, kart) in zip(slots, self._places(), strict=True):
-            table[:, slot] = [*self._values(data, row, kart), length]
-
-    def _places(self) -> Iterator[tuple[int, int]]:
-        return zip(self._rows.tolist(), self._karts.tolist(), strict=True)
-
-    def _values(self, data: bytes, row: int, number: int) -> list[float]:
-        """Returns the values of an agent's info without the last one, the length."""
-        kart, sums = Snapshot(data).karts[number], self._sums[row].tolist()
-        return [
-            int(kart["position"]),
-            max(float(kart["overall_distance"]), 0.0),
-            max(int(kart["finished_laps"]), 0),
-            float(kart["finish_time"]),
-            *self._last[row].tolist(),
-            *sums,
-            reduce(operator.add, sums[: self._num_terms], 0.0),
-        ]
+    def infos_into(
+        self,
+        data: bytes,
+        length: int,
+        slots: IntArray,
+        wholes: npt.NDArray[np.int64],
+        numbers: FloatArray,
+    ) -> None:
+        karts = Snapshot(data).karts
+        places = zip(self._rows.tolist(), self._karts.tolist(), strict=True)
+        for slot, (row, number) in zip(slots, places, strict=True):
+            kart, sums = karts[number], self._sums[row].tolist()
+            wholes[:, slot] = kart["position"], max(int(kart["finished_laps"]), 0), length
+            total = reduce(operator.add, sums[: self._num_terms], 0.0)
+            driven = max(float(kart["overall_distance"]), 0.0)
+            own = driven, kart["finish_time"], *self._last[row].tolist(), *sums, total
+            numbers[:, slot] = own

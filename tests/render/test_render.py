@@ -179,7 +179,7 @@ def test_the_window_follows_the_race(display):
             if len(moments) in (15, 26):
                 display.shoot()
         assert env.render() is None
-        process = env._rendering._renderer._game._session.pid
+        process = env.live_race.rendering._renderer._game._session.pid
         variables = Path(f"/proc/{process}/environ").read_text().split("\0")
     (data,) = (Path(v.partition("=")[2]) for v in variables if v.startswith(DATADIR_VARIABLE))
     assert (data.name.startswith("window-"), data.exists()) == (True, False)
@@ -322,7 +322,7 @@ def test_a_render_process_that_died_is_an_error_and_the_race_continues():
         steps = drive(env, 4)
         next(steps)
         env.render()
-        os.kill(env._rendering._renderer._game._session.pid, signal.SIGKILL)
+        os.kill(env.live_race.rendering._renderer._game._session.pid, signal.SIGKILL)
         with pytest.raises(EngineCrashed, match="the render process was ended by SIGKILL"):
             env.render()
         next(steps)
@@ -339,7 +339,7 @@ options = {"render_mode": "rgb_array", "graphics_config": "hd"}  # half a minute
 env = race_v0.parallel_env(num_kart=2, track="lighthouse", **options)
 env.reset(seed=1)
 def die():
-    renderer = env._rendering._renderer
+    renderer = env.live_race.rendering._renderer
     while not (renderer.backend == "map" or (renderer._game and renderer._game._session.pid)):
         time.sleep(0.1)
     game = renderer._game

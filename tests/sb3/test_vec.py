@@ -16,7 +16,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
 from stkzoo import AgentSpec, ConfigError, RaceVectorEnv, Start
-from stkzoo.env.vec.batch_race import BatchRace
+from stkzoo.env.race import Race
 from stkzoo.sb3 import ActiveDictRolloutBuffer, RaceVecEnv
 from tests.support.views import marked
 
@@ -63,7 +63,7 @@ def test_ppo_learns_from_normalized_races_although_one_crashes():
         "MultiInputPolicy", normalized, rollout_buffer_class=ActiveDictRolloutBuffer, **LEARNING
     )
     model.learn(128)
-    os.kill(envs.races.races[0]._session.pid, signal.SIGKILL)
+    os.kill(envs.races.races[0].live_race.session.pid, signal.SIGKILL)
     before = weights(model)
     model.learn(128, reset_num_timesteps=False)
     assert changed(before, model)
@@ -269,7 +269,7 @@ def test_it_returns_what_single_agents_get(view, flat, monkeypatch):
     starts = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
     options = {"track": "lighthouse", "max_cycles": 9, "start": starts, "view": view}
     with_rows = play_both(make(**options, flat_observations=flat), 22)
-    monkeypatch.setattr(BatchRace, "has_rows", False)
+    monkeypatch.setattr(Race, "has_rows", False)
     agent_by_agent = play_both(make(**options, flat_observations=flat), 22)
     assert identical(with_rows, agent_by_agent)
     active = [info["active"] for step in with_rows[1:] for info in step[3]]

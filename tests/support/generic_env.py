@@ -10,13 +10,13 @@ import numpy as np
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
-from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
+from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
-from stkzoo.kernel import KartObserver
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, Phase, PowerupType
 from stkzoo.views.actions import read_action
-from stkzoo.views.plan import Seats
+from stkzoo.views.chains import RecordsObserver
+from stkzoo.views.plan import Seats, ViewPlan
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,
@@ -199,8 +199,9 @@ class RandomMoment:
 
     def full(self, agents, use_ai=False):
         """Returns the agents' observations in the ``full`` view."""
-        observer = KartObserver(tuple(kart_observation_space(use_ai)))
-        return observer.observe(*self.course, self.snapshot.data, self.seats(agents).karts)
+        spaces = kart_observation_space(use_ai), kart_action_space()
+        observer = RecordsObserver(ViewPlan(*spaces, CONTROLS))
+        return observer.observe(self, self.seats(agents).karts)
 
 
 def assert_same(left, right):

@@ -9,11 +9,13 @@ from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 #: The modules that use the kernel's names.
 USERS = {
     "engine.track": ["TrackGraph"],
-    "env.episode": ["StepScorer"],
+    "env.episode": ["StepScorer", "split_batch"],
+    "env.vec.rows": ["new_batch"],
     "mdp.events": ["EventCounter"],
     "mdp.rewards": ["reward_term"],
     "drivers.messages": ["join_rows"],
     "mdp.observations": ["KartObserver"],
+    "views.chains": ["new_batch", "split_batch"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.marl.masks": ["action_mask"],

@@ -96,7 +96,7 @@ def test_a_race_that_crashes_is_truncated():
     with closing(make_races(RACES)) as races:
         sampler = sampler_of(races, RACES)
         sampler.sample(8)
-        os.kill(races.races[0]._session.pid, signal.SIGKILL)
+        os.kill(races.races[0].live_race.session.pid, signal.SIGKILL)
         fragments = sampler.sample(24)
     assert [f.is_truncated for f in fragments if f.slot == 0] == [True, False]
 

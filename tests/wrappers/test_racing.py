@@ -254,6 +254,6 @@ def test_other_views_are_refused():
 
 def test_a_kart_without_visible_road_has_a_finite_view():
     with race_v0.parallel_env(num_kart=1, track="lighthouse", view="racing") as env:
-        chain = env._chains._chains["kart_0"]
+        chain = env.live_race._chains._chains["kart_0"]
         blank = create_zero_array(chain.base_observation_space)
         assert np.isfinite(chain.observe(blank)).all()

@@ -107,19 +107,13 @@ class _RacingObserver:
     def __init__(self, full: KartObserver) -> None:
         self._full = full
 
-    def observe(self, source: ObservationSource, karts: npt.NDArray[np.intp]) -> list[Any]:
-        """See :class:`~stkzoo.views.plan.Observer`."""
-        if _is_short(source):
-            seen = self._full.observe(*source.course, source.snapshot.data, karts)
-            return [racing_features(*surroundings_of(one))[0] for one in seen]
-        return list(racing_view_of(source.track_map).observe([source.snapshot], [0], [karts]))
-
     def observe_into(
         self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
     ) -> None:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
         if _is_short(source):
-            batch[rows] = self.observe(source, karts)
+            seen = self._full.observe(*source.course, source.snapshot.data, karts)
+            batch[rows] = [racing_features(*surroundings_of(one))[0] for one in seen]
         else:
             view = racing_view_of(source.track_map)
             view.observe_into(source.snapshot, 0, karts, rows, batch)
@@ -163,7 +157,7 @@ class BatchedRacingView:
         """
         views = np.empty((sum(map(len, karts)), SIZE), np.float32)
         for snapshot, road, who, rows in _races(snapshots, roads, karts):
-            self._observer.observe(snapshot.data, road, who, views[rows])
+            self.observe_into(snapshot, road, who, np.arange(rows.start, rows.stop), views)
         return views
 
     def observe_into(
@@ -178,7 +172,7 @@ class BatchedRacingView:
             rows: ``(A,)`` row of each kart.
             views: ``(N, SIZE)`` float32, modified in place.
         """
-        self._observer.observe(snapshot.data, road, karts, views, rows)
+        self._observer.observe(snapshot.data, road, karts, rows, views)
 
     def surroundings(
         self,

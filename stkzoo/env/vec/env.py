@@ -8,28 +8,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
-from gymnasium.wrappers.utils import create_zero_array
+from gymnasium.vector.utils import batch_space, iterate
 
 from stkzoo._os import cpu_count
 from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
-from stkzoo.env.parallel import drive_opponents
-from stkzoo.env.vec.actions import ActionBatch
-from stkzoo.env.vec.batch_race import BatchRace
-from stkzoo.env.vec.slots import CompiledSlots, RaceSlots, WalkedSlots
-from stkzoo.env.vec.spaces import shared_space
+from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.race import drive_opponents
+from stkzoo.env.vec.rows import BoolArray, SlotRows, SlotSteps, shared_space
+from stkzoo.env.vec.slots import RaceSlots
 from stkzoo.env.vec.starts import RepeatedStarts, seeds_of_races
-from stkzoo.env.vec.steps import (
-    BoolArray,
-    InfoDicts,
-    InfoTables,
-    RowObservations,
-    SlotSteps,
-    StackedObservations,
-)
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
 from stkzoo.views.actions import read_action
+from stkzoo.views.chains import CheckedActions
 
 VectorStep = tuple[Any, npt.NDArray[np.float64], BoolArray, BoolArray, dict[str, Any]]
 
@@ -133,29 +124,30 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             from stkzoo.env.opponent_choice import OpponentChoice
 
             options["opponents"] = OpponentChoice.of(options["opponents"])  # one for all races
-        self.races = tuple(BatchRace(view=view, **options) for _ in range(num_races))
+        for name, only in (("use_subprocess", True), ("render_mode", None)):
+            if options.get(name, only) != only:
+                raise ConfigError(
+                    f"{name} is {options[name]!r}, but parallel races run in their own "
+                    f"processes without a window; leave {name} at {only}, or use a single "
+                    "race_v0.parallel_env"
+                )
+        self.races = tuple(RaceParallelEnv(view=view, **options) for _ in range(num_races))
         first, self.num_races = self.races[0], num_races
-        self._starts = None
+        self._repeated = None
         if num_starts is not None:
-            self._starts = RepeatedStarts(num_starts, start_seed, skip_countdown)
-        for race in self.races:
-            race.starts = self._starts
+            new_session = first.live_race.new_session
+            self._repeated = RepeatedStarts(num_starts, new_session, start_seed, skip_countdown)
         self.num_agents = len(first.possible_agents)
         self.num_envs = num_races * self.num_agents
         self.single_observation_space = shared_space(first.observation_spaces, "observation")
         self.single_action_space = shared_space(first.action_spaces, "action")
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.idle_observation = create_zero_array(self.single_observation_space)
+        self._steps = SlotRows(self.single_observation_space, self.num_envs)
+        self.idle_observation = self._steps.idle
         self.tracks = tuple(sorted(find_assets().tracks))
         self._track_numbers = {name: number for number, name in enumerate(self.tracks)}
-        self._has_rows = all(race.has_rows for race in self.races)
-        form = RowObservations if self._has_rows else StackedObservations
-        self._observations: RowObservations | StackedObservations = form(
-            self.single_observation_space, self.idle_observation, self.num_envs
-        )
-        slots = CompiledSlots if self._has_rows else WalkedSlots
-        self._rows: list[RaceSlots] = [slots(race, n) for n, race in enumerate(self.races)]
+        self._rows = [RaceSlots(race, n, self._repeated) for n, race in enumerate(self.races)]
         self._names = [f"{a} of race {n}" for n in range(num_races) for a in first.possible_agents]
         self._seeds: list[int | None] = [None] * num_races
         self._is_player = np.array([not spec.use_ai for spec in first.specs] * num_races)
@@ -239,16 +231,16 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
     ) -> SlotSteps:
         self._require_open("reset")
         seeds = seeds_of_races(seed, self.num_races)
-        if self._starts is not None:
+        if self._repeated is not None:
             if any(own is not None for own in seeds):
-                self._starts.reseed(seeds)
+                self._repeated.reseed(seeds)
             seeds = [self._next_seed() for _ in seeds]
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.prepare(own_seed, own)
         self._seeds = [
             old if new is None else new for old, new in zip(self._seeds, seeds, strict=True)
         ]
-        steps = self._new_steps()
+        steps = self._steps.new()
         for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
             row.reset(steps, own_seed, own)
         steps.active |= self.racing
@@ -328,14 +320,14 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def _request_steps(self, actions: Any) -> None:
         self._require_open("step")
-        batch = ActionBatch(actions, self.action_space, self._names)
-        try:
-            checked = [row.check(batch) for row in self._rows]
-        except ActionError:
-            self._name_the_race(batch.singles)
-            raise
-        controls = [row.race.convert(own) for row, own in zip(self._rows, checked, strict=True)]
-        drive_opponents(self.races, controls)
+        races = [row.race for row in self._rows]
+        checked: Sequence[CheckedActions | None] = [
+            row.race.check_rows(actions, row.racing_slots, self.num_envs) for row in self._rows
+        ]
+        if None in checked:
+            checked = self._checked_singly(actions)
+        controls = [race.convert(own) for race, own in zip(races, checked, strict=True) if own]
+        drive_opponents(races, controls)
         for row, own in zip(self._rows, controls, strict=True):
             row.send(own)
 
@@ -366,7 +358,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             return self._finish_steps()
 
     def _finish_steps(self) -> SlotSteps:
-        steps = self._new_steps()
+        steps = self._steps.new()
         for row in self._rows:
             row.step_wait(steps)
             if row.is_over:  # starts while this call waits for the other races
@@ -382,22 +374,47 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         with self._turn.of("close"):
             for row in getattr(self, "_rows", ()):
                 row.close()
-            if starts := getattr(self, "_starts", None):
-                starts.close()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        for race in self.races:  # they are made again from their options
-            race.starts = self._starts
+        for row in self._rows:  # the races are made again from their options
+            row.connect(self._repeated)
 
-    def _name_the_race(self, actions: Sequence[Any]) -> None:
-        """Raises the error of an invalid action again, with the agent's race in its message."""
-        for slot in np.flatnonzero(self.racing & self._is_player).tolist():
-            read_action(self.single_action_space, actions[slot], self._names[slot])
+    def _checked_singly(self, actions: Any) -> list[CheckedActions]:
+        """Checks the actions agent by agent, and names the race of an invalid one."""
+        singles = self._singles(actions)
+        try:
+            return [
+                row.race.check(dict(zip(row.race.possible_agents, singles[row.slots], strict=True)))
+                for row in self._rows
+            ]
+        except ActionError:
+            for slot in np.flatnonzero(self.racing & self._is_player).tolist():
+                read_action(self.single_action_space, singles[slot], self._names[slot])
+            raise
+
+    def _singles(self, actions: Any) -> list[Any]:
+        """Returns one action per slot."""
+        names = self._names
+        try:
+            singles = list(iterate(self.action_space, actions))
+        except (TypeError, LookupError, ValueError) as error:
+            raise ActionError(
+                f"the actions are {actions!r}, expected a batch for {len(names)} slots in the form "
+                f"of {self.action_space}",
+                names[0],
+            ) from error
+        if len(singles) != len(names):
+            raise ActionError(
+                f"{len(singles)} actions came for {len(names)} slots ({names[0]} to {names[-1]}); "
+                "send one for each slot, including idle ones",
+                names[0],
+            )
+        return singles
 
     def _next_seed(self) -> int | None:
         """Returns the seed of a race that starts by itself."""
-        return None if self._starts is None else self._starts.draw_seed()
+        return None if self._repeated is None else self._repeated.draw_seed()
 
     def _prefetch(self, rows: Sequence[RaceSlots]) -> None:
         if self.prefetch:
@@ -408,21 +425,15 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         if self.closed:
             raise ApiOrderError(f"{method}() after close(); make a new environment")
 
-    def _new_steps(self) -> SlotSteps:
-        count = self.num_envs
-        infos = InfoTables(count) if self._has_rows else InfoDicts(count, self._add_info)
-        return SlotSteps.idle(self._observations.new(), infos, count)
-
     def _completed(self, steps: SlotSteps) -> SlotSteps:
         """Adds what concerns all races to the steps of all slots."""
-        idle = np.flatnonzero(~self.racing)
-        steps.observations = self._observations.finish(steps.observations, idle)
+        self._steps.complete(steps, np.flatnonzero(~self.racing))
         for row in self._rows:
             steps.tracks[row.slots] = self._track_numbers[row.track]
         return steps
 
     def _infos(self, steps: SlotSteps) -> dict[str, Any]:
-        infos = steps.infos.columns()
+        infos = steps.infos.columns(self._add_info)
         for slot, (observation, info) in steps.finals.items():
             final = {**info, "track": self._track_numbers[info["track"]]}
             infos = self._add_info(infos, {"final_obs": observation, "final_info": final}, slot)

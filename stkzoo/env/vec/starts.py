@@ -1,4 +1,4 @@
-"""Seeds of races, and a small set of starts to reuse: each race starts once, then is copied."""
+"""How races of a vector environment start: ahead of time, or from a few starts that are copied."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.errors import ConfigError, EngineError, check_whole
+from stkzoo.errors import ConfigError, EngineError, StkzooError, check_whole
 from stkzoo.names import Phase
 
 logger = logging.getLogger(__name__)
@@ -36,6 +36,77 @@ def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> l
     return [own if own is None else check_whole("seed", own, 0) for own in seed]
 
 
+class Starts(Protocol):
+    """Begins the game's races in place of their session."""
+
+    def begin(self, setup: RaceSetup, session: Session) -> tuple[Session, RaceStart]:
+        """Ends a session's race and begins another one.
+
+        Args:
+            setup: setup of the race.
+            session: the session.
+
+        Returns:
+            The session with the race, which replaces the other one, and its start.
+
+        Raises:
+            ConfigError: the setup is invalid.
+            EngineError: the game does not start.
+        """
+
+    def close(self) -> None:
+        """Ends what waits; called when a race is closed."""
+
+
+class AheadStarts:
+    """Starts a race's successor in a second process while the race runs.
+
+    Every race is the first one in its process, so starting it early does not change it.
+
+    Args:
+        new_session: makes a session.
+    """
+
+    def __init__(self, new_session: Callable[[], Session]) -> None:
+        self._new_session = new_session
+        self._next: tuple[RaceSetup, WorkerSession] | None = None
+
+    def prepare(self, setup: RaceSetup) -> None:
+        """Starts a race and returns at once. If that fails, :meth:`begin` tries again."""
+        if self._next and self._next[0] == setup:
+            return
+        self.close()
+        session = self._new_session()
+        assert isinstance(session, WorkerSession)  # noqa: S101 - the environment checked it
+        try:
+            session.start_async(setup)
+        except EngineError as error:
+            logger.info("a race could not be started ahead: %s", error)
+        else:
+            self._next = setup, session
+
+    def begin(self, setup: RaceSetup, session: Session) -> tuple[Session, RaceStart]:
+        """See :meth:`Starts.begin`; uses the race that was started ahead if its setup matches."""
+        if self._next is not None and self._next[0] == setup:
+            _, ahead = self._next
+            try:
+                start = ahead.start_wait()
+            except StkzooError as error:
+                logger.info("a race that was started ahead was lost: %s", error)
+            else:
+                session.close()
+                self._next = None
+                return ahead, start
+        self.close()
+        return session, session.start(setup)
+
+    def close(self) -> None:
+        """Ends the race that was started ahead."""
+        if self._next is not None:
+            self._next[1].close()
+            self._next = None
+
+
 class RepeatedStarts:
     """Draws the seeds of races from a small set, and keeps the races' starts to copy them.
 
@@ -43,6 +114,7 @@ class RepeatedStarts:
 
     Args:
         count: number of seeds in the set, and maximum number of starts to keep.
+        new_session: makes a session in which a start can wait.
         seed: seed of the set; ``None`` draws another set in each :meth:`reseed`.
         skips_countdown: whether starts wait at GO, with all karts at full throttle.
 
@@ -50,14 +122,21 @@ class RepeatedStarts:
         ConfigError: races cannot be copied on this system.
     """
 
-    def __init__(self, count: int, seed: int | None = None, skips_countdown: bool = False) -> None:
+    def __init__(
+        self,
+        count: int,
+        new_session: Callable[[], Session],
+        seed: int | None = None,
+        skips_countdown: bool = False,
+    ) -> None:
         if not can_fork():
             raise ConfigError(
                 "num_starts needs races that can be copied, which is possible only on Linux "
                 "without STKZOO_START_METHOD=spawn; leave num_starts out"
             )
-        self._count, self._seed, self._skips_countdown = count, seed, skips_countdown
-        self._kept: OrderedDict[RaceSetup, tuple[WorkerSession, RaceStart]] = OrderedDict()
+        self._count, self._new_session = count, new_session
+        self._seed, self._skips_countdown = seed, skips_countdown
+        self._kept: OrderedDict[RaceSetup, tuple[Session, RaceStart]] = OrderedDict()
         self.reseed([])
 
     def reseed(self, seeds: Sequence[int | None]) -> None:
@@ -74,20 +153,8 @@ class RepeatedStarts:
         """Returns the seed of the next race."""
         return self._first + int(self._random.integers(self._count))
 
-    def begin(
-        self, setup: RaceSetup, session: Session, new_session: Callable[[], WorkerSession]
-    ) -> RaceStart:
-        """Ends a session's race and begins another one in it.
-
-        Args:
-            setup: setup of the race.
-            session: the session.
-            new_session: makes a session in which a start can wait.
-
-        Raises:
-            ConfigError: the setup is invalid.
-            EngineError: the game does not start.
-        """
+    def begin(self, setup: RaceSetup, session: Session) -> tuple[Session, RaceStart]:
+        """See :meth:`Starts.begin`; copies a start that waits, or starts one that waits."""
         if setup in self._kept:
             self._kept.move_to_end(setup)
             waiting, start = self._kept[setup]
@@ -97,8 +164,8 @@ class RepeatedStarts:
                 logger.info("a start that waited was lost: %s", error)
                 self._forget(setup)
             else:
-                return start
-        waiting = new_session()
+                return session, start
+        waiting = self._new_session()
         try:
             start = waiting.start(setup)
             if self._skips_countdown:
@@ -110,7 +177,7 @@ class RepeatedStarts:
         self._kept[setup] = waiting, start
         if len(self._kept) > self._count:
             self._forget(next(iter(self._kept)))
-        return start
+        return session, start
 
     def close(self) -> None:
         """Ends the processes of all starts."""

@@ -1,0 +1,659 @@
+"""One race at a time, from its start to its end: what all environments drive."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import seeding
+
+from stkzoo._turns import CallTurn
+from stkzoo.agent_names import find_agent
+from stkzoo.config import AgentSpec
+from stkzoo.engine.assets import Assets
+from stkzoo.engine.race import RaceStart
+from stkzoo.engine.session import Session
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.env.cameras import RaceCameras
+from stkzoo.env.episode import Episode
+from stkzoo.env.grid import RaceRoster, draw_race
+from stkzoo.env.options import RaceOptions, check_agents, random_stream
+from stkzoo.env.rendering import Rendering
+from stkzoo.env.scenario import Scenario, digest_of, read_scenario
+from stkzoo.env.starts import MAX_START_DRAWS, is_random
+from stkzoo.env.state import Moment, RaceState, check_beside, checked_state
+from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
+from stkzoo.mdp.rewards import Reward
+from stkzoo.views.chains import AgentChains, CheckedActions
+from stkzoo.views.walker import StepParts
+
+if TYPE_CHECKING:
+    from stkzoo.drivers import Driver
+    from stkzoo.env.opponents import RaceOpponents
+    from stkzoo.env.vec.rows import SlotSteps
+    from stkzoo.env.vec.starts import Starts
+
+Controls = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.intp]
+Started = tuple[dict[str, Any], dict[str, dict[str, Any]]]
+
+
+class Race:
+    """One race: its game, its episode, its agents' views and its other parts.
+
+    The environments are fronts: they hold races and translate the API of a library. A race is
+    reused: each :meth:`start` begins another episode.
+
+    Args:
+        options: options of the next race.
+        specs: options of the agents.
+        rewards: reward of each agent, in agent order.
+        assets: the game's data.
+        new_session: makes a session in which a game can run.
+        chains: views of the agents.
+        rendering: renders the race.
+        cameras: the agents' cameras.
+        opponents: drivers of karts that are not agents, if there are any.
+        num_cameras: number of agents with a camera; 0 leaves the choice to the agents.
+        max_snapshots: maximum number of open saved states.
+
+    Attributes:
+        options: options of the next race.
+        specs: options of the agents.
+        possible_agents: ids of all agents.
+        ai_agents: agents that the game's AI drives.
+        agents: agents that are still racing.
+        episode: the current episode; ``None`` before the first start.
+        turn: the turn that a thread holds during a call; the fronts take it.
+        new_session: as above.
+        session: the session of the current game.
+        starts: begins the game's races, if they do not simply start in the session.
+        rendering: as above.
+        cameras: as above.
+        opponents: as above.
+    """
+
+    def __init__(
+        self,
+        *,
+        options: RaceOptions,
+        specs: Sequence[AgentSpec],
+        rewards: Mapping[str, Reward],
+        assets: Assets,
+        new_session: Callable[[], Session],
+        chains: AgentChains,
+        rendering: Rendering,
+        cameras: RaceCameras,
+        opponents: RaceOpponents | None,
+        num_cameras: int,
+        max_snapshots: int,
+    ) -> None:
+        self.options, self.specs = options, specs
+        self.possible_agents = [*rewards]
+        self.ai_agents = self._agents_of_ai()
+        self.agents: list[str] = []
+        self.episode: Episode | None = None
+        self.turn = CallTurn()
+        self.new_session, self.session = new_session, new_session()
+        self.starts: Starts | None = None
+        self.rendering, self.cameras, self.opponents = rendering, cameras, opponents
+        self._rewards, self._assets, self._chains = rewards, assets, chains
+        self._num_cameras, self._max_snapshots = num_cameras, max_snapshots
+        self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
+        self._random: np.random.Generator | None = None
+        self._stepping: Episode | None = None  # the episode with a running step
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The random generator from which races are drawn."""
+        if self._random is None:
+            self._random, _ = seeding.np_random()
+        return self._random
+
+    @np_random.setter
+    def np_random(self, random: np.random.Generator) -> None:
+        self._random = random
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether the kernel writes all observations as rows of arrays (:meth:`finish_into`)."""
+        return self._chains.has_rows
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the kernel runs all wrappers of all agents."""
+        return self._chains.is_compiled
+
+    @property
+    def num_snapshots(self) -> int:
+        """Number of open states that were saved here."""
+        return sum(state.is_open for state in self._states)
+
+    def running(self, method: str) -> Episode:
+        """Returns the current episode.
+
+        Args:
+            method: name of the user's call, for the message.
+
+        Raises:
+            ApiOrderError: no race has started.
+        """
+        if self.episode is None:
+            raise ApiOrderError(f"{method}() before reset(); call reset() first")
+        return self.episode
+
+    # ------------------------------------------------------------------ start and end
+
+    def start(self, seed: int | None, asked: Mapping[str, Any]) -> Started:
+        """Starts an episode and returns its first observations and infos by agent.
+
+        Args:
+            seed: seed of the wrappers. The race itself is drawn from :attr:`np_random`.
+            asked: options of ``reset``.
+
+        Raises:
+            ConfigError: an option is invalid, or there is no display for ``"human"``.
+            EngineError: the game does not start.
+        """
+        self.rendering.check()
+        options = self._options_now(asked)
+        check_agents(self.specs, self.options.num_kart, self._assets.karts)
+        if self._agents_of_ai() != self.ai_agents:
+            raise ConfigError(
+                "use_ai of an agent was changed after the environment was made, which would "
+                "change its spaces; make a new environment"
+            )
+        with self.exchange():
+            if asked.get("scenario") is not None:
+                agents, self.episode = self._from_scenario(asked, options)
+            elif asked.get("state") is not None:
+                agents, self.episode = self._from_state(asked, options)
+            else:
+                agents, self.episode = list(self.possible_agents), self._drawn(asked, options)
+            self.agents, self._stepping = [], None  # in case a wrapper fails
+        seats = self.episode.seats(agents)
+        infos = self.episode.infos(seats)
+        result = self._chains.reset(seats, self.episode, infos, seed=seed, options=dict(asked))
+        self.agents = agents
+        self.rendering.reset(self.episode)
+        return result
+
+    def check_options(self, asked: Mapping[str, Any]) -> None:
+        """Checks options of :meth:`start`.
+
+        Raises:
+            ApiOrderError: no agent was racing any more at the moment of a state or scenario.
+            ConfigError: an option is unknown or invalid.
+        """
+        self._options_now(asked)
+        if asked.get("scenario") is not None:
+            self._drivers_in(self._checked_scenario(asked), copy.deepcopy(self.np_random))
+        elif asked.get("state") is not None:
+            self._checked_state(asked)
+        elif self.opponents is not None:
+            self.opponents.check_difficulty(asked.get("difficulty"))
+
+    def next_setup(self, seed: int | None, asked: Mapping[str, Any]) -> RaceSetup | None:
+        """Returns the setup of the race that :meth:`start` will draw, without drawing it.
+
+        Args:
+            seed: seed of the random generator; ``None`` for its current state.
+            asked: options of the race.
+
+        Returns:
+            The setup; ``None`` if the race starts from a state or a scenario.
+        """
+        if not asked.keys().isdisjoint(("state", "scenario")):
+            return None
+        random = copy.deepcopy(self.np_random) if seed is None else random_stream(seed)
+        options, _, specs = self._draw_opponents(self.options.changed(asked), asked, random)
+        return self._draw(options, specs, random)[0]
+
+    def close(self) -> None:
+        """Stops the game and all other processes. :meth:`start` works afterwards."""
+        self._end()
+        self.session.close()
+        if self.starts is not None:
+            self.starts.close()
+        self.rendering.close()
+        self.cameras.close()
+        self._chains.close()
+
+    @contextlib.contextmanager
+    def exchange(self) -> Iterator[None]:
+        """Ends the race if the game continues elsewhere but the rest of the race does not.
+
+        An error or Ctrl-C can end the body after the game's process was replaced. The game and
+        the race would then be at different moments, so only another start can continue.
+        """
+        before = self.session.pid
+        try:
+            yield
+        except BaseException:
+            if self.session.pid != before:
+                self._end()
+            raise
+
+    # ------------------------------------------------------------------ a step
+
+    def request(self, actions: Mapping[str, Any]) -> None:
+        """First half of a step: decodes the actions and sends the controls to the game.
+
+        Raises:
+            ActionError: an action is missing or invalid; the race has not advanced.
+            ApiOrderError: no race has started, or a step is running.
+            EngineError: the game crashed or hung.
+        """
+        controls = self.decode(actions)
+        if self.opponents is not None:
+            drive_opponents([self], [controls])
+        self.send(controls)
+
+    def finish(self) -> StepParts:
+        """Second half of a step: waits for the game and makes the results by agent.
+
+        Raises:
+            AgentException: a wrapper failed.
+            ApiOrderError: no step is running.
+            EngineError: the game crashed or hung.
+        """
+        episode, agents = self._awaited(), self.agents
+        if not agents:
+            self._stepping = None
+            return {}, {}, {}, {}, {}
+        seats = episode.seats(agents)
+        ends = episode.ends_of(seats)
+        self._advance(episode, seats.order, ends)
+        rewards, terminations, truncations = ends
+        parts = (
+            self._chains.observe(seats, episode),
+            dict(zip(agents, rewards.tolist())),  # noqa: B905 - twice as fast
+            dict(zip(agents, terminations.tolist())),  # noqa: B905
+            dict(zip(agents, truncations.tolist())),  # noqa: B905
+            episode.infos(seats),
+        )
+        self._chains.finish(seats, parts)
+        _, _, terminated, truncated, _ = parts
+        if any(terminated.values()) or any(truncated.values()):
+            self.agents = [a for a in agents if not (terminated[a] or truncated[a])]
+        if self.rendering.mode is not None:
+            self.rendering.follow(episode)
+        return parts
+
+    def finish_into(self, steps: SlotSteps, slots: IntArray) -> IntArray:
+        """Does the same as :meth:`finish` with rows of arrays; see :attr:`has_rows`.
+
+        Args:
+            steps: steps of all slots. Gets rewards and ends of the agents that acted, and
+                observations and infos of those that are still racing.
+            slots: slot of each agent that acted.
+
+        Returns:
+            Slots of the agents that are still racing.
+        """
+        self._advance(self._awaited(), slots, steps.ends)
+        has_ended = steps.terminations[slots] | steps.truncations[slots]
+        if has_ended.any():
+            ended = zip(self.agents, has_ended.tolist(), strict=True)
+            self.agents = [agent for agent, is_over in ended if not is_over]
+            slots = slots[~has_ended]
+        if self.agents:
+            episode = self.running("step_wait")
+            seats = episode.seats(self.agents)
+            self._chains.observe_into(seats, episode, slots, steps.observations)
+            table = steps.infos.table(episode.info_keys)
+            episode.infos_into(seats, slots, table)
+            table.has[slots] = True
+        return slots
+
+    def decode(self, actions: Mapping[str, Any]) -> Controls:
+        """Checks actions and converts them to controls, ``(P, 7)`` float32."""
+        return self.convert(self.check(actions))
+
+    def check(self, actions: Mapping[str, Any]) -> CheckedActions:
+        """First half of :meth:`decode`: checks the actions and changes nothing.
+
+        Raises:
+            ActionError: an action is missing or invalid.
+            ApiOrderError: no race has started, or a step is running.
+        """
+        return self._chains.check(actions, self._idle().seats(self.agents))
+
+    def check_rows(self, actions: Any, slots: IntArray, count: int) -> CheckedActions | None:
+        """Does the same as :meth:`check` for a batch of actions.
+
+        Args:
+            actions: an array with one row per slot, or a dict of such arrays.
+            slots: slot of each racing agent.
+            count: number of slots in the batch.
+
+        Returns:
+            The actions; ``None`` if one is invalid or in an unusual form, or a wrapper runs in
+                Python.
+        """
+        return self._chains.check_batch(actions, slots, count, self._idle().seats(self.agents))
+
+    def convert(self, actions: CheckedActions) -> Controls:
+        """Second half of :meth:`decode`: converts checked actions to controls.
+
+        Raises:
+            ActionError: a wrapper returned an invalid action.
+            AgentException: a wrapper failed.
+        """
+        return self._chains.convert(actions, self._idle())
+
+    def send(self, controls: Controls) -> None:
+        """Starts a step in the game.
+
+        Args:
+            controls: controls of the P player karts, ``(P, 7)`` float32.
+        """
+        episode = self.running("step")
+        if self.agents:
+            self.session.step_async(controls)
+            episode.remember(controls)
+        self._stepping = episode
+
+    def observe(self, agents: Sequence[str]) -> dict[str, Any]:
+        """Returns current observations of some agents, before their Python wrappers."""
+        episode = self.running("observe")
+        return self._chains.observe(episode.seats(self.ids_of(agents)), episode)
+
+    def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """Returns current infos of some agents, before their Python wrappers."""
+        episode = self.running("infos")
+        return episode.infos(episode.seats(self.ids_of(agents)))
+
+    def ids_of(self, agents: Sequence[str]) -> list[str]:
+        """Returns the ids of some agents.
+
+        Raises:
+            ConfigError: ``agents`` is not a list of agents.
+        """
+        if isinstance(agents, str) or not isinstance(agents, Sequence):
+            raise ConfigError(f"agents is {agents!r}, expected a list of agents")
+        known = self._chains.observation_spaces
+        return [
+            agent if isinstance(agent, str) and agent in known else find_agent(agent, known)
+            for agent in agents
+        ]
+
+    # ------------------------------------------------------------------ moments
+
+    def save(self) -> RaceState:
+        """Saves the current moment of the race, which continues unaffected."""
+        self.running("save_state")
+        if self.num_snapshots >= self._max_snapshots:
+            raise ApiOrderError(
+                f"{self.num_snapshots} saved states of this environment are open, as many as "
+                "max_snapshots allows; close() some or raise max_snapshots"
+            )
+        moment = self._moment()
+        state = RaceState(self.session.branch(), moment)
+        self._states.add(state)
+        return state
+
+    def restore(self, state: RaceState) -> None:
+        """Continues from a saved state, with everything as it was at that moment."""
+        self._check_moment(checked_state(state).moment)
+        with self.exchange():
+            state.resume_in(self.session)
+            self._go_on_from(state.moment)
+
+    def follow(self, other: Race) -> None:
+        """Continues from the current moment of another race, like a clone of it."""
+        other.running("clone")
+        moment = other._moment()
+        self._check_moment(moment)
+        with self.exchange():
+            self.session.resume(other.session)
+            self.options = other.options
+            self._go_on_from(moment)
+
+    def scenario(self) -> Scenario:
+        """Returns the current moment as a scenario."""
+        episode = self._resting("scenario")
+        return Scenario(
+            setup=episode.setup,
+            kart_indices=episode.race.kart_indices,
+            agents=tuple(self.agents),
+            controls=episode.past_controls(),
+            digest=digest_of(episode.snapshot),
+            opponents=episode.race.opponent_indices,
+        )
+
+    def _moment(self) -> Moment:
+        episode = self._resting("save_state").copy()
+        return Moment(
+            episode,
+            tuple(self.agents),
+            self._roster(),
+            copy.deepcopy(self.np_random),
+            self._chains.memory(),
+            None if self.opponents is None else self.opponents.moment(episode),
+        )
+
+    def _check_moment(self, moment: Moment) -> None:
+        self._check_roster("state", moment.roster)
+        self._chains.check_memory(moment.memory)
+
+    def _go_on_from(self, moment: Moment) -> None:
+        self._stepping = None
+        self._chains.recall(moment.memory)
+        self.episode = moment.episode.copy()
+        self.agents = list(moment.agents)
+        self._random = copy.deepcopy(moment.random)
+        self._go_on_with_opponents(moment)
+
+    def _go_on_with_opponents(self, moment: Moment) -> None:
+        if self.opponents is not None and moment.opponents is not None:
+            self.opponents.go_on_from(moment.opponents)
+
+    def _roster(self) -> RaceRoster:
+        return RaceRoster(
+            self.options.num_kart,
+            len(self.possible_agents),
+            frozenset(self.ai_agents),
+            has_opponents=self.opponents is not None,
+        )
+
+    def _check_roster(self, what: str, roster: RaceRoster) -> None:
+        if roster != self._roster():
+            raise ConfigError(
+                f"the {what} has {roster}, but this environment has {self._roster()}; use an "
+                "environment with the same karts, agents and opponents"
+            )
+
+    # ------------------------------------------------------------------ beginnings of an episode
+
+    def _drawn(self, asked: Mapping[str, Any], options: RaceOptions) -> Episode:
+        """Draws a race and starts it."""
+        random = self.np_random
+        options, drivers, opponents = self._draw_opponents(options, asked, random)
+        self._end()  # in case the start fails
+        for draws_left in reversed(range(MAX_START_DRAWS)):
+            setup, kart_indices = self._draw(options, opponents, random)
+            try:
+                begun = self._begin(setup)
+                break
+            except ConfigError:  # a place where no kart can stand
+                if not draws_left or not is_random(options.start):
+                    raise
+        return self._new_episode(options, setup, kart_indices, begun, drivers)
+
+    def _from_state(
+        self, asked: Mapping[str, Any], options: RaceOptions
+    ) -> tuple[list[str], Episode]:
+        """Starts an episode at a saved moment; returns its agents too."""
+        state = self._checked_state(asked)
+        moment = state.moment
+        state.resume_in(self.session)
+        self._go_on_with_opponents(moment)
+        return list(moment.agents), moment.episode.restarted(options, self._rewards)
+
+    def _from_scenario(
+        self, asked: Mapping[str, Any], options: RaceOptions
+    ) -> tuple[list[str], Episode]:
+        """Drives a race to the moment of a scenario; returns the agents of the episode too."""
+        scenario = self._checked_scenario(asked)
+        drivers = self._drivers_in(scenario, self.np_random)
+        self._end()  # in case the start fails
+        begun = scenario.reach(self.session)
+        specs = [] if self.opponents is None else self.opponents.specs(drivers)
+        setup = scenario.setup_with([spec.name for spec in specs])
+        kart_indices = (*scenario.kart_indices, *scenario.opponents)
+        episode = self._new_episode(options, setup, kart_indices, begun, drivers)
+        for row in scenario.controls:
+            episode.remember(row)
+        return [agent for agent in self.possible_agents if agent in scenario.agents], episode
+
+    def _new_episode(
+        self,
+        options: RaceOptions,
+        setup: RaceSetup,
+        kart_indices: tuple[int, ...],
+        begun: RaceStart,
+        drivers: Sequence[Driver],
+    ) -> Episode:
+        root = self._assets.root
+        episode = Episode(options, setup, kart_indices, begun, self._rewards, root)
+        if self.opponents is not None:
+            self.opponents.begin(drivers, episode)
+        return episode
+
+    def _begin(self, setup: RaceSetup) -> RaceStart:
+        if self.starts is None:
+            return self.session.start(setup)
+        self.session, begun = self.starts.begin(setup, self.session)
+        return begun
+
+    def _draw(
+        self, options: RaceOptions, opponents: Sequence[AgentSpec], random: np.random.Generator
+    ) -> tuple[RaceSetup, tuple[int, ...]]:
+        tracks = options.tracks(self._assets.tracks)
+        has_window = self.rendering.mode == "human"
+        return draw_race(
+            options, self.specs, tracks, self._num_cameras, has_window, random, opponents
+        )
+
+    def _draw_opponents(
+        self, options: RaceOptions, asked: Mapping[str, Any], random: np.random.Generator
+    ) -> tuple[RaceOptions, tuple[Driver, ...], list[AgentSpec]]:
+        """Draws the opponents; returns the race's options, the drivers and their specs."""
+        if self.opponents is None:
+            return options, (), []
+        drivers, level = self.opponents.draw(random, asked.get("difficulty"))
+        options = options if level is None else replace(options, difficulty=level)
+        return options, drivers, self.opponents.specs(drivers)
+
+    def _drivers_in(self, scenario: Scenario, random: np.random.Generator) -> tuple[Driver, ...]:
+        """Draws the drivers of a scenario's opponents, which start at its moment."""
+        if self.opponents is None:
+            return ()
+        bots = [scenario.setup.karts[kart].is_bot for kart in scenario.opponents]
+        drivers, _ = self.opponents.draw(random, scenario.setup.difficulty, bots)
+        if bots != [driver.is_game_ai for driver in drivers]:
+            raise ConfigError(
+                f"the scenario has {len(bots)} opponents, {sum(bots)} of them driven by the game; "
+                "this environment has different ones; create one with the same opponents"
+            )
+        return drivers
+
+    def _checked_state(self, asked: Mapping[str, Any]) -> RaceState:
+        state = checked_state(asked["state"])
+        self._check_roster("state", state.moment.roster)
+        check_beside("state", asked, state.agents)
+        return state
+
+    def _checked_scenario(self, asked: Mapping[str, Any]) -> Scenario:
+        scenario = read_scenario(asked["scenario"])
+        self._check_roster("scenario", scenario.roster)
+        check_beside("scenario", asked, scenario.agents)
+        if scenario.setup.track not in self._assets.tracks:
+            raise ConfigError(
+                f"the scenario's track {scenario.setup.track!r} is not here; `stkzoo assets "
+                "status` shows where the game's data comes from"
+            )
+        return scenario
+
+    def _options_now(self, asked: Mapping[str, Any]) -> RaceOptions:
+        options = self.options.changed(asked)
+        if options.num_kart != self.options.num_kart:
+            raise ConfigError(
+                f"options request {options.num_kart} karts, but this environment has "
+                f"{self.options.num_kart}; make another environment"
+            )
+        known = (*RaceOptions.__dataclass_fields__, "state", "scenario")
+        for name in asked:
+            # PettingZoo's conformance tests reset with {"options": 1}.
+            if name not in (*known, "options"):
+                raise unknown_name("option", name, known)
+        options.tracks(self._assets.tracks)
+        return options
+
+    def _agents_of_ai(self) -> set[str]:
+        pairs = zip(self.possible_agents, self.specs, strict=True)
+        return {agent for agent, spec in pairs if spec.use_ai}
+
+    # ------------------------------------------------------------------ the order of calls
+
+    def _end(self) -> None:
+        """Forgets the current race until another one starts."""
+        self.agents = []
+        self.episode = self._stepping = None
+        if self.opponents is not None:
+            self.opponents.close()
+
+    def _advance(self, episode: Episode, slots: IntArray, ends: Any) -> None:
+        """Waits for the game, and computes the rewards and ends of the agents that acted."""
+        try:  # until the episode has advanced, signal handlers cannot save or copy the race
+            snapshot = self.session.step_wait()
+            episode.advance(snapshot, episode.seats(self.agents), slots, ends)
+        finally:
+            self._stepping = None
+
+    def _idle(self) -> Episode:
+        """Returns the current episode; raises if it is already stepping."""
+        episode = self.running("step")
+        if self._stepping is episode:
+            raise ApiOrderError("step_async() twice without step_wait(); call step_wait() first")
+        return episode
+
+    def _awaited(self) -> Episode:
+        """Returns the episode that is stepping."""
+        episode = self._stepping
+        if episode is None or episode is not self.episode:
+            raise ApiOrderError("step_wait() without step_async(); call step_async() first")
+        return episode
+
+    def _resting(self, method: str) -> Episode:
+        """Returns the current episode; raises if a step is running."""
+        if self._stepping is not None:
+            raise ApiOrderError("a step is under way; call step_wait() first")
+        return self.running(method)
+
+
+def drive_opponents(races: Sequence[Race], controls: Sequence[Controls]) -> None:
+    """Adds the opponents' controls to those of the agents.
+
+    Karts of the same driver are computed together, also across races.
+
+    Args:
+        races: the races that are about to step.
+        controls: controls of each race, ``(P, 7)`` float32; changed in place.
+    """
+    driven = [
+        (race.opponents, race.running("step"), own)
+        for race, own in zip(races, controls, strict=True)
+        if race.opponents is not None and race.opponents.is_driving and race.agents
+    ]
+    if driven:
+        from stkzoo.env.opponents import drive_together
+
+        drive_together(driven)
