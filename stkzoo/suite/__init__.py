@@ -21,16 +21,9 @@ from stkzoo.suite.conduct import (
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.ids import id_of, register_tasks, view_of
 from stkzoo.suite.population import POPULATION, Member, behavior
-from stkzoo.suite.report import (
-    LearningCurve,
-    RaceScore,
-    SplitScores,
-    SuiteReport,
-    SuiteRun,
-    load_runs,
-    make_report,
-    write_suite_report,
-)
+from stkzoo.suite.report.document import SuiteReport
+from stkzoo.suite.report.results import LearningCurve, RaceScore, SplitScores, SuiteRun, load_runs
+from stkzoo.suite.report.writing import make_report, write_suite_report
 from stkzoo.suite.scores import Baselines, load_baselines, normalized
 from stkzoo.suite.tasks import ALGORITHMS, SUITE, TASKS, Task, can_learn, find_task
 from stkzoo.suite.verification import EntryRefused, verify_entry

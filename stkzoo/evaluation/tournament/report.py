@@ -16,7 +16,6 @@ from statistics import fmean
 from typing import Any
 
 from stkzoo._os import write_text
-from stkzoo.errors import import_extra
 from stkzoo.evaluation.batch.order import replay_file
 from stkzoo.evaluation.plotting import (
     INK,
@@ -27,6 +26,7 @@ from stkzoo.evaluation.plotting import (
     two_panels,
 )
 from stkzoo.evaluation.ratings import Rating
+from stkzoo.evaluation.templates import render
 from stkzoo.evaluation.tournament.film import MapFilm, draw_film, film_file
 from stkzoo.evaluation.tournament.standings import RaceSummary, Standing, TournamentResult
 from stkzoo.race.result import AgentResult, RaceResult
@@ -36,15 +36,6 @@ _MAX_TRACE = 4000  # characters
 _KINDS = {"start": "could not be loaded", "timeout": "took too long", "error": "raised an error"}
 #: Prefixes with which a spreadsheet interprets a cell as a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-
-
-def require_jinja2() -> Any:
-    """Imports ``jinja2``.
-
-    Raises:
-        ConfigError: Jinja is not installed.
-    """
-    return import_extra("jinja2", "the report needs", "tournament")
 
 
 @dataclass(frozen=True)
@@ -124,17 +115,11 @@ class TournamentReport:
         Raises:
             ConfigError: Jinja is not installed.
         """
-        jinja2 = require_jinja2()
-        environment = jinja2.Environment(
-            loader=jinja2.FileSystemLoader(Path(__file__).parent),
-            autoescape=True,
-            trim_blocks=True,
-            undefined=jinja2.StrictUndefined,
-        )
         rows = self.result.standings
         low = min(row.rating.interval[0] for row in rows)
         span = max(max(row.rating.interval[1] for row in rows) - low, 1e-6)
-        text: str = environment.get_template("report.html").render(
+        return render(
+            Path(__file__).with_name("report.html"),
             report=self,
             result=self.result,
             standings=rows,
@@ -144,7 +129,6 @@ class TournamentReport:
             share=lambda value: f"{100 * (value - low) / span:.1f}%",
             outcome=_outcome,
         )
-        return text
 
     def _facts(self) -> tuple[str, ...]:
         plan, result = self.result.plan, self.result

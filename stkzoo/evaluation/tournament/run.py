@@ -18,9 +18,10 @@ from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, result_file
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.ratings import require_openskill
+from stkzoo.evaluation.templates import require_jinja2
 from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament, resumed_plan
-from stkzoo.evaluation.tournament.report import TournamentReport, plot_tournament, require_jinja2
+from stkzoo.evaluation.tournament.report import TournamentReport, plot_tournament
 from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
 from stkzoo.race.remote import ServedAgent, ServerAccess
 from stkzoo.race.replay import ReplayWriter

@@ -15,6 +15,7 @@ from stkzoo._os import make_folder, write_text
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
+from stkzoo.evaluation.templates import require_jinja2
 from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
@@ -238,6 +239,7 @@ def write_suite_report(
             "choose another --output, such as a folder in it"
         )
     require_matplotlib("report")
+    require_jinja2("report")
     runs = load_runs(places)
     report = make_report(runs)
     make_folder(folder, "report")
