@@ -47,7 +47,6 @@ from stkzoo.evaluation.benchmark.time_trial import (
     plot_time_trial,
     run_time_trial,
 )
-from stkzoo.evaluation.demonstrations.check import DemoCheck, check_demonstrations
 from stkzoo.evaluation.demonstrations.dataset import (
     DemoEpisode,
     Demonstrations,
@@ -57,7 +56,9 @@ from stkzoo.evaluation.demonstrations.dataset import (
 )
 from stkzoo.evaluation.demonstrations.minari import to_minari
 from stkzoo.evaluation.demonstrations.plan import (
+    DemoCheck,
     DemoPlan,
+    check_demonstrations,
     plan_demonstrations,
     record_demonstrations,
 )

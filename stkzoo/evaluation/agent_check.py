@@ -104,13 +104,11 @@ def check_agent(
     adapter = settings.get("adapter")
     path = source.rpartition("@:")[0] if "@:" in source else source
     try:
-        driver = find_driver(source, adapter=adapter)
-        files = find_files(path) if driver.is_from_files else None
-    except ConfigError:
-        if problem := _problem_of(path):
-            return AgentReport(source, printable(PurePath(path).name), False, problem)
-        raise
-    if files is None:
+        files = find_files(path)
+    except ConfigError as error:  # an existing path, such as a damaged zip
+        return AgentReport(source, printable(PurePath(path).name), False, str(error))
+    driver = find_driver(source, adapter=adapter)
+    if files is None or not driver.is_from_files:
         raise ConfigError(
             f"{source!r} comes with stkzoo; name your own agent: a folder, a .zip or a .py file"
         )
@@ -176,15 +174,6 @@ class _MeasuredAgent(IsolatedAgent):
         self._meter.seconds.append(decision.seconds)
         self._meter.memory = self.peak_memory()
         return decision
-
-
-def _problem_of(path: str) -> str:
-    """Returns why an existing path, such as a damaged zip, is not an agent; otherwise empty."""
-    try:
-        find_files(path)
-    except ConfigError as error:
-        return str(error)
-    return ""
 
 
 def _measure(files: AgentFiles) -> tuple[int | None, int | None]:

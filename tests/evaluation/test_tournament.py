@@ -396,13 +396,10 @@ def test_the_fingerprint_of_an_agent_covers_a_bounded_amount_of_data(tmp_path, m
 def test_a_damaged_race_file_is_an_error(small, tmp_path):
     folder = tmp_path / "cup"
     shutil.copytree(small[0], folder)
-    first, second = folder / "races" / "00000.json", folder / "races" / "00001.json"
+    first = folder / "races" / "00000.json"
     good = first.read_text()
     first.write_text(good[:100])
     with pytest.raises(ConfigError, match="delete it to run the race again"):
-        resume_tournament(folder)
-    first.write_text(second.read_text())
-    with pytest.raises(ConfigError, match="belongs to another race"):
         resume_tournament(folder)
     first.unlink()
     resume_tournament(folder, plot=False)

@@ -9,7 +9,6 @@ from pathlib import Path
 from stkzoo._os import write_text
 from stkzoo.drivers.driver import Driver
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.result import RaceResult
@@ -81,20 +80,15 @@ class RaceOrder:
             folder: folder of the batch.
 
         Raises:
-            ConfigError: the file is damaged or belongs to another race.
+            ConfigError: the file is damaged.
         """
         file = self.file(folder)
         if not file.exists():
             return None
         try:
-            result = RaceResult.load(file)
+            return RaceResult.load(file)
         except ConfigError as error:
             raise ConfigError(f"{error}; delete it to run the race again") from error
-        if not self._matches(result):
-            raise ConfigError(
-                f"{file} belongs to another race than the plan's; delete it to run the race again"
-            )
-        return result
 
     def store(self, folder: Path, result: RaceResult) -> None:
         """Stores the result of the race, atomically.
@@ -117,17 +111,6 @@ class RaceOrder:
         """
         return folder / RACES / f"{self.number:05d}{ending}"
 
-    def _matches(self, result: RaceResult) -> bool:
-        rows = sorted(result.agents, key=lambda row: (len(row.agent), row.agent))
-        drivers = [
-            f"{row.source}{NAME_MARK}{row.driver}" if NAME_MARK in text else row.source
-            for row, text in zip(rows, self.drivers, strict=False)
-        ]
-        names = ("seed", "track", "reverse", "mode", "laps", "difficulty")
-        return drivers == [*self.drivers] and all(
-            getattr(result, name) == getattr(self.settings, name) for name in names
-        )
-
 
 def replay_file(folder: Path, number: int) -> Path:
     """Returns the file of the replay of a batch's race, which some batches store.
@@ -147,7 +130,7 @@ def load_orders(orders: Sequence[RaceOrder], folder: Path) -> dict[int, RaceResu
         folder: folder of the batch.
 
     Raises:
-        ConfigError: a file is damaged or belongs to another race.
+        ConfigError: a file is damaged.
     """
     stored = {order.number: order.load(folder) for order in orders}
     return {number: result for number, result in stored.items() if result is not None}

@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from stkzoo._schema import Positive
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.templates import render
 from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.render.palette import race_palette
@@ -22,10 +23,6 @@ _INTERVAL = 0.5  # [s]
 _MAX_MOMENTS = 600
 _SIZE = 800  # longer side of the image [pixels]
 _SPEED = 4.0  # game time per time of the film
-#: Attributes for a film in its own file. In a report, the style sheet sets them.
-_OWN_FILE = ' xmlns="http://www.w3.org/2000/svg"'
-_OWN_ROAD = ' fill="none" stroke="#b3bdcb" stroke-linecap="round"'
-_LOOP = 'begin="0s" repeatCount="indefinite"'
 
 #: A coordinate [m].
 _Meters = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -138,41 +135,23 @@ def draw_film(film: MapFilm, name: str, *, is_looped: bool = False) -> tuple[str
         moved = (np.array(places).reshape(-1, 2) - low) * scale
         return np.rint([moved[:, 0], (high - low)[1] * scale - moved[:, 1]]).astype(np.int64)
 
-    ends = pixels(road).T.reshape(-1, 4).tolist()
-    path = "".join("M{} {}L{} {}".format(*end) for end in ends)
-    width, height = ((high - low) * scale).astype(int).tolist()
     colors = dict(zip(film.karts, race_palette(len(film.karts)), strict=True))
-    timing = _LOOP if is_looped else f'begin="{name}.click" fill="freeze"'
-    karts = "".join(
-        _moving(pixels(way), colors[label], timing, film.interval)
-        for label, way in reversed([*film.karts.items()])
-    )
-    play = (
-        f'<text x="{width // 2}" y="{height // 2}" font-size="{_SIZE // 16}">&#9654; play'
-        f'<set attributeName="visibility" to="hidden" begin="{name}.click"/></text>'
-    )
-    picture = (
-        f'<svg{_OWN_FILE * is_looped} id="{name}" viewBox="0 0 {width} {height}" role="img" '
-        f'aria-label="map film"><path class="road"{_OWN_ROAD * is_looped} '
-        f'stroke-width="{max(film.width * scale, 8):.0f}" d="{path}"/>{karts}'
-        f"{play * (not is_looped)}</svg>"
+    ways = [(colors[label], pixels(way).tolist()) for label, way in film.karts.items()]
+    moments = len(ways[0][1][0])
+    width, height = ((high - low) * scale).astype(int).tolist()
+    picture = render(
+        Path(__file__).with_name("film.svg.jinja"),
+        name=name,
+        is_looped=is_looped,
+        width=width,
+        height=height,
+        size=_SIZE,
+        road=pixels(road).T.reshape(-1, 4).tolist(),
+        road_width=max(film.width * scale, 8),
+        karts=ways[::-1],
+        seconds=max((moments - 1) * film.interval / _SPEED, 0.1),
     )
     return picture, colors
-
-
-def _moving(way: npt.NDArray[np.int64], color: str, timing: str, interval: float) -> str:
-    """Returns the SVG of a dot that moves along pixels ``(2, moments)``."""
-    seconds = max((way.shape[1] - 1) * interval / _SPEED, 0.1)
-    moves = "".join(
-        f'<animate attributeName="{axis}" values="{";".join(map(str, values))}" '
-        f'dur="{seconds:.1f}s" {timing}/>'
-        for axis, values in zip(("cx", "cy"), way.tolist(), strict=True)
-    )
-    x, y = way[:, 0].tolist()
-    return (
-        f'<circle cx="{x}" cy="{y}" r="{_SIZE // 50}" fill="{color}" stroke="black">'
-        f"{moves}</circle>"
-    )
 
 
 def film_file(folder: Path, number: int) -> Path:

@@ -120,14 +120,17 @@ class Standing:
             races: all races.
             results: results of all races by number.
         """
-        driven = [race for race in races if agent.label in race.order]
-        ranks = [race.place_of(agent.label) for race in driven]
-        everybody = [row for race in driven for row in results[race.number].agents]
-        rows = [row for row in everybody if row.driver == agent.label]
+        driven = [
+            (race.track, race.place_of(agent.label), row)
+            for race in races
+            for row in results[race.number].agents
+            if row.driver == agent.label
+        ]
+        ranks, rows = [rank for _, rank, _ in driven], [row for *_, row in driven]
         times = [row.finish_time for row in rows if row.finish_time is not None]
         track_ranks: dict[str, list[int]] = defaultdict(list)
-        for race, rank in zip(driven, ranks, strict=True):
-            track_ranks[race.track].append(rank)
+        for track, rank, _ in driven:
+            track_ranks[track].append(rank)
         return cls(
             place=place,
             label=agent.label,
