@@ -19,13 +19,22 @@ from stkzoo.suite.conduct import (
     race_conduct,
 )
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
-from stkzoo.suite.ids import id_of, register_tasks, view_of
-from stkzoo.suite.population import POPULATION, Member, behavior
+from stkzoo.suite.population import POPULATION, Member
 from stkzoo.suite.report.document import SuiteReport
 from stkzoo.suite.report.results import LearningCurve, RaceScore, SplitScores, SuiteRun, load_runs
 from stkzoo.suite.report.writing import make_report, write_suite_report
 from stkzoo.suite.scores import Baselines, load_baselines, normalized
-from stkzoo.suite.tasks import ALGORITHMS, SUITE, TASKS, Task, can_learn, find_task
+from stkzoo.suite.tasks import (
+    ALGORITHMS,
+    SUITE,
+    TASKS,
+    Task,
+    can_learn,
+    find_task,
+    id_of,
+    register_tasks,
+    view_of,
+)
 from stkzoo.suite.verification import EntryRefused, verify_entry
 
 register_tasks()
@@ -51,7 +60,6 @@ __all__ = [
     "SuiteReport",
     "SuiteRun",
     "Task",
-    "behavior",
     "can_learn",
     "evaluate",
     "find_task",

@@ -9,10 +9,6 @@ from dataclasses import dataclass
 
 from stkzoo.drivers.driver import GAME_AI
 from stkzoo.evaluation.benchmark.races import BenchmarkRace
-from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay.file import next_digest
-from stkzoo.race.runner import run_race
-from stkzoo.suite.tasks import DIFFICULTY
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +17,8 @@ class Member:
 
     Attributes:
         driver: its name for :func:`~stkzoo.race.find_driver`.
-        digest: see :func:`behavior`. It identifies the driver.
+        digest: digest of the motion of all karts in a race of the driver, which a test computes.
+            Every change of its decisions changes the digest.
         is_held_out: whether agents must not meet it during training.
     """
 
@@ -55,45 +52,6 @@ POPULATION = (
 def population_digests() -> dict[str, str]:
     """Returns the digest of each driver of the population, by its name."""
     return {member.driver: member.digest for member in POPULATION}
-
-
-def behavior(driver: str) -> str:
-    """Returns a digest of how a driver drives: of all karts' motion in one race.
-
-    The driver starts ahead of a kart of the game's AI. Every change of its decisions changes the
-    digest (:func:`~stkzoo.race.replay.next_digest`).
-
-    Args:
-        driver: name of the driver.
-
-    Returns:
-        The digest in 16 hexadecimal digits.
-    """
-    recorder = _DigestRecorder()
-    run_race(
-        [driver, "ai"],
-        listeners=[recorder],
-        start_positions=(1, 2),
-        wait_for=(0,),
-        track="lighthouse",
-        difficulty=DIFFICULTY,
-        seed=1,
-    )
-    return recorder.digest.hex()
-
-
-class _DigestRecorder(RaceListener):
-    """Computes the digest of a race's karts."""
-
-    digest = b""
-
-    def started(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.digest = next_digest(b"", race.snapshot)
-
-    def stepped(self, race: RaceProgress) -> None:
-        """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self.digest = next_digest(self.digest, race.snapshot)
 
 
 def draw_rivals(races: Iterable[BenchmarkRace]) -> Mapping[int, tuple[str, ...]]:

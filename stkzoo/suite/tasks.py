@@ -12,10 +12,12 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import gymnasium as gym
+import pettingzoo
 from msgspec import Meta
 from pettingzoo import ParallelEnv
 
 from stkzoo._schema import Count, Whole, one_of
+from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import unknown_name
 from stkzoo.evaluation.benchmark.races import BenchmarkForm
@@ -26,6 +28,7 @@ from stkzoo.wrappers.marl import MessageChannel, PartialObservations, TalkingVie
 
 #: Name of the suite, with its version.
 SUITE = "stkzoo-suite-1"
+_NAMESPACE = "stkzoo-suite"
 #: Difficulty of the game's AI, where the population does not require another one. Time limits and
 #: time ratios use the AI's times at this difficulty in all races.
 DIFFICULTY = 3
@@ -260,3 +263,42 @@ def can_learn(algorithm: str, task: Task) -> bool:
     if algorithm not in ALGORITHMS:
         return True
     return not task.words and task.learners >= ALGORITHMS[algorithm]
+
+
+# ------------------------------------------------------------------ ids
+
+
+def id_of(task: Task) -> str:
+    """Returns the id of a task."""
+    return f"{_NAMESPACE}/{task.name}-v1"
+
+
+def view_of(env_id: str) -> ViewFactory:
+    """Returns the view of the agents of the task with an id.
+
+    Raises:
+        ConfigError: no task has this id.
+    """
+    tasks = {id_of(task): task for task in TASKS.values()}
+    if env_id not in tasks:
+        raise unknown_name("env_name", env_id, tasks)
+    return tasks[env_id].agent_view()
+
+
+def register_tasks() -> None:
+    """Registers all tasks; ``import stkzoo.suite`` calls it.
+
+    Gymnasium gets those with one learner, and PettingZoo all, from its version 1.27.
+    """
+    for task in TASKS.values():
+        if task.learners == 1:
+            options = {name: value for name, value in task.options().items() if name != "agents"}
+            gym.register(
+                id=id_of(task),
+                entry_point="stkzoo.env.gymnasium_api:STKRaceEnv",
+                vector_entry_point="stkzoo.env.vector:single_kart_races",
+                kwargs=options,
+                max_episode_steps=MAX_EPISODE_STEPS,
+            )
+        if hasattr(pettingzoo, "register"):
+            pettingzoo.register("parallel", id_of(task), task.make)

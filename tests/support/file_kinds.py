@@ -14,8 +14,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from stkzoo.evaluation.benchmark.run import race_outcomes
-
 from stkzoo import race_v0
 from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, new_state, read_policy
@@ -34,7 +32,8 @@ from stkzoo.evaluation import (
     plan_benchmark,
     plan_tournament,
 )
-from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, BenchmarkResult
+from stkzoo.evaluation.benchmark.plan import BenchmarkPlan
+from stkzoo.evaluation.benchmark.result import BenchmarkResult, race_outcomes
 from stkzoo.evaluation.demonstrations.dataset import save_demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.tournament.film import FilmRecorder, MapFilm, draw_film
