@@ -1,8 +1,8 @@
 """Downloads of the game's data: the package of Debian or Ubuntu, or the download of ``pystk2``.
 
 The package is downloaded and unpacked, not installed. This needs no root privileges and changes
-nothing outside stkzoo's cache. If the machine's package lists are missing or out of date, apt
-downloads new ones to a private folder. apt checks signatures and checksums.
+nothing outside stkzoo's cache. apt downloads package lists to a private folder, because those of
+the machine may be missing or out of date. apt checks signatures and checksums.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from email import message_from_string
 from pathlib import Path
 from typing import Any
 
-from stkzoo._python import python_command
+from stkzoo._imports import python_command
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
 from stkzoo.engine.assets.overlay import adapt
 from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder
@@ -109,21 +109,6 @@ def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
     write_marker(target, package.name, headless=False)
 
 
-def _download(work: Path, progress: Progress) -> Path:
-    """Downloads the package, with new package lists if those of the machine do not work."""
-    try:
-        return _download_with([], work, progress)
-    except AssetError as error:
-        progress.note(f"the machine's package lists do not work; fetching new ones ({error})")
-    options = _private_options(work)
-    progress.begin("fetching the package lists")
-    try:
-        _apt("apt-get", *options, "update", folder=work)
-    except AssetError as error:
-        progress.note(f"some package lists could not be fetched ({error})")
-    return _download_with(options, work, progress)
-
-
 def _private_options(work: Path) -> list[str]:
     """Returns apt options for a private state in ``work``.
 
@@ -149,7 +134,14 @@ def _apt(program: str, *words: str, **options: Any) -> str:
     return _run([program, *words], environment=variables, **options)
 
 
-def _download_with(options: list[str], work: Path, progress: Progress) -> Path:
+def _download(work: Path, progress: Progress) -> Path:
+    """Downloads the package. The machine's package lists may be missing or out of date."""
+    options = _private_options(work)
+    progress.begin("fetching the package lists")
+    try:
+        _apt("apt-get", *options, "update", folder=work)
+    except AssetError as error:
+        progress.note(f"some package lists could not be fetched ({error})")
     shown = _apt("apt-cache", *options, "show", "--no-all-versions", PACKAGE, folder=work)
     record = message_from_string(shown)
     try:
@@ -157,8 +149,6 @@ def _download_with(options: list[str], work: Path, progress: Progress) -> Path:
     except (TypeError, ValueError) as error:
         raise AssetError(f"the package lists do not know {PACKAGE} ({error!r}).") from error
     check_space(work, size + unpacked + 150_000_000, "the game's data")
-    for old in work.glob("*.deb"):
-        old.unlink()
     progress.begin(f"downloading {PACKAGE} {record['Version']}", size)
     words = ["apt-get", *options, "-o", "APT::Sandbox::User=root", "download", PACKAGE]
     _apt(*words, folder=work, watch=lambda: progress.reach(_size_of_packages(work)))

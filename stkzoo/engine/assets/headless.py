@@ -10,7 +10,6 @@ archive is for clusters and containers.
 from __future__ import annotations
 
 import base64
-import hashlib
 import lzma
 import os
 import shutil
@@ -19,10 +18,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
-from stkzoo._os import file_digest, write_whole
+from stkzoo._os import write_whole
 from stkzoo.engine.assets.scenes import SCENES_VERSION, thin_scenes
 from stkzoo.engine.assets.staging import Progress, check_space, link_or_copy
-from stkzoo.engine.assets.tree import MARKER, check_files, read_marker, write_marker
+from stkzoo.engine.assets.tree import MARKER, check_files, load_assets, write_marker
 from stkzoo.errors import AssetError
 
 #: Files that a placeholder replaces.
@@ -165,7 +164,7 @@ def read_archive(file: Path, target: Path, progress: Progress) -> None:
             while stream.read(_MAX_READ):  # the checksum is at the end
                 pass
         check_files(target)
-        marker = read_marker(target)
+        is_pack = load_assets(target, "archive").headless
     except (tarfile.TarError, lzma.LZMAError, EOFError, ValueError, RecursionError) as error:
         raise AssetError(
             f"{file} is damaged, or not written by `stkzoo assets pack --output`: {error}. "
@@ -173,7 +172,7 @@ def read_archive(file: Path, target: Path, progress: Progress) -> None:
         ) from error
     except OSError as error:
         raise AssetError(f"{file} cannot be unpacked: {error}.") from error
-    if marker is None or not marker.headless:
+    if not is_pack:
         raise AssetError(f"{file} does not contain a headless pack.")
 
 
@@ -198,14 +197,13 @@ class _UnpackedFile(lzma.LZMAFile):
 
 
 def _write_members(archive: tarfile.TarFile, target: Path, report: Callable[[], None]) -> None:
-    """Writes all members; equal ones become links to one file.
+    """Writes all members.
 
     Args:
         archive: the unpacked archive.
         target: the folder of the pack.
         report: called after each member.
     """
-    first: dict[str, Path] = {}
     for number, member in enumerate(archive):
         if number >= _MAX_MEMBERS:
             raise tarfile.ReadError(f"it has more than {_MAX_MEMBERS:,} files")
@@ -213,10 +211,6 @@ def _write_members(archive: tarfile.TarFile, target: Path, report: Callable[[], 
         goal.parent.mkdir(parents=True, exist_ok=True)
         with goal.open("xb") as file:
             shutil.copyfileobj(cast("IO[bytes]", archive.extractfile(member)), file)
-        same = first.setdefault(file_digest(goal, hashlib.sha256()), goal)
-        if same != goal:
-            goal.unlink()
-            link_or_copy(same, goal)
         report()
 
 

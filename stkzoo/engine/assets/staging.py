@@ -94,7 +94,7 @@ def fresh_folder(parent: Path, kind: str = "staging") -> Iterator[Path]:
     try:
         yield folder
     finally:
-        discard(folder)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def publish(staging: Path, target: Path) -> None:
@@ -122,17 +122,12 @@ def publish(staging: Path, target: Path) -> None:
     staging.rename(target)
 
 
-def discard(folder: Path) -> None:
-    """Removes a folder if it exists."""
-    shutil.rmtree(folder, ignore_errors=True)
-
-
 def _clear_leftovers(cache: Path) -> None:
     for folder in cache.glob(f"{_PREFIX}*-*"):
         unlocked = folder.name.startswith(f"{_PREFIX}overlay-")
         with suppress(FileNotFoundError):
             if not unlocked or time.time() - folder.stat().st_mtime > _STALE:
-                discard(folder)
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def link_or_copy(path: Path, goal: Path) -> None:

@@ -133,17 +133,11 @@ def check_shape(root: Path) -> None:
     for font in (data / "ttf").iterdir():
         if not font.exists():
             raise AssetError(f"the font {font} is a link to a file that is not there.")
-    _check_marked(root)
-
-
-def _check_marked(root: Path) -> None:
     marker = read_marker(root)
-    if marker is None:
-        return
-    files = [f"tracks/{name}/track.xml" for name in marker.tracks]
-    files += [f"karts/{name}/kart.xml" for name in marker.karts]
+    files = [f"tracks/{name}/track.xml" for name in marker.tracks] if marker else []
+    files += [f"karts/{name}/kart.xml" for name in marker.karts] if marker else []
     for name in files:
-        if not (root / "data" / name).is_file():
+        if not (data / name).is_file():
             raise AssetError(f"{name!r} is missing from {root}.")
 
 
