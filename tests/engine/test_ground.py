@@ -7,10 +7,10 @@ import pytest
 
 from stkzoo import race_v0
 from stkzoo.config import Start
+from stkzoo.engine.assets.mesh import read_mesh
 from stkzoo.engine.ground import (
     Faces,
     Ground,
-    read_mesh,
     read_scenery,
 )
 from stkzoo.errors import AssetError, ConfigError

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from stkzoo._checks import unknown_name
 from stkzoo._reading import is_there
 from stkzoo.engine.assets.fetch import fetch_debian, fetch_upstream
 from stkzoo.engine.assets.find import (
@@ -25,7 +26,7 @@ from stkzoo.engine.assets.staging import (
     publish,
 )
 from stkzoo.engine.assets.tree import MARKER, Assets, load_assets
-from stkzoo.errors import AssetError, unknown_name
+from stkzoo.errors import AssetError
 
 #: Sources from which :func:`install` can download the data.
 SOURCES = ("auto", "debian", "upstream")

@@ -26,7 +26,6 @@ import copy
 import itertools
 import os
 import re
-import struct
 import xml.etree.ElementTree as ET
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -35,6 +34,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.assets.mesh import read_textures
 from stkzoo.engine.assets.tree import parse_xml
 from stkzoo.errors import AssetError
 
@@ -53,8 +53,6 @@ _PART, _INSTANCE = "stkzoo-part", "stkzoo-library-"
 #: A model that the game's data always has, without a random hue.
 _DRAWING_MODEL = "banana-low.spm"
 _DRAWS, _NOTHING = "_stkzoo_draws", "_stkzoo_nothing"
-#: Where the textures of a mesh begin, and how much is read to find them [bytes].
-_TEXTURES, _HEADER = 28, 1 << 16
 #: A text in one of the game's scripts.
 _QUOTED = re.compile(r'"([^"\n]*)"')
 
@@ -77,7 +75,7 @@ def thin_scenes(data: Path) -> None:
         return
     try:
         _thin(_Library(data), data)
-    except (ValueError, struct.error, IndexError) as error:
+    except ValueError as error:
         raise AssetError(f"the scenes in {data} cannot be read: {error}.") from error
 
 
@@ -219,8 +217,9 @@ class _Library:
 
     def _has_hue(self, model: Path) -> bool:
         if model not in self._with_hue:
-            textures = _textures(model) if model.suffix == ".spm" else self._hues
-            self._with_hue[model] = any(name in self._hues for name in textures)
+            textures = read_textures(model) if model.suffix == ".spm" else self._hues
+            names = (name.rpartition("/")[2].lower() for name in textures)
+            self._with_hue[model] = any(name in self._hues for name in names)
         return self._with_hue[model]
 
 
@@ -383,15 +382,3 @@ def _is(entry: ET.Element, name: str) -> bool:
 
 def _model(entry: ET.Element) -> str:
     return entry.get("model", "")
-
-
-def _textures(path: Path) -> list[str]:
-    """File names of the first textures of a mesh's materials, as in :mod:`.ground.mesh`."""
-    with path.open("rb") as file:
-        data = file.read(_HEADER)
-    (count,), at, names = struct.unpack_from("<H", data, _TEXTURES), _TEXTURES + 2, []
-    for _ in range(2 * count):
-        length = data[at]
-        names.append(data[at + 1 : at + 1 + length].decode("latin-1"))
-        at += 1 + length
-    return [name.rpartition("/")[2].lower() for name in names[::2]]

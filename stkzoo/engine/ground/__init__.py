@@ -5,7 +5,6 @@ it, ground continues beside it, grass slows karts and zippers accelerate them.
 """
 
 from stkzoo.engine.ground.columns import Ground, Spots, ground_of
-from stkzoo.engine.ground.mesh import Part, read_mesh
 from stkzoo.engine.ground.scenery import Faces, read_scenery
 
-__all__ = ["Faces", "Ground", "Part", "Spots", "ground_of", "read_mesh", "read_scenery"]
+__all__ = ["Faces", "Ground", "Spots", "ground_of", "read_scenery"]

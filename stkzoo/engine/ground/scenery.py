@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.assets.mesh import Part, read_mesh
 from stkzoo.engine.assets.scenes import opened_instance
 from stkzoo.engine.assets.tree import parse_xml
-from stkzoo.engine.ground.mesh import Part, read_mesh
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,7 +7,9 @@ a bounding box of six floats; the materials, with two texture names each; and th
 
 from __future__ import annotations
 
+import contextlib
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +51,10 @@ class _MeshReader:
         self.at += struct.calcsize("<" + layout)
         return found
 
+    def count(self) -> int:
+        (found,) = self.take("H")
+        return found
+
     def text(self) -> str:
         (length,) = self.take("B")
         self.at += length
@@ -69,29 +75,43 @@ def read_mesh(path: str | Path) -> list[Part]:
     Raises:
         AssetError: the file is missing, broken or of another version.
     """
+    with _reading(path) as file:
+        textures = _textures(file)
+        return [_part(file, textures) for _ in range(file.count()) for _ in range(file.count())]
+
+
+def read_textures(path: str | Path) -> list[str]:
+    """Reads the file names of the first textures of a mesh's materials.
+
+    Args:
+        path: the ``.spm`` file.
+
+    Raises:
+        AssetError: the file is missing, broken or of another version.
+    """
+    with _reading(path) as file:
+        return [first for first, _ in _textures(file)]
+
+
+@contextlib.contextmanager
+def _reading(path: str | Path) -> Iterator[_MeshReader]:
     try:
-        return _parts(_MeshReader(Path(path).read_bytes()))
+        yield _MeshReader(Path(path).read_bytes())
     except (OSError, ValueError, struct.error, IndexError) as error:
         raise AssetError(f"{str(path)!r} is not a mesh that can be read: {error}") from error
 
 
-def _parts(file: _MeshReader) -> list[Part]:
-    magic, version, flags = file.data[:2], *file.data[2:4]
+def _textures(file: _MeshReader) -> list[tuple[str, str]]:
+    """Returns the names of both textures of each material; the parts follow in the file."""
+    magic, version = file.data[:2], file.data[2]
     if magic != b"SP" or version >> 3 != _VERSION:
         raise ValueError(f"it begins with {file.data[:3]!r}, expected 'SP' and version {_VERSION}")
     file.at = 4 + _BOX
-    has_joints = version & 7 == _WITH_JOINTS
-    (count,) = file.take("H")
-    textures = [(file.text(), file.text()) for _ in range(count)]
-    parts: list[Part] = []
-    (sectors,) = file.take("H")
-    for _ in range(sectors):
-        (count,) = file.take("H")
-        parts += [_part(file, textures, flags, has_joints) for _ in range(count)]
-    return parts
+    return [(file.text(), file.text()) for _ in range(file.count())]
 
 
-def _part(file: _MeshReader, textures: list[tuple[str, str]], flags: int, has_joints: bool) -> Part:
+def _part(file: _MeshReader, textures: list[tuple[str, str]]) -> Part:
+    has_joints, flags = file.data[2] & 7 == _WITH_JOINTS, file.data[3]
     vertices, indices, material = file.take("IIH")
     first, second = textures[material]
     before = 12 + 4 * bool(flags & _NORMALS)
