@@ -30,7 +30,7 @@ from importlib.metadata import version
 
 from stkzoo._arguments import CommandParser, add_options, values_of
 from stkzoo._schema import plain_text
-from stkzoo.cli._process import INTERRUPTED, EndSignals, discard_stdout, writing_stdout
+from stkzoo.cli._process import INTERRUPTED, discard_stdout, end_signals, writing_stdout
 from stkzoo.errors import ConfigError, StkzooError
 
 __all__ = ["COMMANDS", "build_parser", "main"]
@@ -145,8 +145,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # let it print any text
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        with EndSignals() as signals:
-            return signals.exit_code(_run(words))
+        with end_signals() as came:
+            code = _run(words)
+            return 128 + came[0] if came and code == INTERRUPTED else code
     except BrokenPipeError:
         discard_stdout()
         return 1

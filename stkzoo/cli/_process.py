@@ -8,12 +8,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import TYPE_CHECKING
 
 from stkzoo.errors import StkzooError, reason
-
-if TYPE_CHECKING:
-    from typing_extensions import Self  # a dependency of gymnasium
 
 #: Exit codes when an agent failed and after Ctrl-C.
 AGENT_FAILED, INTERRUPTED = 3, 130
@@ -26,34 +22,31 @@ class Ended(KeyboardInterrupt):
     """SIGTERM or SIGHUP came. ``python -m`` reports a plain KeyboardInterrupt as SIGINT."""
 
 
-class EndSignals:
-    """Context manager in which the first SIGTERM or SIGHUP raises :class:`Ended`.
+@contextmanager
+def end_signals() -> Iterator[list[int]]:
+    """Raises :class:`Ended` in the block at the first SIGTERM or SIGHUP.
 
     Later ones are ignored, because ``timeout`` sends each signal twice. Signals that the program
     ignores stay ignored, as with ``nohup``.
+
+    Yields:
+        A list that then contains the signal's number.
     """
+    came: list[int] = []
 
-    def __init__(self) -> None:
-        self._handled = [n for n in _SIGNALS if signal.getsignal(n) is signal.SIG_DFL]
-        self._number = 0
-
-    def __enter__(self) -> Self:
-        for number in self._handled:
-            signal.signal(number, self._end)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number in self._handled:
-            signal.signal(number, signal.SIG_DFL)
-
-    def exit_code(self, code: int) -> int:
-        """Returns 128 + the signal's number if a signal interrupted the command, else ``code``."""
-        return 128 + self._number if self._number and code == INTERRUPTED else code
-
-    def _end(self, number: int, _: FrameType | None) -> None:
-        if not self._number:
-            self._number = number
+    def end(number: int, _: FrameType | None) -> None:
+        if not came:
+            came.append(number)
             raise Ended
+
+    handled = [n for n in _SIGNALS if signal.getsignal(n) is signal.SIG_DFL]
+    for number in handled:
+        signal.signal(number, end)
+    try:
+        yield came
+    finally:
+        for number in handled:
+            signal.signal(number, signal.SIG_DFL)
 
 
 @contextmanager

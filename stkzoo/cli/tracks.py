@@ -26,13 +26,14 @@ from stkzoo import race_v0
 from stkzoo._arguments import changed_options, option, positional, refuse_options
 from stkzoo._os import write_whole
 from stkzoo.cli._console import make_bars, show_table
-from stkzoo.engine.assets import find_assets
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import load_ai_times
+from stkzoo.evaluation.batch.plan import find_tracks
+from stkzoo.race import RaceSettings
 from stkzoo.records import HUMAN_RECORDS
 from stkzoo.render.map import MapView
 from stkzoo.render.pictures import pillow
-from stkzoo.tracks import SPLITS, split_of
+from stkzoo.tracks import split_of
 
 #: Field to sort by, for each choice of ``--sort``.
 _SORTS = {"name": "track", "length": "length", "time": "time", "items": "items"}
@@ -88,13 +89,14 @@ class TrackFacts:
 
 def run(arguments: TracksArguments) -> int:
     """Prints a table or JSON, or draws a map."""
+    names = find_tracks(arguments.tracks or "all", RaceSettings())
     if arguments.map is not None:
         options = changed_options(arguments, only=("sort", "difficulty", "json"))
         refuse_options("--map only draws a map", options)
-        return _draw(_chosen(arguments), arguments.map)
+        return _draw(names, arguments.map)
 
     with make_bars(TextColumn("{task.description}"), BarColumn()) as bars:
-        tracks = bars.track(_chosen(arguments), description="reading the tracks")
+        tracks = bars.track(names, description="reading the tracks")
         facts = [track_facts(name, arguments.difficulty) for name in tracks]
     facts.sort(key=lambda fact: getattr(fact, _SORTS[arguments.sort]) or 0.0)
     if arguments.json:
@@ -102,20 +104,6 @@ def run(arguments: TracksArguments) -> int:
     else:
         _write_table(facts, arguments.difficulty)
     return 0
-
-
-def _chosen(arguments: TracksArguments) -> list[str]:
-
-    known = find_assets().tracks
-    chosen: list[str] = []
-    for name in arguments.tracks or ["all"]:
-        if name in SPLITS:
-            chosen += [track for track in SPLITS[name] if track in known]
-        elif name in known:
-            chosen.append(name)
-        else:
-            raise unknown_name("track", name, [*known, *SPLITS])
-    return list(dict.fromkeys(chosen))
 
 
 def track_facts(track: str, difficulty: int) -> TrackFacts:
