@@ -17,7 +17,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import stkzoo.kernel  # noqa: F401 - first, so that a missing extension is the only error
-from stkzoo._lazy import lazy_names
+from stkzoo._imports import lazy_names
 from stkzoo.config import AgentSpec, RandomStart, Start
 from stkzoo.env.ids import register_ids, register_view, unregister_view
 from stkzoo.errors import (

@@ -12,7 +12,8 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import MISSING, Field, field, fields
 from typing import Any, NoReturn
 
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo._checks import unknown_name
+from stkzoo.errors import ConfigError
 
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 

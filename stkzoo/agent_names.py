@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TypeVar
 
-from stkzoo.errors import ActionError, ConfigError, shortened, unknown_name
+from stkzoo._checks import shortened, unknown_name
+from stkzoo.errors import ActionError, ConfigError
 
 __all__ = ["by_agent", "find_agent", "of_agent", "require_actions"]
 

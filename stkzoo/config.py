@@ -8,13 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from stkzoo.errors import (
-    ConfigError,
-    check_arguments,
-    check_number,
-    shortened,
-    unknown_name,
-)
+from stkzoo._checks import check_arguments, check_number, shortened, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.names import CameraMode
 
 __all__ = [

@@ -28,12 +28,12 @@ LAYERS = [
             "stkzoo.records",
             "stkzoo._arguments",
             "stkzoo._arrays",
+            "stkzoo._checks",
+            "stkzoo._imports",
             "stkzoo._installation",
-            "stkzoo._lazy",
             "stkzoo._locks",
             "stkzoo._logs",
             "stkzoo._os",
-            "stkzoo._python",
             "stkzoo._reading",
             "stkzoo._schema",
             "stkzoo._temporary",
@@ -59,10 +59,13 @@ LAYERS = [
 NOT_EXPORTED = {
     "stkzoo._arguments": "training declares its options in the same way as the commands",
     "stkzoo._arrays": "training stores its lessons as datasets are stored",
+    "stkzoo._checks": "agents check their arguments as the package does",
+    "stkzoo._imports": "training imports libraries of extras as the package does",
     "stkzoo._locks": "training locks the folders of its runs, as batches do",
     "stkzoo._os": "training writes its files whole, as the rest of the package does",
     "stkzoo._reading": "training reads its files in bounds, as the rest of the package does",
     "stkzoo._schema": "training declares the bounds of its files in the same way",
+    "stkzoo.errors": "training still imports checks of arguments from here",
     "stkzoo.race.result": "a run of the suite records the versions of the software, as races do",
     "stkzoo.race.rescues": "the planner counts rescues in copies of a race, as races do",
 }
@@ -242,7 +245,7 @@ def test_class_names_are_unique():
 def test_code_for_a_new_interpreter_never_searches_the_current_folder():
     direct = re.compile(r'sys\.executable,\s*"-[cm]"')
     found = [module_name(path) for path in SOURCES if direct.search(path.read_text())]
-    assert found == [], "use stkzoo._python.python_command"
+    assert found == [], "use stkzoo._imports.python_command"
 
 
 # ---------------------------------------------------------------------- light imports

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from stkzoo import ConfigError, _installation
+from stkzoo._imports import import_extra
 from stkzoo._installation import (
     extra_requirements,
     install_command,
     library_remedy,
     repository_url,
 )
-from stkzoo.errors import import_extra
 
 
 @pytest.fixture

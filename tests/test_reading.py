@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import pytest
 from msgspec import Meta
 
+from stkzoo._checks import check_whole
 from stkzoo._reading import (
     Unreadable,
     load_json,
@@ -22,7 +23,7 @@ from stkzoo._reading import (
     read_zip,
     reading,
 )
-from stkzoo.errors import AssetError, ConfigError, check_whole
+from stkzoo.errors import AssetError, ConfigError
 
 MEGABYTE = 1 << 20
 

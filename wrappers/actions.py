@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo._checks import check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 

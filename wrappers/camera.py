@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, check_whole, unknown_name
+from stkzoo._checks import check_whole, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.views.bases import RecordedWrapper
 
 _SMALLEST, _LARGEST = 32, 4096

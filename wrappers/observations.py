@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, check_flag, check_whole
+from stkzoo._checks import check_flag, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.kernel import to_polar
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import CompiledWrapper

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from stkzoo import Phase, RaceParallelEnv
+from stkzoo._checks import check_whole
 from stkzoo.agents import heuristic, pretrained
 from stkzoo.agents.planning.driver import PlanDriver
 from stkzoo.agents.planning.motion import STEP
 from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.agents.pretrained.mlp import MlpDriver
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 
 from .candidates import Candidate, Choose, changed, draw_candidate
 from .copies import RaceCopy, drive_copies

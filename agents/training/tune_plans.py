@@ -31,10 +31,11 @@ import numpy as np
 from msgspec import Meta
 
 from stkzoo._arguments import option
+from stkzoo._checks import unknown_name
 from stkzoo._locks import locked_folder
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_TRACKS
 
 from .common.arguments import QUICK_TRACKS, Natural, RunArguments

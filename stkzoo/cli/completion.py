@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo._arguments import positional
-from stkzoo.errors import import_extra
+from stkzoo._imports import import_extra
 
 #: The shells that shtab supports.
 _SHELLS = ("bash", "zsh", "fish", "tcsh")

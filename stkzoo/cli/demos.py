@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._arguments import option, options_of, positional
+from stkzoo._checks import check_whole
 from stkzoo.cli._batch import (
     BatchArguments,
     directions_option,
@@ -40,7 +41,7 @@ from stkzoo.cli._batch import (
     run_batch,
     tracks_option,
 )
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     Demonstrations,
     DemoPlan,

@@ -21,6 +21,7 @@ from functools import partial
 from importlib import metadata
 from pathlib import Path
 
+from stkzoo._imports import python_command
 from stkzoo._installation import (
     extra_requirements,
     install_command,
@@ -28,7 +29,6 @@ from stkzoo._installation import (
     pip_install,
 )
 from stkzoo._os import DISPLAY_VARIABLES, has_display
-from stkzoo._python import python_command
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.cli._console import say, show_table
 from stkzoo.drivers.sandbox import bubblewrap_problem

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from stkzoo._arguments import option, options_of, positional
+from stkzoo._checks import check_whole
 from stkzoo.drivers.driver import check_adapter
 from stkzoo.drivers.sandbox import NONE, protections, sandbox_kind, say_what_is_missing
-from stkzoo.errors import check_whole
 from stkzoo.race import RaceSettings, find_driver
 from stkzoo.race.remote import RaceServer, ServerKeys, read_publics, read_secret
 

@@ -27,10 +27,10 @@ from typing import Any
 
 from stkzoo import suite
 from stkzoo._arguments import option, options_of, positional
+from stkzoo._checks import unknown_name
 from stkzoo.cli._batch import BatchArguments, file_name, run_and_show, run_replays
 from stkzoo.cli._console import say, show_table
 from stkzoo.cli.benchmark import show_results
-from stkzoo.errors import unknown_name
 from stkzoo.race import RaceSettings
 from stkzoo.suite.entry import ENTRIES
 from stkzoo.suite.tasks import DIFFICULTY

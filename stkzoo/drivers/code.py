@@ -20,8 +20,9 @@ import gymnasium as gym
 from gymnasium import spaces
 from gymnasium.envs.registration import load_env_creator
 
+from stkzoo._checks import shortened, unknown_name
 from stkzoo.drivers.files import INSTALLED, AgentFiles, AgentPlace, declared
-from stkzoo.errors import ConfigError, shortened, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.views import VIEWS, View, ViewFactory, find_view
 
 #: Returns an action for an observation.

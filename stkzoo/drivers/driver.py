@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from stkzoo._checks import shortened, unknown_name
 from stkzoo.drivers.code import (
     Actor,
     ActorMaker,
@@ -28,7 +29,7 @@ from stkzoo.drivers.files import AgentFiles, declared, find_files, is_zip
 from stkzoo.drivers.inline import InlineAgent
 from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedAgent
-from stkzoo.errors import ConfigError, shortened, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory, extras_for, find_view, words_for
 
 _AGENTS = "stkzoo.agents"

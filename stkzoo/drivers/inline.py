@@ -13,11 +13,12 @@ from typing import Any
 
 from gymnasium.wrappers.utils import create_zero_array
 
+from stkzoo._checks import shortened
 from stkzoo.drivers.code import Actor, AgentCode
 from stkzoo.drivers.failures import agent_trace, in_words
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.replies import receive_pending
-from stkzoo.errors import ActionError, AgentError, AgentTimeout, shortened
+from stkzoo.errors import ActionError, AgentError, AgentTimeout
 from stkzoo.views.agent_chain import AgentChain
 
 #: Maximum length of an agent's value in an error [characters]; typical actions are shorter.

@@ -30,7 +30,7 @@ from typing import Any, NoReturn
 import msgspec
 import numpy as np
 
-from stkzoo._python import python_command, search_path
+from stkzoo._imports import python_command, search_path
 from stkzoo.drivers import keeper, messages
 from stkzoo.drivers.code import AgentCode, load_agent
 from stkzoo.drivers.failures import OutputTail

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._checks import check_arguments, check_number, shortened
 from stkzoo.drivers.driver import Driver, find_driver, frozen_policy
-from stkzoo.errors import ConfigError, check_arguments, check_number, shortened
+from stkzoo.errors import ConfigError
 
 
 def as_driver(opponent: object) -> Driver:

@@ -23,8 +23,8 @@ from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+from stkzoo._imports import python_command, search_path
 from stkzoo._installation import library_remedy
-from stkzoo._python import python_command, search_path
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
 from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout

@@ -7,7 +7,8 @@ import warnings
 import gymnasium
 import pettingzoo
 
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo._checks import unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.views import SHIPPED, VIEWS, ViewFactory, find_view, views
 
 MAX_EPISODE_STEPS = 1500

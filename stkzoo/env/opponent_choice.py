@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._checks import shortened
 from stkzoo.drivers import Driver, OpponentPool
 from stkzoo.drivers.code import AgentCode
 from stkzoo.drivers.failures import in_words
 from stkzoo.drivers.files import name_of_files
 from stkzoo.drivers.pool import as_driver
-from stkzoo.errors import AgentError, ConfigError, shortened
+from stkzoo.errors import AgentError, ConfigError
 
 #: The drivers of a race's opponents, and the difficulty that they require, if any.
 Lineup = tuple[tuple[Driver, ...], int | None]

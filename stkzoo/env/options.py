@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 
+from stkzoo._checks import check_number, check_whole, unknown_name
 from stkzoo.config import NORMAL, AgentSpec, check_mode
 from stkzoo.env.starts import read_start
-from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.names import CameraMode
 from stkzoo.tracks import SPLITS
 

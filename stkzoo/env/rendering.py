@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._checks import unknown_name
 from stkzoo._os import check_display, has_display
 from stkzoo.engine.render_session import has_graphics_card
 from stkzoo.env.episode import Episode
-from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
+from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.render.renderer import BACKENDS, RaceRenderer
 from stkzoo.render.scene import Scene
 from stkzoo.wrappers.camera import checked_size

@@ -9,9 +9,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from stkzoo._checks import check_whole
 from stkzoo.agent_names import by_agent
 from stkzoo.config import RandomStart, Start, start_of
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 
 #: Maximum number of draws of a random start. A draw fails if some kart does not fit there. On the
 #: worst track, two of three draws fail for eight karts, and training starts thousands of races.

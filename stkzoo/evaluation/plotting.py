@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._imports import import_extra
 from stkzoo._os import write_whole
-from stkzoo.errors import ConfigError, import_extra
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.statistics import Estimate
 
 INK, BLUE, GRAY = "#22303c", "#2f6db5", "#8a949c"

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from stkzoo.errors import import_extra
+from stkzoo._imports import import_extra
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
 
 #: Number of random orders of the races over which ratings are averaged. The model updates ratings

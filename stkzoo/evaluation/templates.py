@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stkzoo.errors import import_extra
+from stkzoo._imports import import_extra
 
 
 def require_jinja2(extra: str = "tournament") -> Any:

@@ -24,7 +24,8 @@ from numbers import Real
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo._checks import unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.kernel import reward_term
 from stkzoo.mdp.transition import Transition
 

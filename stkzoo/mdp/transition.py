@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._checks import unknown_name
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.events import EVENTS
 
 FloatArray = npt.NDArray[np.float64]

@@ -8,9 +8,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from stkzoo._checks import unknown_name
 from stkzoo._os import check_writable
 from stkzoo.env.keyboard import keys_to_action
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import DemoRecorder, DemoView, save_demonstrations
 from stkzoo.names import Phase, PowerupType
 from stkzoo.play.screen import PlayScreen

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._imports import import_extra
 from stkzoo._os import check_display
 from stkzoo.env.keyboard import KEYS
-from stkzoo.errors import ConfigError, import_extra
+from stkzoo.errors import ConfigError
 
 _TITLE = "stkzoo play"
 _BAR = 30  # height of the text bar [pixels]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from stkzoo._lazy import lazy_names
+from stkzoo._imports import lazy_names
 from stkzoo.drivers import (
     Actor,
     ActorMaker,

@@ -13,9 +13,10 @@ from typing import Any, ClassVar
 import msgspec
 from typing_extensions import Self  # a dependency of gymnasium
 
+from stkzoo._checks import shortened
 from stkzoo._reading import MAX_BYTES, read_json, read_text, reading
 from stkzoo._schema import plain_json
-from stkzoo.errors import ConfigError, shortened
+from stkzoo.errors import ConfigError
 
 
 class Document(ABC):

@@ -10,11 +10,12 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from stkzoo._arguments import option
+from stkzoo._checks import check_arguments, check_number, check_whole, unknown_name
 from stkzoo._schema import Level, Whole
 from stkzoo.config import NORMAL, RACE_MODES, check_mode
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.sandbox import MODES
-from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole, unknown_name
+from stkzoo.errors import ConfigError
 
 #: Ways to handle the failure of an agent, with their descriptions.
 ERROR_HANDLING = {

@@ -16,8 +16,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._checks import check_number, check_whole
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.errors import ConfigError, EngineError, check_number, check_whole
+from stkzoo.errors import ConfigError, EngineError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import AgentResult, RaceResult
 from stkzoo.render.cards import ResultRow, end_card, with_labels

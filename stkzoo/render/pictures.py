@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import import_extra
+from stkzoo._imports import import_extra
 
 if TYPE_CHECKING:
     from PIL import ImageFont

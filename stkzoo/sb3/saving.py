@@ -14,8 +14,9 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import FlattenExtractor
 
+from stkzoo._checks import shortened, unknown_name
 from stkzoo._os import atomic_write, write_text
-from stkzoo.errors import ConfigError, shortened, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.mdp import kart_action_space
 from stkzoo.views import VIEWS
 from stkzoo.views.agent_chain import AgentChain

@@ -12,10 +12,11 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
+from stkzoo._checks import check_whole, shortened, unknown_name
 from stkzoo._os import file_digest
 from stkzoo._schema import Count, matching, plain_text
 from stkzoo.drivers.driver import GAME_AI, find_driver
-from stkzoo.errors import ConfigError, check_whole, shortened, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import batch_settings
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._checks import shortened
 from stkzoo._reading import read_json, read_text, reading
 from stkzoo._schema import plain_text
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.drivers.driver import GAME_AI, Driver
-from stkzoo.errors import StkzooError, shortened
+from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder, replay_file
 from stkzoo.evaluation.batch.run import RunOptions, run_orders

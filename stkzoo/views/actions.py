@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo.errors import ActionError, shortened
+from stkzoo._checks import shortened
+from stkzoo.errors import ActionError
 
 #: A number may exceed a bound of its ``Box`` by this much, because of rounding; it is clipped.
 BOUND_TOLERANCE = 1e-6

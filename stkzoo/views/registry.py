@@ -11,8 +11,9 @@ from typing import Any, TypeAlias
 import gymnasium as gym
 from gymnasium import spaces
 
+from stkzoo._checks import shortened, unknown_name
 from stkzoo.agent_names import by_agent
-from stkzoo.errors import ConfigError, shortened, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import EXTRAS, extras_of, kart_observation_space
 
 #: Wraps the environment of one kart: a :class:`View`, a wrapper class or a function.

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.vector.utils import batch_space
 
-from stkzoo.errors import ConfigError, check_flag, check_whole, unknown_name
+from stkzoo._checks import check_flag, check_whole, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.kernel import CarController
 from stkzoo.wrappers.control.kart import PEDALS, CarParameters, Pedals
 

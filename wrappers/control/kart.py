@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.errors import ConfigError, check_arguments, check_number, unknown_name
+from stkzoo._checks import check_arguments, check_number, unknown_name
+from stkzoo.errors import ConfigError
 
 FloatArray = npt.NDArray[np.floating[Any]]
 BoolArray = npt.NDArray[np.bool_]

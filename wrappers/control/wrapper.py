@@ -11,7 +11,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stkzoo.errors import ConfigError, check_flag, check_number, unknown_name
+from stkzoo._checks import check_flag, check_number, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction

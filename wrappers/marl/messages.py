@@ -13,8 +13,9 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
+from stkzoo._checks import check_number, check_whole
 from stkzoo.agent_names import of_agent, require_actions
-from stkzoo.errors import ActionError, ConfigError, check_number, check_whole
+from stkzoo.errors import ActionError, ConfigError
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.marl.teams import ClonableWrapper, Teams
 

@@ -9,7 +9,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from stkzoo.errors import ConfigError, check_number, unknown_name
+from stkzoo._checks import check_number, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import RecordedWrapper
 from stkzoo.wrappers.arguments import dict_space

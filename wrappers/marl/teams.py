@@ -13,8 +13,9 @@ from gymnasium import spaces
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
+from stkzoo._checks import check_number
 from stkzoo.agent_names import find_agent, of_agent
-from stkzoo.errors import ConfigError, check_number
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
 from stkzoo.mdp.transition import progress_of
 from stkzoo.views.walker import StepParts

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from stkzoo._arguments import CommandParser, add_options, values_of
-from stkzoo.errors import StkzooError, import_extra
+from stkzoo._imports import import_extra
+from stkzoo.errors import StkzooError
 
 
 def command_parser(module: str, description: str | None, kinds: Sequence[type]) -> CommandParser:

@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 
-from stkzoo.errors import import_extra
+from stkzoo._imports import import_extra
 from stkzoo.evaluation import INK
 
 from ..common.matches import AI, MatchRecord, payoff

@@ -32,10 +32,11 @@ from typing import Any
 
 import numpy as np
 
+from stkzoo._imports import import_extra
 from stkzoo._locks import locked_folder
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.engine.assets import find_assets, pack
-from stkzoo.errors import ConfigError, import_extra
+from stkzoo.errors import ConfigError
 
 from ..common.arguments import ScriptOptions
 from ..common.command import run_command

@@ -19,7 +19,7 @@ from typing import Any
 
 import msgspec
 
-from stkzoo._python import python_command, search_path
+from stkzoo._imports import python_command, search_path
 from stkzoo._temporary import remove_stale_folders
 from stkzoo.drivers.failures import OutputTail
 from stkzoo.drivers.sandbox import SHARED_CORES

@@ -13,9 +13,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from stkzoo._checks import check_number, check_whole
 from stkzoo._locks import locked_folder
 from stkzoo._os import cpu_count, make_folder, write_text
-from stkzoo.errors import StkzooError, check_number, check_whole
+from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import Plan, find_plan, keep_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel

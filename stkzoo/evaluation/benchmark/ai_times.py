@@ -14,8 +14,9 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
+from stkzoo._checks import check_whole
 from stkzoo._schema import Level, Positive, Whole, one_of
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import BatchPlan, find_tracks
 from stkzoo.evaluation.batch.run import BatchKind, RunOptions, written

@@ -12,8 +12,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from msgspec import Meta
 
+from stkzoo._checks import check_whole
 from stkzoo.config import NORMAL
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import BatchAgent, find_agents
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (

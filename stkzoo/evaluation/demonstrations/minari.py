@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from stkzoo.errors import ConfigError, import_extra
+from stkzoo._imports import import_extra
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import DemoEpisode, Demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoView
 

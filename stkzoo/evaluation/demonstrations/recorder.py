@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._checks import unknown_name
 from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import (
     Columns,
     Demonstrations,

@@ -11,8 +11,9 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
+from stkzoo._checks import check_whole, shortened
 from stkzoo._schema import Whole
-from stkzoo.errors import ConfigError, check_whole, shortened
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.agents import BatchAgent, find_agents, is_among
 from stkzoo.evaluation.batch.plan import (
     MAX_RACES,

@@ -12,21 +12,14 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+from stkzoo._checks import shortened
 from stkzoo._reading import Unreadable, is_there, read_text
 from stkzoo._schema import Count
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.messages import MAX_NAME, Failed, encode_observation
-from stkzoo.errors import (
-    AgentError,
-    AgentTimeout,
-    ConfigError,
-    ProtocolError,
-    RemoteError,
-    reason,
-    shortened,
-)
+from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError, reason
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.race.remote.connection import Connection, Server
 from stkzoo.race.remote.protocol import Answer, Welcome

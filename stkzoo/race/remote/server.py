@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from typing import Any
 
+from stkzoo._checks import check_whole
 from stkzoo._logs import RepeatFilter
 from stkzoo.drivers.driver import Driver, declared_name
 from stkzoo.drivers.failures import MAX_TEXT, printable
 from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.messages import MAX_NAME, Message, encode
-from stkzoo.errors import ConfigError, ProtocolError, check_whole
+from stkzoo.errors import ConfigError, ProtocolError
 from stkzoo.race.remote import protocol, sockets
 from stkzoo.race.remote.session import ClientSession, Reply
 

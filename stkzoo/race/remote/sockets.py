@@ -17,12 +17,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from stkzoo._imports import import_extra
 from stkzoo._logs import RepeatFilter
 from stkzoo._os import is_loopback, max_descriptors
 from stkzoo._reading import Unreadable, is_there, read_text
 from stkzoo._schema import plain_text
 from stkzoo.drivers.messages import MAX_BYTES
-from stkzoo.errors import ConfigError, RemoteError, import_extra, reason
+from stkzoo.errors import ConfigError, RemoteError, reason
 
 logger = logging.getLogger(__name__)
 logger.addFilter(RepeatFilter())

@@ -6,7 +6,8 @@ import threading
 import time
 from typing import Any
 
-from stkzoo.errors import ConfigError, shortened
+from stkzoo._checks import shortened
+from stkzoo.errors import ConfigError
 
 #: Available speeds, as multiples of real time; ``None`` for no limit.
 SPEEDS: tuple[float | None, ...] = (1.0, 2.0, 4.0, None)

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from stkzoo._checks import check_whole
+from stkzoo._imports import import_extra
 from stkzoo.engine.snapshot import Snapshot
-from stkzoo.errors import ConfigError, check_whole, import_extra
+from stkzoo.errors import ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import RaceResult
 from stkzoo.race.web import messages

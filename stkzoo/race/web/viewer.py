@@ -11,7 +11,8 @@ from typing import Any, Literal
 import msgspec
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from stkzoo.errors import ConfigError, ProtocolError, shortened
+from stkzoo._checks import shortened
+from stkzoo.errors import ConfigError, ProtocolError
 from stkzoo.race.web.control import RaceControl
 from stkzoo.race.web.messages import RaceNews, Text, encoded, plain
 

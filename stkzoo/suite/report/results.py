@@ -15,8 +15,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from msgspec import Meta
 
+from stkzoo._checks import shortened
 from stkzoo._schema import Count, Seconds, Share, Whole, matching
-from stkzoo.errors import ConfigError, shortened
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation.benchmark.plan import LIMIT
 from stkzoo.evaluation.benchmark.races import BenchmarkForm, direction_name, make_races
 from stkzoo.evaluation.statistics import Estimate

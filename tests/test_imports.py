@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from stkzoo._python import python_command, search_path
+from stkzoo._imports import python_command, search_path
 
 
 @pytest.fixture
