@@ -30,7 +30,7 @@ from stkzoo._os import write_text
 from stkzoo._schema import Count, Whole
 from stkzoo.agents.training.common.run_folder import ARGUMENTS, read_run_file, require_log
 from stkzoo.agents.training.suite import algorithms
-from stkzoo.agents.training.suite.learner import MACHINE, TrainingMachine
+from stkzoo.agents.training.suite.algorithms import MACHINE, TrainingMachine
 from stkzoo.errors import ConfigError
 from stkzoo.suite import (
     ALGORITHMS,

@@ -59,7 +59,7 @@ _HELD_LOGITS = np.array([-4.5, -3.0, -2.0, 0.0, -2.0, -3.0, -4.5], np.float32)
 _NOT_HELD = np.float32(-1e3)
 
 #: Buttons in the order of the controls.
-_BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
+BUTTONS = ("brake", "drift", "fire", "nitro", "rescue")
 
 #: Minimum steering at the start of a drift, whose sign determines the side.
 START_STEER = 0.3
@@ -201,7 +201,7 @@ class PlanDriver:
                 for row, one in enumerate(own):
                     one.memory.take(driver.memory, slice(row, row + 1))
                     one._tracker.take(driver._tracker, slice(row, row + 1))
-        return list(map(_action, controls))
+        return list(map(action_of, controls))
 
     @classmethod
     def _joined(cls, drivers: Sequence[PlanDriver]) -> PlanDriver:
@@ -337,9 +337,9 @@ def likeliest(logits: FloatArray) -> IntArray:
     return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
 
 
-def _action(controls: FloatArray) -> dict[str, Any]:
+def action_of(controls: FloatArray) -> dict[str, Any]:
     """Converts controls ``(7,)`` to an action of the ``full`` view."""
-    buttons = {key: int(controls[n]) for n, key in enumerate(_BUTTONS, start=2)}
+    buttons = {key: int(controls[n]) for n, key in enumerate(BUTTONS, start=2)}
     return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
 
 

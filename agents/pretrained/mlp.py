@@ -95,12 +95,8 @@ class MlpDriver:
 
     def sample(self, observations: FloatArray, random: np.random.Generator) -> IntArray:
         """Samples choices from their probabilities, ``(A, 5)``."""
-        return sample_choices(self.logits(observations), random)
-
-
-def sample_choices(logits: FloatArray, random: np.random.Generator) -> IntArray:
-    """Samples choices from their logits ``(A, 31)`` by Gumbel noise, ``(A, 5)``."""
-    return _likeliest(logits + random.gumbel(size=logits.shape).astype(np.float32))
+        logits = self.logits(observations)
+        return _likeliest(logits + random.gumbel(size=logits.shape).astype(np.float32))
 
 
 def log_probabilities(logits: FloatArray) -> FloatArray:
@@ -114,13 +110,6 @@ def log_probabilities(logits: FloatArray) -> FloatArray:
     normalizer = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
     found: FloatArray = logits - normalizer[..., _CHOICE_OF]
     return found
-
-
-def log_probability_of(choices: IntArray, logits: FloatArray) -> FloatArray:
-    """Returns the log-probabilities ``(A,)`` of choices ``(A, 5)`` with logits ``(A, 31)``."""
-    taken = np.take_along_axis(log_probabilities(logits), choices + _BEGINS, axis=1)
-    total: FloatArray = taken.sum(axis=1)
-    return total
 
 
 def _likeliest(logits: FloatArray) -> IntArray:

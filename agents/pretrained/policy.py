@@ -9,7 +9,6 @@ import numpy as np
 from stkzoo.agents.planning import FloatArray, IntArray
 from stkzoo.agents.planning.driver import (
     CHOICES,
-    HEADS,
     INPUT_SIZE,
     INPUT_SIZE_WITHOUT_HOLD,
     PolicyInput,
@@ -121,28 +120,3 @@ class RacingPolicy:
     def best(self, view: PolicyInput) -> IntArray:
         """Returns the most likely choices, ``(A, 4)``; each row depends only on its own input."""
         return likeliest(self.logits(view))
-
-    def sample(
-        self,
-        view: PolicyInput,
-        random: np.random.Generator,
-        columns: Sequence[int] = range(len(HEADS)),
-    ) -> tuple[IntArray, FloatArray]:
-        """Samples choices ``(A, 4)``; returns them and their log-probabilities ``(A,)``.
-
-        Only ``columns`` are sampled; other choices are the most likely ones and count as certain.
-        """
-        logits = self.logits(view)
-        noise = random.gumbel(size=logits.shape).astype(np.float32)
-        rows = np.arange(len(logits))
-        drawn = np.empty((len(logits), len(HEADS)), np.intp)
-        log_probability = np.zeros(len(logits), np.float32)
-        for column, head in enumerate(HEADS):
-            own = logits[:, head]
-            if column not in columns:
-                drawn[:, column] = own.argmax(axis=1)
-                continue
-            choice = (own + noise[:, head]).argmax(axis=1)
-            drawn[:, column] = choice
-            log_probability += own[rows, choice] - log_sum(own)[:, 0]
-        return drawn, log_probability

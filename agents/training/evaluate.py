@@ -31,8 +31,7 @@ from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names
 from .common.command import limit_threads, run_command
-from .common.fleet import Finish
-from .common.matches import Match, MatchDriver, match_driver, play_matches
+from .common.matches import Finish, Match, MatchDriver, match_driver, play_matches
 from .common.run_folder import saved_policies
 
 #: First starting point for evaluation; training numbers its starting points from 0.

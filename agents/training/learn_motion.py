@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,10 +26,11 @@ import numpy.typing as npt
 from stkzoo._arguments import option
 from stkzoo._os import make_folder
 from stkzoo.agents.planning import BoolArray, FloatArray
-from stkzoo.agents.planning.driver import PlanDriver
+from stkzoo.agents.planning.driver import PlanDriver, PolicyInput
 from stkzoo.agents.planning.memory import PlanMemory
 from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, RELEASE_TURN, WEIGHTS, MotionState
 from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.kernel import Mlp
@@ -37,11 +39,9 @@ from stkzoo.tracks import SPLITS
 
 from .common.arguments import RunArguments, ScriptOptions
 from .common.command import ProgressBar, run_command, training_torch
-from .common.fleet import RaceFleet
-from .common.starts import Lineup
 
-#: Number of the first starting point; other programs use other numbers.
-_FIRST_NUMBER = 9000
+#: First seed of the races; other programs use other numbers.
+_FIRST_SEED = 9000
 #: Number of parallel races, karts in each, and steps of a race.
 _RACES, _KARTS, _STEPS = 4, 6, 450
 #: Probability per step of a new steering offset, probability that it is zero, and its magnitude.
@@ -138,32 +138,41 @@ def drive(
     """
     random = np.random.default_rng(seed)
     plans, count = RacingPolicy.of_plans_alone(), _RACES * _KARTS
-    for number in range(rounds):
-        fleet = RaceFleet([Lineup(_KARTS, 0)] * _RACES)
-        driver = _Noisy(count, rules)
-        rows: list[tuple[npt.NDArray[Any], ...]] = []
-        driver.offset, look = np.zeros(count, np.float32), driver.view
-        try:
-            fleet.start_at(
-                [
-                    (str(random.choice(tracks)), bool(random.integers(2)), _FIRST_NUMBER + number)
-                    for _ in range(_RACES)
-                ]
-            )
-            while fleet.active.any() and len(rows) < _STEPS:
-                view, look = look(*fleet.surroundings()), driver.look
+    races = PlanVectorEnv(
+        _RACES,
+        parameters=rules,
+        num_kart=_KARTS,
+        agents=_KARTS,
+        track=tuple(tracks),
+        reverse=None,
+        num_starts=_RACES,
+        skip_countdown=True,
+    )
+    races.view.driver = driver = _Noisy(count, rules)
+    with closing(races):
+        for number in range(rounds):
+            observations, _ = races.reset(seed=_FIRST_SEED + 1000 * seed + number)
+            driver.offset = np.zeros(count, np.float32)
+            rows: list[tuple[npt.NDArray[Any], ...]] = []
+            is_first = np.ones(count, np.bool_)  # karts in their first race
+            while is_first.any() and len(rows) < _STEPS:
                 is_new = random.random(count) < _NEW_OFFSET
                 drawn = random.normal(0, _OFFSET, count) * (random.random(count) > _NO_OFFSET)
                 driver.offset = np.where(is_new, drawn, driver.offset).astype(np.float32)
-                controls, _ = driver.act(plans.best(view))
-                karts = np.concatenate([race.snapshot.karts[race.karts] for race in fleet.races])
-                rows.append((karts, controls, driver.memory.rows.copy(), fleet.active))
-                fleet.send_controls(controls.copy())
-                fleet.receive_step()
-        finally:
-            fleet.close()
-        karts, controls, memory, active = map(np.array, zip(*rows, strict=True))
-        yield _logged(karts, controls, memory, active, rules.wheel_base)
+                controls, _ = races.view.drive(plans.best(PolicyInput(**observations)))
+                karts = np.concatenate([_karts_of(race) for race in races.races.races])
+                rows.append((karts, controls, driver.memory.rows.copy(), is_first.copy()))
+                races.send_controls(controls)
+                observations, _, finished, cut, _ = races.step_wait()
+                is_first &= ~(finished | cut)
+            karts, controls, memory, active = map(np.array, zip(*rows, strict=True))
+            yield _logged(karts, controls, memory, active, rules.wheel_base)
+
+
+def _karts_of(race: Any) -> npt.NDArray[np.void]:
+    """Returns the records of a race's karts, in the order of its agents."""
+    records: npt.NDArray[np.void] = race.snapshot.karts[list(race.race.kart_indices)]
+    return records
 
 
 def _logged(

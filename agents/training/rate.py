@@ -63,6 +63,7 @@ from .common.run_folder import (
     write_json,
 )
 from .plot import rating_figure
+from .ppo.opponents import bot_name
 
 #: Names of the driver from which learning is measured, and of a policy with random choices.
 START, RANDOM = "start", "random"
@@ -321,7 +322,7 @@ def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> 
         track = tracks[number % len(tracks)]
         match = Match(tuple(drivers), track, number=1000 + number, difficulty=number % 4)
         (finishes,) = play_matches([match], drivers)
-        evaluation.orders.append(match.order(finishes))
+        evaluation.orders.append(match.order(finishes, bot_name(match.difficulty)))
         for driver, finish in zip(match.drivers, finishes, strict=True):
             evaluation.ratios[driver].append(round(finish.estimate, 4))
     (run / EVALUATIONS).mkdir(exist_ok=True)

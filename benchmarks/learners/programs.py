@@ -37,36 +37,37 @@ def _use_cores(number: int) -> None:
 def ppo(karts: int, races: int, number: int, track: str, iterations: int) -> dict[str, float]:
     """Measures ``stkzoo.agents.training.ppo.selfplay``."""
     _use_cores(number)
-    from stkzoo.agents.training.ppo import selfplay
+    from stkzoo.agents.training.ppo.run import PPORun
+    from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments, selfplay_setup
 
-    arguments = selfplay.SelfPlayArguments(
+    arguments = SelfPlayArguments(
         tracks=(track,), races=(f"{karts}x{races}",), checkpoint_every=10**6
     )
     with tempfile.TemporaryDirectory() as folder:
-        learner = _measured_learner(selfplay.PPOLearner)(folder, arguments)
+        run = _measured_run(PPORun)(folder, arguments, selfplay_setup(arguments))
         try:
             for _ in range(_WARM_UP):
-                learner.iterate()
-            before, parts_before = _moment(learner.pids()), learner.parts()
-            begin, steps, learned = time.perf_counter(), learner.kart_steps, time.process_time()
+                run.iterate()
+            before, parts_before = _moment(run.pids()), run.parts()
+            begin, steps, learned = time.perf_counter(), run.kart_steps, time.process_time()
             for _ in range(iterations):
-                learner.iterate()
+                run.iterate()
             wall = time.perf_counter() - begin
             learned = time.process_time() - learned
-            after, parts = _moment(learner.pids()), learner.parts()
-            steps = learner.kart_steps - steps
+            after, parts = _moment(run.pids()), run.parts()
+            steps = run.kart_steps - steps
         finally:
-            learner.close()
+            run.close()
     engine, programs = (new - old for new, old in zip(after, before, strict=True))
     spent = {name: parts[name] - parts_before[name] for name in parts} | {"learning": learned}
     return {"rate": steps / wall / cpu_count(), **shares_of(wall, engine, programs, spent)}
 
 
-def _measured_learner(learner_class: Any) -> Any:
-    """Returns a learner class whose actors measure the parts of their time."""
+def _measured_run(run_class: Any) -> Any:
+    """Returns a class of runs whose actors measure the parts of their time."""
     from stkzoo.agents.training.common.actors import ActorPool, SharedArray
 
-    class Learner(learner_class):
+    class Run(run_class):
         def _new_actors(self, arguments: Sequence[Any]) -> ActorPool:
             self._meters = [SharedArray((len(_ACTOR_PARTS),), np.float64) for _ in arguments]
             pairs = zip(arguments, self._meters, strict=True)
@@ -79,7 +80,7 @@ def _measured_learner(learner_class: Any) -> Any:
         def pids(self) -> list[int]:
             return self._actors.pids
 
-    return Learner
+    return Run
 
 
 def _measured_actor(arguments: Any, memory: Any, seconds: Any) -> Any:
@@ -88,17 +89,18 @@ def _measured_actor(arguments: Any, memory: Any, seconds: Any) -> Any:
     meter, shared = Meter(), seconds.array()
 
     class Actor(rollouts.RaceActor):
-        def _own_outcome(self, outcome: Any) -> Any:  # called once per step
+        def drive(self, *given: Any) -> Any:
+            result = super().drive(*given)
             shared[:] = [meter.seconds.get(name, 0.0) for name in _ACTOR_PARTS]
-            return outcome
+            return result
 
+    for name in ("policy_logits", "sample", "values_of"):
+        setattr(rollouts, name, meter.timed("networks", getattr(rollouts, name)))
     actor = Actor(arguments, memory)
-    rollouts.predict_values = meter.timed("networks", rollouts.predict_values)
-    for owner, method, name in (
-        (actor, "_choose", "networks"),
-        (actor._fleet, "_look", "observing"),
-    ):
-        setattr(owner, method, meter.timed(name, getattr(owner, method)))
+    for part in actor._parts:
+        for name in ("observe", "drive"):
+            view = part.envs.view
+            setattr(view, name, meter.timed("observing", getattr(view, name)))
     return actor
 
 

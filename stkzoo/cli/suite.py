@@ -195,7 +195,6 @@ def _train(arguments: TrainArguments) -> int:
       mappo    the same with a value network that sees the whole race
       fsp      fictitious self-play: ippo that also meets all its past policies
       pfsp     like fsp, but prefers the past policies that it beats least often
-      impala   V-trace: one pass over each rollout, with importance weights
 
     Examples:
       stkzoo suite train solo-1 ippo

@@ -3,6 +3,7 @@
 All functions process the whole race at once, as arrays with a leading axis of karts or agents.
 """
 
+from stkzoo.mdp import rewards
 from stkzoo.mdp.geometry import rotation_matrices, squared
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.mdp.state import GLOBAL_FEATURES, KART_FEATURES
@@ -12,6 +13,7 @@ __all__ = [
     "KART_FEATURES",
     "kart_action_space",
     "kart_observation_space",
+    "rewards",
     "rotation_matrices",
     "squared",
 ]

@@ -34,7 +34,7 @@ _NAMESPACE = "stkzoo-suite"
 DIFFICULTY = 3
 #: Reference algorithms (``stkzoo.agents.training.suite.algorithms``), and the least number of
 #: learners of their tasks: self-play needs two.
-ALGORITHMS = {"ippo": 1, "mappo": 1, "fsp": 2, "pfsp": 2, "impala": 1}
+ALGORITHMS = {"ippo": 1, "mappo": 1, "fsp": 2, "pfsp": 2}
 #: Metrics by which tasks are ranked.
 TIME_RATIO, BEATEN = "time_ratio", "beaten"
 

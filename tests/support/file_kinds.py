@@ -18,7 +18,6 @@ from stkzoo import race_v0
 from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, new_state, read_policy
 from stkzoo.agents.training.common.matches import MatchRecord
-from stkzoo.agents.training.common.opponents import Rival
 from stkzoo.agents.training.common.run_folder import (
     read_run_file,
 )
@@ -284,7 +283,6 @@ def _league_text() -> str:
         for name in ("start", "main-001")
     ]
     players = [asdict(player) for player in new_players(1, 1, 0)]
-    players[0]["pool"] = [asdict(Rival("start", 0.4, 3))]
     match = asdict(MatchRecord(1, _TRACK, False, ["start", "main-001"]))
     content = {
         "arguments": asdict(LeagueArguments()),
@@ -311,22 +309,20 @@ def _store_checkpoint(folder: Path, data: bytes) -> Path:
 
 def _read_checkpoint(file: Path) -> None:
     from stkzoo.agents.training.common.run_folder import load_checkpoint
-    from stkzoo.agents.training.ppo.selfplay import LearnerFacts
+    from stkzoo.agents.training.ppo.run import PPOFacts
 
-    load_checkpoint(file.parent, LearnerFacts)
+    load_checkpoint(file.parent, PPOFacts)
 
 
 def _facts_text() -> str:
-    finish = {
-        "track": _TRACK,
-        "reverse": False,
-        "lineup": {"learners": 2, "bots": 1, "difficulty": 3},
-        "ratio": 1.1,
-        "estimate": 1.1,
-        "rank": 1,
+    facts = {
+        "history": [_CHAPTER],
+        "kart_steps": 5,
+        "iteration": 1,
+        "recent": [{"company": "alone", "reward": 9.5, "position": 1, "ratio": 1.1}],
+        "duels": {"pool": [{"name": "start", "beaten": 0.4, "races": 3}], "reported": [0.5]},
     }
-    history = [_CHAPTER]
-    return json.dumps({"history": history, "kart_steps": 5, "iteration": 1, "recent": [finish]})
+    return json.dumps(facts)
 
 
 # ---------------------------------------------------------------------- keys and servers

@@ -1,21 +1,20 @@
 """Distillation of plans into one network."""
 
 import json
+from contextlib import closing
 
 import numpy as np
 import pytest
 
+from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.agents.training.common.fleet import Fleet
 from stkzoo.agents.training.common.matches import match_driver
-from stkzoo.agents.training.common.starts import Lineup
 from stkzoo.agents.training.evaluate import evaluate
 from stkzoo.agents.training.imitation import distill
 from stkzoo.wrappers.racing import CHOICES
-from tests.support.fleets import begin_at
 
 SMALL = distill.DistillationArguments(
     rounds=1,
@@ -29,25 +28,18 @@ SMALL = distill.DistillationArguments(
 
 
 @pytest.fixture
-def fleet():
-    fleet = Fleet([Lineup(1, 0)], ["lighthouse"], mirrors=False)
-    yield fleet
-    fleet.close()
+def races():
+    with closing(distill._races(SMALL, 1, 0, 1)) as races:
+        yield races
 
 
-def way_of(fleet):
-    kart = fleet.races[0].snapshot.karts[0]
-    return float(kart["overall_distance"])
-
-
-def test_labels_from_the_plans_drive_like_the_plans(fleet):
-    start, plans = ("lighthouse", False, 0), RacingPolicy.of_plans_alone()
-    view = begin_at(fleet, [start])
+def test_labels_from_the_plans_drive_like_the_plans(races):
+    plans, race = RacingPolicy.of_plans_alone(), races.races.races[0]
+    observations, _ = races.reset(seed=0)
     for _ in range(120):
-        fleet.send(plans.best(view))
-        view, _ = fleet.receive()
-    there = way_of(fleet)
-    lesson = distill.LabelledRaces(fleet, begin_at(fleet, [start]))
+        observations, *_ = races.step(plans.best(PolicyInput(**observations)))
+    there = float(race.snapshot.karts["overall_distance"][0])
+    lesson = distill.LabelledRaces(races, seed=0)
     drifted = 0
     for _ in range(120):
         answers = lesson.labels()
@@ -56,13 +48,8 @@ def test_labels_from_the_plans_drive_like_the_plans(fleet):
         drifted += int(answers[0, 2])
         lesson.step(answers)
     assert there > 200
-    assert way_of(fleet) == pytest.approx(there, rel=0.1)
+    assert float(race.snapshot.karts["overall_distance"][0]) == pytest.approx(there, rel=0.1)
     assert drifted > 20
-
-
-def test_mirrored_races_can_be_disabled(fleet):
-    fleet.begin(0)
-    assert not fleet._is_mirrored.any()
 
 
 @pytest.fixture(scope="module")

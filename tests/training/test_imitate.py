@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.pretrained.mlp import load_driver
-from stkzoo.agents.training.common.network_policy import save_driver
+from stkzoo.agents.training.common.run_folder import save_driver
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.imitation import imitate, lessons
 from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run

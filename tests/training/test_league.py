@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.planning.driver import likeliest
-from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
-from stkzoo.agents.pretrained.weights import load_weights, save_weights
+from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
 from stkzoo.agents.training.common.matches import (
     AI,
@@ -20,11 +19,8 @@ from stkzoo.agents.training.common.matches import (
     play_records,
     rate_orders,
 )
-from stkzoo.agents.training.common.opponents import Rival
-from stkzoo.agents.training.common.starts import parse_races
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.league.league import League, LeagueArguments, main
-from stkzoo.agents.training.league.learner import LeagueActor, LeagueLearner
 from stkzoo.agents.training.league.page import page
 from stkzoo.agents.training.league.players import (
     LeagueMember,
@@ -33,7 +29,10 @@ from stkzoo.agents.training.league.players import (
     draw_matches,
     new_players,
 )
-from stkzoo.agents.training.ppo.rollouts import ROLLOUT, ActorArguments
+from stkzoo.agents.training.ppo.network import PlanNetwork
+from stkzoo.agents.training.ppo.opponents import DuelResults, Rival, RivalSeats, draw_opponent
+from stkzoo.agents.training.ppo.rollouts import ActorArguments, RaceActor
+from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments, selfplay_setup
 from stkzoo.cli import main as command_line
 from stkzoo.errors import ConfigError
 from tests.support.browser import Reader, open_browser
@@ -70,10 +69,6 @@ def words(folder, until):
     return words_of(folder, SMALL, total_timesteps=until)
 
 
-def plans_alone(_):
-    return RacingPolicy.of_plans_alone()
-
-
 # ---------------------------------------------------------------------- players
 
 
@@ -85,15 +80,16 @@ def test_players_take_turns_in_order_of_their_kinds():
 
 
 def draws(kind, pool=(), count=300):
-    matchmaker = PlayerMatchmaker(Player("me", kind, pool=list(pool)), MEMBERS, plans_alone)
+    matchmaker = PlayerMatchmaker(Player("me", kind), MEMBERS)
+    matchmaker.restore(DuelResults(list(pool), []))
     random = np.random.default_rng(0)
-    return [matchmaker.draw(random) for _ in range(count)]
+    return [draw_opponent(matchmaker.odds(), random) for _ in range(count)]
 
 
 def test_a_main_player_meets_itself_and_all_members():
     met = draws("main")
-    assert 100 < met.count(None) < 200
-    assert set(met) == {None, *(member.name for member in MEMBERS)}
+    assert 100 < met.count("") < 200
+    assert set(met) == {"", *(member.name for member in MEMBERS)}
 
 
 def test_an_exploiter_meets_the_newest_main_player():
@@ -111,7 +107,7 @@ def test_a_league_exploiter_meets_members_that_it_does_not_beat():
 
 
 def test_an_exploiter_that_won_or_trained_long_starts_over():
-    exploiter = Player("exploiter", "exploiter", turns=1, kart_steps=50, pool=[Rival("main-001")])
+    exploiter = Player("exploiter", "exploiter", turns=1, kart_steps=50)
     assert not exploiter.is_done(0.5, patience=2)
     assert exploiter.is_done(0.9, patience=2)
     exploiter.turns = 2
@@ -119,7 +115,7 @@ def test_an_exploiter_that_won_or_trained_long_starts_over():
     assert not Player("main", "main", turns=9).is_done(1.0, patience=2)
     exploiter.start_over()
     assert (exploiter.folder, exploiter.total_turns) == ("exploiter-g1", 2)
-    assert (exploiter.kart_steps, exploiter.pool) == (0, [])
+    assert exploiter.kart_steps == 0
 
 
 # ---------------------------------------------------------------------- matches
@@ -166,32 +162,43 @@ def test_a_match_runs_to_its_end():
 # ---------------------------------------------------------------------- learning
 
 
-def actor_of(matchmaker, races):
-    """Returns an actor that learns which maneuver to begin, and its rollouts."""
-    lineups = tuple(parse_races(races))
-    arguments = ActorArguments(lineups, ("olivermath",), 0.1, DriverParameters(), ("begin",))
-    memory = SharedArray((2, 16, arguments.num_slots), ROLLOUT)
-    return LeagueActor(arguments, memory, matchmaker, [1]), memory.array()
-
-
-def weights_of_plans():
-    """Returns the weights of the plans alone, and of a value network."""
-    plans = plans_alone("").weights
-    return plans, {**plans, "w2": plans["w2"][:, :1], "b2": plans["b2"][:1]}
-
-
-def test_rivals_sample_only_the_choices_that_players_learn():
-    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
-    actor, rollouts = actor_of(matchmaker, ["8x1"])
+def driven_by_rivals(folder, races, odds):
+    """Returns an actor after a rollout that trains which maneuver to begin, and the rollout."""
+    setup = selfplay_setup(SelfPlayArguments(tracks=("olivermath",), races=races, num_starts=1))
+    network = PlanNetwork([0], (8, 8), 0)
+    arguments = ActorArguments(setup.groups, network.shape, setup.plans, folder, True)
+    memory = SharedArray((2, 16, arguments.num_slots), network.shape.rollout_type())
+    save_weights(folder / "start.safetensors", RacingPolicy.of_plans_alone().weights)
+    actor = RaceActor(arguments, memory)
     try:
         actor.begin([0])
-        actor.drive(0, *weights_of_plans())
-        rivals = rollouts[0][:, actor._races[0].is_rival].reshape(-1)
+        actor.drive(0, *network.weights(), odds)
     finally:
         actor.close()
-    likely = likeliest(rivals["prior"])
-    assert (rivals["choices"][:, 0] != likely[:, 0]).any()
-    assert (rivals["choices"][:, 1:] == likely[:, 1:]).all()
+    return actor, memory.array()[0]
+
+
+def test_rivals_sample_only_learned_choices_and_add_no_training_data(tmp_path):
+    actor, rollout = driven_by_rivals(tmp_path, ("4x1", "1+1x1"), {"start": 1.0})
+    race, alone = (part.seats for part in actor._parts)
+    assert (race.names, alone.names) == (["start"], [""])
+    assert (~race.is_own).sum() == 2
+    is_rival = np.append(~race.is_own.reshape(-1), False)
+    assert not rollout["active"][:, is_rival].any()
+    assert not rollout["rewards"][:, is_rival].any()
+    assert rollout["active"][:, ~is_rival].all()
+    rivals = rollout[:, is_rival].reshape(-1)
+    assert (rivals["choices"][:, 1:] == likeliest(rivals["prior"])[:, 1:]).all()
+
+
+def test_a_duel_is_won_by_the_kart_ahead():
+    seats = RivalSeats(1, 4)
+    seats.seat(0, "start", np.random.default_rng(0))
+    own = np.flatnonzero(seats.is_own[0]).tolist()
+    positions = dict(zip([*own, *({0, 1, 2, 3} - {*own})], (1, 4, 2, 3), strict=True))
+    over = [seats.end(slot, position) for slot, position in positions.items()]
+    assert over == [False, False, False, True]
+    assert seats.beaten(0) == 0.5
 
 
 @pytest.mark.parametrize(
@@ -208,33 +215,6 @@ def test_unusable_races_are_refused_before_anything_is_written(races, text, tmp_
     assert not folder.exists()
 
 
-def test_rivals_add_no_training_data():
-    matchmaker = PlayerMatchmaker(Player("me", "league-exploiter"), MEMBERS, plans_alone)
-    actor, rollouts = actor_of(matchmaker, ["4x1", "1+1x1"])
-    try:
-        actor.begin([0])
-        plans, critic = weights_of_plans()
-        driven = actor.drive(0, plans, critic)
-        assert driven.duels == []
-        race, alone = actor._races
-        assert (race.is_rival.sum(), alone.is_rival.sum()) == (2, 0)
-        is_rival = np.concatenate([race.is_rival, alone.is_rival])
-        rollout = rollouts[0]
-        assert not rollout["active"][:, is_rival].any()
-        assert not rollout["rewards"][:, is_rival].any()
-        assert rollout["active"][:, ~is_rival].all()
-        race.ranks = np.where(race.is_rival, [1, 2, 3, 4], [4, 3, 2, 1])
-        expected, rival = race.beaten, race.rival
-        actor._update_race(race, {})
-        found = {r.name: r for r in matchmaker.pool.opponents}[rival]
-        assert found.races == 1
-        assert found.beaten == pytest.approx(0.5 + (expected - 0.5) / 2)
-        assert not race.ranks.any()
-        assert actor.drive(1, plans, critic).duels == [(rival, expected)]
-    finally:
-        actor.close()
-
-
 def test_resuming_with_other_arguments_is_refused(tmp_path):
     League(tmp_path, LeagueArguments(**SMALL))
     with pytest.raises(ConfigError, match="seed was 0, now 1"):
@@ -248,20 +228,9 @@ def test_an_exploiter_starts_over_after_the_initial_weights_were_deleted(tmp_pat
     save_weights(init, {name: np.full(shape, 0.1, np.float32) for name, shape in shapes})
     league = League(tmp_path / "league", LeagueArguments(**SMALL, init=str(init)))
     init.unlink()
-    player = league._state.players[1]
-    player.start_over()
-    learner = LeagueLearner(
-        league.folder / player.folder,
-        league.arguments.of_learner(1, player.generation),
-        PlayerMatchmaker(player, league._state.members, league._policies),
-        [0],
-    )
-    try:
-        policy, _ = learner._network.weights()
-    finally:
-        learner.close()
-    start = load_weights(league.folder / "members" / "start.safetensors")
-    assert all((policy[name] == start[name]).all() for name in start)
+    league._state.players[1].start_over()
+    league.play_turn(lambda *_: None)
+    assert league.play_turn(lambda *_: None) == "exploiter-001"
 
 
 @pytest.fixture(scope="module")

@@ -14,17 +14,17 @@ from stkzoo.agents.planning.driver import CHOICES, HEADS, INPUT_SIZE, PolicyInpu
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.pretrained.policy import RacingPolicy, network_shapes
 from stkzoo.agents.pretrained.weights import save_weights
-from stkzoo.agents.training.common.fleet import Fleet
+from stkzoo.agents.training.common.actors import SharedArray
 from stkzoo.agents.training.common.matches import match_driver
-from stkzoo.agents.training.common.ppo import advantages_of
 from stkzoo.agents.training.common.run_folder import run_parameters
-from stkzoo.agents.training.common.starts import Lineup
 from stkzoo.agents.training.evaluate import main as evaluate_main
 from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.export import export_policy
-from stkzoo.agents.training.ppo.network import ActorCritic, initial_weights
-from stkzoo.agents.training.ppo.rollouts import ROLLOUT
-from stkzoo.agents.training.ppo.selfplay import PPOLearner, SelfPlayArguments, main
+from stkzoo.agents.training.ppo.network import PlanNetwork, initial_weights
+from stkzoo.agents.training.ppo.rollouts import ActorArguments, RaceActor, plan_shape, sample
+from stkzoo.agents.training.ppo.run import PPORun
+from stkzoo.agents.training.ppo.selfplay import SelfPlayArguments, main, selfplay_setup
+from stkzoo.agents.training.ppo.update import advantages_of
 from stkzoo.errors import ConfigError
 from tests.support.networks import small_network
 from tests.support.training import last_policy, log_of, run_and_kill, words_of
@@ -40,6 +40,11 @@ SMALL = {
     "warm_up": 1,
     "checkpoint_every": 2,
 }
+
+
+def run_of(folder, **changes):
+    arguments = SelfPlayArguments(**SMALL | changes)
+    return PPORun(folder, arguments, selfplay_setup(arguments))
 
 
 def words(folder, until, **changes):
@@ -114,11 +119,11 @@ def test_a_run_refuses_changed_parameters_of_its_plans(tmp_path, capsys):
 def test_choices_that_are_not_learned_stay_at_those_of_the_plans(tmp_path):
     begin, turn, *_ = HEADS
     changes = {"warm_up": 0, "learns": ("begin", "fire")}
-    learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
-    before = learner._network.weights()[0]
+    learner = run_of(tmp_path, **changes)
+    before = learner.network.policy_weights()
     learner.iterate()
     drawn = np.concatenate([memory[0]["choices"][..., 1].ravel() for memory in learner._rollouts])
-    weights = learner._network.weights()[0]
+    weights = learner.network.policy_weights()
     learner.close()
     assert set(drawn.tolist()) == {CHOICES[1] // 2}
     assert not weights["w2"][:, turn].any()
@@ -128,7 +133,7 @@ def test_choices_that_are_not_learned_stay_at_those_of_the_plans(tmp_path):
 @pytest.mark.slow
 def test_a_held_offset_is_chosen_once_for_all_its_steps(tmp_path):
     changes = {"n_steps": 32, "races": ("4x1",), "learns": ("begin", "turn"), "turn_hold": 4}
-    learner = PPOLearner(tmp_path, SelfPlayArguments(**SMALL | changes))
+    learner = run_of(tmp_path, **changes)
     learner.iterate()
     rollout = learner._rollouts[0][0].copy()
     learner.close()
@@ -141,17 +146,17 @@ def test_a_held_offset_is_chosen_once_for_all_its_steps(tmp_path):
 @pytest.mark.parametrize("names", [("steer",), ()])
 def test_unknown_choices_are_refused(tmp_path, names):
     with pytest.raises(ConfigError, match="begin, turn, nitro, fire"):
-        PPOLearner(tmp_path, SelfPlayArguments(**SMALL | {"learns": names}))
+        run_of(tmp_path, learns=names)
 
 
 def test_weights_of_another_network_are_refused(tmp_path):
     file = tmp_path / "network.safetensors"
     save_weights(file, small_network())
     with pytest.raises(ConfigError, match="or another program"):
-        PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
+        run_of(tmp_path / "run", init=str(file))
     save_weights(file, RacingPolicy.of_plans_alone().weights)
     with pytest.raises(ConfigError, match="give --hidden 1 1"):
-        PPOLearner(tmp_path / "run", SelfPlayArguments(**SMALL | {"init": str(file)}))
+        run_of(tmp_path / "run", init=str(file))
 
 
 def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_path):
@@ -159,9 +164,9 @@ def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_
     shapes = network_shapes((16, 16), holds=False).items()
     older = {name: random.normal(size=shape).astype(np.float32) for name, shape in shapes}
     save_weights(file, older)
-    network = ActorCritic((16, 16), 0, ("begin",))
+    network = PlanNetwork([0], (16, 16), 0)
     network.start_from(initial_weights(str(file), (16, 16)))
-    policy, _ = network.weights()
+    policy = network.policy_weights()
     inputs = random.normal(size=(3, INPUT_SIZE)).astype(np.float32)
     view = PolicyInput(inputs, np.zeros((3, sum(CHOICES)), np.float32))
     ours, theirs = (RacingPolicy(own).learned_logits(view) for own in (policy, older))
@@ -169,33 +174,51 @@ def test_a_policy_that_does_not_observe_held_offsets_can_be_learned_further(tmp_
     assert np.allclose(ours, theirs, atol=1e-4)
 
 
-def test_distance_is_rewarded_and_a_race_ends_at_the_finish():
-    """Takes the most likely choices of the plans."""
-    fleet = Fleet([Lineup(1, 0)], ["olivermath"])
+def test_distance_is_rewarded_and_returns_go_on_after_the_finish():
+    """The network adds nothing to the plans, so that the most likely choices are theirs."""
+    setup = selfplay_setup(SelfPlayArguments(tracks=("olivermath",), races=("1x1",), num_starts=1))
+    network = PlanNetwork([0], (8, 8), 0)
+    memory = SharedArray((2, 500, 1), network.shape.rollout_type())
+    arguments = ActorArguments(setup.groups, network.shape, setup.plans, "", bootstraps_finish=True)
+    actor = RaceActor(arguments, memory)
     try:
-        view = fleet.begin(3)
-        total, finishes = 0.0, []
-        for _ in range(600):
-            best = [view.prior[:, head].argmax(axis=1) for head in HEADS]
-            fleet.send(np.stack(best, axis=1))
-            view, outcome = fleet.receive()
-            assert outcome.active.all()
-            total += float(outcome.rewards.sum())
-            finishes += outcome.finishes
-            if outcome.ended.any():
-                assert np.abs(outcome.last_inputs).max() > 0
-                break
-        assert total == pytest.approx(0.05 * 496, rel=0.1)  # a lap of 496 m
-        assert len(finishes) == 1
-        assert finishes[0].track == "olivermath"
-        assert finishes[0].ratio is not None
-        assert fleet.active.all()  # the next race has started
+        actor.begin([3])
+        _, critic = network.weights()
+        plans = RacingPolicy.of_plans_alone().weights
+        driven = actor.drive(0, plans, critic | {"b2": np.full(1, 0.5, np.float32)}, {})
     finally:
-        fleet.close()
+        actor.close()
+    rollout = memory.array()[0, :, 0]
+    race, *_ = driven.finishes
+    end, *_ = np.flatnonzero(rollout["ended"])
+    assert rollout["active"].all()  # the next race has started
+    assert race.reward == pytest.approx(0.05 * 496, rel=0.1)  # a lap of 496 m
+    assert (race.company, race.position) == ("alone", 1)
+    assert 0.5 < race.ratio < 1.5
+    assert rollout["next_values"][end] != 0
+    assert not rollout["next_values"][:end].any()
+
+
+@pytest.mark.slow
+def test_past_selves_join_a_run_as_opponents(tmp_path):
+    changes = {"races": ("2x2",), "opponents": "prioritized", "max_cycles": 10, "keep_every": 20}
+    assert learn(tmp_path, 400, **changes) == 0
+    assert 0 <= log_of(tmp_path)[-1]["beaten"] <= 1
+
+
+def test_sampled_choices_follow_their_probabilities():
+    logits = np.zeros((4000, sum(CHOICES)), np.float32)
+    logits[:, HEADS[2]] = 0.0, np.log(3.0)
+    drawn, logs = sample(logits, np.random.default_rng(0), HEADS, [0, 2])
+    assert drawn[:, 2].mean() == pytest.approx(0.75, abs=0.03)
+    assert drawn[:, 0].mean() == pytest.approx(1.5, abs=0.1)
+    assert not drawn[:, [1, 3]].any()  # the most likely choices, which count as certain
+    expected = np.log([0.25 / CHOICES[0], 0.75 / CHOICES[0]])
+    assert sorted(set(logs.round(4).tolist())) == pytest.approx(expected, abs=1e-3)
 
 
 def test_advantages_end_where_races_end():
-    rollout = np.zeros((16, 3), ROLLOUT)
+    rollout = np.zeros((16, 3), plan_shape([0]).rollout_type())
     rollout["rewards"] = 1.0
     rollout["active"] = True
     rollout["ended"][7] = True

@@ -201,19 +201,44 @@ class BatchedRacingView:
         widths = (3 if key == "velocity" else 1 for key in OWN_NUMBERS)
         numbers = tuple(np.empty((count, width), np.float32) for width in widths)
         kinds = tuple(np.empty(count, np.int64) for _ in OWN_KINDS)
-        looks = np.ascontiguousarray(looks, np.float32)
-        for snapshot, road, who, rows in _races(snapshots, roads, karts):
-            self._observer.look(
-                snapshot.data,
-                road,
-                who,
-                looks,
-                tuple(array[rows] for array in numbers),
-                tuple(array[rows] for array in kinds),
-                tuple(array[rows] for array in arrays),
-            )
         own: dict[str, npt.NDArray[Any]] = dict(zip(OWN_NUMBERS, numbers, strict=True))
-        return own | dict(zip(OWN_KINDS, kinds, strict=True)), Surroundings(*arrays)
+        own |= dict(zip(OWN_KINDS, kinds, strict=True))
+        for snapshot, road, who, rows in _races(snapshots, roads, karts):
+            parts = {key: array[rows] for key, array in own.items()}
+            self.look_into(
+                snapshot, road, who, looks, (parts, tuple(array[rows] for array in arrays))
+            )
+        return own, Surroundings(*arrays)
+
+    def look_into(
+        self,
+        snapshot: Snapshot,
+        road: int,
+        karts: IntArray,
+        looks: FloatArray,
+        out: tuple[Mapping[str, npt.NDArray[Any]], tuple[npt.NDArray[Any], ...]],
+    ) -> None:
+        """Writes own state and surroundings of some karts of one race into arrays.
+
+        Args:
+            snapshot: current snapshot of the race.
+            road: number of its track.
+            karts: ``(A,)`` indices of the karts.
+            looks: see :meth:`surroundings`.
+            out: C-contiguous arrays in the form of the result of :meth:`surroundings`: own state by
+                key, then the first four arrays of :class:`Surroundings`. They may have room for
+                more karts and items than the race has.
+        """
+        own, arrays = out
+        self._observer.look(
+            snapshot.data,
+            road,
+            karts,
+            np.ascontiguousarray(looks, np.float32),
+            tuple(own[key] for key in OWN_NUMBERS),
+            tuple(own[key] for key in OWN_KINDS),
+            arrays,
+        )
 
     def road(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -124,7 +125,7 @@ class PPOArguments(NetworkArguments):
 
 
 @dataclass(frozen=True, slots=True)
-class OverlappedArguments(PPOArguments):
+class RolloutArguments(PPOArguments):
     """Arguments of every script whose actors keep driving while it learns.
 
     Attributes:
@@ -150,6 +151,42 @@ class OverlappedArguments(PPOArguments):
     warm_up: Natural = 10
     keep_every: int = 500_000
     checkpoint_every: int = 20
+
+
+#: Number of learners, of karts of the game's AI, and of races; see :func:`parse_races`.
+_RACES = re.compile(r"([1-9]\d*)(?:\+(\d+))?(?:x([1-9]\d*))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Lineup:
+    """Number of learners and of karts of the game's AI in a race, and of races with them."""
+
+    learners: int
+    bots: int
+    races: int = 1
+
+    @property
+    def has_duels(self) -> bool:
+        """Whether a past self can drive half of the karts."""
+        return self.learners > 1 and not self.bots
+
+
+def parse_races(texts: Sequence[str]) -> list[Lineup]:
+    """Parses ``4x3`` (three races of four learners) or ``2+2x1`` (two learners, two AI karts).
+
+    Raises:
+        ConfigError: a text has another form.
+    """
+    lineups = []
+    for text in texts:
+        if not (found := _RACES.fullmatch(text)):
+            raise ConfigError(
+                f"races {text!r} are invalid; expected for example 4x3 (three races of four "
+                "agents) or 2+2x1 (one race of two agents and two karts of the game's AI)"
+            )
+        learners, bots, races = (int(number or 0) for number in found.groups())
+        lineups.append(Lineup(learners, bots, races or 1))
+    return lineups
 
 
 def track_names(names: Sequence[str]) -> tuple[str, ...]:

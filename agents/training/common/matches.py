@@ -1,38 +1,34 @@
-"""Matches: races between policies of any kind, many in parallel.
-
-A *match driver* drives some karts of a match. It is made from the files of training scripts: a
-policy over plans (``ppo``, ``league``), a network without plans (``sb3``, ``imitation``,
-``rllib``), or the folder of an agent (:mod:`~stkzoo.agents.training.export`).
-"""
+"""Matches between policies: many races at once, in which policies drive some of the karts."""
 
 from __future__ import annotations
 
+import functools
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from gymnasium.vector.utils import create_empty_array
 
-from stkzoo._schema import Count
-from stkzoo.agents.planning import FloatArray
-from stkzoo.agents.planning.driver import PlanDriver
+from stkzoo import Phase, race_v0
+from stkzoo._schema import Count, Place
+from stkzoo.agents.planning import FloatArray, IntArray
+from stkzoo.agents.planning.driver import PolicyInput, action_of
 from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.planning.view import PlanView, around_of, surroundings_view
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.driver import policy_of, read_numbers, read_policy
 from stkzoo.agents.pretrained.ensemble import EnsemblePolicy
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.evaluation import Rating, rate
-from stkzoo.wrappers.racing import CHOICES, Surroundings, controls_of_choices, racing_features
+from stkzoo.evaluation import Rating, load_ai_times, rate
+from stkzoo.wrappers.racing import CHOICES, controls_of_choices, racing_features
 
-from .fleet import Finish, RaceFleet
-from .opponents import bot_name
 from .run_folder import plan_parameters, run_parameters
-from .starts import Lineup, RaceStarts, StartingPoint
 
 #: Name of the plans without learning.
 PRIOR = "prior"
@@ -40,14 +36,28 @@ PRIOR = "prior"
 AI = "ai"
 #: Number of members in a match, in addition to one kart of the game's AI.
 SEATS = 4
+#: Time ratio of a kart that does not finish.
+UNFINISHED = 3.0
+#: Time limit of a race, as a multiple of the AI's median time.
+_PATIENCE = 1.6
+#: Upper limit of an estimated time ratio.
+_WORST_RATIO = 10.0
+_STEP = 0.1  # [s]
 #: Number of matches that one process drives in parallel.
 _SIDE_BY_SIDE = 28
 #: Number of sets of matches; one set is computed while the games of the others run.
 _LANES = 2
 
-#: Drives some karts through one match: returns controls ``(karts, 7)`` for their own state and
-#: their surroundings.
-KartController = Callable[[Mapping[str, Any], Surroundings], FloatArray]
+#: Observations of some karts (:class:`~stkzoo.agents.planning.view.PlanSurroundings`), in rows.
+Seen = Mapping[str, Any]
+#: Drives some karts through matches: returns controls ``(karts, 7)`` for their observations.
+KartController = Callable[[Seen], FloatArray]
+
+
+@functools.cache
+def ai_time(track: str, reverse: bool, difficulty: int) -> float:
+    """Returns the median time of the game's AI [s]; the difficulty makes all karts faster."""
+    return load_ai_times().of(track, reverse, difficulty).median
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +66,7 @@ class MatchDriver:
 
     Attributes:
         take_karts: returns a controller for a number of karts in the GO phase.
-        sees_line: whether the controller needs the racing line in the surroundings.
+        sees_line: whether the controller needs the racing line.
     """
 
     take_karts: Callable[[int], KartController]
@@ -78,20 +88,17 @@ def plan_match_driver(
     rules = parameters or DriverParameters()
 
     def take_karts(count: int) -> KartController:
-        karts = PlanDriver(count, rules)
-        look = karts.view  # at GO, before the first step
+        view = PlanView(count, rules)
 
-        def control(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
-            nonlocal look
-            view, look = look(own, around), karts.look
-            return karts.act(policy.best(view))[0]
+        def control(seen: Seen) -> FloatArray:
+            return view.drive(policy.best(PolicyInput(**view.observe(seen))))[0]
 
         return control
 
     return MatchDriver(take_karts, rules.racing_line)
 
 
-def network_driver(choose: Callable[[FloatArray], npt.NDArray[Any]], hold: int = 0) -> MatchDriver:
+def network_driver(choose: Callable[[FloatArray], Any], hold: int = 0) -> MatchDriver:
     """Returns a driver that follows a network's choices on the view ``racing``.
 
     Args:
@@ -102,12 +109,10 @@ def network_driver(choose: Callable[[FloatArray], npt.NDArray[Any]], hold: int =
 
     def take_karts(count: int) -> KartController:
         action_filter = ActionFilter(count, hold)
-        look = action_filter.see  # at GO, before the first step
 
-        def control(own: Mapping[str, Any], around: Surroundings) -> FloatArray:
-            nonlocal look
-            seen, look = look(racing_features(own, around)), action_filter.look
-            return controls_of_choices(action_filter.apply(choose(seen)))
+        def control(seen: Seen) -> FloatArray:
+            views = racing_features(seen, around_of(seen))
+            return controls_of_choices(action_filter.apply(choose(action_filter.look(views))))
 
         return control
 
@@ -146,6 +151,26 @@ def match_driver(source: str | Path) -> MatchDriver:
 
 
 @dataclass(frozen=True, slots=True)
+class Finish:
+    """The end of a kart's match.
+
+    Attributes:
+        ratio: finish time over the AI's median time; ``None`` if the match was cut short.
+        estimate: the ratio, estimated from the pace if the match was cut short; at most 10.
+        rank: final rank, 1 is first.
+    """
+
+    ratio: float | None
+    estimate: float
+    rank: Place
+
+    @property
+    def counted_ratio(self) -> float:
+        """The time ratio; 3 if the match was cut short."""
+        return UNFINISHED if self.ratio is None else self.ratio
+
+
+@dataclass(frozen=True, slots=True)
 class Match:
     """A match to play.
 
@@ -153,7 +178,7 @@ class Match:
         drivers: names of the drivers, one per kart; names may repeat.
         track: name of the track.
         reverse: whether to drive it in reverse.
-        number: number of the starting point.
+        number: number of the start: seed of the grid positions and of the game.
         bots: karts of the game's AI.
         difficulty: difficulty of the game's AI, 0 to 3.
     """
@@ -166,22 +191,21 @@ class Match:
     difficulty: int = 3
 
     @property
-    def start(self) -> StartingPoint:
-        """Returns the starting point."""
-        lineup = Lineup(len(self.drivers), self.bots, self.difficulty)
-        return StartingPoint(self.track, self.reverse, self.number, lineup)
+    def start(self) -> tuple[Any, ...]:
+        """Key of the start, which is equal for matches with equal starts."""
+        place = self.track, self.reverse, self.number, self.difficulty
+        return len(self.drivers), self.bots, *place
 
-    def order(self, finishes: Sequence[Finish], ai: str | None = None) -> list[str]:
+    def order(self, finishes: Sequence[Finish], ai: str) -> list[str]:
         """Returns names in finishing order, each once, at its best rank.
 
         Args:
             finishes: finishes of the drivers' karts.
-            ai: name of the game's AI; ``None`` for names such as ``bot:3``.
+            ai: name of the game's AI.
         """
         ranks = {finish.rank: name for finish, name in zip(finishes, self.drivers, strict=True)}
-        others = ai or bot_name(self.difficulty)
         places = range(1, len(finishes) + self.bots + 1)
-        return list(dict.fromkeys(ranks.get(place, others) for place in places))
+        return list(dict.fromkeys(ranks.get(place, ai) for place in places))
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,40 +225,132 @@ class MatchRecord:
     order: list[str]
 
 
+class _MatchStarts:
+    """Environments of matches, and saved states of their starts in the moment of GO.
+
+    Args:
+        sees_line: whether agents observe the racing line.
+    """
+
+    def __init__(self, sees_line: bool) -> None:
+        self._view = surroundings_view(sees_line)
+        self._free: dict[tuple[int, int], list[Any]] = {}
+        self._states: dict[tuple[Any, ...], Any] = {}
+
+    def begin(self, match: Match) -> tuple[Any, dict[str, Any]]:
+        """Returns an environment at the start of a match, and its observations."""
+        count, bots = len(match.drivers), match.bots
+        free = self._free.setdefault((count, bots), [])
+        env = free.pop() if free else self._new_env(count, bots)
+        if match.start not in self._states:
+            self._states[match.start] = _state_at_go(env, match)
+        seconds = _PATIENCE * ai_time(match.track, match.reverse, match.difficulty)
+        options = {"state": self._states[match.start], "max_cycles": math.ceil(seconds / _STEP)}
+        return env, env.reset(options=options)[0]
+
+    def end(self, match: Match, env: Any) -> None:
+        """Takes the environment of a match back."""
+        self._free[len(match.drivers), match.bots].append(env)
+
+    def forget(self, starts: Sequence[tuple[Any, ...]]) -> None:
+        """Ends the processes of some starts."""
+        for start in starts:
+            self._states.pop(start).close()
+
+    def close(self) -> None:
+        """Ends all processes."""
+        self.forget(list(self._states))
+        for env in (env for envs in self._free.values() for env in envs):
+            env.close()
+
+    def _new_env(self, count: int, bots: int) -> Any:
+        return race_v0.parallel_env(
+            agents=count, num_kart=count + bots, view=self._view, max_snapshots=2**20
+        )
+
+
+def _state_at_go(env: Any, match: Match) -> Any:
+    """Returns the saved state of a match in the moment of GO."""
+    place = {"track": match.track, "reverse": match.reverse, "difficulty": match.difficulty}
+    observations, _ = env.reset(seed=match.number, options=place)
+    waits = action_of(np.eye(1, 7, dtype=np.float32)[0])  # full throttle
+    while next(iter(observations.values()))["phase"] < Phase.GO_PHASE:
+        observations, *_ = env.step(dict.fromkeys(env.agents, waits))
+    return env.save_state()
+
+
+class _RunningMatch:
+    """A match that is being driven.
+
+    Args:
+        match: the match.
+        first: row of its first kart in the arrays of all karts.
+        starts: provides its start.
+    """
+
+    def __init__(self, match: Match, first: int, starts: _MatchStarts) -> None:
+        self.match, self.finishes = match, dict[int, Finish]()
+        self.env, self.observations = starts.begin(match)
+        self._rows = {agent: first + n for n, agent in enumerate(self.env.possible_agents)}
+        self._steps = 0
+
+    def see(self, seen: dict[str, Any]) -> None:
+        """Writes the karts' observations into their rows."""
+        for agent, own in self.observations.items():
+            for key, value in own.items():
+                seen[key][self._rows[agent]] = value
+
+    def send(self, controls: FloatArray) -> None:
+        """Starts a step."""
+        actions = {agent: action_of(controls[self._rows[agent]]) for agent in self.env.agents}
+        self.env.step_async(actions)
+
+    def receive(self) -> None:
+        """Waits for the step and records the karts that ended."""
+        self.observations, _, finished, cut, infos = self.env.step_wait()
+        self._steps += 1
+        match, length = self.match, self.env.track_map.length
+        median = ai_time(match.track, match.reverse, match.difficulty)
+        for agent, info in infos.items():
+            if finished[agent] or cut[agent]:
+                ratio = info["finish_time"] / median if finished[agent] else None
+                share = max(info["distance"] / length, 1e-6)
+                pace = self._steps * _STEP / median / share
+                estimate = min(pace if ratio is None else ratio, _WORST_RATIO)
+                self.finishes[self._rows[agent]] = Finish(ratio, estimate, info["position"])
+
+
 def _drive(
-    matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: RaceStarts
+    matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: _MatchStarts
 ) -> Generator[list[list[Finish]] | None]:
     """Drives matches in parallel; yields ``None`` after each step, and finally all finishes."""
-    sees_line = any(driver.sees_line for driver in drivers.values())
-    fleet = RaceFleet([match.start.lineup for match in matches], starts, sees_line=sees_line)
     names = np.array([name for match in matches for name in match.drivers])
-    groups = [(name, np.flatnonzero(names == name)) for name in dict.fromkeys(names.tolist())]
-    controllers = [(rows, drivers[name].take_karts(len(rows))) for name, rows in groups]
-    finishes: dict[int, Finish] = {}
+    controllers: list[tuple[IntArray, KartController]] = []
+    for name in dict.fromkeys(names.tolist()):
+        rows = np.flatnonzero(names == name)
+        controllers.append((rows, drivers[name].take_karts(len(rows))))
+    firsts = np.cumsum([0, *(len(match.drivers) for match in matches)])
+    running: list[_RunningMatch] = []
     try:
-        fleet.start_at([(match.track, match.reverse, match.number) for match in matches])
-        while fleet.active.any():
-            own, around = fleet.surroundings()
-            controls = np.zeros((fleet.num_slots, 7), np.float32)
+        for match, first in zip(matches, firsts.tolist(), strict=False):
+            running.append(_RunningMatch(match, first, starts))
+        space = running[0].env.observation_space("kart_0")
+        seen: Any = create_empty_array(space, len(names))
+        controls = np.zeros((len(names), 7), np.float32)
+        while left := [own for own in running if own.env.agents]:
+            for own in left:
+                own.see(seen)
             for rows, control in controllers:
-                controls[rows] = control(*_rows_of(own, around, rows))
-            fleet.send_controls(controls)
+                controls[rows] = control({key: array[rows] for key, array in seen.items()})
+            for own in left:
+                own.send(controls)
             yield None  # while the games run
-            step = fleet.receive_step()
-            finishes |= zip(np.flatnonzero(step.ended).tolist(), step.finishes, strict=True)
+            for own in left:
+                own.receive()
     finally:
-        fleet.close(with_starts=False)
-    slots = iter(sorted(finishes))
-    yield [[finishes[next(slots)] for _ in match.drivers] for match in matches]
-
-
-def _rows_of(
-    own: Mapping[str, Any], around: Surroundings, rows: npt.NDArray[np.intp]
-) -> tuple[dict[str, Any], Surroundings]:
-    """Returns own state and surroundings of some of the karts."""
-    seen = {part.name: getattr(around, part.name) for part in fields(around)}
-    parts = {name: array[rows] for name, array in seen.items() if array is not None}
-    return {name: array[rows] for name, array in own.items()}, Surroundings(**parts)
+        for own in running:
+            starts.end(own.match, own.env)
+    yield [[own.finishes[row] for row in sorted(own.finishes)] for own in running]
 
 
 def play_matches(
@@ -257,7 +373,7 @@ def play_matches(
     uses = Counter(match.start for match in matches)
     results: dict[int, list[list[Finish]]] = {}
     lanes: dict[int, Generator[list[list[Finish]] | None]] = {}
-    starts = RaceStarts()
+    starts = _MatchStarts(any(driver.sees_line for driver in drivers.values()))
     try:
         while waiting or lanes:
             while waiting and len(lanes) < _LANES:
@@ -266,10 +382,11 @@ def play_matches(
             for number, lane in list(lanes.items()):
                 if (finishes := next(lane)) is not None:
                     results[number] = finishes
-                    del lanes[number]
+                    lanes.pop(number).close()
                     first = number * side_by_side
-                    uses -= Counter(m.start for m in matches[first : first + side_by_side])
-                    starts.close(keep=uses)
+                    played = Counter(m.start for m in matches[first : first + side_by_side])
+                    uses.subtract(played)
+                    starts.forget([start for start in played if not uses[start]])
     finally:
         for lane in lanes.values():
             lane.close()

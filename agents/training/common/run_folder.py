@@ -16,10 +16,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from stkzoo._locks import LOCK
 from stkzoo._os import make_folder, write_text, write_whole, writing
 from stkzoo._reading import load_json, open_zip, read_json, read_lines, reading
 from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.pretrained.mlp import HOLD
+from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.errors import ConfigError
 
 from .command import training_library
@@ -186,6 +190,18 @@ def remove_later_policies(folder: Path, kart_steps: int) -> None:
     for policy in saved_policies(folder):
         if (kart_steps_of(policy) or 0) > kart_steps:
             policy.unlink()
+
+
+def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:
+    """Writes a Stable-Baselines3 policy to a file atomically.
+
+    Args:
+        path: path of the file.
+        policy: the policy, whose state dict is saved.
+        hold: minimum steps of its drifts.
+    """
+    state = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+    save_weights(path, state | ({HOLD: np.array([hold], np.float32)} if hold else {}))
 
 
 def run_parameters(policy: Path) -> DriverParameters:

@@ -18,7 +18,7 @@ the same command again; it repeats the interrupted round.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,9 +27,10 @@ from typing import Any
 import numpy as np
 
 from stkzoo._arguments import option
-from stkzoo.agents.planning import IntArray
+from stkzoo.agents.planning import BoolArray, IntArray
 from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.planning.plans import BRAKE as BRAKE_PLAN
+from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter, steering
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -37,17 +38,15 @@ from stkzoo.wrappers.racing import BRAKE, SIZE, controls_of_choices
 
 from ..common.arguments import QUICK_TRACKS, ScriptOptions
 from ..common.command import run_command, training_torch
-from ..common.fleet import Finish, Fleet
-from ..common.matches import Match, network_driver, play_matches
-from ..common.starts import Lineup
+from ..common.matches import Match, ai_time, network_driver, play_matches
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
 
 #: Learners, bots and number of races: alone, against each other, and against the game's AI.
 _LINEUPS = ((1, 0, 8), (5, 0, 4), (2, 3, 4), (1, 4, 4))
 #: Minimum steps of a drift; with 1, drifts end when the plans end them.
 _HOLD = 1
-#: Time ratio of a kart that does not finish.
-_UNFINISHED = 1.6
+#: Time ratio of a kart that does not finish, and steps after which a race is cut short.
+_UNFINISHED, _MAX_CYCLES = 1.6, 1200
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,25 +69,36 @@ class LabelledRaces:
     """Races in which students drive and the plans label their states.
 
     Args:
-        fleet: the races, without mirroring.
-        view: first input of the policy.
+        races: the races.
+        seed: seed of the races.
+
+    Attributes:
+        ratios: time over the AI's median time of each kart that has ended.
+        finished: number of these karts that finished.
     """
 
-    def __init__(self, fleet: Fleet, view: PolicyInput) -> None:
-        self.fleet, self.view = fleet, view
+    def __init__(self, races: PlanVectorEnv, seed: int) -> None:
+        self.races, self.ratios, self.finished = races, list[float](), 0
         self._plans = RacingPolicy.of_plans_alone()
-        self._action_filter = ActionFilter(fleet.num_slots, _HOLD, fleet.drivers.memory)
+        self._action_filter = ActionFilter(races.num_envs, _HOLD, races.view.driver.memory)
+        self._observations, _ = races.reset(seed=seed)
 
     @property
     def seen(self) -> Numbers:
         """Inputs of the students, ``(S, 177)``."""
-        return self.view.inputs[:, :INPUT_SIZE]
+        return self._observations["inputs"][:, :INPUT_SIZE]
+
+    @property
+    def active(self) -> BoolArray:
+        """``(S,)`` bool, karts that are racing."""
+        return self.races.races.racing
 
     def labels(self) -> IntArray:
         """Choices of the plans, in the students' form, ``(S, 5)``."""
-        drivers, choices = self.fleet.drivers, self._plans.best(self.view)
-        side, turn = drivers.moves(choices)
-        begins = (side != 0) & (drivers.memory.situation().drift_side == 0)
+        driver = self.races.view.driver
+        choices = self._plans.best(PolicyInput(**self._observations))
+        side, turn = driver.moves(choices)
+        begins = (side != 0) & (driver.memory.situation().drift_side == 0)
         columns = (
             steering(side, turn, begins),
             np.where(choices[:, 0] == BRAKE_PLAN, BRAKE, 0),
@@ -97,12 +107,18 @@ class LabelledRaces:
         )
         return np.stack(columns, axis=1).astype(np.int64)
 
-    def step(self, choices: IntArray) -> list[Finish]:
-        """Steps with choices ``(S, 5)``; returns the finishes of races that ended."""
-        self._action_filter.see(self.view.inputs[:, :SIZE])
-        self.fleet.send_controls(controls_of_choices(self._action_filter.apply(choices)))
-        self.view, outcome = self.fleet.receive()
-        return outcome.finishes
+    def step(self, choices: IntArray) -> None:
+        """Steps with choices ``(S, 5)``."""
+        self._action_filter.see(self._observations["inputs"][:, :SIZE])
+        facts = [race.race for race in self.races.races.races]
+        self.races.send_controls(controls_of_choices(self._action_filter.apply(choices)))
+        self._observations, _, finished, cut, infos = self.races.step_wait()
+        for slot in np.flatnonzero(finished | cut).tolist():
+            race = facts[slot // self.races.races.num_agents]
+            median = ai_time(race.track, race.reverse, race.difficulty)
+            time = float(infos["final_info"]["finish_time"][slot])
+            self.ratios.append(time / median if finished[slot] else _UNFINISHED)
+            self.finished += bool(finished[slot])
 
 
 def run(
@@ -140,35 +156,48 @@ def _drive(
 ) -> Lesson:
     """Collects the data of a round."""
     student = load_driver(policy) if policy else None
-    lineups = [
-        Lineup(learners, bots, arguments.difficulty)
-        for learners, bots, races in _LINEUPS
-        for _ in range(races)
-    ]
-    fleet = Fleet(lineups, arguments.tracks, mirrors=False)
     random = np.random.default_rng([arguments.seed, number])
-    finishes: list[Finish] = []
     slots, seen, answers, count = [], [], [], 0
-    try:
-        races = LabelledRaces(fleet, fleet.begin(arguments.seed + 1000 * number))
+    with ExitStack() as resources:
+        groups = []
+        for offset, lineup in enumerate(_LINEUPS):
+            envs = _races(arguments, *lineup)
+            resources.callback(envs.close)
+            groups.append(LabelledRaces(envs, arguments.seed + 1000 * number + 100 * offset))
         while count < arguments.steps:
-            right, sees, active = races.labels(), races.seen, fleet.active
-            slots.append(np.flatnonzero(active))
-            seen.append(sees[active])
-            answers.append(right[active])
-            count += int(active.sum())
-            choices = right
-            if student:
-                choices = student.best(sees) if number % 2 else student.sample(sees, random)
-            finishes += races.step(choices)
+            first = 0
+            for group in groups:
+                right, sees, active = group.labels(), group.seen, group.active
+                slots.append(first + np.flatnonzero(active))
+                seen.append(sees[active])
+                answers.append(right[active])
+                first, count = first + len(active), count + int(active.sum())
+                choices = right
+                if student:
+                    choices = student.best(sees) if number % 2 else student.sample(sees, random)
+                group.step(choices)
             report(f"round {number} drives", count, arguments.steps)
-    finally:
-        fleet.close()
-    finished = sum(finish.ratio is not None for finish in finishes)
-    ratios = _ratios(finishes) or (_UNFINISHED,)  # perhaps no race has finished
+    ratios = tuple(ratio for group in groups for ratio in group.ratios)
+    finished = sum(group.finished for group in groups)
     by_kart = np.argsort(np.concatenate(slots), kind="stable")  # held-out blocks are of one kart
     inputs, labels = (np.concatenate(rows)[by_kart] for rows in (seen, answers))
-    return Lesson(inputs, labels, ratios, finished)
+    # Perhaps no race has finished.
+    return Lesson(inputs, labels, ratios or (_UNFINISHED,), finished)
+
+
+def _races(arguments: DistillationArguments, learners: int, bots: int, races: int) -> PlanVectorEnv:
+    return PlanVectorEnv(
+        races,
+        num_kart=learners + bots,
+        agents=learners,
+        track=arguments.tracks,
+        reverse=None,
+        difficulty=arguments.difficulty,
+        max_cycles=_MAX_CYCLES,
+        num_starts=2 * len(arguments.tracks),
+        start_seed=arguments.seed,
+        skip_countdown=True,
+    )
 
 
 def _alone(arguments: DistillationArguments, student: MlpDriver) -> dict[str, float]:
@@ -180,14 +209,11 @@ def _alone(arguments: DistillationArguments, student: MlpDriver) -> dict[str, fl
     ]
     played = play_matches(matches, {"student": network_driver(student.best, _HOLD)})
     finishes = [finish for (finish,) in played]
+    ratios = [_UNFINISHED if finish.ratio is None else finish.ratio for finish in finishes]
     return {
-        "time_ratio_alone": round(float(np.mean(_ratios(finishes))), 4),
+        "time_ratio_alone": round(float(np.mean(ratios)), 4),
         "unfinished": sum(finish.ratio is None for finish in finishes),
     }
-
-
-def _ratios(finishes: Sequence[Finish]) -> tuple[float, ...]:
-    return tuple(_UNFINISHED if f.ratio is None else f.ratio for f in finishes)
 
 
 def main(words: list[str] | None = None) -> int:

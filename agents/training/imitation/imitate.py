@@ -55,7 +55,7 @@ from stkzoo.wrappers.racing import controls_of_choices
 from ..common.actors import end_with_parent
 from ..common.arguments import QUICK_TRACKS, Natural, RunArguments, ScriptOptions
 from ..common.command import run_command
-from ..common.fleet import ai_time
+from ..common.matches import ai_time
 from .lessons import ImitationArguments, Lesson, Numbers, Report, run_rounds, show_rounds
 
 #: Time limit of a learner's race, as a multiple of the AI's median time.

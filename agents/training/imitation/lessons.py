@@ -27,8 +27,7 @@ from stkzoo.wrappers.racing import SIZE
 
 from ..common.arguments import NetworkArguments, ScriptOptions
 from ..common.command import ProgressBar
-from ..common.network_policy import save_driver
-from ..common.run_folder import keep_arguments, read_log, write_log
+from ..common.run_folder import keep_arguments, read_log, save_driver, write_log
 from ..export import export_policy
 from ..plot import plot_runs
 from .network import fit, held_out, load_weights_into, make_network

@@ -19,11 +19,12 @@ stkzoo.agents.training.export`` converts to agents) and a run folder per player.
 
 from __future__ import annotations
 
-import functools
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,28 +40,18 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
 
-from ..common.arguments import BatchSize, Natural, PPOArguments, ScriptOptions
+from ..common.arguments import BatchSize, Natural, PPOArguments, ScriptOptions, parse_races
 from ..common.command import ProgressBar, run_command
-from ..common.matches import MatchRecord, plan_match_driver, play_records, rate_orders
+from ..common.matches import MatchRecord, match_driver, play_records, rate_orders
 from ..common.run_folder import LEAGUE, TrainingLog, check_resumed, read_run_file, write_json
-from ..common.starts import parse_races
 from ..ppo.network import initial_weights
-from ..ppo.selfplay import SelfPlayArguments
-from .learner import LeagueLearner
+from ..ppo.run import PPORun
+from ..ppo.selfplay import SelfPlayArguments, selfplay_setup
 from .page import page
-from .players import (
-    START,
-    DuelResults,
-    LeagueMember,
-    Player,
-    PlayerMatchmaker,
-    draw_matches,
-    has_duels,
-    new_players,
-)
+from .players import START, LeagueMember, Player, PlayerMatchmaker, draw_matches, new_players
 
-_PAGE, _MEMBERS, _DUELS = "league.html", "members", "duels.json"
-_VERSION = 2
+_PAGE, _MEMBERS = "league.html", "members"
+_VERSION = 3
 
 #: Called after each iteration with the league's kart-steps, the player's name and its log line.
 Report = Callable[[int, str, dict[str, float]], None]
@@ -111,7 +102,7 @@ class LeagueArguments(PPOArguments):
 
     def __post_init__(self) -> None:
         PPOArguments.__post_init__(self)
-        if not any(map(has_duels, parse_races(self.races))):
+        if not any(lineup.has_duels for lineup in parse_races(self.races)):
             raise ConfigError(
                 f"races {' '.join(self.races)} leave no kart to rivals; add races of two or more "
                 "agents without the game's AI, such as 4x6"
@@ -138,27 +129,6 @@ class _LeagueState:
     ratings: dict[str, list[float]] = field(default_factory=dict)
 
 
-@dataclass(slots=True)
-class _MemberPolicies:
-    """The members' policies, by name; each is read once.
-
-    Attributes:
-        folder: folder of their files.
-    """
-
-    folder: Path
-    _read: dict[str, RacingPolicy] = field(default_factory=dict)
-
-    def __call__(self, name: str) -> RacingPolicy:
-        if name not in self._read:
-            self._read[name] = RacingPolicy(load_weights(self.file(name)))
-        return self._read[name]
-
-    def file(self, name: str) -> Path:
-        """Returns a member's file."""
-        return self.folder / f"{name}.safetensors"
-
-
 class League:
     """A league: its players, past selves and files.
 
@@ -178,16 +148,16 @@ class League:
         require_openskill()
         self.folder, self.arguments = Path(folder), arguments
         self.page = self.folder / _PAGE
-        self._policies = _MemberPolicies(self.folder / _MEMBERS)
+        self._members = self.folder / _MEMBERS
         with using_folder(self.folder, "league"):
-            self._policies.folder.mkdir(parents=True, exist_ok=True)
+            self._members.mkdir(parents=True, exist_ok=True)
         if (self.folder / LEAGUE).exists():
             self._state = read_run_file(_LeagueState, self.folder / LEAGUE)
             check_resumed(self.folder, self._state.arguments, asdict(arguments))
             return
         players = new_players(arguments.mains, arguments.exploiters, arguments.league_exploiters)
         self._state = _LeagueState(asdict(arguments), players)
-        save_weights(self._policies.file(START), _start_weights(arguments))
+        save_weights(self._file(START), _start_weights(arguments))
         self._admit(START, "", 0)
         self._save()
 
@@ -209,14 +179,13 @@ class League:
         """
         state = self._state
         player = state.players[state.turn % len(state.players)]
-        matchmaker = PlayerMatchmaker(player, state.members, self._policies)
-        self._learn(player, matchmaker, report)
+        beaten = self._learn(player, report)
         state.turn += 1
         player.turns += 1
         name = f"{player.name}-{player.total_turns:03d}"
         self._admit(name, player.name, player.kart_steps)
         self._play_matches(name)
-        if player.is_done(matchmaker.beaten(), self.arguments.patience):
+        if player.is_done(beaten, self.arguments.patience):
             player.start_over()
         self._save()
         return name
@@ -228,32 +197,37 @@ class League:
 
     # ------------------------------------------------------------------ parts of a turn
 
-    def _learn(self, player: Player, matchmaker: PlayerMatchmaker, report: Report) -> None:
-        """Trains and saves checkpoint, duels and weights, unless this was done already."""
-        state, folder = self._state, self.folder / player.folder
-        until = player.kart_steps + self.arguments.turn
-        arguments = self.arguments.of_learner(state.players.index(player), player.generation)
-        learner = LeagueLearner(folder, arguments, matchmaker, [self.arguments.seed, state.turn])
-        try:
-            is_played = learner.kart_steps >= until
-            with TrainingLog(folder, learner.iteration) as log:
-                while learner.kart_steps < until:
-                    line = learner.iterate()
-                    log.write(line)
-                    done = state.kart_steps + learner.kart_steps - player.kart_steps
-                    report(done, player.name, line)
-            if is_played:  # interrupted between writing the checkpoint and the league's state
-                matchmaker.restore(read_run_file(DuelResults, folder / _DUELS))
-            else:
-                write_json(folder / _DUELS, matchmaker.state())
-                learner.save_checkpoint()
-            player.pool = matchmaker.pool.opponents
-            state.kart_steps += learner.kart_steps - player.kart_steps
-            player.kart_steps = learner.kart_steps
-            name = f"{player.name}-{player.total_turns + 1:03d}"
-            learner.save_policy(self._policies.file(name))
-        finally:
-            learner.close()
+    def _learn(self, player: Player, report: Report) -> float:
+        """Trains and saves checkpoint and weights, unless this was done already.
+
+        Returns:
+            The fraction of duels won in this turn.
+        """
+        state, arguments = self._state, self.arguments
+        until = player.kart_steps + arguments.turn
+        own = arguments.of_learner(state.players.index(player), player.generation)
+        matchmaker = PlayerMatchmaker(player, state.members)
+        setup = replace(selfplay_setup(own), matchmaker=matchmaker, past=self._members)
+        if own.init:  # the file may be gone; the league has a copy
+            setup = replace(setup, read_first=partial(load_weights, self._file(START)))
+        with closing(PPORun(self.folder / player.folder, own, setup)) as run:
+            if run.kart_steps < until:  # otherwise, interrupted after the checkpoint of this turn
+                matchmaker.reported.clear()
+                with TrainingLog(run.folder, run.iteration) as log:
+                    while run.kart_steps < until:
+                        line = run.iterate()
+                        log.write(line)
+                        done = state.kart_steps + run.kart_steps - player.kart_steps
+                        report(done, player.name, line)
+                run.save_checkpoint()
+            state.kart_steps += run.kart_steps - player.kart_steps
+            player.kart_steps = run.kart_steps
+            run.save_policy(self._file(f"{player.name}-{player.total_turns + 1:03d}"))
+        return matchmaker.beaten()
+
+    def _file(self, name: str) -> Path:
+        """Returns a member's file."""
+        return self._members / f"{name}.safetensors"
 
     def _admit(self, name: str, player: str, kart_steps: int) -> None:
         state = self._state
@@ -268,7 +242,7 @@ class League:
             name, names, state.matches, arguments.tracks, arguments.matches, random
         )
         meeting = {member for match in matches for member in match.drivers}
-        drivers = {member: plan_match_driver(self._policies(member)) for member in meeting}
+        drivers = {member: match_driver(self._file(member)) for member in meeting}
         state.matches += play_records(matches, drivers, state.turn)
         ratings = rate_orders([match.order for match in state.matches])
         state.ratings = {name: [r.value, *r.interval] for name, r in ratings.items()}
@@ -315,7 +289,7 @@ def play(options: LeagueOptions, arguments: LeagueArguments) -> None:
         with ProgressBar(total, league.kart_steps) as bar:
             while league.kart_steps < total:
                 begin, before = time.perf_counter(), league.kart_steps
-                name = league.play_turn(functools.partial(_show, bar))
+                name = league.play_turn(partial(_show, bar))
                 speed = (league.kart_steps - before) / (time.perf_counter() - begin)
                 print(f"{league.kart_steps:>10,}  {name}  {speed:.0f} kart-steps/s", flush=True)
     print("\n".join(league.table()))

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from stkzoo._schema import Count, Share, matching, one_of
-from stkzoo.agents.pretrained.policy import RacingPolicy
+from stkzoo._schema import Count, matching, one_of
 from stkzoo.errors import ConfigError
 
 from ..common.matches import SEATS, Match, MatchRecord
-from ..common.opponents import Rival, RivalPool
-from ..common.starts import Lineup
+from ..ppo.opponents import ITSELF, DuelResults, Matchmaker, Odds
 
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
@@ -42,8 +40,6 @@ class Player:
         turns: turns since it last started over.
         past_turns: turns of earlier generations.
         kart_steps: training kart-steps since it last started over.
-        pool: results of its duels, from
-            :class:`~stkzoo.agents.training.common.opponents.RivalPool`.
     """
 
     name: Annotated[str, matching(r"[a-z-]+")]
@@ -52,7 +48,6 @@ class Player:
     turns: Count = 0
     past_turns: Count = 0
     kart_steps: Count = 0
-    pool: list[Rival] = field(default_factory=list)
 
     @property
     def total_turns(self) -> int:
@@ -78,7 +73,6 @@ class Player:
         self.generation += 1
         self.past_turns += self.turns
         self.turns = self.kart_steps = 0
-        self.pool = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +92,6 @@ class LeagueMember:
     turn: Count
     kart_steps: Count
     league_steps: Count
-
-
-@dataclass(frozen=True, slots=True)
-class DuelResults:
-    """Results of the duels of a turn, as in its file; see :meth:`PlayerMatchmaker.state`."""
-
-    pool: list[Rival]
-    reported: list[Share]
 
 
 def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Player]:
@@ -133,69 +119,47 @@ def _letters(count: int) -> list[str]:
     return [chr(ord("a") + number) for number in range(count)]
 
 
-def has_duels(lineup: Lineup) -> bool:
-    """Returns whether a rival can drive half of the karts in races with a lineup."""
-    return lineup.learners > 1 and not lineup.bots
-
-
-class PlayerMatchmaker:
-    """Draws the rivals of a player in a turn.
+class PlayerMatchmaker(Matchmaker):
+    """Determines the opponents of a player in its turn.
 
     Args:
         player: the player whose turn it is.
         members: past selves in the league, the oldest first.
-        policy: returns a member's policy.
-
-    Attributes:
-        pool: the members, with the fraction of duels won against each.
-        policy: returns a member's policy.
     """
 
-    def __init__(
-        self,
-        player: Player,
-        members: Sequence[LeagueMember],
-        policy: Callable[[str], RacingPolicy],
-    ) -> None:
-        self._player, self.policy = player, policy
-        self.pool = RivalPool(_ENDLESS)
-        self.pool.restore(player.pool)
-        for member in members:
-            self.pool.add(member.name)
+    def __init__(self, player: Player, members: Sequence[LeagueMember]) -> None:
+        super().__init__(size=_ENDLESS)
+        self._kind_of_player = player.kind
         self._all = [member.name for member in members]
         self._mains = [m.name for m in members if m.player.partition("-")[0] == MAIN]
-        self._reported: list[float] = []
+        self._meet_members()
 
-    def draw(self, random: np.random.Generator) -> str | None:
-        """Draws the rival's name for a race; ``None`` is the player itself."""
-        kind = self._player.kind
-        if kind == MAIN and random.random() < _SELF_PLAY:
-            return None
-        if kind != EXPLOITER or not self._mains:
-            return self.pool.draw(random, self._all)
-        newest: str = self._mains[-1]
+    def odds(self) -> Odds:
+        """Returns the probability of each opponent in a new race."""
+        if self._kind_of_player == MAIN:
+            met = self.pool.odds(self._all)
+            return {ITSELF: _SELF_PLAY, **{n: (1 - _SELF_PLAY) * own for n, own in met.items()}}
+        if self._kind_of_player != EXPLOITER or not self._mains:
+            return self.pool.odds(self._all)
+        newest = self._mains[-1]
         beaten = {opponent.name: opponent.beaten for opponent in self.pool.opponents}[newest]
-        if beaten < _TOO_STRONG and random.random() < 0.5:
-            return self.pool.draw(random, self._mains)
-        return newest
+        if beaten >= _TOO_STRONG:
+            return {newest: 1.0}
+        odds = {name: 0.5 * own for name, own in self.pool.odds(self._mains).items()}
+        return {**odds, newest: odds[newest] + 0.5}
 
-    def update(self, name: str, beaten: float) -> None:
-        """Adds the fraction of duels with a rival that were won in a race."""
-        self.pool.update(name, beaten)
-        self._reported.append(beaten)
+    def restore(self, results: DuelResults) -> None:
+        """Restores the results of earlier turns; members that came later are new."""
+        super().restore(results)
+        self._meet_members()
 
     def beaten(self) -> float:
         """Fraction of duels won in this turn; 0 without duels."""
-        return float(np.mean(self._reported)) if self._reported else 0.0
+        return float(np.mean(self.reported)) if self.reported else 0.0
 
-    def state(self) -> dict[str, Any]:
-        """Returns the results of the duels as JSON values."""
-        return {"pool": self.pool.state(), "reported": self._reported}
-
-    def restore(self, results: DuelResults) -> None:
-        """Restores a :meth:`state`."""
-        self.pool.restore(results.pool)
-        self._reported = list(results.reported)
+    def _meet_members(self) -> None:
+        for name in self._all:
+            self.pool.add(name)
 
 
 def draw_matches(

@@ -1,107 +1,309 @@
-"""Policy and value network of PPO over plans, in PyTorch for training and numpy for acting."""
+"""Policy and value networks of PPO, in PyTorch for training and as arrays for acting."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
-from stkzoo.agents.pretrained.policy import check_shapes
+from stkzoo.agents.pretrained.policy import INPUT_CLIP, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
+from stkzoo.mdp import GLOBAL_FEATURES, KART_FEATURES
+from stkzoo.wrappers.racing import CHOICES, RESCUE, SIZE
 
-from ..common.learner import Weights
-from ..common.ppo import PPONetwork
-from .rollouts import NUM_LOGITS, choice_columns
+from ..common.command import training_torch
+from .rollouts import PolicyShape, Weights, critic_inputs, plan_shape, racing_shape
 
+#: Largest norm of the gradient of policy or value network.
+_MAX_GRADIENT = 0.5
 #: Minimum standard deviation of an input, so that constant inputs are not amplified.
 _LEAST_SCALE = np.float32(0.2)
+#: Parts of a network with a PyTorch state.
+_PARTS = ("policy", "value", "optimizer")
+#: Initial biases by index of the logit, on the view ``racing``: prefer going to braking, and rarely
+#: drift or call the rescue. Without them, karts stand still for most of their first races.
+FIRST_BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
+
+#: Values that the state's features are divided by: typical ones of a race.
+_GLOBAL_UNITS = {"time": 60.0, "phase": 4.0, "track_length": 500.0, "laps": 1.0}
+_KART_UNITS = {
+    "location": 100.0,
+    "rotation": 1.0,
+    "velocity": 20.0,
+    "angular_velocity": 2.0,
+    "speed": 20.0,
+    "energy": 5.0,
+    "skeed_factor": 1.0,
+    "shield_time": 5.0,
+    "attachment_type": 5.0,
+    "attachment_time_left": 10.0,
+    "powerup_type": 5.0,
+    "powerup_num": 2.0,
+    "node": 100.0,
+    "position": 5.0,
+    "finished_laps": 1.0,
+    "has_finished_race": 1.0,
+    "finish_time": 60.0,
+    "distance": 500.0,
+}
 
 
-class ActorCritic(PPONetwork):
-    """Policy and value network over plans; see :class:`..common.ppo.PPONetwork`.
+class ActorCritic(ABC):
+    """A policy and a value network in PyTorch, with their optimizer.
 
     Args:
-        hidden: units of the hidden layers.
+        shape: what the policy sees and chooses.
+        hidden: units of the hidden layers of both.
         seed: seed of the initial weights.
-        learns: names of the choices to train.
-        penalty_coef: coefficient of the KL penalty toward the plans' prior.
+        kl_coef: coefficient of the KL penalty toward the prior.
 
     Attributes:
-        columns: columns of the trained choices.
+        torch: the module ``torch``.
+        policy: layers of the policy.
+        value: layers of the value network.
+        optimizer: optimizer of both; its first parameter group is the policy's.
+        kl_coef: see the argument.
+        mean: mean of the value network's inputs, by which they are normalized.
+        scale: factor by which they are normalized.
 
     Raises:
-        ConfigError: a name is invalid, or PyTorch is not installed.
+        ConfigError: PyTorch is not installed.
     """
 
-    def __init__(
-        self,
-        hidden: Sequence[int],
-        seed: int,
-        learns: Sequence[str],
-        penalty_coef: float = 0.0,
-    ) -> None:
-        self.columns = choice_columns(learns)
-        sizes = INPUT_SIZE, *hidden
-        super().__init__(seed, (*sizes, NUM_LOGITS), (*sizes, 1), "ReLU")
-        self.penalty_coef, self._is_given = penalty_coef, False
-        with self.torch.no_grad():
-            for column in set(range(len(HEADS))) - set(self.columns):
-                self.policy[-1].weight[HEADS[column]] = 0.0
+    #: Name in ``torch.nn`` of the module between two layers of the policy.
+    activation: ClassVar[str]
 
-    def start_from(self, weights: dict[str, FloatArray]) -> None:
-        """Copies the policy and its normalization from :func:`initial_weights`."""
-        self._is_given = True
-        self.mean, self.scale = weights["mean"], weights["scale"]
-        with self.torch.no_grad():
-            for number, layer in enumerate(self.policy[::2]):
-                layer.weight.copy_(self.torch.from_numpy(weights[f"w{number}"].T.copy()))
-                layer.bias.copy_(self.torch.from_numpy(weights[f"b{number}"]))
+    def __init__(
+        self, shape: PolicyShape, hidden: Sequence[int], seed: int, kl_coef: float = 0.0
+    ) -> None:
+        self.torch = torch = training_torch()
+        torch.manual_seed(seed)
+        self.shape, self.kl_coef = shape, kl_coef
+        size = shape.inputs + shape.state_size
+        own = getattr(torch.nn, self.activation)
+        self.policy = _make_layers(torch, (shape.inputs, *hidden, sum(shape.choices)), own, 0.01)
+        self.value = _make_layers(torch, (size, *hidden, 1), torch.nn.ReLU, 1.0)
+        self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
+        self.optimizer = torch.optim.Adam(
+            [{"params": self.policy.parameters()}, {"params": self.value.parameters()}], eps=1e-5
+        )
+
+    @abstractmethod
+    def start_from(self, weights: Weights) -> None:
+        """Copies the policy in a file."""
+
+    @abstractmethod
+    def policy_weights(self) -> dict[str, FloatArray]:
+        """Returns the policy as arrays for the actors and for files."""
+
+    def policy_inputs(self, rows: npt.NDArray[np.void], central: FloatArray) -> FloatArray:
+        """Returns the policy's inputs ``(N, inputs)`` in rows of a rollout.
+
+        Args:
+            rows: the rows.
+            central: inputs of the value network, normalized.
+        """
+        del central
+        inputs: FloatArray = rows["inputs"].copy()
+        return inputs
+
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:  # noqa: ARG002 - for subclasses
+        """Adapts the networks to rows of the first rollout; returns whether they changed."""
+        return False
 
     def weights(self) -> tuple[Weights, Weights]:
-        """See :class:`..common.learner.LearningNetwork`."""
-        return self.arrays(self.policy), self.arrays(self.value)
+        """Returns the weights of policy and value network for the actors."""
+        return self.policy_weights(), self._arrays(self.value)
 
-    def fit_normalization(self, inputs: FloatArray) -> None:
-        """Sets mean and scale from inputs ``(N, F)``, equal for a race and its mirror image."""
-        both = np.concatenate([inputs, mirrored_inputs(inputs)])
-        self.mean = both.mean(axis=0)
-        self.scale = 1.0 / np.maximum(both.std(axis=0), _LEAST_SCALE)
-
-    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
-        """Fits the normalization unless it is given.
-
-        See :class:`..common.learner.LearningNetwork`.
-        """
-        if not self._is_given:
-            self.fit_normalization(seen["inputs"])
-        return not self._is_given
-
-    def tensors(self, seen: npt.NDArray[np.void]) -> list[Any]:
-        """Returns inputs ``(N, F)``, normalized, prior and choices in rows of a rollout."""
-        inputs = self.normalized(seen["inputs"])
-        arrays = inputs, seen["prior"].copy(), seen["choices"].copy()
+    def tensors(self, rows: npt.NDArray[np.void]) -> list[Any]:
+        """Returns the inputs of :meth:`evaluate` for rows of a rollout, as tensors ``(N, ...)``."""
+        seen = (critic_inputs(rows) - self.mean) * self.scale
+        central = np.clip(seen, -INPUT_CLIP, INPUT_CLIP, dtype=np.float32)
+        own = self.policy_inputs(rows, central)
+        arrays = own, central, rows["prior"].copy(), rows["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 
     def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
-        """See :class:`..common.ppo.PPONetwork`; the penalty is the KL from the prior [nats]."""
-        inputs, prior, choices = columns
-        logits = prior + self.policy(inputs)
-        log_softmax = self.torch.log_softmax
-        log_probability, entropy, prior_kl = 0.0, 0.0, 0.0
-        for column in self.columns:
-            head = HEADS[column]
+        """Evaluates the choices in rows of a rollout.
+
+        Args:
+            columns: tensors of :meth:`tensors`.
+
+        Returns:
+            Tensors ``(N,)``: log-probability of the choices, entropy of the policy [nats], its KL
+                divergence from the prior, and the value in units of :data:`.rollouts.VALUE_UNIT`.
+        """
+        inputs, central, prior, choices = columns
+        logits, log_softmax = self.policy(inputs), self.torch.log_softmax
+        if self.shape.has_prior:
+            logits = logits + prior
+        log_probability, entropy, prior_kl = 0.0, 0.0, self.torch.zeros(1)
+        for column in self.shape.columns:
+            head = self.shape.heads[column]
             logs = log_softmax(logits[:, head], dim=1)
-            prior_logs = log_softmax(prior[:, head], dim=1)
             chosen = logs.gather(1, choices[:, column : column + 1])[:, 0]
             log_probability = log_probability + chosen
             entropy = entropy - (logs.exp() * logs).sum(1)
-            prior_kl = prior_kl + (logs.exp() * (logs - prior_logs)).sum(1)
-        return log_probability, entropy, prior_kl, self.value(inputs)[:, 0]
+            if self.shape.has_prior:
+                apart = logs - log_softmax(prior[:, head], dim=1)
+                prior_kl = prior_kl + (logs.exp() * apart).sum(1)
+        return log_probability, entropy, prior_kl, self.value(central)[:, 0]
+
+    def descend(self, loss: Any) -> None:
+        """Makes a gradient step on a loss."""
+        self.optimizer.zero_grad()
+        loss.backward()
+        for layers in (self.policy, self.value):
+            self.torch.nn.utils.clip_grad_norm_(layers.parameters(), _MAX_GRADIENT)
+        self.optimizer.step()
+
+    def state(self) -> dict[str, Any]:
+        """Returns everything that learning changes as tensors, for :meth:`restore`."""
+        parts = {name: getattr(self, name).state_dict() for name in _PARTS}
+        scales = {"mean": self.mean, "scale": self.scale}
+        return parts | {name: self.torch.from_numpy(array) for name, array in scales.items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restores a :meth:`state`."""
+        for name in _PARTS:
+            getattr(self, name).load_state_dict(state[name])
+        self.mean, self.scale = state["mean"].numpy(), state["scale"].numpy()
+
+    def _arrays(self, layers: Any) -> dict[str, FloatArray]:
+        """Returns layers in the form of :class:`~stkzoo.agents.pretrained.policy.Network`."""
+        arrays = {"mean": self.mean, "scale": self.scale}
+        for number, layer in enumerate(layers[::2]):
+            arrays[f"w{number}"] = layer.weight.detach().numpy().T.copy()
+            arrays[f"b{number}"] = layer.bias.detach().numpy().copy()
+        return arrays
+
+    def _copy(self, tensors: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> None:
+        with self.torch.no_grad():
+            for name, tensor in tensors.items():
+                tensor.copy_(self.torch.from_numpy(arrays[name].copy()))
+
+
+class PlanNetwork(ActorCritic):
+    """Networks over plans; the first rollout determines how their inputs are normalized.
+
+    Args:
+        columns: choices to train.
+        hidden: see :class:`ActorCritic`.
+        seed: see :class:`ActorCritic`.
+        kl_coef: see :class:`ActorCritic`.
+    """
+
+    activation = "ReLU"
+
+    def __init__(
+        self, columns: Sequence[int], hidden: Sequence[int], seed: int, kl_coef: float = 0.0
+    ) -> None:
+        super().__init__(plan_shape(columns), hidden, seed, kl_coef)
+        self._is_given = False
+        with self.torch.no_grad():
+            for column in set(range(len(HEADS))) - set(columns):
+                self.policy[-1].weight[HEADS[column]] = 0.0
+
+    def start_from(self, weights: Weights) -> None:
+        """Copies the policy and its normalization."""
+        self._is_given = True
+        self.mean, self.scale = weights["mean"], weights["scale"]
+        layers = dict(enumerate(self.policy[::2]))
+        self._copy(
+            {f"w{n}": layer.weight for n, layer in layers.items()},
+            {f"w{n}": weights[f"w{n}"].T for n in layers},
+        )
+        self._copy({f"b{n}": layer.bias for n, layer in layers.items()}, weights)
+
+    def policy_weights(self) -> dict[str, FloatArray]:
+        """See :class:`ActorCritic`."""
+        return self._arrays(self.policy)
+
+    def policy_inputs(self, rows: npt.NDArray[np.void], central: FloatArray) -> FloatArray:
+        """See :class:`ActorCritic`."""
+        del rows
+        return central
+
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
+        """Fits the normalization unless it is given, equal for a race and its mirror image."""
+        if self._is_given:
+            return False
+        both = np.concatenate([seen["inputs"], mirrored_inputs(seen["inputs"])])
+        self.mean = both.mean(axis=0)
+        self.scale = 1.0 / np.maximum(both.std(axis=0), _LEAST_SCALE)
+        return True
+
+
+class RacingNetwork(ActorCritic):
+    """Networks on the view ``racing``; the policy's layers have Stable-Baselines3's names in files.
+
+    Args:
+        hidden: see :class:`ActorCritic`.
+        seed: see :class:`ActorCritic`.
+        state_size: size of the race's state, which the value network sees too; 0 for none.
+    """
+
+    activation = "Tanh"
+
+    def __init__(self, hidden: Sequence[int], seed: int, state_size: int = 0) -> None:
+        super().__init__(racing_shape(state_size), hidden, seed)
+        with self.torch.no_grad():
+            for logit, bias in FIRST_BIASES.items():
+                self.policy[-1].bias[logit] += bias
+        if state_size:
+            self.scale[SIZE:] = 1.0 / _state_units(state_size)
+
+    def start_from(self, weights: Weights) -> None:
+        """Copies the policy."""
+        self._copy(self._named(), weights)
+
+    def policy_weights(self) -> dict[str, FloatArray]:
+        """See :class:`ActorCritic`."""
+        return {name: tensor.detach().numpy().copy() for name, tensor in self._named().items()}
+
+    def _named(self) -> dict[str, Any]:
+        """Returns the policy's tensors by their names in files."""
+        names = [f"mlp_extractor.policy_net.{n}" for n in range(0, len(self.policy) - 1, 2)]
+        return {
+            f"{name}.{part}": getattr(layer, part)
+            for name, layer in zip([*names, "action_net"], self.policy[::2], strict=True)
+            for part in ("weight", "bias")
+        }
+
+
+def _make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: float) -> Any:
+    """Returns linear layers with orthogonal weights and no biases, as one PyTorch module.
+
+    Args:
+        torch: the module ``torch``.
+        sizes: number of inputs, units of each hidden layer, number of outputs.
+        activation: makes the module between two layers.
+        last_gain: gain of the last layer's weights; that of the others is the root of 2.
+    """
+    nn = torch.nn
+    parts: list[Any] = []
+    for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
+        is_last = number == len(sizes) - 2
+        layer = nn.Linear(inputs, outputs)
+        nn.init.orthogonal_(layer.weight, last_gain if is_last else 2**0.5)
+        nn.init.zeros_(layer.bias)
+        parts += [layer] if is_last else [layer, activation()]
+    return nn.Sequential(*parts)
+
+
+def _state_units(state_size: int) -> FloatArray:
+    """Returns the values that the entries of a race's state are divided by, ``(state_size,)``."""
+    general = [_GLOBAL_UNITS[name] for name in GLOBAL_FEATURES]
+    kart = [_KART_UNITS[name] for name, size in KART_FEATURES for _ in range(size)]
+    num_kart = (state_size - len(general)) // len(kart)
+    return np.array(general + num_kart * kart, np.float32)
 
 
 def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:

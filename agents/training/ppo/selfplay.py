@@ -5,8 +5,8 @@
 One policy drives all karts of many races, against itself and against the game's AI, and is trained
 with proximal policy optimization (Schulman et al., 2017). A small network sees the racing view
 (:mod:`stkzoo.wrappers.racing`), the driver's memory, and the values of plans for the next two
-seconds (:mod:`stkzoo.agents.planning`). It chooses which maneuver to begin, nitro and fire, and
-optionally a steering offset from the plan. Training starts from the driver that takes the best
+seconds (:mod:`stkzoo.agents.planning.view`). It chooses which maneuver to begin, nitro and fire,
+and optionally a steering offset from the plan. Training starts from the driver that takes the best
 plan. Half of the karts, drawn for each race, drive mirrored left to right. The reward is the
 distance driven along the track plus places gained. The return does not end at the finish, so that
 karts do not slow down before it.
@@ -21,43 +21,50 @@ stkzoo.agents.training.export`` converts to an agent.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
 
-import numpy as np
-import numpy.typing as npt
-
+from stkzoo import Reward
 from stkzoo._arguments import option
-from stkzoo._os import cpu_count
 from stkzoo._schema import Share
+from stkzoo.agents.planning.driver import CHOICE_NAMES
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.errors import check_whole
+from stkzoo.errors import ConfigError, check_whole
+from stkzoo.mdp import rewards
 
-from ..common.actors import ActorPool, SharedArray
-from ..common.arguments import QUICK_TRACKS, Coefficient, OverlappedArguments, ScriptOptions
+from ..common.arguments import (
+    QUICK_TRACKS,
+    Coefficient,
+    Lineup,
+    RolloutArguments,
+    ScriptOptions,
+    parse_races,
+)
 from ..common.command import run_command
-from ..common.fleet import Finish
-from ..common.learner import RunFacts, train
-from ..common.ppo import OverlappedPPO
 from ..common.run_folder import plan_parameters
-from ..common.starts import Lineup, parse_races
-from .network import ActorCritic, initial_weights
-from .rollouts import ROLLOUT, ActorArguments, RaceActor
+from .network import PlanNetwork, initial_weights
+from .opponents import NOBODY, OPPONENTS, Matchmaker
+from .rollouts import ActorRaces
+from .run import PPORun, PPOSetup
+
+#: Reward per meter.
+_METER = 0.05
 
 # ---------------------------------------------------------------------- arguments
 
 
 @dataclass(frozen=True, slots=True)
-class SelfPlayArguments(OverlappedArguments):
+class SelfPlayArguments(RolloutArguments):
     """Arguments of a run; they must not change when a run continues.
 
     Attributes:
-        tracks: tracks or splits to train on, such as train_only.
+        tracks: tracks or splits to train on, such as train_only; driven in both directions.
         races: parallel races: 8x5 is five races of eight learners, 4+2x3 three races of four
             learners and two karts of the game's AI at its highest difficulty.
+        num_starts: number of different starts of each kind of race in each process. Races copy
+            them in the moment of GO.
+        max_cycles: steps after which a race is cut short.
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
         turn_hold: steps for which a steering offset holds; with 1, the policy chooses it in every
             step. None is as in plans.
@@ -66,118 +73,92 @@ class SelfPlayArguments(OverlappedArguments):
             too, because all choices of a policy share its hidden layers.
         place_reward: reward per place; the reward per meter is 0.05.
         init: policy file to start from; empty starts from the plans.
+        opponents: past selves that drive half of the karts in half of the races without the game's
+            AI: none, fictitious (all equally often) or prioritized (those that are beaten least).
+        pool_size: number of past selves to keep as opponents; keep_every determines their distance.
     """
 
     hidden: tuple[int, int] = (256, 128)
     gae_lambda: Share = 0.85
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: tuple[str, ...] = ("1x8", "5x8", "2+3x8", "1+4x8")
+    num_starts: int = 32
+    max_cycles: int = 1200
     plans: str = ""
     turn_hold: int | None = None
     kl_coef: Coefficient = 5e-3
     learns: tuple[str, ...] = ("begin", "nitro", "fire")
     place_reward: Coefficient = 0.1
     init: str = ""
+    opponents: str = NOBODY
+    pool_size: int = 40
 
 
-# ---------------------------------------------------------------------- the algorithm
+# ---------------------------------------------------------------------- the run
 
 
-@dataclass(frozen=True, slots=True)
-class LearnerFacts(RunFacts):
-    """The facts in a checkpoint.
-
-    Attributes:
-        recent: the latest finishes.
-    """
-
-    recent: tuple[Finish, ...]
-
-
-class PPOLearner(OverlappedPPO):
-    """A run of self-play over plans; see :class:`..common.ppo.OverlappedPPO`.
-
-    Args:
-        folder: folder of the run.
-        arguments: arguments of the run.
-        may_change: whether to continue even if the run had other arguments.
+def selfplay_setup(arguments: SelfPlayArguments) -> PPOSetup:
+    """Returns what a run learns.
 
     Raises:
-        ConfigError: the folder contains a run with other arguments, or an argument is invalid.
+        ConfigError: an argument is invalid.
     """
-
-    remedy = ", or --may-change to continue with these"
-    arguments: SelfPlayArguments
-
-    def __init__(
-        self, folder: str | Path, arguments: SelfPlayArguments, *, may_change: bool = False
-    ) -> None:
-        self._plan_rules = _plan_rules(arguments)
-        self._lineups = parse_races(arguments.races)
-        super().__init__(folder, arguments, LearnerFacts, may_change=may_change)
-
-    def _new_network(self) -> ActorCritic:
-        given = self.arguments
-        return ActorCritic(given.hidden, given.seed, given.learns, given.kl_coef)
-
-    def _first_network(self) -> ActorCritic:
-        network, init = self._new_network(), self.arguments.init
-        if init:
-            network.start_from(initial_weights(init, self.arguments.hidden))
-        return network
-
-    def _start_actors(self) -> tuple[ActorPool, list[npt.NDArray[np.void]]]:
-        arguments, lineups = self.arguments, self._lineups
-        count = min(arguments.actors or cpu_count(), len(lineups))
-        shares = [
-            ActorArguments(
-                lineups=tuple(lineups[number::count]),
-                tracks=arguments.tracks,
-                place_reward=arguments.place_reward,
-                rules=self._plan_rules,
-                learns=arguments.learns,
-            )
-            for number in range(count)
-        ]
-        memories = [
-            SharedArray((2, arguments.n_steps, share.num_slots), ROLLOUT) for share in shares
-        ]
-        actors = self._new_actors(list(zip(shares, memories, strict=True)))
-        return actors, [memory.array() for memory in memories]
-
-    def _new_actors(self, arguments: Sequence[tuple[ActorArguments, SharedArray]]) -> ActorPool:
-        return ActorPool(RaceActor, arguments)
-
-    def _rules(self) -> dict[str, Any]:
-        return asdict(self._plan_rules)
-
-    def _figures(self) -> dict[str, float]:
-        figures = {}
-        for name in ("alone", "selfplay", "rivals"):
-            own = [end for end in self._recent if _company(end.lineup) == name]
-            if not own:
-                continue
-            finished = [end.ratio for end in own if end.ratio is not None]
-            figures[f"{name}_ratio"] = float(np.mean([end.counted_ratio for end in own]))
-            figures[f"{name}_finished_ratio"] = float(np.mean(finished)) if finished else 0.0
-            figures[f"{name}_unfinished"] = 1.0 - len(finished) / len(own)
-            if name == "rivals":
-                figures["rivals_rank"] = float(np.mean([end.rank for end in own]))
-                figures["rivals_first"] = float(np.mean([end.rank == 1 for end in own]))
-        return figures
+    given = arguments
+    if given.opponents not in OPPONENTS:
+        raise ConfigError(
+            f"opponents is {given.opponents!r}, expected one of {', '.join(OPPONENTS)}"
+        )
+    columns = choice_columns(given.learns)
+    make = partial(PlanNetwork, columns, given.hidden, given.seed, given.kl_coef)
+    return PPOSetup(
+        groups=tuple(_race_group(given, lineup) for lineup in parse_races(given.races)),
+        make_network=make,
+        read_first=partial(initial_weights, given.init, given.hidden) if given.init else None,
+        plans=_plans(given),
+        bootstraps_finish=True,  # so that karts do not slow down before the finish
+        matchmaker=Matchmaker(given.opponents, given.pool_size),
+        remedy=", or --may-change to continue with these",
+    )
 
 
-def _plan_rules(arguments: SelfPlayArguments) -> DriverParameters:
+def _race_group(arguments: SelfPlayArguments, lineup: Lineup) -> ActorRaces:
+    reward = Reward(
+        {"meters": rewards.advance, "places": rewards.overtaking},
+        {"meters": 10 * _METER, "places": arguments.place_reward},
+    )
+    options = {
+        "num_kart": lineup.learners + lineup.bots,
+        "agents": lineup.learners,
+        "track": arguments.tracks,
+        "reverse": None,
+        "difficulty": 3,
+        "reward": reward,
+        "max_cycles": arguments.max_cycles,
+        "num_starts": arguments.num_starts,
+        "start_seed": arguments.seed,
+        "skip_countdown": True,
+    }
+    return ActorRaces(lineup.races, options, has_rivals=lineup.has_duels)
+
+
+def choice_columns(names: tuple[str, ...]) -> list[int]:
+    """Returns the columns of choices by name.
+
+    Raises:
+        ConfigError: a name is unknown, or there is none.
+    """
+    unknown = sorted(set(names) - set(CHOICE_NAMES))
+    if unknown or not names:
+        raise ConfigError(f"learns is {list(names)}; expected some of {', '.join(CHOICE_NAMES)}")
+    return sorted(CHOICE_NAMES.index(name) for name in set(names))
+
+
+def _plans(arguments: SelfPlayArguments) -> DriverParameters:
     """Returns the parameters of the plans."""
-    rules, hold = plan_parameters(arguments.plans), arguments.turn_hold
+    plans, hold = plan_parameters(arguments.plans), arguments.turn_hold
     if hold is None:
-        return rules
-    return replace(rules, turn_hold=check_whole("turn_hold", hold, 1))
-
-
-def _company(lineup: Lineup) -> str:
-    """Returns which opponents the learners of a race meet."""
-    return "rivals" if lineup.bots else "selfplay" if lineup.learners > 1 else "alone"
+        return plans
+    return replace(plans, turn_hold=check_whole("turn_hold", hold, 1))
 
 
 # ---------------------------------------------------------------------- the command
@@ -200,11 +181,11 @@ def _train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
     """Starts or continues a run.
 
     Raises:
-        ConfigError: see :class:`PPOLearner`.
+        ConfigError: see :class:`.run.PPORun`.
     """
-    learner = PPOLearner(options.output, arguments, may_change=options.may_change)
-    with closing(learner):
-        train(learner, options.total_timesteps, _SHOWN)
+    setup = selfplay_setup(arguments)
+    with closing(PPORun(options.output, arguments, setup, may_change=options.may_change)) as run:
+        run.learn(options.total_timesteps, _SHOWN)
 
 
 def main(words: list[str] | None = None) -> int:

@@ -16,12 +16,13 @@ import numpy.typing as npt
 from stkzoo import RaceVectorEnv
 from stkzoo._arguments import option
 from stkzoo._schema import Level, Share
-from stkzoo.agents.pretrained.mlp import MlpDriver, log_probability_of, sample_choices
+from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.engine.assets import cache_folder, find_assets, install
 from stkzoo.errors import AssetError, ConfigError
 from stkzoo.wrappers.racing import CHOICES
 
 from ..common.arguments import Coefficient, Natural, PPOArguments, RunArguments
+from ..ppo.rollouts import racing_shape, sample
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -235,9 +236,9 @@ class RaceSampler:
     def _step(self) -> dict[str, npt.NDArray[Any]]:
         """Makes one step of all races, and returns its arrays; see :func:`_fragments`."""
         logits, seen, racing = self._logits(), self._observations, self._races.racing
-        actions = sample_choices(logits, self._random)
+        shape = racing_shape()
+        actions, log_probabilities = sample(logits, self._random, shape.heads, shape.columns)
         self._races.step_async(actions)
-        log_probabilities = log_probability_of(actions, logits)  # while the races run
         self._observations, rewards, terminations, truncations, infos = self._races.step_wait()
         ended, after = terminations | truncations, self._observations.copy()
         if ended.any():

@@ -12,9 +12,8 @@ unpredictably in the last seconds, by far more than the difference between good 
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,11 +26,12 @@ from stkzoo import RandomStart, Reward
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.errors import ConfigError
+from stkzoo.mdp import rewards
 from stkzoo.sb3 import RaceVecEnv
 
-from ..common.fleet import ai_time
-from ..common.opponents import RivalPool, bot_name
-from ..common.starts import Lineup
+from ..common.arguments import Lineup
+from ..common.matches import ai_time
+from ..ppo.opponents import ITSELF, RivalPool, RivalSeats, bot_name, draw_opponent
 from .curriculum import Curriculum
 
 Indices = None | int | Iterable[int]
@@ -42,8 +42,8 @@ STEP, COUNTDOWN = 0.1, 2.0
 PATIENCE = 2.0
 #: Number of steps of a race that does not start on the grid.
 SHORT_RACE = 250
-#: Longest distance per step [m]; a longer one is a jump of the game's distance off the road.
-_LONGEST_STEP = 5.0
+#: 0.1 per meter driven, and 0.3 per place gained.
+REWARD = Reward({"meters": rewards.advance, "places": rewards.overtaking}, {"places": 0.3})
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,84 +68,85 @@ class RaceEnd:
     steps: int
 
 
-def way_and_places() -> Reward:
-    """Returns the reward: 0.1 per meter driven, and 0.3 per place gained."""
+@dataclass(slots=True)
+class _RunningRace:
+    """Facts of a race: where it takes place, and how its next race begins."""
 
-    def meters(step: Any) -> Any:
-        driven = step.distance - step.distance_before
-        return np.where(np.abs(driven) > _LONGEST_STEP, 0.0, driven) / 10.0
-
-    def places(step: Any) -> Any:
-        return 0.3 * (step.before.karts["position"] - step.position.astype(np.float64))
-
-    return Reward({"meters": meters, "places": places})
+    track: str = ""
+    difficulty: int = 0
+    ai_speed: float = 1.0
+    is_from_grid: bool = True
+    next_is_from_grid: bool = True
 
 
-class _SelfPlayRace:
-    """Successive races: drivers of the current one, and options of the next one."""
+class _RaceGroup:
+    """Races with the same lineup.
 
-    def __init__(self, env: Any, lineup: Lineup, first: int) -> None:
-        self.env, self.lineup = env, lineup
-        self.slots = slice(first, first + lineup.learners)
-        self.rival = ""
-        self.is_learner = np.ones(lineup.learners, bool)
-        self.ended = np.zeros(lineup.learners, bool)
-        self.finals: list[dict[str, Any]] = [{}] * lineup.learners
-        self.from_grid = self.next_from_grid = True
-        self.begin_at = np.zeros(lineup.learners)
+    Args:
+        lineup: the lineup.
+        first: first slot of the races.
+        track: any track.
+    """
 
-    def begin(self, infos: Sequence[dict[str, Any]]) -> None:
-        self.ended[:] = False
-        self.from_grid = self.next_from_grid
-        self.begin_at = np.array([info["distance"] for info in infos])
-        self.rival, self.is_learner = "", np.ones(self.lineup.learners, bool)
-        if self.lineup.bots:
-            self.rival = bot_name(self.env.race.difficulty)
-        race = self.env.race
-        self._ai_speed = self.env.track_map.length / ai_time(
-            race.track, race.reverse, race.difficulty
+    def __init__(self, lineup: Lineup, first: int, track: str) -> None:
+        self.lineup = lineup
+        self.envs = RaceVecEnv(
+            lineup.races,
+            agents=lineup.learners,
+            num_kart=lineup.learners + lineup.bots,
+            track=track,
+            view="racing",
+            reward=REWARD,
+            prefetch=False,  # the next race depends on the results
         )
-        self._track = race.track
+        self.slots = slice(first, first + self.envs.num_envs)
+        self.seats = RivalSeats(lineup.races, lineup.learners)
+        self.races = [_RunningRace() for _ in range(lineup.races)]
+        self.begin_at = np.zeros(self.envs.num_envs)
+        self.finals: dict[int, Mapping[str, Any]] = {}
+        self.options: list[dict[str, Any]] = [{} for _ in self.races]
 
-    def face(self, rival: str, random: np.random.Generator) -> None:
-        """Assigns half of the karts to a rival."""
-        self.rival = rival
-        self.is_learner[random.permutation(len(self.is_learner))[: len(self.is_learner) // 2]] = 0
+    def begin(self, race: int) -> None:
+        """Takes the facts of a new race."""
+        own, info = self.races[race], self.envs.races.races[race]
+        facts, track = info.race, info.track_map
+        assert facts is not None and track is not None  # noqa: S101, PT018 - after a reset
+        median = ai_time(facts.track, facts.reverse, facts.difficulty)
+        own.track, own.difficulty = facts.track, facts.difficulty
+        own.ai_speed, own.is_from_grid = track.length / median, own.next_is_from_grid
+        for slot in self._slots_of(race):
+            self.begin_at[slot] = self.envs.reset_infos[slot]["distance"]
 
-    def ends(self) -> list[RaceEnd]:
-        """Returns the results of the learner's karts, once all have ended."""
-        places = np.array([info["position"] for info in self.finals])
+    def ends(self, race: int) -> list[RaceEnd]:
+        """Returns the results of the learner's karts in a race that is over."""
+        own, finals = self.races[race], [self.finals.pop(slot) for slot in self._slots_of(race)]
+        rival = bot_name(own.difficulty) if self.lineup.bots else self.seats.names[race]
+        beaten = self._beaten_bots(finals) if self.lineup.bots else self.seats.beaten(race)
         ends = []
-        for row in np.flatnonzero(self.is_learner):
-            info = self.finals[row]
-            steps = int(info["episode/length"])
-            seconds = max(STEP * steps - COUNTDOWN * self.from_grid, STEP)
-            way = max(float(info["distance"]) - self.begin_at[row], 0.0)
-            ends.append(
-                RaceEnd(
-                    track=self._track,
-                    rival=self.rival,
-                    beaten=self._beaten(int(row), places),
-                    pace=min(way / seconds / self._ai_speed, 2.0),
-                    finished=float(info["finish_time"]) > 0,
-                    steps=steps,
-                )
-            )
+        for row in np.flatnonzero(self.seats.is_own[race]).tolist():
+            info, steps = finals[row], int(finals[row]["episode/length"])
+            seconds = max(STEP * steps - COUNTDOWN * own.is_from_grid, STEP)
+            begin_at = self.begin_at[self._slots_of(race)[row]]
+            pace = max(float(info["distance"]) - begin_at, 0.0) / seconds / own.ai_speed
+            finished = float(info["finish_time"]) > 0
+            ends.append(RaceEnd(own.track, rival, beaten, min(pace, 2.0), finished, steps))
         return ends
 
-    def _beaten(self, row: int, places: npt.NDArray[Any]) -> float | None:
-        if self.lineup.bots:
-            before = places[row] - 1 - int((places < places[row]).sum())
-            return float(np.clip(1.0 - before / self.lineup.bots, 0.0, 1.0))
-        rivals = places[~self.is_learner]
-        return float((places[row] < rivals).mean()) if len(rivals) else None
+    def _beaten_bots(self, finals: Sequence[Mapping[str, Any]]) -> float:
+        places = [int(info["position"]) for info in finals]
+        bots = set(range(1, len(places) + self.lineup.bots + 1)) - {*places}
+        return float(np.mean([place < bot for place in places for bot in bots]))
+
+    def _slots_of(self, race: int) -> range:
+        count = self.lineup.learners
+        return range(race * count, (race + 1) * count)
 
 
 class SelfPlayVecEnv(VecEnv):
     """Self-play races; each race is drawn from the curriculum and the opponent pools.
 
     Args:
-        lineups: lineup of each race.
+        lineups: lineups of the races.
         curriculum: determines tracks, directions and difficulties; updated with the results.
         bots: the game's bots as opponents; updated with the results.
         snapshots: the frozen opponents; updated with the results.
@@ -177,37 +178,18 @@ class SelfPlayVecEnv(VecEnv):
         self._curriculum, self._bots, self._snapshots = curriculum, bots, snapshots
         self._snapshot_share, self._grid_share = snapshot_share, grid_share
         self._drivers: dict[str, MlpDriver] = {}
-        self._envs: list[RaceVecEnv] = []
-        self._races: list[_SelfPlayRace] = []
+        self._groups: list[_RaceGroup] = []
         first = 0
-        reward = way_and_places()
-        for lineup, own in itertools.groupby(lineups):
-            env = RaceVecEnv(
-                len([*own]),
-                agents=lineup.learners,
-                num_kart=lineup.learners + lineup.bots,
-                track=curriculum.tracks[0],
-                view="racing",
-                reward=reward,
-                prefetch=False,  # the next race depends on the results
-            )
-            self._envs.append(env)
-            for race in env.races.races:
-                self._races.append(_SelfPlayRace(race, lineup, first))
-                first += lineup.learners
-        self._cuts = np.cumsum([env.num_envs for env in self._envs])[:-1].tolist()
+        for lineup in lineups:
+            self._groups.append(_RaceGroup(lineup, first, curriculum.tracks[0]))
+            first = self._groups[-1].slots.stop
         self._random = np.random.default_rng()
         self._action_filter = ActionFilter(first, hold)
         self.kart_steps, self.rewarded = 0, 0.0
         self.ends: list[RaceEnd] = []
         self._observations = np.zeros((first, INPUT_SIZE), np.float32)
         space = spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32)
-        super().__init__(first, space, self._envs[0].action_space)
-
-    @property
-    def num_races(self) -> int:
-        """Number of parallel races."""
-        return len(self._races)
+        super().__init__(first, space, self._groups[0].envs.action_space)
 
     def add_driver(self, name: str, driver: MlpDriver) -> None:
         """Adds the driver of a snapshot in the pool."""
@@ -216,18 +198,20 @@ class SelfPlayVecEnv(VecEnv):
     def seed(self, seed: int | None = None) -> list[int | None]:
         """Seeds all random numbers from the next :meth:`reset` on."""
         self._random = np.random.default_rng(seed)
-        for env in self._envs:
-            env.seed(int(self._random.integers(2**31)))
+        for group in self._groups:
+            group.envs.seed(int(self._random.integers(2**31)))
         return [seed] * self.num_envs
 
     def reset(self) -> npt.NDArray[np.float32]:
         """Starts new races; returns the observations of all slots."""
-        for race in self._races:
-            self._plan(race)
-        views = np.concatenate([np.asarray(env.reset()) for env in self._envs])
-        infos = [info for env in self._envs for info in env.reset_infos]
-        for race in self._races:
-            self._begin(race, infos[race.slots])
+        for group in self._groups:
+            group.finals.clear()
+            for race in range(group.lineup.races):
+                self._plan(group, race)
+        views = np.concatenate([np.asarray(group.envs.reset()) for group in self._groups])
+        for group in self._groups:
+            for race in range(group.lineup.races):
+                self._begin(group, race)
         self._observations = self._action_filter.see(views)
         self._reset_seeds()
         self._reset_options()
@@ -236,14 +220,13 @@ class SelfPlayVecEnv(VecEnv):
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Starts a step with the learner's actions for its karts; rivals choose their own."""
         chosen = np.array(actions)
-        for race in self._races:
-            if not race.is_learner.all():
-                rows = np.flatnonzero(~race.is_learner) + race.slots.start
-                driver = self._drivers[race.rival]
-                chosen[rows] = driver.sample(self._observations[rows], self._random)
+        for group in self._groups:
+            for name, rows in group.seats.rows_by_name().items():
+                own = rows + group.slots.start
+                chosen[own] = self._drivers[name].sample(self._observations[own], self._random)
         done = self._action_filter.apply(chosen)
-        for env, part in zip(self._envs, np.split(done, self._cuts), strict=True):
-            env.step_async(part)
+        for group in self._groups:
+            group.envs.step_async(done[group.slots])
 
     def step_wait(
         self,
@@ -254,28 +237,29 @@ class SelfPlayVecEnv(VecEnv):
         list[dict[str, Any]],
     ]:
         """Waits for the step and returns its results; slots of rivals are idle."""
-        parts = [env.step_wait() for env in self._envs]
+        parts = [group.envs.step_wait() for group in self._groups]
         views = np.concatenate([np.asarray(part[0]) for part in parts])
         rewards, dones = (np.concatenate([part[n] for part in parts]) for n in (1, 2))
         infos = [info for part in parts for info in part[3]]
         self._look(views, dones, infos)
-        first_infos = [info for env in self._envs for info in env.reset_infos]
-        for race in self._races:
-            self._update_race(race, dones, rewards, infos)
-            if race.ended.all():
-                self._report(race)
-                self._begin(race, first_infos[race.slots])
+        for group in self._groups:
+            self._update(group, rewards, dones, infos)
         self._observations = self._action_filter.see(views)
         return self._observations, rewards, dones, infos
 
     def close(self) -> None:
         """Stops the game processes."""
-        for env in self._envs:
-            env.close()
+        for group in self._groups:
+            group.envs.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """Returns an attribute of each slot's race."""
-        by_slot = [race.env for race in self._races for _ in range(race.lineup.learners)]
+        by_slot = [
+            race
+            for group in self._groups
+            for race in group.envs.races.races
+            for _ in range(group.lineup.learners)
+        ]
         return [getattr(by_slot[slot], attr_name) for slot in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
@@ -306,54 +290,61 @@ class SelfPlayVecEnv(VecEnv):
         for slot in np.flatnonzero(dones):
             infos[slot]["terminal_observation"] = seen[slot]
 
-    def _update_race(self, race: _SelfPlayRace, dones: Any, rewards: Any, infos: list[Any]) -> None:
-        for row in range(race.lineup.learners):
-            slot = race.slots.start + row
-            info = infos[slot]
-            is_active = not race.ended[row]
+    def _update(self, group: _RaceGroup, rewards: Any, dones: Any, infos: list[Any]) -> None:
+        """Counts the learner's steps and rewards, makes rivals idle, and begins new races."""
+        over = []
+        for local, is_own in enumerate(group.seats.is_own.reshape(-1).tolist()):
+            slot = group.slots.start + local
+            is_active, info = local not in group.finals, infos[slot]
             if is_active and dones[slot]:
-                race.ended[row], race.finals[row] = True, info
-            if race.is_learner[row]:
+                group.finals[local] = info
+                if group.seats.end(local, int(info["position"])):
+                    over.append(local // group.lineup.learners)
+            if is_own:
                 self.kart_steps += int(is_active)
                 self.rewarded += float(rewards[slot]) * is_active
                 if is_active and dones[slot]:
-                    infos[slot]["TimeLimit.truncated"] = True
+                    info["TimeLimit.truncated"] = True
             else:
                 infos[slot], rewards[slot], dones[slot] = {}, 0.0, True
+        for race in over:
+            self._report(group, group.ends(race))
+            self._begin(group, race)
 
-    def _report(self, race: _SelfPlayRace) -> None:
-        ends = race.ends()
+    def _report(self, group: _RaceGroup, ends: Sequence[RaceEnd]) -> None:
         for end in ends:
             self._curriculum.update(end.pace)
-        beaten = [end.beaten for end in ends if end.beaten is not None]
-        if beaten:
-            pool = self._bots if race.lineup.bots else self._snapshots
-            pool.update(race.rival, float(np.mean(beaten)))
+        if ends[0].beaten is not None:
+            pool = self._bots if group.lineup.bots else self._snapshots
+            pool.update(ends[0].rival, ends[0].beaten)
         self.ends += ends
 
-    def _begin(self, race: _SelfPlayRace, infos: Sequence[dict[str, Any]]) -> None:
-        race.begin(infos)
-        self._action_filter.forget(race.slots)
-        is_faced = not race.lineup.bots and race.lineup.learners > 1 and self._snapshots.opponents
+    def _begin(self, group: _RaceGroup, race: int) -> None:
+        group.begin(race)
+        count, first = group.lineup.learners, group.slots.start
+        self._action_filter.forget(slice(first + race * count, first + (race + 1) * count))
+        rival = ITSELF
+        is_faced = group.lineup.has_duels and self._snapshots.opponents
         if is_faced and self._random.random() < self._snapshot_share:
-            race.face(self._snapshots.draw(self._random), self._random)
-        self._plan(race)
+            rival = draw_opponent(self._snapshots.odds(), self._random)
+        group.seats.seat(race, rival, self._random)
+        self._plan(group, race)
 
-    def _plan(self, race: _SelfPlayRace) -> None:
+    def _plan(self, group: _RaceGroup, race: int) -> None:
         """Draws the options of the next race, which starts automatically."""
         track, reverse = self._curriculum.draw(self._random)
-        race.next_from_grid = bool(self._random.random() < self._grid_share)
+        is_from_grid = bool(self._random.random() < self._grid_share)
         known = [bot_name(difficulty) for difficulty in self._curriculum.difficulties]
-        bot = self._bots.draw(self._random, known)
+        bot = draw_opponent(self._bots.odds(known), self._random)
         difficulty = int(bot.removeprefix("bot:"))
         limit = PATIENCE * ai_time(track, reverse, difficulty) + COUNTDOWN
         steps = math.ceil(limit / STEP)
-        race.env.options = race.env.options.changed(
-            {
-                "track": track,
-                "reverse": reverse,
-                "difficulty": difficulty,
-                "start": None if race.next_from_grid else RandomStart(),
-                "max_cycles": steps if race.next_from_grid else min(steps, SHORT_RACE),
-            }
-        )
+        group.options[race] = {
+            "track": track,
+            "reverse": reverse,
+            "difficulty": difficulty,
+            "start": None if is_from_grid else RandomStart(),
+            "max_cycles": steps if is_from_grid else min(steps, SHORT_RACE),
+        }
+        group.envs.races.set_options(group.options)
+        group.races[race].next_is_from_grid = is_from_grid

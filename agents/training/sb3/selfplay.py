@@ -12,7 +12,6 @@ driven plus places gained.
     --total-timesteps 2000000   or after this total of kart-steps
     --init FILE                 start from the weights of another run, or of imitation
     --races 4x4 2+2x2           four races of four agents, two of two agents and two bots
-    --supersuit                 use SuperSuit instead: plain self-play, for comparison
 
 To continue a run that was killed, run the same command again. Training consists of rounds. Each
 round starts with new races and its own seeds and ends with a checkpoint, so that the run continues
@@ -29,11 +28,12 @@ race`` accepts:
 from __future__ import annotations
 
 import importlib
+import subprocess
 import sys
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -41,18 +41,20 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Share
-from stkzoo.agents.pretrained.mlp import load_driver
+from stkzoo.agents.planning.memory import MEMORY_SIZE
+from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver, load_driver
+from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation import require_openskill
+from stkzoo.wrappers.racing import SIZE
 
-from ..common.arguments import Coefficient, Natural, PPOArguments, ScriptOptions
+from ..common.arguments import Coefficient, Natural, PPOArguments, ScriptOptions, parse_races
 from ..common.command import ProgressBar, run_command, training_library
-from ..common.network_policy import FIRST_BIASES, initial_weights, save_driver
-from ..common.opponents import Rival, RivalPool, bot_name
 from ..common.run_folder import (
     TrainingLog,
     keep_arguments,
@@ -61,14 +63,15 @@ from ..common.run_folder import (
     read_run_file,
     reading_checkpoint,
     save_checkpoint,
+    save_driver,
     saved_policies,
 )
-from ..common.starts import parse_races
 from ..export import export_policy
 from ..plot import RunRatings
-from ..rate import RATINGS
+from ..ppo.network import FIRST_BIASES
+from ..ppo.opponents import Rival, RivalPool, bot_name
+from ..rate import EVALUATIONS, RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum, CurriculumState
-from .evaluation import BackgroundEvaluation
 
 #: Arguments that have the same name in Stable-Baselines3's PPO.
 _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
@@ -105,7 +108,6 @@ class SB3Arguments(PPOArguments):
         evaluate_every: kart-steps between two evaluations.
         evaluation_races: races of each evaluation; 0 disables evaluations.
         evaluation_tracks: tracks of evaluations, driven in turn.
-        supersuit: use SuperSuit instead: plain self-play.
     """
 
     learning_rate: float = 5e-4
@@ -128,12 +130,11 @@ class SB3Arguments(PPOArguments):
     evaluation_tracks: tuple[str, ...] = option(
         EASY_TO_HARD[:3], flag="--evaluation-track", metavar="TRACK"
     )
-    supersuit: bool = False
 
     def __post_init__(self) -> None:
         given = self.tracks
         PPOArguments.__post_init__(self)
-        if self.n_steps * sum(lineup.learners for lineup in parse_races(self.races)) < 2:
+        if self.n_steps * sum(own.learners * own.races for own in parse_races(self.races)) < 2:
             raise ConfigError("n_steps is 1 in a race of one agent, expected 2 or more steps")
         if given != self.tracks:  # a split, whose tracks are in alphabetical order
             ordered = (track for track in EASY_TO_HARD if track in self.tracks)
@@ -220,7 +221,7 @@ class SB3Run:
         is_rival = self.kart_steps // arguments.keep_every > before // arguments.keep_every
         if is_rival or self._is_judged(before, self.kart_steps):
             name = self._keep()
-            if is_rival and not arguments.supersuit:
+            if is_rival:
                 self._snapshots.add(name)
                 self._make_ready(name)
         self.save_checkpoint()
@@ -262,7 +263,7 @@ class SB3Run:
         """Saves the policy, also as an agent; returns the agent's folder."""
         self._keep()  # other scripts take the newest of the saved policies
         file = self.folder / "policy.safetensors"
-        save_driver(file, self._model.policy, self._held)
+        save_driver(file, self._model.policy, self.arguments.hold)
         return export_policy(file, f"selfplay_{self.kart_steps}", self.folder / "agent")
 
     def close(self) -> None:
@@ -271,25 +272,17 @@ class SB3Run:
 
     # ------------------------------------------------------------------ parts
 
-    @property
-    def _held(self) -> int:
-        return 0 if self.arguments.supersuit else self.arguments.hold
-
     def _make_races(self) -> Any:
         races = importlib.import_module("stkzoo.agents.training.sb3.races")
-        lineups = parse_races(self.arguments.races)
-        if self.arguments.supersuit:
-            training_library("supersuit", _EXTRAS)
-            other = importlib.import_module("stkzoo.agents.training.sb3.supersuit")
-            return other.SuperSuitRaces(lineups, self.arguments.tracks[:1])
+        arguments = self.arguments
         return races.SelfPlayVecEnv(
-            lineups,
+            parse_races(arguments.races),
             self._curriculum,
             self._bots,
             self._snapshots,
-            snapshot_share=self.arguments.snapshot_share,
-            grid_share=self.arguments.grid_share,
-            hold=self._held,
+            snapshot_share=arguments.snapshot_share,
+            grid_share=arguments.grid_share,
+            hold=arguments.hold,
         )
 
     def _make_model(self) -> Any:
@@ -386,7 +379,7 @@ class SB3Run:
     def _keep(self) -> str:
         """Writes the current policy; returns its name."""
         name = policy_name(self.kart_steps)
-        save_driver(self.folder / f"{name}.safetensors", self._model.policy, self._held)
+        save_driver(self.folder / f"{name}.safetensors", self._model.policy, self.arguments.hold)
         return name
 
     def _make_ready(self, name: str) -> None:
@@ -414,6 +407,101 @@ def _explained(buffer: Any) -> float:
 
 def _seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+
+
+def initial_weights(path: str | Path, policy: Any) -> dict[str, npt.NDArray[np.float32]]:
+    """Returns a state dict for a policy from a file, which may lack the value network.
+
+    If the layers in the file take only the view as input, the memory of the action filter initially
+    has no effect.
+
+    Args:
+        path: a file from ``sb3``, ``imitation`` or ``rllib``.
+        policy: the Stable-Baselines3 policy to initialize.
+
+    Raises:
+        ConfigError: the file is unreadable, or contains another network.
+    """
+    weights = load_weights(path)
+    MlpDriver(weights, f"the weights {str(path)!r}")
+    weights = {name: array for name, array in weights.items() if name != HOLD}
+    own = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+    for name, array in weights.items():
+        more = own[name].shape[-1] - array.shape[-1] if name in own and array.ndim == 2 else 0
+        if array.shape[-1] == SIZE and more == MEMORY_SIZE:
+            weights[name] = np.pad(array, ((0, 0), (0, more)))
+    others = [n for n, array in weights.items() if n not in own or own[n].shape != array.shape]
+    if others:
+        raise ConfigError(
+            f"the weights {str(path)!r} are of another network: {', '.join(others)} do not fit "
+            "this one; give the --hidden that they were made with"
+        )
+    return {**own, **weights}
+
+
+# ---------------------------------------------------------------------- evaluations
+
+
+class BackgroundEvaluation:
+    """Evaluates saved policies one after another with :mod:`stkzoo.agents.training.rate`.
+
+    Args:
+        run: folder of the run.
+        tracks: tracks of the races.
+        races: races per policy.
+
+    Attributes:
+        failures: number of failed evaluations.
+    """
+
+    def __init__(self, run: Path, tracks: Sequence[str], races: int) -> None:
+        self._run, self._tracks, self._races = run, tuple(tracks), races
+        self._started: set[str] = set()
+        self._process: subprocess.Popen[bytes] | None = None
+        self.failures = 0
+
+    def poll(self, names: Sequence[str], wait: float = 0.0) -> bool:
+        """Starts the next evaluation if none is running.
+
+        Args:
+            names: policies to evaluate; each is evaluated once.
+            wait: maximum time to wait for the current evaluation [s].
+
+        Returns:
+            Whether an evaluation has finished since the last call.
+        """
+        is_finished = False
+        if self._process is not None:
+            try:
+                code = self._process.wait(wait)
+            except subprocess.TimeoutExpired:
+                return False
+            self._process = None
+            self.failures += code != 0
+            is_finished = code == 0
+        done = self._started | {path.stem for path in (self._run / EVALUATIONS).glob("*.json")}
+        if left := [name for name in names if name not in done]:
+            self._start(left[0])
+        return is_finished
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether an evaluation is running."""
+        return self._process is not None
+
+    def close(self) -> None:
+        """Stops the current evaluation."""
+        if self._process is not None:
+            self._process.terminate()
+            self._process.wait()
+
+    def _start(self, name: str) -> None:
+        self._started.add(name)
+        words = ["-m", "stkzoo.agents.training.rate", str(self._run), "--policy", name]
+        words += ["--matches", str(self._races), "--track", *self._tracks]
+        self._process = subprocess.Popen(  # noqa: S603 - this program
+            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
+        )
 
 
 # ---------------------------------------------------------------------- the command

@@ -1,60 +1,138 @@
-"""The reference algorithms of the suite, by name.
+"""The reference algorithms of the suite: settings of PPO (:mod:`stkzoo.agents.training.ppo`).
 
 stkzoo suite train versus ippo
+
+- ``ippo``, independent PPO (de Witt et al., 2020): all learners share one policy, which learns from
+  each kart's own reward. Policy and value network see the view of one kart; other learners are part
+  of its environment.
+- ``mappo``, multi-agent PPO (Yu et al., 2022): the value network also sees the state of the race
+  (``env.state()``), scaled by fixed typical values. The trained agent does not need it.
+- ``fsp`` and ``pfsp``, fictitious and prioritized self-play: in half of the races, one of 40 past
+  policies drives one of the teams or half of the karts
+  (:mod:`stkzoo.agents.training.ppo.opponents`).
+
+The folder of a run contains `checkpoint.pt`, `log.jsonl` (one line per iteration), TensorBoard
+files, `arguments.json`, the saved policies, and at the end `agent`, the trained agent, and
+`machine.json`, the machine that trained it.
 """
 
 from __future__ import annotations
 
+import importlib.metadata
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from stkzoo.errors import check_whole
+from stkzoo._os import cpu_count
+from stkzoo._schema import Whole
+from stkzoo.errors import ConfigError, check_whole
+from stkzoo.race.result import versions_now
+from stkzoo.suite import Task, can_learn, find_task
 
-from .impala import IMPALA
-from .learner import TaskLearner, finish_run
-from .past import PastSelfPlay
+from ..common.arguments import BatchSize, Coefficient, Natural, RolloutArguments
+from ..common.run_folder import write_json
+from ..export import export_policy
+from ..ppo.network import RacingNetwork
+from ..ppo.opponents import FICTITIOUS, NOBODY, PRIORITIZED, Matchmaker
+from ..ppo.rollouts import ActorRaces
+from ..ppo.run import PPORun, PPOSetup
 
-
-class IPPO(TaskLearner):
-    """Independent PPO: all learners share one policy, which learns from each kart's own reward.
-
-    Policy and value network see the view of one kart; other learners are part of its environment
-    (de Witt et al., 2020).
-    """
-
-
-class MAPPO(TaskLearner):
-    """Multi-agent PPO: independent PPO whose value network sees the whole race (Yu et al., 2022).
-
-    The inputs of the value network are a learner's observation and the state of the race
-    (``env.state()``), scaled by fixed typical values. The trained agent does not need it.
-    """
-
-    sees_state = True
-
-
-class FSP(PastSelfPlay):
-    """Fictitious self-play: in half of the races, past policies drive some of the karts.
-
-    Each of 40 past policies is equally likely, so that the learner finds a response to the mean of
-    its past policies (Heinrich et al., 2015).
-    """
-
-    is_prioritized = False
-
-
-class PFSP(PastSelfPlay):
-    """Prioritized fictitious self-play: past policies that the learner beats least are likeliest.
-
-    A past policy that is beaten with probability p is drawn with weight (1 - p)^2 (Vinyals et al.,
-    2019). Each weight is 0.02 higher here, so that every policy can be drawn.
-    """
-
-    is_prioritized = True
-
-
-_LEARNERS: dict[str, type[TaskLearner]] = {
-    kind.__name__.lower(): kind for kind in (IPPO, MAPPO, FSP, PFSP, IMPALA)
+#: File with the :class:`TrainingMachine` in the folder of a run.
+MACHINE = "machine.json"
+#: Number of past policies that a run keeps.
+_POOL_SIZE = 40
+_LEARNERS = 64
+#: Opponents of each algorithm, and whether its value network sees the state of the race.
+_ALGORITHMS = {
+    "ippo": (NOBODY, False),
+    "mappo": (NOBODY, True),
+    "fsp": (FICTITIOUS, False),
+    "pfsp": (PRIORITIZED, False),
 }
+#: Figures of the log to show.
+_SHOWN = ("return", "finished", "position", "entropy", "kl", "explained", "beaten")
+
+
+@dataclass(frozen=True, slots=True)
+class TaskArguments(RolloutArguments):
+    """Arguments of a run; they must not change when a run continues.
+
+    Attributes:
+        algorithm: name of the algorithm.
+        task: name of the task.
+        num_races: number of parallel races; 0 for as many as give 64 learners.
+        num_starts: number of different starts in each process between two checkpoints.
+    """
+
+    learning_rate: float = 5e-4
+    batch_size: BatchSize = 2048
+    n_epochs: int = 4
+    ent_coef: Coefficient = 0.01
+    target_kl: float = 0.03
+    warm_up: Natural = 0
+    checkpoint_every: int = 40
+    algorithm: str = "ippo"
+    task: str = "solo-1"
+    num_races: Natural = 0
+    num_starts: int = 40
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingMachine:
+    """The machine that trained a run, or its last part if the run was continued on another one.
+
+    Attributes:
+        cores: number of its cores.
+        versions: versions of its software by name.
+    """
+
+    cores: Whole
+    versions: Mapping[str, str]
+
+    @classmethod
+    def now(cls) -> TrainingMachine:
+        """Returns this machine."""
+        return cls(cpu_count(), {**versions_now(), "torch": importlib.metadata.version("torch")})
+
+
+def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
+    """Returns what a run in a task learns.
+
+    Args:
+        arguments: arguments of the run.
+        **options: other arguments of the races' environments.
+
+    Raises:
+        ConfigError: the algorithm cannot learn the task.
+    """
+    task, name = find_task(arguments.task), arguments.algorithm
+    opponents, sees_state = _ALGORITHMS.get(name, (NOBODY, False))
+    _check_task(task, name)
+    races = arguments.num_races or max(_LEARNERS // task.learners, 1)
+    own = {"num_starts": arguments.num_starts, **task.options(), **options}
+    group = ActorRaces(races, own, has_rivals=opponents != NOBODY, teams=task.teams)
+    state_size = task.state_size if sees_state else 0
+    return PPOSetup(
+        groups=(group,),
+        make_network=partial(RacingNetwork, arguments.hidden, arguments.seed, state_size),
+        matchmaker=Matchmaker(opponents, _POOL_SIZE),
+    )
+
+
+def _check_task(task: Task, algorithm: str) -> None:
+    if task.words:
+        raise ConfigError(
+            f"{task.name} has messages, which the reference algorithms do not learn; write a "
+            f"loop over its ParallelEnv, stkzoo.suite.find_task({task.name!r}).make()"
+        )
+    if algorithm in _ALGORITHMS and not can_learn(algorithm, task):
+        raise ConfigError(
+            f"{task.name} has one learner, and {algorithm} is self-play; use ippo, which is the "
+            "same for one learner"
+        )
 
 
 def run(algorithm: str, folder: Path, task: str, kart_steps: int, seed: int) -> Path:
@@ -74,6 +152,32 @@ def run(algorithm: str, folder: Path, task: str, kart_steps: int, seed: int) -> 
         ConfigError: an argument is invalid, or the folder contains another run.
     """
     check_whole("kart_steps", kart_steps, 1)
-    kind = _LEARNERS[algorithm]
-    learner = kind(folder, kind.arguments_of(task, kart_steps, seed))
-    return finish_run(learner, kart_steps, f"{kind.__name__}_{task}_{seed}")
+    arguments = TaskArguments(
+        algorithm=algorithm, task=task, seed=seed, anneal_timesteps=kart_steps
+    )
+    if _ALGORITHMS[algorithm][0] != NOBODY:
+        arguments = replace(arguments, keep_every=max(kart_steps // _POOL_SIZE, 1))
+    learner = PPORun(folder, arguments, task_setup(arguments))
+    return finish_run(learner, kart_steps, f"{algorithm}_{task}_{seed}")
+
+
+def finish_run(learner: PPORun, kart_steps: int, name: str) -> Path:
+    """Learns until a number of kart-steps, ends the races and writes the agent and the machine.
+
+    If nothing is left to learn, the machine stays the one that trained.
+
+    Args:
+        learner: the run.
+        kart_steps: the number of kart-steps.
+        name: name of the agent; becomes lower case, with underscores.
+
+    Returns:
+        The folder of the agent.
+    """
+    is_trained = learner.kart_steps >= kart_steps
+    with closing(learner):
+        policy = learner.learn(kart_steps, _SHOWN)
+    if not is_trained:
+        write_json(learner.folder / MACHINE, asdict(TrainingMachine.now()))
+    plain = "".join(sign if sign.isalnum() else "_" for sign in name.lower())
+    return export_policy(policy, plain, learner.folder / "agent")

@@ -1,0 +1,432 @@
+"""The plans as a view: what a policy over plans sees and chooses, for users' own learners.
+
+An observation has ``inputs``, the numbers that a policy's network sees, and ``prior``, logits that
+follow from the worth of the plans. An action is a choice among the plans; see :mod:`.driver`.
+
+:class:`PlanChoices` wraps one agent, so it is a view of every environment. It runs agent by agent.
+:class:`PlanVectorEnv` gives the same values and handles all karts of all races in one call.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.vector import VectorWrapper
+from gymnasium.vector.utils import batch_space
+
+from stkzoo import Phase, RaceVectorEnv
+from stkzoo.errors import ConfigError
+from stkzoo.views import View
+from stkzoo.wrappers import CompiledWrapper
+from stkzoo.wrappers.racing import (
+    ABSENT,
+    BatchedRacingView,
+    RoadTable,
+    Surroundings,
+    surroundings_of,
+)
+
+from . import BoolArray, FloatArray, IntArray
+from .driver import (
+    ALL_LOOKS,
+    BUTTONS,
+    CHOICES,
+    INPUT_SIZE,
+    PlanDriver,
+    action_of,
+    mirrored_choices,
+    mirrored_inputs,
+    mirrored_prior,
+)
+from .parameters import DriverParameters
+from .road import LINE_MARKS
+
+if TYPE_CHECKING:
+    from stkzoo.views import ViewPlan
+
+#: Number of the nearest karts and items that a kart observes.
+_KARTS, _ITEMS = 24, 64
+_NUMBERS = {
+    "velocity": 3,
+    "max_steer_angle": 1,
+    "skeed_factor": 1,
+    "energy": 1,
+    "attachment_time_left": 1,
+    "shield_time": 1,
+}
+_AROUND = ("road", "karts", "items", "item_types")
+_KINDS = ("jumping", "powerup_type", "powerup_count", "attachment")
+_FULL_THROTTLE = np.eye(1, 7, dtype=np.float32)
+
+OBSERVATION_SPACE = spaces.Dict(
+    {
+        "inputs": spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32),
+        "prior": spaces.Box(-np.inf, np.inf, (sum(CHOICES),), np.float32),
+    }
+)
+
+
+class PlanView:
+    """The observations and actions of A karts, with the memory of their drivers.
+
+    Args:
+        count: number of karts, A.
+        parameters: parameters of the plans.
+
+    Attributes:
+        driver: the plans, and the memory of the drivers.
+    """
+
+    def __init__(self, count: int, parameters: DriverParameters | None = None) -> None:
+        self.driver = PlanDriver(count, parameters)
+        self._is_mirrored = np.zeros(count, np.bool_)
+        self._waits = np.zeros(count, np.bool_)  # karts before GO
+
+    def begin(self, rows: IntArray, is_mirrored: BoolArray | bool = False) -> None:
+        """Begins the races of some karts.
+
+        Args:
+            rows: indices of the karts.
+            is_mirrored: whether they observe and act with left and right swapped.
+        """
+        self.driver.forget(rows)
+        self._is_mirrored[rows], self._waits[rows] = is_mirrored, False
+
+    def observe(self, seen: Mapping[str, Any], *, advances: bool = True) -> dict[str, FloatArray]:
+        """Returns the karts' observations, with one row per kart.
+
+        Args:
+            seen: observations of :class:`PlanSurroundings`, with one row per kart.
+            advances: whether a step has passed since the last call.
+        """
+        if self._waits.any():  # nothing before GO matters
+            self.driver.forget(np.flatnonzero(self._waits))
+        self._waits = np.asarray(seen["phase"]) < Phase.GO_PHASE
+        found = (self.driver.look if advances else self.driver.view)(seen, around_of(seen))
+        if not self._is_mirrored.any():
+            return {"inputs": found.inputs, "prior": found.prior}
+        rows = self._is_mirrored[:, None]
+        return {
+            "inputs": np.where(rows, mirrored_inputs(found.inputs), found.inputs),
+            "prior": np.where(rows, mirrored_prior(found.prior), found.prior),
+        }
+
+    def drive(self, choices: npt.NDArray[Any]) -> tuple[FloatArray, BoolArray]:
+        """Returns the controls for choices ``(A, 4)`` in the latest observations.
+
+        Returns:
+            See :meth:`.driver.PlanDriver.act`. Before GO, karts wait at full throttle.
+        """
+        chosen = np.where(self._is_mirrored[:, None], mirrored_choices(choices), choices)
+        controls, applies = self.driver.act(chosen)
+        controls[self._waits] = _FULL_THROTTLE
+        return controls, applies & ~self._waits
+
+
+# ---------------------------------------------------------------------- one agent
+
+
+class PlanSurroundings(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
+    """Observes what the plans need: own state, road, karts and items as arrays of fixed sizes.
+
+    The nearest 24 karts and 64 items are observed; positions of missing karts are not finite, and
+    missing items have the type -1.
+
+    Args:
+        env: an environment in the view ``full`` or ``ground``. In ``ground``, the observation
+            includes the racing line.
+
+    Raises:
+        ConfigError: the environment is in another view.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        space = env.observation_space
+        if not isinstance(space, spaces.Dict) or "paths_start" not in space.spaces:
+            raise ConfigError(f"plans need the view 'full' or 'ground', found {space!r:.200}")
+        self._sees_line = "ground_line" in space.spaces
+        self.observation_space = _surroundings_space(self._sees_line)
+
+    def compile_into(self, plan: ViewPlan) -> bool:
+        """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
+        if plan.sizes or plan.is_polar or plan.is_flat or plan.observer or plan.has_action:
+            return False
+        plan.observer = _SurroundingsObserver(self._sees_line)
+        return True
+
+    def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the kart's own state and surroundings."""
+        own, around = surroundings_of(observation, ALL_LOOKS)
+        return {key: array[0] for key, array in _row(own, around, observation["phase"]).items()}
+
+
+class _SurroundingsObserver:
+    """Makes the observations of :class:`PlanSurroundings` directly from the game's records."""
+
+    def __init__(self, sees_line: bool) -> None:
+        self._sees_line = sees_line
+
+    def observe_into(self, source: Any, karts: IntArray, rows: IntArray, batch: Any) -> None:
+        """See :class:`~stkzoo.views.plan.RowObserver`."""
+        snapshot, part = source.snapshot, slice(int(rows[0]), int(rows[-1]) + 1)
+        fits = len(snapshot.karts) <= _KARTS and len(snapshot.items) <= _ITEMS
+        if self._sees_line or not fits or part.stop - part.start != len(rows):
+            for key, array in self._seen(source, karts).items():
+                batch[key][rows] = array
+            return
+        own = {key: array[part] for key, array in batch.items()}
+        own["phase"][:] = snapshot.phase
+        out = own, tuple(own[key] for key in _AROUND)
+        _view_of(source.track_map).look_into(snapshot, 0, karts, ALL_LOOKS, out)
+
+    def _seen(self, source: Any, karts: IntArray) -> dict[str, Any]:
+        snapshot, view = source.snapshot, _view_of(source.track_map)
+        own, around = view.surroundings([snapshot], [0], [karts], ALL_LOOKS)
+        seen = _row(own, around, np.full(len(karts), snapshot.phase))
+        if self._sees_line:
+            ahead = source.ground_ahead(karts)
+            seen["line"] = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
+        return seen
+
+
+@functools.lru_cache(maxsize=64)
+def _view_of(track: Any) -> BatchedRacingView:
+    return BatchedRacingView([RoadTable(track)])
+
+
+def _row(own: Mapping[str, Any], around: Surroundings, phase: Any) -> dict[str, Any]:
+    """Returns observations of A karts with arrays of the sizes in their space."""
+    count = len(around.road)
+    nearest = _nearest(around.items, _ITEMS)
+    seen = {key: np.reshape(own[key], (count, width)) for key, width in _NUMBERS.items()}
+    seen |= {key: np.reshape(own[key], count) for key in _KINDS}
+    seen |= {
+        "phase": np.reshape(phase, count),
+        "road": around.road,
+        "karts": _fitted(around.karts, _nearest(around.karts, _KARTS), _KARTS, np.inf),
+        "items": _fitted(around.items, nearest, _ITEMS, 0.0),
+        "item_types": _fitted(around.item_types, nearest, _ITEMS, ABSENT),
+    }
+    return seen if around.line is None else {**seen, "line": around.line}
+
+
+def _nearest(points: FloatArray, most: int) -> IntArray | None:
+    """Returns the indices of the nearest points in order, ``(A, most)``; ``None`` for all."""
+    if points.shape[1] <= most:
+        return None
+    distances = (points**2).sum(axis=2)
+    return np.sort(np.argpartition(distances, most, axis=1)[:, :most], axis=1)
+
+
+def _fitted(
+    array: npt.NDArray[Any], chosen: IntArray | None, size: int, blank: float
+) -> npt.NDArray[Any]:
+    """Returns the chosen entries of an array ``(A, N, ...)``, or all, padded to ``size``."""
+    if chosen is not None:
+        return array[np.arange(len(array))[:, None], chosen]
+    fitted = np.full((len(array), size, *array.shape[2:]), blank, array.dtype)
+    fitted[:, : array.shape[1]] = array
+    return fitted
+
+
+def _surroundings_space(sees_line: bool) -> spaces.Dict:
+    def numbers(*shape: int) -> spaces.Box:
+        return spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+    kinds = spaces.Box(ABSENT, np.iinfo(np.int32).max, (), np.int64)
+    parts: dict[str, spaces.Space[Any]] = {key: numbers(size) for key, size in _NUMBERS.items()}
+    parts |= dict.fromkeys((*_KINDS, "phase"), kinds)
+    parts |= {"road": numbers(len(ALL_LOOKS), 4), "karts": numbers(_KARTS, 3)}
+    parts |= {"items": numbers(_ITEMS, 3)}
+    parts |= {"item_types": spaces.Box(ABSENT, np.iinfo(np.int32).max, (_ITEMS,), np.int64)}
+    return spaces.Dict(parts | ({"line": numbers(len(LINE_MARKS), 5)} if sees_line else {}))
+
+
+def surroundings_view(sees_line: bool) -> View:
+    """Returns the view of :class:`PlanSurroundings`, with the racing line if plans need it."""
+    needs = frozenset({"ground"} if sees_line else ())
+    return View("surroundings", "What plans need.", (PlanSurroundings,), needs)
+
+
+def around_of(seen: Mapping[str, Any]) -> Surroundings:
+    """Returns the surroundings in observations of :class:`PlanSurroundings`, in rows."""
+    road, karts, items, item_types = (seen[key] for key in _AROUND)
+    return Surroundings(road, karts, items, item_types, seen.get("line"))
+
+
+class PlanChoices(gym.Wrapper[Any, Any, Any, Any]):
+    """Lets one agent choose among its plans.
+
+    Observations are ``{"inputs": (INPUT_SIZE,), "prior": (15,)}`` float32. Actions are
+    ``MultiDiscrete`` with the choices of :data:`.driver.CHOICE_NAMES`. Before GO, they are ignored.
+
+    Args:
+        env: an environment in the view ``full``, or ``ground`` for plans on the racing line.
+        parameters: parameters of the plans.
+        mirror_share: probability with which the agent observes and acts with left and right swapped
+            in an episode.
+
+    Raises:
+        ConfigError: the environment is in another view.
+
+    Example:
+        >>> import stkzoo
+        >>> from stkzoo.agents.planning.view import PlanChoices
+        >>> env = stkzoo.race_v0.parallel_env(num_kart=2, track="lighthouse", view=PlanChoices)
+        >>> observations, infos = env.reset(seed=1)
+        >>> observations["kart_0"]["prior"].shape, env.action_space("kart_0")
+        ((15,), MultiDiscrete([4 7 2 2]))
+        >>> env.close()
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        parameters: DriverParameters | None = None,
+        mirror_share: float = 0.0,
+    ) -> None:
+        self._surroundings = PlanSurroundings(env)
+        super().__init__(env)
+        self._view, self._mirror_share = PlanView(1, parameters), mirror_share
+        self.observation_space = OBSERVATION_SPACE
+        self.action_space = spaces.MultiDiscrete(list(CHOICES))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+        """Begins an episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        is_mirrored = bool(self.np_random.random() < self._mirror_share)
+        self._view.begin(np.zeros(1, np.intp), is_mirrored)
+        return self._observed(observation, advances=False), info
+
+    def step(
+        self, action: npt.NDArray[Any]
+    ) -> tuple[dict[str, FloatArray], Any, bool, bool, dict[str, Any]]:
+        """Drives by choices ``(4,)``."""
+        controls, _ = self._view.drive(np.reshape(action, (1, len(CHOICES))))
+        seen, reward, is_finished, is_cut, info = self.env.step(action_of(controls[0]))
+        return self._observed(seen, advances=True), reward, is_finished, is_cut, info
+
+    def _observed(self, observation: Mapping[str, Any], *, advances: bool) -> dict[str, FloatArray]:
+        seen = self._surroundings.observation(observation)
+        batch = {key: np.asarray(value)[None] for key, value in seen.items()}
+        return {key: rows[0] for key, rows in self._view.observe(batch, advances=advances).items()}
+
+
+# ---------------------------------------------------------------------- all karts of many races
+
+
+class PlanVectorEnv(VectorWrapper):
+    """Races in which every agent chooses among its plans; see :class:`~stkzoo.RaceVectorEnv`.
+
+    Observations and actions are those of :class:`PlanChoices`, one row per slot. ``infos`` has an
+    additional ``applies``, ``(num_envs,)`` bool: whether the choices of the step applied. They do
+    not before GO, and when a stuck kart frees itself.
+
+    Args:
+        num_races: number of races.
+        parameters: parameters of the plans.
+        mirror_share: share of the slots, drawn for each race, that observe and act with left and
+            right swapped.
+        **options: other arguments of :class:`~stkzoo.RaceVectorEnv` except ``view``.
+
+    Attributes:
+        races: the races.
+        view: plans and memory of all slots.
+
+    Raises:
+        ConfigError: an option is invalid.
+    """
+
+    def __init__(
+        self,
+        num_races: int = 1,
+        *,
+        parameters: DriverParameters | None = None,
+        mirror_share: float = 0.0,
+        **options: Any,
+    ) -> None:
+        view = surroundings_view((parameters or DriverParameters()).racing_line)
+        self.races = RaceVectorEnv(num_races, view=view, **options)
+        super().__init__(self.races)
+        self.view, self._mirror_share = PlanView(self.num_envs, parameters), mirror_share
+        self.single_observation_space = OBSERVATION_SPACE
+        self.single_action_space = spaces.MultiDiscrete(list(CHOICES))
+        self.observation_space = batch_space(OBSERVATION_SPACE, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._random = np.random.default_rng()
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: Any = None
+    ) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+        """Starts a new race in every environment; see :meth:`stkzoo.RaceVectorEnv.reset`."""
+        seen, infos = self.races.reset(seed=seed, options=options)
+        if seed is not None:
+            numbers = seed if isinstance(seed, Sequence) else [seed]
+            self._random = np.random.default_rng([n for n in numbers if n is not None] or None)
+        self._begin(np.arange(self.num_envs))
+        return self.view.observe(seen, advances=False), infos
+
+    def step(self, actions: npt.NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Advances all races by one step with choices ``(num_envs, 4)``."""
+        self.step_async(actions)
+        return self.step_wait()
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Starts a step of all races and returns before it is done."""
+        controls, applies = self.view.drive(actions)
+        self.send_controls(controls)
+        self._applies = applies
+
+    def send_controls(self, controls: FloatArray) -> None:
+        """Starts a step with controls ``(num_envs, 7)`` that do not come from choices."""
+        self.races.step_async(actions_of(controls))
+        self._applies = np.zeros(self.num_envs, np.bool_)
+
+    def step_wait(self) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Waits for the step and returns its result; see :meth:`step`."""
+        seen, rewards, terminations, truncations, infos = self.races.step_wait()
+        ended = np.flatnonzero(terminations | truncations)
+        last = {key: np.array(rows) for key, rows in seen.items()} if len(ended) else seen
+        for slot in ended.tolist():
+            for key, value in infos["final_obs"][slot].items():
+                last[key][slot] = value
+        observations = self.view.observe(last)
+        for slot in ended.tolist():
+            infos["final_obs"][slot] = {key: rows[slot] for key, rows in observations.items()}
+        begun = self._begun(ended)
+        if len(begun):
+            self._begin(begun)
+            observations = self.view.observe(seen, advances=False)
+        infos["applies"], infos["_applies"] = self._applies, np.ones(self.num_envs, np.bool_)
+        return observations, rewards, terminations, truncations, infos
+
+    def _begun(self, ended: IntArray) -> IntArray:
+        """Returns the slots whose race began in the step in which some slots ended."""
+        count = self.races.num_agents
+        is_new = np.zeros((self.races.num_races, count), np.bool_)
+        is_new[ended // count] = self.races.racing.reshape(is_new.shape)[ended // count]
+        had_ended = np.zeros(self.num_envs, np.bool_)
+        had_ended[ended] = True
+        starts = is_new.all(axis=1) & had_ended.reshape(is_new.shape).any(axis=1)
+        return np.flatnonzero(np.repeat(starts, count))
+
+    def _begin(self, slots: IntArray) -> None:
+        self.view.begin(slots, self._random.random(len(slots)) < self._mirror_share)
+
+
+def actions_of(controls: FloatArray) -> dict[str, npt.NDArray[Any]]:
+    """Returns actions of the view ``full`` for controls ``(A, 7)``, one row per kart."""
+    columns = np.ascontiguousarray(controls.T)
+    buttons = {
+        key: column.astype(np.int64) for key, column in zip(BUTTONS, columns[2:], strict=True)
+    }
+    return {"acceleration": columns[0][:, None], "steer": columns[1][:, None], **buttons}
