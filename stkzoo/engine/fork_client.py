@@ -84,18 +84,13 @@ class ForkServerClient(SpawnedProcess):
         try:
             process = self.fork_from(self.connection, START_TIMEOUT)
         except TimeoutError:
-            error = EngineTimeout(
-                f"the game's fork server did not answer within {START_TIMEOUT:.0f} s and was "
-                "stopped",
-                tail(self.log),
-            )
+            limit = f"{START_TIMEOUT:.0f} s"
+            message = f"the game's fork server did not answer within {limit} and was stopped"
+            error = EngineTimeout(message, tail(self.log))
         except (EOFError, ConnectionError):
             log = tail(self.log)
-            problem = (
-                "is gone; `stkzoo doctor` looks for the cause"
-                if self._has_forked
-                else f"could not start; {start_remedy(log)}"
-            )
+            is_gone = "is gone; `stkzoo doctor` looks for the cause"
+            problem = is_gone if self._has_forked else f"could not start; {start_remedy(log)}"
             error = EngineCrashed(f"the game's fork server {problem}", log)
         else:
             self._has_forked = True

@@ -54,7 +54,7 @@ def _run(
     """
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as log:
         process = subprocess.Popen(  # noqa: S603 - a fixed program, no shell
-            [*_ending_with_us(), *command],
+            command,
             cwd=folder,
             env=environment,
             stdin=subprocess.DEVNULL,
@@ -75,12 +75,6 @@ def _run(
         lines = "\n".join(text.strip().splitlines()[-last_lines:])
         raise AssetError(f"{name} failed ({process.returncode}): {lines}")
     return text
-
-
-def _ending_with_us() -> list[str]:
-    """Returns a command prefix that ends the program when this process ends, if available."""
-    setpriv = shutil.which("setpriv") if os.name == "posix" else None
-    return [setpriv, "--pdeathsig", "TERM", "--"] if setpriv else []
 
 
 PACKAGE = "supertuxkart-data"
