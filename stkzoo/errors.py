@@ -22,8 +22,6 @@ and constructed from its text alone.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 __all__ = [
     "ActionError",
     "AgentError",
@@ -130,19 +128,3 @@ class ProtocolError(RemoteError):
 def reason(error: Exception) -> str:
     """Returns why a file or address cannot be used, without its name or an error number."""
     return (getattr(error, "strerror", None) or str(error)).partition(" (while ")[0]
-
-
-if TYPE_CHECKING:
-    from stkzoo._checks import check_arguments as check_arguments
-    from stkzoo._checks import check_flag as check_flag
-    from stkzoo._checks import check_number as check_number
-    from stkzoo._checks import check_whole as check_whole
-    from stkzoo._checks import shortened as shortened
-    from stkzoo._checks import unknown_name as unknown_name
-
-
-def __getattr__(name: str) -> object:
-    """Returns a check, for modules that still import it from here."""
-    from stkzoo import _checks
-
-    return getattr(_checks, name)

@@ -13,8 +13,9 @@ from gymnasium.wrappers.utils import create_zero_array
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
+from stkzoo._checks import unknown_name
 from stkzoo.agent_names import of_agent, require_actions
-from stkzoo.errors import ConfigError, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 

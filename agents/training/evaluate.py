@@ -26,7 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._arguments import option, positional
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo._checks import check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import BenchmarkForm
 
 from .common.arguments import track_names

@@ -31,12 +31,13 @@ from pathlib import Path
 import numpy as np
 
 from stkzoo._arguments import option, positional
+from stkzoo._checks import check_whole
 from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Positive
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.evaluation import Rating, percentile_interval, save_figure
 
 from .common.arguments import QUICK_TRACKS, track_names

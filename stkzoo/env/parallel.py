@@ -15,6 +15,7 @@ import numpy.typing as npt
 from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
+from stkzoo._checks import check_arguments, check_number, check_whole
 from stkzoo.agent_names import of_agent
 from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
@@ -31,7 +32,7 @@ from stkzoo.env.race import Race
 from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate, scene_of
 from stkzoo.env.scenario import Scenario
 from stkzoo.env.state import RaceState
-from stkzoo.errors import ConfigError, check_arguments, check_number, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.mdp.state import state_space
 from stkzoo.render.scene import Scene

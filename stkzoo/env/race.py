@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.utils import seeding
 
+from stkzoo._checks import unknown_name
 from stkzoo._turns import CallTurn
 from stkzoo.agent_names import find_agent
 from stkzoo.config import AgentSpec
@@ -28,7 +29,7 @@ from stkzoo.env.rendering import Rendering
 from stkzoo.env.scenario import Scenario, digest_of, read_scenario
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.env.state import Moment, RaceState, check_beside, checked_state
-from stkzoo.errors import ApiOrderError, ConfigError, unknown_name
+from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.mdp.rewards import Reward
 from stkzoo.views.chains import AgentChains, CheckedActions
 from stkzoo.views.walker import StepParts

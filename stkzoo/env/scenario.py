@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
 
+from stkzoo._checks import check_whole
 from stkzoo._os import write_whole, write_zip
 from stkzoo._reading import Unreadable, read_json, read_zip, reading
 from stkzoo._schema import Count
@@ -23,7 +24,7 @@ from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.grid import RaceRoster
 from stkzoo.env.options import RaceOptions
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 
 _TYPE, _FORMAT = "stkzoo-scenario", 1
 _ABOUT, _CONTROLS = "scenario.json", "controls.f4"

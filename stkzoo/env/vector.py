@@ -10,11 +10,11 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv
 
+from stkzoo._checks import check_whole, unknown_name
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.env.vec.rows import is_of_fixed_size
-from stkzoo.errors import check_whole, unknown_name
 from stkzoo.mdp.rewards import RewardOver
 
 

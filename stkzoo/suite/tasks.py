@@ -16,10 +16,10 @@ import pettingzoo
 from msgspec import Meta
 from pettingzoo import ParallelEnv
 
+from stkzoo._checks import unknown_name
 from stkzoo._schema import Count, Whole, one_of
 from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.parallel import RaceParallelEnv
-from stkzoo.errors import unknown_name
 from stkzoo.evaluation.benchmark.races import BenchmarkForm
 from stkzoo.mdp.state import state_space
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS

@@ -12,8 +12,9 @@ from typing import Annotated, Any, get_args, get_type_hints
 from msgspec import Meta
 
 from stkzoo._arguments import option
+from stkzoo._checks import check_number, check_whole, unknown_name
 from stkzoo._schema import Share
-from stkzoo.errors import ConfigError, check_number, check_whole, unknown_name
+from stkzoo.errors import ConfigError
 from stkzoo.tracks import SPLITS, TRAIN_TRACKS
 
 #: Title of a group of options.

@@ -27,10 +27,11 @@ from functools import partial
 
 from stkzoo import Reward
 from stkzoo._arguments import option
+from stkzoo._checks import check_whole
 from stkzoo._schema import Share
 from stkzoo.agents.planning.driver import CHOICE_NAMES
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.mdp import rewards
 
 from ..common.arguments import (

@@ -26,9 +26,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from stkzoo._checks import check_whole
 from stkzoo._os import cpu_count
 from stkzoo._schema import Whole
-from stkzoo.errors import ConfigError, check_whole
+from stkzoo.errors import ConfigError
 from stkzoo.race.result import versions_now
 from stkzoo.suite import Task, can_learn, find_task
 

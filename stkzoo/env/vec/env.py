@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
 
+from stkzoo._checks import check_whole
 from stkzoo._os import cpu_count
 from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
@@ -18,7 +19,7 @@ from stkzoo.env.race import drive_opponents
 from stkzoo.env.vec.rows import BoolArray, SlotRows, SlotSteps, shared_space
 from stkzoo.env.vec.slots import RaceSlots
 from stkzoo.env.vec.starts import RepeatedStarts, seeds_of_races
-from stkzoo.errors import ActionError, ApiOrderError, ConfigError, check_whole
+from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.views.actions import read_action
 from stkzoo.views.chains import CheckedActions
 

@@ -10,12 +10,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from stkzoo._checks import check_whole
 from stkzoo.engine.fork_client import can_fork
 from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session, WorkerSession
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS
-from stkzoo.errors import ConfigError, EngineError, StkzooError, check_whole
+from stkzoo.errors import ConfigError, EngineError, StkzooError
 from stkzoo.names import Phase
 
 logger = logging.getLogger(__name__)

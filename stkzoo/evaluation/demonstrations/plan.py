@@ -18,9 +18,10 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from msgspec import Meta
 
+from stkzoo._checks import check_whole, shortened
 from stkzoo._schema import Count
 from stkzoo.drivers.driver import GAME_AI, find_driver
-from stkzoo.errors import ConfigError, StkzooError, check_whole, shortened
+from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.batch.agents import BatchAgent, check_level, find_agents
 from stkzoo.evaluation.batch.order import RaceOrder
 from stkzoo.evaluation.batch.plan import (
