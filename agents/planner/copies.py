@@ -113,14 +113,14 @@ def drive_copies(copies: Sequence[RaceCopy], choose: Choose | None, steps: int) 
         steps: number of steps.
     """
     for _ in range(steps):
-        running = [own for own in copies if not own.is_over]
+        running = [race for race in copies if not race.is_over]
         if not running:
             return
-        policy = changed(choose, [own.candidate for own in running], running[0].steps)
+        policy = changed(choose, [race.candidate for race in running], running[0].steps)
         actions = PlanDriver.drive_together(
-            [own.driver for own in running], [own.observation for own in running], policy
+            [race.driver for race in running], [race.observation for race in running], policy
         )
-        for own, action in zip(running, actions, strict=True):
-            own.request_step(action)
-        for own in running:
-            own.finish_step()
+        for race, action in zip(running, actions, strict=True):
+            race.request_step(action)
+        for race in running:
+            race.finish_step()

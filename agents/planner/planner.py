@@ -141,8 +141,8 @@ class Planner:
 
     def close(self) -> None:
         """Ends the processes of the copies; the next decision starts new ones."""
-        for own in self._copies:
-            own.close()
+        for race in self._copies:
+            race.close()
         self._copies = []
 
     def _best_candidate(
@@ -151,8 +151,8 @@ class Planner:
         settings, candidates = self.settings, self._draw()
         while len(self._copies) < len(candidates):
             self._copies.append(RaceCopy(env.clone(), agent))
-        for own, candidate in zip(self._copies, candidates, strict=True):
-            own.begin(env, self._driver, observation, candidate)
+        for race, candidate in zip(self._copies, candidates, strict=True):
+            race.begin(env, self._driver, observation, candidate)
         drive_copies(self._copies, self._choose, settings.horizon)
         finalists = self._ranked(self._copies)[: settings.num_finalists]
         if len(finalists) > 1:
@@ -171,22 +171,22 @@ class Planner:
 
     def _ranked(self, copies: Sequence[RaceCopy]) -> list[RaceCopy]:
         """Returns the copies in the order of their worth, best first."""
-        seconds = STEP * max(own.steps for own in copies)
-        return sorted(copies, key=lambda own: self._worth(own, seconds), reverse=True)
+        seconds = STEP * max(race.steps for race in copies)
+        return sorted(copies, key=lambda race: self._worth(race, seconds), reverse=True)
 
-    def _worth(self, own: RaceCopy, seconds: float) -> float:
+    def _worth(self, race: RaceCopy, seconds: float) -> float:
         """Returns the distance that a copy reaches [m], with bonuses for its speed and nitro.
 
         After the finish, the kart is assumed to continue at a constant speed. Nitro counts only as
         far as it can be used before the finish.
         """
         settings = self.settings
-        if own.seconds_to_finish is not None:
-            left = seconds - own.seconds_to_finish
-            return own.length + settings.finish_speed * (left + settings.speed_weight)
-        usable = min(own.energy, max(own.length - own.distance, 0.0) / settings.finish_speed)
-        bonus = settings.speed_weight * own.speed + settings.energy_weight * usable
-        return own.distance + bonus - settings.rescue_cost * own.num_rescues
+        if race.seconds_to_finish is not None:
+            left = seconds - race.seconds_to_finish
+            return race.length + settings.finish_speed * (left + settings.speed_weight)
+        usable = min(race.energy, max(race.length - race.distance, 0.0) / settings.finish_speed)
+        bonus = settings.speed_weight * race.speed + settings.energy_weight * usable
+        return race.distance + bonus - settings.rescue_cost * race.num_rescues
 
 
 def only_agent(env: RaceParallelEnv) -> str:

@@ -189,16 +189,16 @@ class PlanDriver:
                 kart.
         """
         controls = np.eye(1, 7, dtype=np.float32).repeat(len(drivers), 0)  # full throttle
-        racing = [n for n, own in enumerate(observations) if own["phase"] >= Phase.GO_PHASE]
+        racing = [n for n, seen in enumerate(observations) if seen["phase"] >= Phase.GO_PHASE]
         if racing:
-            own = [drivers[number] for number in racing]
-            driver = own[0] if len(own) == 1 else PlanDriver._joined(own)
+            active = [drivers[number] for number in racing]
+            driver = active[0] if len(active) == 1 else PlanDriver._joined(active)
             looks = LINE_MARKS if choose is None else ALL_LOOKS
             seen = surroundings_of([observations[number] for number in racing], looks)
             chosen = likeliest(driver.plan(*seen)) if choose is None else choose(driver.look(*seen))
             controls[racing], _ = driver.act(chosen)
-            if len(own) > 1:
-                for row, one in enumerate(own):
+            if len(active) > 1:
+                for row, one in enumerate(active):
                     one.memory.take(driver.memory, slice(row, row + 1))
                     one._tracker.take(driver._tracker, slice(row, row + 1))
         return list(map(action_of, controls))
@@ -210,46 +210,46 @@ class PlanDriver:
         joined._tracker = RivalTracker.joined([driver._tracker for driver in drivers])
         return joined
 
-    def look(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
+    def look(self, kart: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """Advances the state by one step and returns the policy's input.
 
         Args:
-            own: own state of the karts, in batch form.
+            kart: own state of the karts, in batch form.
             around: their surroundings, with the road at :data:`ALL_LOOKS`.
         """
-        self._pass_step(own)
-        seen = self.view(own, around)
+        self._pass_step(kart)
+        seen = self.view(kart, around)
         self.memory.look_around(self.options.beyond)
         return seen
 
-    def view(self, own: Mapping[str, Any], around: Surroundings) -> PolicyInput:
+    def view(self, kart: Mapping[str, Any], around: Surroundings) -> PolicyInput:
         """Returns the policy's input without advancing the state."""
         inputs = np.empty((len(around.road), INPUT_SIZE), np.float32)
-        racing_features(own, around, inputs)
+        racing_features(kart, around, inputs)
         self.memory.write(inputs, SIZE)
-        return PolicyInput(inputs, self._weigh(own, around, inputs))
+        return PolicyInput(inputs, self._weigh(kart, around, inputs))
 
-    def plan(self, own: Mapping[str, Any], around: Surroundings) -> FloatArray:
+    def plan(self, kart: Mapping[str, Any], around: Surroundings) -> FloatArray:
         """Advances the state by one step and returns the prior, ``(A, sum(CHOICES))``."""
-        self._pass_step(own)
-        prior = self._weigh(own, around, np.empty((0, 0), np.float32))
+        self._pass_step(kart)
+        prior = self._weigh(kart, around, np.empty((0, 0), np.float32))
         self.memory.look_around(self.options.beyond)
         return prior
 
-    def _pass_step(self, own: Mapping[str, Any]) -> None:
-        speed = np.asarray(own["velocity"][:, 2], np.float32)
-        self.memory.look(speed, np.reshape(own["skeed_factor"], -1))
+    def _pass_step(self, kart: Mapping[str, Any]) -> None:
+        speed = np.asarray(kart["velocity"][:, 2], np.float32)
+        self.memory.look(speed, np.reshape(kart["skeed_factor"], -1))
         self._tracker.look()
 
     def _weigh(
-        self, own: Mapping[str, Any], around: Surroundings, inputs: FloatArray
+        self, kart: Mapping[str, Any], around: Surroundings, inputs: FloatArray
     ) -> FloatArray:
         """Weighs the plans, writes a policy's inputs, if any, and returns the prior."""
-        state, memory, rules = OwnState.of(own), self.memory.rows, self._rules
+        state, memory, rules = OwnState.of(kart), self.memory.rows, self._rules
         numbers = rules.parameters
         is_watching = len(inputs) or numbers.bump_cost or numbers.learned_motion
         tracker = self._tracker if is_watching else None
-        angle = np.asarray(own["max_steer_angle"], np.float32)
+        angle = np.asarray(kart["max_steer_angle"], np.float32)
         self._options = options = weigh(rules, memory, state, angle, around, tracker)
         prior = np.empty((len(angle), sum(CHOICES)), np.float32)
         present_plans(

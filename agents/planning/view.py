@@ -108,13 +108,13 @@ class PlanView:
         if self._waits.any():  # nothing before GO matters
             self.driver.forget(np.flatnonzero(self._waits))
         self._waits = np.asarray(seen["phase"]) < Phase.GO_PHASE
-        found = (self.driver.look if advances else self.driver.view)(seen, around_of(seen))
+        policy_input = (self.driver.look if advances else self.driver.view)(seen, around_of(seen))
         if not self._is_mirrored.any():
-            return {"inputs": found.inputs, "prior": found.prior}
+            return {"inputs": policy_input.inputs, "prior": policy_input.prior}
         rows = self._is_mirrored[:, None]
         return {
-            "inputs": np.where(rows, mirrored_inputs(found.inputs), found.inputs),
-            "prior": np.where(rows, mirrored_prior(found.prior), found.prior),
+            "inputs": np.where(rows, mirrored_inputs(policy_input.inputs), policy_input.inputs),
+            "prior": np.where(rows, mirrored_prior(policy_input.prior), policy_input.prior),
         }
 
     def drive(self, choices: npt.NDArray[Any]) -> tuple[FloatArray, BoolArray]:
@@ -163,8 +163,8 @@ class PlanSurroundings(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
 
     def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the kart's own state and surroundings."""
-        own, around = surroundings_of(observation, ALL_LOOKS)
-        return {key: array[0] for key, array in _row(own, around, observation["phase"]).items()}
+        kart, around = surroundings_of(observation, ALL_LOOKS)
+        return {key: array[0] for key, array in _row(kart, around, observation["phase"]).items()}
 
 
 class _SurroundingsObserver:
@@ -181,15 +181,15 @@ class _SurroundingsObserver:
             for key, array in self._seen(source, karts).items():
                 batch[key][rows] = array
             return
-        own = {key: array[part] for key, array in batch.items()}
-        own["phase"][:] = snapshot.phase
-        out = own, tuple(own[key] for key in _AROUND)
+        arrays = {key: array[part] for key, array in batch.items()}
+        arrays["phase"][:] = snapshot.phase
+        out = arrays, tuple(arrays[key] for key in _AROUND)
         _view_of(source.track_map).look_into(snapshot, 0, karts, ALL_LOOKS, out)
 
     def _seen(self, source: Any, karts: IntArray) -> dict[str, Any]:
         snapshot, view = source.snapshot, _view_of(source.track_map)
-        own, around = view.surroundings([snapshot], [0], [karts], ALL_LOOKS)
-        seen = _row(own, around, np.full(len(karts), snapshot.phase))
+        kart, around = view.surroundings([snapshot], [0], [karts], ALL_LOOKS)
+        seen = _row(kart, around, np.full(len(karts), snapshot.phase))
         if self._sees_line:
             ahead = source.ground_ahead(karts)
             seen["line"] = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
@@ -201,12 +201,12 @@ def _view_of(track: Any) -> BatchedRacingView:
     return BatchedRacingView([RoadTable(track)])
 
 
-def _row(own: Mapping[str, Any], around: Surroundings, phase: Any) -> dict[str, Any]:
+def _row(kart: Mapping[str, Any], around: Surroundings, phase: Any) -> dict[str, Any]:
     """Returns observations of A karts with arrays of the sizes in their space."""
     count = len(around.road)
     nearest = _nearest(around.items, _ITEMS)
-    seen = {key: np.reshape(own[key], (count, width)) for key, width in _NUMBERS.items()}
-    seen |= {key: np.reshape(own[key], count) for key in _KINDS}
+    seen = {key: np.reshape(kart[key], (count, width)) for key, width in _NUMBERS.items()}
+    seen |= {key: np.reshape(kart[key], count) for key in _KINDS}
     seen |= {
         "phase": np.reshape(phase, count),
         "road": around.road,

@@ -88,12 +88,12 @@ class OwnState(NamedTuple):
     powerup_count: npt.NDArray[np.int64]
 
     @classmethod
-    def of(cls, own: Mapping[str, Any]) -> OwnState:
+    def of(cls, kart: Mapping[str, Any]) -> OwnState:
         """Returns the state in entries of the ``full`` view in batch form."""
         return cls(
-            np.ascontiguousarray(own["velocity"], np.float32),
-            np.ascontiguousarray(own["energy"], np.float32),
-            *(np.ascontiguousarray(own[key], np.int64) for key in cls._fields[2:]),
+            np.ascontiguousarray(kart["velocity"], np.float32),
+            np.ascontiguousarray(kart["energy"], np.float32),
+            *(np.ascontiguousarray(kart[key], np.int64) for key in cls._fields[2:]),
         )
 
 
@@ -176,7 +176,7 @@ class PlanOptions:
 def weigh(
     rules: PlanRules,
     memory: FloatArray,
-    own: OwnState,
+    kart: OwnState,
     max_steer_angle: FloatArray,
     around: Surroundings,
     tracker: RivalTracker | None,
@@ -186,7 +186,7 @@ def weigh(
     Args:
         rules: parameters of the plans.
         memory: ``(22, A)``, see :class:`.memory.PlanMemory`.
-        own: own state of the karts.
+        kart: own state of the karts.
         max_steer_angle: ``(A, 1)`` [rad].
         around: their surroundings; the road at :data:`.road.LINE_MARKS` comes last. Plans on the
             racing line need ``line``.
@@ -195,7 +195,7 @@ def weigh(
     Raises:
         ConfigError: the plans follow the racing line, and it is not observed.
     """
-    count = len(own.velocity)
+    count = len(kart.velocity)
     # numpy's own tangent and arctangent, which differ from the C library's in the last bit
     tangents = np.tan(np.maximum(max_steer_angle, np.float32(_LEAST_LOCK)))
     line = _line_of(rules.parameters, around)
@@ -211,7 +211,7 @@ def weigh(
     scene, best = np.empty((count, 5), np.float32), np.empty((3, count, MANEUVERS), np.float32)
     seen = (line, headings, tangents, around.karts, around.items, around.item_types)
     out = (rows, karts, road, items, rivals, scene)
-    survey_road(rules.view, rules.worths, memory, own, seen, before, now[:2], out)
+    survey_road(rules.view, rules.worths, memory, kart, seen, before, now[:2], out)
     weigh_plans(rules.table, rules.costs, rules.motion, rows, karts, road, items, rivals, best)
     return PlanOptions(best, scene, rivals)
 

@@ -86,16 +86,16 @@ class ActionFilter:
         joined = filters[0] if len(filters) == 1 else ActionFilter._joined(filters)
         done = joined.apply(choose(joined.look(np.stack(observations))))
         if len(filters) > 1:
-            for row, own in enumerate(filters):
-                own._memory.take(joined._memory, slice(row, row + 1))
-                own._has_moved = joined._has_moved[row : row + 1]
+            for row, single in enumerate(filters):
+                single._memory.take(joined._memory, slice(row, row + 1))
+                single._has_moved = joined._has_moved[row : row + 1]
         return list(done)
 
     @classmethod
     def _joined(cls, filters: Sequence[ActionFilter]) -> ActionFilter:
-        memory = DriverMemory.joined([own._memory for own in filters])
+        memory = DriverMemory.joined([single._memory for single in filters])
         joined = cls(0, filters[0]._hold, memory)
-        joined._has_moved = np.concatenate([own._has_moved for own in filters])
+        joined._has_moved = np.concatenate([single._has_moved for single in filters])
         return joined
 
     def look(self, views: FloatArray) -> FloatArray:

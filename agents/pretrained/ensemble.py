@@ -88,8 +88,8 @@ class EnsemblePolicy:
         moves = begin[..., None] + turn[:, None] + np.float32(self.weight) * liked
         best = moves.reshape(len(begin), -1).argmax(axis=1)
         presses = [
-            (prior + np.float32(self.weight) * own).argmax(axis=1)
-            for prior, own in zip(buttons, (nitro, fire), strict=True)
+            (prior + np.float32(self.weight) * logits).argmax(axis=1)
+            for prior, logits in zip(buttons, (nitro, fire), strict=True)
         ]
         choices: IntArray = np.array([*divmod(best, len(OFFSETS)), *presses]).T
         return choices
@@ -141,11 +141,11 @@ def members_of(
         ConfigError: an array set is not a network on the view ``racing`` or a policy over plans.
     """
     networks, policies = split_members(weights)
-    for number, own in enumerate(policies):
-        check_shapes(own, f"policy {number} of {name}")
+    for number, policy in enumerate(policies):
+        check_shapes(policy, f"policy {number} of {name}")
     return (
-        [MlpDriver(own, f"network {number} of {name}") for number, own in enumerate(networks)],
-        [RacingPolicy(own) for own in policies],
+        [MlpDriver(arrays, f"network {n} of {name}") for n, arrays in enumerate(networks)],
+        [RacingPolicy(policy) for policy in policies],
     )
 
 
@@ -157,10 +157,10 @@ def split_members(
 
 
 def _members(weights: Mapping[str, FloatArray], pattern: str) -> list[dict[str, FloatArray]]:
-    found: list[dict[str, FloatArray]] = []
+    members: list[dict[str, FloatArray]] = []
     while True:
-        prefix = pattern.format(len(found))
-        own = {n.removeprefix(prefix): a for n, a in weights.items() if n.startswith(prefix)}
-        if not own:
-            return found
-        found.append(own)
+        prefix = pattern.format(len(members))
+        member = {n.removeprefix(prefix): a for n, a in weights.items() if n.startswith(prefix)}
+        if not member:
+            return members
+        members.append(member)

@@ -58,19 +58,19 @@ class MlpDriver:
             number += 2  # every second module is the tanh
         if _LAST.format("weight") in weights:
             layers.append(_layer(weights, "action_net.{1}", 0))
-        found = [matrix.shape for matrix, _ in layers]
-        self.inputs = SIZE if found and found[0][-1] == SIZE else INPUT_SIZE
+        shapes = [matrix.shape for matrix, _ in layers]
+        self.inputs = SIZE if shapes and shapes[0][-1] == SIZE else INPUT_SIZE
         sizes = [self.inputs, *(len(bias) for _, bias in layers)]
         wanted = list(zip(sizes[1:], sizes, strict=False))
         arrays = [array for layer in layers for array in layer]
         if (
-            len(found) < 2
-            or found != wanted
+            len(shapes) < 2
+            or shapes != wanted
             or sizes[-1] != sum(CHOICES)
             or not all(np.isfinite(array).all() for array in arrays)
         ):
             raise ConfigError(
-                f"{name} have layers of the shapes {found}, expected finite ones of a "
+                f"{name} have layers of the shapes {shapes}, expected finite ones of a "
                 f"Stable-Baselines3 MlpPolicy from the {SIZE} numbers of the view 'racing', or "
                 f"{INPUT_SIZE} with what the action filter remembers, to its "
                 f"{sum(CHOICES)} choices (mlp_extractor.policy_net.*, action_net.*)"
@@ -108,8 +108,8 @@ def log_probabilities(logits: FloatArray) -> FloatArray:
     top = np.maximum.reduceat(logits, _BEGINS, axis=-1)
     odds = np.exp(logits - top[..., _CHOICE_OF])
     normalizer = top + np.log(np.add.reduceat(odds, _BEGINS, axis=-1))
-    found: FloatArray = logits - normalizer[..., _CHOICE_OF]
-    return found
+    log_probabilities: FloatArray = logits - normalizer[..., _CHOICE_OF]
+    return log_probabilities
 
 
 def _likeliest(logits: FloatArray) -> IntArray:

@@ -70,13 +70,13 @@ def check_shapes(weights: Mapping[str, FloatArray], name: str) -> None:
         ConfigError: a name or a shape is wrong.
     """
     hidden = [weights[key].size if key in weights else 0 for key in ("b0", "b1")]
-    found = {key: array.shape for key, array in weights.items()}
+    shapes = {key: array.shape for key, array in weights.items()}
     wanted = network_shapes(hidden)
-    if found not in (wanted, network_shapes(hidden, holds=False)) or not all(
+    if shapes not in (wanted, network_shapes(hidden, holds=False)) or not all(
         np.isfinite(array).all() for array in weights.values()
     ):
         raise ConfigError(
-            f"the weights {name!r} have the shapes {found}, expected finite numbers of "
+            f"the weights {name!r} have the shapes {shapes}, expected finite numbers of "
             f"{wanted}; they are from another version of stkzoo or another program"
         )
 

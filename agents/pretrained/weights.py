@@ -45,10 +45,10 @@ def load_weights(path: str | os.PathLike[str], digest: str | None = None) -> dic
     """
     with reading(f"the weights {str(path)!r} cannot be read", "a safetensors file of an agent"):
         data = read_file(path, _MOST_BYTES)
-    found = hashlib.sha256(data).hexdigest()
-    if digest is not None and found != digest:
+    actual = hashlib.sha256(data).hexdigest()
+    if digest is not None and actual != digest:
         raise ConfigError(
-            f"the weights {str(path)!r} are not those of the card: their SHA-256 is {found}, "
+            f"the weights {str(path)!r} are not those of the card: their SHA-256 is {actual}, "
             f"expected {digest}; get the file again"
         )
     with reading(f"{str(path)!r} is no safetensors file", "the weights of an agent"):

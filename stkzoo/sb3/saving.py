@@ -126,13 +126,13 @@ def _check_inputs(model: OnPolicyAlgorithm, view: str) -> None:
             "get; train with norm_obs=False, or write its pystk_actor.py by hand"
         )
     chain = AgentChain("kart_0", base_space(VIEWS[view]), kart_action_space(), VIEWS[view])
-    for what, own, expected in (
+    for what, value, expected in (
         ("observations", model.observation_space, chain.observation_space),
         ("actions", model.action_space, chain.action_space),
     ):
-        if own != expected:
+        if value != expected:
             raise ConfigError(
-                f"the model's {what} are {shortened(own)}, and those of the view {view!r} are "
+                f"the model's {what} are {shortened(value)}, and those of the view {view!r} are "
                 f"{shortened(expected)}; give the view in which it was trained, without wrappers "
                 f"that change {what} and without flat_observations"
             )

@@ -112,7 +112,7 @@ class RaceVecEnv(VecEnv):
         if seed is None:
             seed = int(np.random.randint(0, np.iinfo(np.uint32).max, dtype=np.uint32))
         self._race_seeds = seeds_of_races(seed, self.races.num_races)
-        return [given for given in self._race_seeds for _ in range(self.races.num_agents)]
+        return [seed for seed in self._race_seeds for _ in range(self.races.num_agents)]
 
     def reset(self) -> Any:
         """Starts a new race in every environment and stores the infos in ``reset_infos``.
@@ -127,16 +127,16 @@ class RaceVecEnv(VecEnv):
             ConfigError: an option is invalid, or slots of one race have different options.
         """
         seeds, self._race_seeds = self._race_seeds, [None] * self.races.num_races
-        given, count = [dict(own or {}) for own in self._options], self.races.num_agents
+        by_slot, count = [dict(options or {}) for options in self._options], self.races.num_agents
         self._reset_options()
-        if len(given) != self.num_envs:
+        if len(by_slot) != self.num_envs:
             raise ConfigError(
-                f"there are options for {len(given)} slots, expected a dict or a list of "
+                f"there are options for {len(by_slot)} slots, expected a dict or a list of "
                 f"{self.num_envs}, one per slot"
             )
-        options = given[::count]
-        for slot, own in enumerate(given):
-            if own != options[slot // count]:
+        options = by_slot[::count]
+        for slot, slot_options in enumerate(by_slot):
+            if slot_options != options[slot // count]:
                 raise ConfigError(
                     f"the options of slots {slot // count * count} and {slot} differ, but both "
                     "are in one race; give all slots of a race the same options"
