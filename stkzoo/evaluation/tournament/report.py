@@ -57,11 +57,9 @@ class TournamentReport:
     is_public: bool = False
     title: str = "Tournament"
     films: Sequence[int] | None = None
-    _places: dict[str, int] = field(init=False, default_factory=dict)
     _summaries: dict[int, RaceSummary] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._places.update({row.label: row.place for row in self.result.standings})
         self._summaries.update({race.number: race for race in self.result.races})
 
     def write(self, page: Path) -> None:
@@ -115,29 +113,13 @@ class TournamentReport:
         Raises:
             ConfigError: Jinja is not installed.
         """
-        rows = self.result.standings
-        low = min(row.rating.interval[0] for row in rows)
-        span = max(max(row.rating.interval[1] for row in rows) - low, 1e-6)
         return render(
             Path(__file__).with_name("report.html"),
             report=self,
             result=self.result,
-            standings=rows,
-            places=self._places,
-            facts=self._facts(),
+            plan=self.result.plan,
+            standings=self.result.standings,
             films=list(self._films()),
-            share=lambda value: f"{100 * (value - low) / span:.1f}%",
-            outcome=_outcome,
-        )
-
-    def _facts(self) -> tuple[str, ...]:
-        plan, result = self.result.plan, self.result
-        laps = "1 lap" if plan.settings.laps == 1 else f"{plan.settings.laps} laps"
-        return (
-            f"{len(result.standings)} agents",
-            f"{len(result.races)} of {plan.num_races} races of {plan.grid_size}, {laps}",
-            ", ".join(plan.tracks),
-            f"stkzoo {plan.versions.get('stkzoo', '')}",
         )
 
     def _films(self) -> Iterator[tuple[int, str, str, dict[str, str]]]:
@@ -198,12 +180,6 @@ class TournamentReport:
             return row.reason
         errors = (self.error_of(entry) for *_, entry in self.driven_by(row.label))
         return next(filter(None, errors), "")
-
-
-def _outcome(row: AgentResult) -> str:
-    if row.finish_time is not None:
-        return f"{row.finish_time:.1f} s"
-    return "failed" if row.status == "retired" else f"{row.distance:.0f} m"
 
 
 def _csv(rows: Iterable[Sequence[object]]) -> str:
