@@ -11,7 +11,7 @@ import threading
 import traceback
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from queue import SimpleQueue
@@ -30,25 +30,14 @@ _END_TIMEOUT = 5.0  # [s]
 _WORKER = "from stkzoo.evaluation.batch.pool import serve; serve()"
 
 
-@dataclass(frozen=True, slots=True)
-class OrderOutcome:
-    """The outcome of one order.
-
-    Attributes:
-        order: the order.
-        result: result of the race as JSON; empty if the race could not be run.
-        error: why the race could not be run; empty if it was run.
-    """
-
-    order: RaceOrder
-    result: str = ""
-    error: str = ""
+#: The result of a race as JSON, and why it could not be run; one of them is empty.
+Outcome = tuple[str, str]
 
 
 def run_in_parallel(
     orders: Sequence[RaceOrder], folder: Path, jobs: int, race_timeout: float
-) -> Generator[OrderOutcome, None, None]:
-    """Runs races in parallel and yields each outcome as soon as its race ends.
+) -> Generator[tuple[RaceOrder, Outcome], None, None]:
+    """Runs races in parallel and yields each order with its outcome as soon as its race ends.
 
     Closing the generator ends the running races.
 
@@ -65,10 +54,10 @@ def run_in_parallel(
     for worker in workers:
         idle.put(worker)
 
-    def run(order: RaceOrder) -> OrderOutcome:
+    def run(order: RaceOrder) -> tuple[RaceOrder, Outcome]:
         worker = idle.get()  # does not wait, because each running thread has a worker
         try:
-            return worker.run(order)
+            return order, worker.run(order)
         finally:
             idle.put(worker)
 
@@ -94,25 +83,25 @@ class _Worker:
         self._running: tuple[subprocess.Popen[bytes], OutputTail] | None = None
         self._is_closed = False
 
-    def run(self, order: RaceOrder) -> OrderOutcome:
+    def run(self, order: RaceOrder) -> Outcome:
         """Runs a race. If its process ends, the outcome is an error.
 
         A race that takes too long is repeated with a time budget for each agent, so that no agent
         voids a race that it is about to lose.
         """
-        outcome, was_late = self._run_once(order)
-        if was_late:
-            outcome, _ = self._run_once(order.hurried(self._timeout))
-        return replace(outcome, order=order)
+        for attempt in (order, order.hurried(self._timeout)):
+            if (outcome := self._run_once(attempt)) is not None:
+                return outcome
+        return "", f"it was not over after {self._timeout:g} s"
 
-    def _run_once(self, order: RaceOrder) -> tuple[OrderOutcome, bool]:
-        """Runs a race once, and returns its outcome and whether it took too long."""
+    def _run_once(self, order: RaceOrder) -> Outcome | None:
+        """Runs a race once; returns ``None`` if it takes too long."""
         order_type = type(order)
         line = {"module": order_type.__module__, "class": order_type.__name__}
         text = json.dumps({**line, "order": asdict(order), "folder": self._folder}).encode()
         with self._lock:
             if self._is_closed:
-                return OrderOutcome(order, error="the batch was ended"), False
+                return "", "the batch was ended"
             process, said = self._running = self._running or _start(is_alone=self._is_alone)
         assert process.stdin is not None  # noqa: S101 - opened as pipes
         assert process.stdout is not None  # noqa: S101 - opened as pipes
@@ -121,17 +110,16 @@ class _Worker:
         try:
             process.stdin.write(text + b"\n")
             process.stdin.flush()
-            return OrderOutcome(order, **json.loads(process.stdout.readline())), False
+            result, error = json.loads(process.stdout.readline())
         except (OSError, ValueError):  # the output is closed or incomplete
-            was_late = watch.finished.is_set()
+            is_late = watch.finished.is_set()
+        else:
+            return result, error
         finally:
             watch.cancel()
         self._running = None
         error = _end(process, said, _END_TIMEOUT)
-        if was_late:
-            error = f"it was not over after {self._timeout:g} s"
-            return OrderOutcome(order, error=error), True
-        return OrderOutcome(order, error=error + _remedy(order)), False
+        return None if is_late else ("", error + _remedy(order))
 
     def close(self) -> None:
         """Ends the process, even during a race."""
@@ -210,12 +198,12 @@ def _read(lines: SimpleQueue[dict[str, Any]]) -> None:
         os._exit(0)
 
 
-def _run(line: dict[str, Any]) -> dict[str, str]:
+def _run(line: dict[str, Any]) -> Outcome:
     try:
         order_type = getattr(import_module(line["module"]), line["class"])
         result = msgspec.convert(line["order"], order_type).run(Path(line["folder"]))
-        return {"result": result.to_json()}
     except StkzooError as error:
-        return {"error": str(error)}
+        return "", str(error)
     except Exception:  # noqa: BLE001 - the program reports it to the user
-        return {"error": traceback.format_exc()}
+        return "", traceback.format_exc()
+    return result.to_json(), ""

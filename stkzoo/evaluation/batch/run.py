@@ -244,9 +244,9 @@ def run_orders(
     report(BatchProgress(num_stored, total))
     running = run_in_parallel(orders, folder, options.jobs or cpu_count(), options.race_timeout)
     with closing(running) as outcomes:  # after an error, close() ends the running races
-        for outcome in outcomes:
-            result = None if outcome.error else result_type.from_json(outcome.result)
-            num_stored += not outcome.error
-            yield outcome.order, result, outcome.error
+        for order, (text, error) in outcomes:
+            result = None if error else result_type.from_json(text)
+            num_stored += not error
+            yield order, result, error
             last = result if isinstance(result, RaceResult) else None
-            report(BatchProgress(num_stored, total, last, outcome.error))
+            report(BatchProgress(num_stored, total, last, error))
