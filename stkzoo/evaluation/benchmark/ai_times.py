@@ -38,19 +38,6 @@ RaceTimes = Annotated[
 ]
 
 
-def check_race_times(races: RaceTimes) -> None:
-    """Checks that races have the same number of karts and that a kart finished.
-
-    Raises:
-        ConfigError: they do not, or none did. No race at all is correct.
-    """
-    sizes = {len(race) for race in races}
-    if len(sizes) > 1:
-        raise ConfigError(f"the races have {sorted(sizes)} karts, expected the same number in each")
-    if races and all(time is None for time in itertools.chain(*races)):
-        raise ConfigError("no kart of the races finished, expected finish times")
-
-
 @dataclass(frozen=True, slots=True)
 class AiTime:
     """The AI's finish times on one track, in one direction, at one difficulty.
@@ -76,9 +63,6 @@ class AiTime:
     karts: Whole
     finished: Whole
     races: RaceTimes = ()
-
-    def __post_init__(self) -> None:
-        check_race_times(self.races)
 
     @classmethod
     def of(cls, key: RaceKey, races: Sequence[Sequence[float | None]]) -> AiTime | None:

@@ -24,7 +24,7 @@ from stkzoo.evaluation.batch.plan import (
     check_num_races,
     find_tracks,
 )
-from stkzoo.evaluation.benchmark.ai_times import RaceTimes, check_race_times, load_ai_times
+from stkzoo.evaluation.benchmark.ai_times import RaceTimes, load_ai_times
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
     BenchmarkForm,
@@ -115,10 +115,13 @@ class BenchmarkPlan(AgentPlan):
     """The plan of a benchmark. It determines the races.
 
     Attributes:
+        agents: the agent to measure.
+        split: the tracks as the user named them.
+        seeds: number of races for each track, direction, form and end of the grid.
+        limit: time limit of a race, as a multiple of the AI's median time.
         directions: ``False`` for forward, ``True`` for reversed.
         forms: names of race forms (:class:`~stkzoo.evaluation.BenchmarkForm`).
-        ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``. The
-            time limit is a multiple of these.
+        ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``.
         ai_races: the finish times behind these medians, as in ``AiTime.races``; empty if they are
             unknown.
     """
@@ -147,7 +150,7 @@ class BenchmarkPlan(AgentPlan):
             if direction_name(reverse) not in self.ai_times.get(track, {}):
                 raise ConfigError(f"ai_times has no {track} ({direction_name(reverse)})")
         for races in itertools.chain(*(ways.values() for ways in self.ai_races.values())):
-            check_race_times(races)
+            _check_times(races)
 
     def races(self) -> tuple[BenchmarkRace, ...]:
         """Returns all races of the benchmark."""
@@ -174,6 +177,19 @@ class BenchmarkPlan(AgentPlan):
                 else np.full(DRAWS, self.reference_time(track, reverse))
             )
         return times
+
+
+def _check_times(races: RaceTimes) -> None:
+    """Checks that races have the same number of karts and that a kart finished.
+
+    Raises:
+        ConfigError: they do not, or none did. No race at all is correct.
+    """
+    sizes = {len(race) for race in races}
+    if len(sizes) > 1:
+        raise ConfigError(f"the races have {sorted(sizes)} karts, expected the same number in each")
+    if races and all(time is None for time in itertools.chain(*races)):
+        raise ConfigError("no kart of the races finished, expected finish times")
 
 
 def benchmark_orders(plan: AgentPlan) -> list[RaceOrder]:

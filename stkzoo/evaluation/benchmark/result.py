@@ -108,8 +108,9 @@ class BenchmarkResult(AgentBatchResult):
     Attributes:
         plan: the benchmark.
         races: the races that have been run.
-        sandboxes: as in :class:`AgentBatchResult`.
-        protections: as in :class:`AgentBatchResult`.
+        sandboxes: sandboxes of the agents from files in these races.
+        protections: protections that applied in all races with agents from files
+            (:func:`stkzoo.drivers.sandbox.protections`).
     """
 
     # docs/schemas/benchmark-result.schema.json

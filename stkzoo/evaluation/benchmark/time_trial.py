@@ -109,6 +109,10 @@ class TimeTrialPlan(AgentPlan):
     """The plan of time trials: a benchmark in which the agent drives alone, as in the records.
 
     Attributes:
+        agents: the agent to measure.
+        split: the tracks as the user named them.
+        seeds: number of races on each track.
+        limit: time limit of a race, as a multiple of the record.
         records: the human world record of each track.
     """
 
