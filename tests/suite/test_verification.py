@@ -273,7 +273,7 @@ def test_facts_of_the_replays_that_no_score_depends_on_are_also_verified(entry):
 def test_a_race_that_ends_early_or_for_another_reason_is_refused(entry):
     change_controls(entry, ALONE, lambda controls: controls[:20])
     change_header(entry, ALONE, lambda header: header.update(status="abandoned", result=None))
-    shorter = play_replay(load_replay(replay_of(entry, ALONE))).measured
+    shorter = play_replay(load_replay(replay_of(entry, ALONE))).result
     change_header(entry, ALONE, lambda header: header.update(result=shorter.to_dict()))
 
     def change(header):

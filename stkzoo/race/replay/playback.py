@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,7 +38,6 @@ class Playback:
         steps: number of steps played.
         first_difference: number of steps after which the state of a kart first differs in any bit,
             0 on the grid; ``None`` if there is no difference.
-        measured: result of the race as it was run again, without the recorded failures.
         result_differences: descriptions of the differences between the recorded result and this
             one. If there are any although ``first_difference`` is ``None``, the file was modified.
     """
@@ -46,7 +45,6 @@ class Playback:
     result: RaceResult
     steps: int
     first_difference: int | None
-    measured: RaceResult
     result_differences: tuple[str, ...] = ()
 
     @property
@@ -61,7 +59,6 @@ def play_replay(
     listeners: Sequence[RaceListener] = (),
     to_the_end: bool = False,
     any_engine: bool = False,
-    live: Mapping[int, str | Driver] | None = None,
 ) -> Playback:
     """Runs a recorded race again in the engine and compares the states of all karts.
 
@@ -73,8 +70,6 @@ def play_replay(
         listeners: listeners of the race; see :func:`~stkzoo.race.run_race`.
         to_the_end: continue after a difference.
         any_engine: also accept a replay of another engine version, which may behave differently.
-        live: drivers that drive their karts again, by number of the agent, instead of repeating the
-            recorded controls. A difference then also means that they drive differently.
 
     Raises:
         ReplayError: another engine version recorded the replay, or its track is missing.
@@ -87,10 +82,7 @@ def play_replay(
     comparison = _Comparison(replay, to_the_end)
     watching = [_WithRecordedFailures(listener, replay, comparison) for listener in listeners]
     result = run_race(
-        [
-            _driver(replay, number) if live is None or number not in live else live[number]
-            for number in range(len(replay.agents))
-        ],
+        [_driver(replay, number) for number in range(len(replay.agents))],
         listeners=[comparison, *watching],
         start_positions=replay.start_positions,
         # The number of tracks to draw from affects the random numbers that are drawn after it.
@@ -103,7 +95,6 @@ def play_replay(
         result=comparison.reported(result),
         steps=comparison.steps,
         first_difference=comparison.first_difference,
-        measured=result,
         result_differences=tuple(comparison.differences(result)),
     )
 
