@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +120,8 @@ class Episode:
         )
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
-        self._kart_of = {f"kart_{number}": kart for number, kart in enumerate(kart_indices)}
+        self._number_of = {f"kart_{number}": number for number in range(len(kart_indices))}
+        self._karts = np.array(kart_indices, np.intp)
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
         self._latest_seats: tuple[tuple[Sequence[str], Seats], ...] = ()
         self._reports_control = any(kart.reports_control for kart in setup.karts)
@@ -162,9 +162,10 @@ class Episode:
         for asked, seats in self._latest_seats:
             if asked == agents:
                 return seats
-        karts = np.array([self._kart_of[agent] for agent in agents], np.intp)
+        numbers = np.array([self._number_of[agent] for agent in agents], np.intp)
+        karts = self._karts[numbers]
         rows = np.searchsorted(self._players, karts)
-        seats = Seats(tuple(agents), karts, rows, self.num_players)
+        seats = Seats(tuple(agents), karts, rows, self.num_players, numbers)
         # Agents and opponents alternate; a list of the caller may change later.
         self._latest_seats = (agents[:], seats), *self._latest_seats[:1]
         return seats
@@ -196,12 +197,10 @@ class Episode:
         is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
         self._record.score(before, snapshot, seats, is_over, slots, ends)
 
-    def ends_of(self, seats: Seats) -> EndArrays:
-        """Returns arrays for the rewards, terminations and truncations of some agents.
-
-        Later calls return the same arrays.
-        """
-        return self._record.ends_of(seats)
+    @property
+    def ends(self) -> EndArrays:
+        """Arrays for the rewards, terminations and truncations of all agents, for reuse."""
+        return self._record.ends
 
     @property
     def info_keys(self) -> tuple[str, ...]:
@@ -268,42 +267,6 @@ class Episode:
         self.course = self.track_map.graph, num_paths, tuple(self.race.kart_types)
 
 
-@dataclass(frozen=True)
-class _RewardGroup:
-    """Agents that share a reward: their rows and karts, and the columns of its terms.
-
-    Attributes:
-        reward: the reward.
-        rows: row of each agent.
-        karts: kart of each agent.
-        custom: columns of the terms that are Python functions, by name.
-        built_in: names of the other terms in the kernel, their weights and their columns.
-    """
-
-    reward: Reward
-    rows: IntArray
-    karts: IntArray
-    custom: Mapping[str, int]
-    built_in: tuple[tuple[str, ...], FloatArray, IntArray]
-
-
-@dataclass(frozen=True, slots=True)
-class _Desk:
-    """What the record uses for the same agents in every step.
-
-    Attributes:
-        seats: the agents.
-        scorer: computes their rewards, ends and infos.
-        table: a table for their infos.
-        ends: arrays for their rewards, terminations and truncations.
-    """
-
-    seats: Seats
-    scorer: StepScorer
-    table: InfoTable
-    ends: EndArrays
-
-
 class EpisodeRecord:
     """Rewards, ends and infos of one episode.
 
@@ -317,6 +280,7 @@ class EpisodeRecord:
 
     Attributes:
         info_keys: keys of every info, in order.
+        ends: arrays for the rewards, terminations and truncations of all agents, for reuse.
     """
 
     def __init__(
@@ -329,15 +293,23 @@ class EpisodeRecord:
         shows_events: bool = False,
     ) -> None:
         self._karts = np.array(kart_indices, np.intp)
-        self._rows = {agent: row for row, agent in enumerate(rewards)}
-        names = sorted({name for reward in rewards.values() for name in reward.terms})
-        self._groups = _groups(rewards, self._karts, {name: c for c, name in enumerate(names)})
-        self._has_custom = any(group.custom for group in self._groups)
+        of_agent = [*rewards.values()]
+        self._rewards = [*{id(reward): reward for reward in of_agent}.values()]
+        same = [[own is reward for own in self._rewards].index(True) for reward in of_agent]
+        self._reward_of = np.array(same, np.intp)
+        names = sorted({name for reward in self._rewards for name in reward.terms})
+        self._columns = {name: column for column, name in enumerate(names)}
+        self._custom = [
+            (number, name)
+            for number, reward in enumerate(self._rewards)
+            for name, term in reward.terms.items()
+            if not isinstance(term, KernelTerm)
+        ]
         self._race_length, self._shows_events = race_length, shows_events
         self._events, self._endings = events, endings
         shown = EVENTS if shows_events else ()
         columns = [*(f"reward/{name}" for name in names), *(f"event/{name}" for name in shown)]
-        self._last = np.zeros((len(rewards), len(columns)))
+        self._last = np.zeros((len(of_agent), len(columns)))
         self._sums = np.zeros_like(self._last)
         self.info_keys = (
             *("position", "distance", "lap", "finish_time"),
@@ -345,7 +317,10 @@ class EpisodeRecord:
             *(f"episode/{column}" for column in columns),
             *("episode/return", "episode/length"),
         )
-        self._desk: _Desk | None = None
+        terminations, truncations = np.zeros((2, len(of_agent)), np.bool_)
+        self.ends: EndArrays = np.zeros(len(of_agent)), terminations, truncations
+        self._table = InfoTable(self.info_keys, len(of_agent))
+        self._scorer = self._new_scorer()
 
     def score(
         self,
@@ -367,8 +342,7 @@ class EpisodeRecord:
             ends: rewards, terminations and truncations of all slots; changed in place.
         """
         self._prepare(before, after)
-        scorer = self._desk_of(seats).scorer
-        scorer.score_into(before.data, after.data, is_over, slots, *ends)
+        self._scorer.score_into(before.data, after.data, is_over, seats.numbers, slots, *ends)
         if self._endings is not None and self._events is not None:
             self._endings.end(ends, slots, seats.agents, after, self._events.seconds[seats.karts])
 
@@ -388,10 +362,8 @@ class EpisodeRecord:
             seats: the agents.
             length: number of steps so far.
         """
-        table = self._desk_of(seats).table
-        self.infos_into(snapshot, seats, length, seats.order, table)
-        rows = split_batch(table.columns, len(seats.agents))
-        infos: dict[str, dict[str, Any]] = dict(zip(seats.agents, rows, strict=True))
+        self.infos_into(snapshot, seats, length, seats.order, self._table)
+        infos: dict[str, dict[str, Any]] = split_batch(self._table.columns, seats.agents)
         if self._endings is not None:
             for agent in self._endings.reasons.keys() & infos.keys():
                 infos[agent]["ended_by"] = self._endings.reasons[agent]
@@ -409,8 +381,8 @@ class EpisodeRecord:
             slots: slot of each agent.
             table: a table with :attr:`info_keys`; changed in place.
         """
-        scorer = self._desk_of(seats).scorer
-        scorer.infos_into(snapshot.data, length, slots, table.wholes, table.numbers)
+        tables = table.wholes, table.numbers
+        self._scorer.infos_into(snapshot.data, length, seats.numbers, slots, *tables)
 
     @property
     def _shown_events(self) -> FloatArray | None:
@@ -420,68 +392,34 @@ class EpisodeRecord:
         """Counts events and writes the terms that are Python functions."""
         if self._events is not None:
             self._events.count(before, after)
-        if not self._has_custom:
+        if not self._custom:
             return
         step = Transition(before, after, self._race_length, self._shown_events)
-        for group in self._groups:
-            for name, column in group.custom.items():
-                self._last[group.rows, column] = group.reward.value(name, step)[group.karts]
+        for number, name in self._custom:
+            agents = np.flatnonzero(self._reward_of == number)
+            values = self._rewards[number].value(name, step)[self._karts[agents]]
+            self._last[agents, self._columns[name]] = values
 
-    def ends_of(self, seats: Seats) -> EndArrays:
-        """See :meth:`Episode.ends_of`."""
-        return self._desk_of(seats).ends
-
-    def _desk_of(self, seats: Seats) -> _Desk:
-        desk = self._desk
-        if desk is None or desk.seats is not seats:
-            count = len(seats.agents)
-            terminations, truncations = np.zeros((2, count), np.bool_)
-            ends = np.zeros(count), terminations, truncations
-            table = InfoTable(self.info_keys, count)
-            desk = self._desk = _Desk(seats, self._new_scorer(seats), table, ends)
-        return desk
-
-    def _new_scorer(self, seats: Seats) -> StepScorer:
-        rows = np.array([self._rows[agent] for agent in seats.agents], np.intp)
-        where = {int(row): number for number, row in enumerate(rows)}
+    def _new_scorer(self) -> StepScorer:
         rewards = []
-        for group in self._groups:
-            racing = [where[row] for row in group.rows.tolist() if row in where]
-            rewards.append((*group.built_in, np.array(racing, np.intp)))
+        for reward in self._rewards:
+            terms = [(n, t) for n, t in reward.terms.items() if isinstance(t, KernelTerm)]
+            weights = np.array([reward.weights.get(name, 1.0) for name, _ in terms], np.float64)
+            columns = np.array([self._columns[name] for name, _ in terms], np.intp)
+            rewards.append((tuple(term.name for _, term in terms), weights, columns))
         events = self._shown_events
         if events is None:
             events = np.zeros((int(self._karts.max()) + 1, 0))
-        return StepScorer(
-            seats.karts,
-            rows,
-            self._last,
-            self._sums,
-            self._race_length,
-            tuple(rewards),
-            events,
-        )
+        numbers = self._last, self._sums, self._race_length
+        return StepScorer(self._karts, self._reward_of, *numbers, tuple(rewards), events)
 
     def __getstate__(self) -> dict[str, Any]:
-        # The scorer writes into these arrays, so a copy needs its own.
-        return {**self.__dict__, "_desk": None}
+        # The scorer writes into these arrays, so a copy makes its own.
+        return {name: value for name, value in vars(self).items() if name != "_scorer"}
 
-
-def _groups(
-    rewards: Mapping[str, Reward], karts: IntArray, columns: Mapping[str, int]
-) -> list[_RewardGroup]:
-    of_row = list(rewards.values())
-    groups = []
-    for reward in {id(reward): reward for reward in of_row}.values():
-        rows = np.array([row for row, own in enumerate(of_row) if own is reward], np.intp)
-        built_in = {n: term for n, term in reward.terms.items() if isinstance(term, KernelTerm)}
-        computed = (
-            tuple(term.name for term in built_in.values()),
-            np.array([reward.weights.get(name, 1.0) for name in built_in], np.float64),
-            np.array([columns[name] for name in built_in], np.intp),
-        )
-        custom = {name: columns[name] for name in reward.terms if name not in built_in}
-        groups.append(_RewardGroup(reward, rows, karts[rows], custom, computed))
-    return groups
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._scorer = self._new_scorer()
 
 
 def _is_agent(name: object, agents: Sequence[str]) -> bool:

@@ -283,10 +283,9 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
     def step(self, actions: Mapping[str, Any]) -> StepParts:
         """Advances the race by one step.
 
-        The step has these phases: :meth:`decode` converts actions to controls, the opponents add
-        their controls, :meth:`send` starts the step in the game, and :meth:`step_wait` reads the
-        new state, computes rewards and episode ends, and builds observations and infos. Wrappers
-        without a kernel implementation run last.
+        The step has these phases: actions are converted to controls, the opponents add their
+        controls, and the game advances. Then rewards and ends, observations and infos are made.
+        Wrappers without a kernel implementation run last.
 
         Args:
             actions: one action per agent that is still racing. Actions of agents that have left, or
@@ -328,30 +327,6 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
         """
         with self.live_race.turn.of("step_async"):
             self.live_race.request(actions)
-
-    def decode(self, actions: Mapping[str, Any]) -> npt.NDArray[np.float32]:
-        """First half of :meth:`step_async`: checks the actions and converts them to controls.
-
-        Args:
-            actions: see :meth:`step`.
-
-        Returns:
-            Controls of the P player karts for :meth:`send`, ``(P, 7)`` float32; see
-                :meth:`stkzoo.engine.session.Session.step_async`.
-
-        Raises:
-            ActionError: an action is missing or invalid.
-            ApiOrderError: called before the first ``reset``, or while a step is running.
-        """
-        return self.live_race.decode(actions)
-
-    def send(self, controls: npt.NDArray[np.float32]) -> None:
-        """Second half of :meth:`step_async`: starts the step in the game.
-
-        Args:
-            controls: controls from :meth:`decode`, ``(P, 7)`` float32.
-        """
-        self.live_race.send(controls)
 
     def step_wait(self) -> StepParts:
         """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.

@@ -22,6 +22,7 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.cameras import RaceCameras
+from stkzoo.env.endings import EndArrays
 from stkzoo.env.episode import Episode
 from stkzoo.env.grid import RaceRoster, draw_race
 from stkzoo.env.options import RaceOptions, check_agents, random_stream
@@ -30,8 +31,10 @@ from stkzoo.env.scenario import Scenario, digest_of, read_scenario
 from stkzoo.env.starts import MAX_START_DRAWS, is_random
 from stkzoo.env.state import Moment, RaceState, check_beside, checked_state
 from stkzoo.errors import ApiOrderError, ConfigError
+from stkzoo.kernel import split_batch
 from stkzoo.mdp.rewards import Reward
 from stkzoo.views.chains import AgentChains, CheckedActions
+from stkzoo.views.plan import Seats
 from stkzoo.views.walker import StepParts
 
 if TYPE_CHECKING:
@@ -251,7 +254,8 @@ class Race:
             ApiOrderError: no race has started, or a step is running.
             EngineError: the game crashed or hung.
         """
-        controls = self.decode(actions)
+        episode = self._idle()
+        controls = self._chains.decode(actions, episode.seats(self.agents), episode)
         if self.opponents is not None:
             drive_opponents([self], [controls])
         self.send(controls)
@@ -269,14 +273,13 @@ class Race:
             self._stepping = None
             return {}, {}, {}, {}, {}
         seats = episode.seats(agents)
-        ends = episode.ends_of(seats)
-        self._advance(episode, seats.order, ends)
-        rewards, terminations, truncations = ends
+        self._advance(episode, seats, seats.order, episode.ends)
+        rewards, terminations, truncations = episode.ends
         parts = (
             self._chains.observe(seats, episode),
-            dict(zip(agents, rewards.tolist())),  # noqa: B905 - twice as fast
-            dict(zip(agents, terminations.tolist())),  # noqa: B905
-            dict(zip(agents, truncations.tolist())),  # noqa: B905
+            split_batch(rewards, seats.agents),
+            split_batch(terminations, seats.agents),
+            split_batch(truncations, seats.agents),
             episode.infos(seats),
         )
         self._chains.finish(seats, parts)
@@ -298,14 +301,14 @@ class Race:
         Returns:
             Slots of the agents that are still racing.
         """
-        self._advance(self._awaited(), slots, steps.ends)
+        episode = self._awaited()
+        self._advance(episode, episode.seats(self.agents), slots, steps.ends)
         has_ended = steps.terminations[slots] | steps.truncations[slots]
         if has_ended.any():
             ended = zip(self.agents, has_ended.tolist(), strict=True)
             self.agents = [agent for agent, is_over in ended if not is_over]
             slots = slots[~has_ended]
         if self.agents:
-            episode = self.running("step_wait")
             seats = episode.seats(self.agents)
             self._chains.observe_into(seats, episode, slots, steps.observations)
             table = steps.infos.table(episode.info_keys)
@@ -313,12 +316,8 @@ class Race:
             table.has[slots] = True
         return slots
 
-    def decode(self, actions: Mapping[str, Any]) -> Controls:
-        """Checks actions and converts them to controls, ``(P, 7)`` float32."""
-        return self.convert(self.check(actions))
-
     def check(self, actions: Mapping[str, Any]) -> CheckedActions:
-        """First half of :meth:`decode`: checks the actions and changes nothing.
+        """Checks actions and changes nothing; :meth:`convert` converts them to controls.
 
         Raises:
             ActionError: an action is missing or invalid.
@@ -341,7 +340,7 @@ class Race:
         return self._chains.check_batch(actions, slots, count, self._idle().seats(self.agents))
 
     def convert(self, actions: CheckedActions) -> Controls:
-        """Second half of :meth:`decode`: converts checked actions to controls.
+        """Converts checked actions to controls, ``(P, 7)`` float32.
 
         Raises:
             ActionError: a wrapper returned an invalid action.
@@ -611,11 +610,10 @@ class Race:
         if self.opponents is not None:
             self.opponents.close()
 
-    def _advance(self, episode: Episode, slots: IntArray, ends: Any) -> None:
+    def _advance(self, episode: Episode, seats: Seats, slots: IntArray, ends: EndArrays) -> None:
         """Waits for the game, and computes the rewards and ends of the agents that acted."""
         try:  # until the episode has advanced, signal handlers cannot save or copy the race
-            snapshot = self.session.step_wait()
-            episode.advance(snapshot, episode.seats(self.agents), slots, ends)
+            episode.advance(self.session.step_wait(), seats, slots, ends)
         finally:
             self._stepping = None
 

@@ -394,18 +394,17 @@ class EventCounter:
         """
 
 class StepScorer:
-    """Computes rewards, ends and infos of some agents of a race.
+    """Computes rewards, ends and infos of the agents of a race.
 
     Args:
-        karts: kart of each agent.
-        rows: row of each agent in ``last`` and ``sums``.
-        last: ``(R, C)`` reward terms and events of the latest step, which :meth:`score_into`
+        karts: ``(A,)`` kart of each agent.
+        reward_of: ``(A,)`` number of each agent's reward.
+        last: ``(A, C)`` reward terms and events of the latest step, which :meth:`score_into`
             writes.
-        sums: ``(R, C)`` sums of ``last`` over the episode, which :meth:`score_into` updates.
+        sums: ``(A, C)`` sums of ``last`` over the episode, which :meth:`score_into` updates.
         race_length: number of laps times the length of a lap [m].
-        rewards: for each group of agents that share a reward: names of the reward's terms, their
-            weights, their columns in ``last``, and the agents' indices in ``karts``. The caller
-            writes the terms that are Python functions into ``last``.
+        rewards: for each reward the names of its terms, their weights, and their columns in
+            ``last``. The caller writes the terms that are Python functions into ``last``.
         events: ``(K, E)`` events of the step of all karts, which are copied into the last columns
             of ``last``.
     """
@@ -413,7 +412,7 @@ class StepScorer:
     def __new__(
         cls,
         karts: npt.NDArray[np.intp],
-        rows: npt.NDArray[np.intp],
+        reward_of: npt.NDArray[np.intp],
         last: npt.NDArray[np.float64],
         sums: npt.NDArray[np.float64],
         race_length: float,
@@ -425,6 +424,7 @@ class StepScorer:
         before: bytes,
         after: bytes,
         is_over: bool,
+        who: npt.NDArray[np.intp],
         slots: npt.NDArray[np.intp],
         rewards: npt.NDArray[np.float64],
         terminations: npt.NDArray[np.bool_],
@@ -436,7 +436,8 @@ class StepScorer:
             before: bytes of the snapshot before the step.
             after: bytes of the snapshot after the step.
             is_over: whether the time limit is reached.
-            slots: slot of each agent.
+            who: numbers of the agents that acted.
+            slots: slot of each of them.
             rewards: ``(S,)`` float64, which is written.
             terminations: ``(S,)`` bool, which is written.
             truncations: ``(S,)`` bool, which is written.
@@ -445,16 +446,18 @@ class StepScorer:
         self,
         data: bytes,
         length: int,
+        who: npt.NDArray[np.intp],
         slots: npt.NDArray[np.intp],
         wholes: npt.NDArray[np.int64],
         numbers: npt.NDArray[np.float64],
     ) -> None:
-        """Writes the infos of the agents at a snapshot into two tables with a column per slot.
+        """Writes the infos of some agents at a snapshot into two tables with a column per slot.
 
         Args:
             data: bytes of the snapshot.
             length: number of steps of the episode.
-            slots: slot of each agent.
+            who: numbers of the agents.
+            slots: slot of each of them.
             wholes: ``(3, S)`` rank, laps and ``length``, which are written.
             numbers: ``(3 + 2 C, S)`` distance [m], finish time [s], the agent's row of ``last``,
                 its row of ``sums``, and the sum of its reward terms, which are written.
@@ -543,8 +546,8 @@ def new_batch(like: Any, count: int) -> Any:
         count: number of rows.
     """
 
-def split_batch(batch: Any, count: int) -> list[Any]:
-    """Returns the values of a batch's first ``count`` rows.
+def split_batch(batch: Any, agents: tuple[Any, ...]) -> dict[Any, Any]:
+    """Returns the values of a batch's first rows by agent.
 
     Rows of arrays are views; the entries of arrays with one axis are Python numbers.
     """

@@ -102,6 +102,7 @@ typedef struct {
     Indices joined;                        /* one-hot length of each choice; empty if not joined */
     npy_intp num_ones;                     /* sum of these lengths */
     Flags nitro, fire;                     /* actions that need nitro, a powerup; empty: no mask */
+    PyObject *numbers, *choices, *mask;    /* names of a flat observer's arrays; NULL if none */
 } KartObserver;
 
 /* ---------------------------------------------------------------- one kart's surroundings */
@@ -444,21 +445,21 @@ static int write_vectors(const KartObserver *observer, const Scene *scene, float
 /* Returns the data of the batch's array `name`, or of the batch itself if `name` is NULL. Returns
    NULL with an exception set if the converter rejects the array, if it does not have `width`
    numbers per slot, or if it does not have all of `rows`. */
-static void *column_of(PyObject *batch, const char *name, int (*converter)(PyObject *, void *),
+static void *column_of(PyObject *batch, PyObject *name, int (*converter)(PyObject *, void *),
                        npy_intp width, Indices rows)
 {
     struct { void *data; npy_intp size; } numbers; /* the layout of Floats, Wholes and Bytes */
     if (name && !PyDict_Check(batch)) {
         return PyErr_Format(PyExc_TypeError, "a batch of this view must be a dict of arrays");
     }
-    PyObject *array = name ? PyDict_GetItemString(batch, name) : batch;
-    if (!array) return PyErr_Format(PyExc_ValueError, "the batch has no %s", name);
+    PyObject *array = name ? PyDict_GetItemWithError(batch, name) : batch;
+    if (!array) return PyErr_Format(PyExc_ValueError, "the batch has no %U", name);
     if (!converter(array, &numbers)) return NULL;
     const int has_slots = PyArray_NDIM((PyArrayObject *)array) > 0;
     const npy_intp count = has_slots ? PyArray_DIM((PyArrayObject *)array, 0) : 0;
     if (numbers.size != count * width) {
-        return PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %s",
-                            name ? name : "numbers");
+        return PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %V", name,
+                            "numbers");
     }
     if (!are_below(rows, count)) {
         return PyErr_Format(PyExc_IndexError, "a row index is out of range");
@@ -474,17 +475,16 @@ static int flat_into(const KartObserver *observer, Scene *scene, Indices who, In
     const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
     const npy_intp width = observer->num_continuous + observer->num_ones;
     const npy_intp num_choices = observer->num_discrete, num_marks = observer->nitro.size;
-    const char *first = !is_joined ? "continuous" : has_mask ? "observation" : NULL;
     npy_int64 *own = is_joined ? PyMem_Calloc((size_t)num_choices, sizeof *own) : NULL;
     npy_int8 *marks = NULL;
-    float *numbers = column_of(batch, first, as_written_floats, width, rows);
+    float *numbers = column_of(batch, observer->numbers, as_written_floats, width, rows);
     npy_int64 *choices = own;
     if (is_joined && !own) PyErr_NoMemory();
     else if (numbers && !is_joined) {
-        choices = column_of(batch, "discrete", as_written_wholes, num_choices, rows);
+        choices = column_of(batch, observer->choices, as_written_wholes, num_choices, rows);
     }
     if (has_mask && numbers && choices) {
-        marks = column_of(batch, "action_mask", as_written_bytes, num_marks, rows);
+        marks = column_of(batch, observer->mask, as_written_bytes, num_marks, rows);
     }
     int status = numbers && choices && (marks || !has_mask) ? 0 : -1;
     for (npy_intp i = 0; !status && i < who.size; i++) {
@@ -508,7 +508,7 @@ static int find_columns(KartObserver *observer, const Scene *scene, Indices rows
         const Key *key = observer->entries[i].key;
         columns[i] = NULL;
         if (key->kind == NAME) continue;
-        columns[i] = column_of(batch, key->name,
+        columns[i] = column_of(batch, observer->entries[i].name,
                                key->kind == CHOICE ? as_written_wholes
                                : key->kind == MASK ? as_written_bytes
                                                    : as_written_floats,
@@ -722,6 +722,13 @@ static int set_extras(KartObserver *observer, PyObject *joined, PyObject *nitro,
     if (nitro != Py_None && (!observer->is_flat || observer->fire.size != observer->nitro.size)) {
         return refuse("a mask must be part of a flat view and as long as nitro");
     }
+    const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
+    PyObject *list = Py_BuildValue("[ssss]", "continuous", "discrete", "observation", "action_mask");
+    if (!keep(observer, list)) return -1;
+    observer->numbers = !is_joined ? PyList_GET_ITEM(list, 0) : PyList_GET_ITEM(list, 2);
+    if (is_joined && !has_mask) observer->numbers = NULL;
+    observer->choices = PyList_GET_ITEM(list, 1);
+    observer->mask = PyList_GET_ITEM(list, 3);
     return 0;
 }
 

@@ -83,6 +83,7 @@ static PyObject *array_row(PyArrayObject *array, npy_intp i)
         return PyErr_Format(PyExc_IndexError, "a batch has no row %zd", i);
     }
     char *data = PyArray_BYTES(array) + i * PyArray_STRIDE(array, 0);
+    if (!axes && PyArray_TYPE(array) == NPY_DOUBLE) return PyFloat_FromDouble(*(double *)data);
     if (!axes) return PyArray_GETITEM(array, data);
     PyArray_Descr *type = PyArray_DESCR(array);
     Py_INCREF(type);
@@ -109,18 +110,17 @@ static PyObject *batch_row(PyObject *batch, npy_intp i)
     return row;
 }
 
-/* split_batch(batch, count): returns a list of the values of a batch's first rows. Arrays are views
-   of the batch's rows. */
+/* split_batch(batch, agents): returns a dict from agents, a tuple, to the values of a batch's first
+   rows. Arrays are views of the batch's rows. */
 PyObject *split_batch(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    PyObject *batch;
-    npy_intp count;
-    if (!PyArg_ParseTuple(args, "On", &batch, &count)) return NULL;
-    PyObject *rows = PyList_New(count);
-    for (npy_intp i = 0; rows && i < count; i++) {
+    PyObject *batch, *agents;
+    if (!PyArg_ParseTuple(args, "OO!", &batch, &PyTuple_Type, &agents)) return NULL;
+    PyObject *rows = PyDict_New();
+    for (Py_ssize_t i = 0; rows && i < PyTuple_GET_SIZE(agents); i++) {
         PyObject *row = batch_row(batch, i);
-        if (row) PyList_SET_ITEM(rows, i, row);
-        else Py_CLEAR(rows);
+        if (!row || PyDict_SetItem(rows, PyTuple_GET_ITEM(agents, i), row) < 0) Py_CLEAR(rows);
+        Py_XDECREF(row);
     }
     return rows;
 }

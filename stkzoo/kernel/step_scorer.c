@@ -14,23 +14,23 @@ typedef struct {
 /* A term of a reward: the value of a step for a kart, from its records before and after the step. */
 typedef double (*Term)(const Kart *before, const Kart *after, const Race *race);
 
-/* A reward, and the agents that share it. */
+/* A sum of terms. */
 typedef struct {
     Term *terms;
-    Indices columns, who; /* who: indices of the agents */
+    Indices columns;
     Doubles weights;
 } Reward;
 
 typedef struct {
     OBJECT_HEAD
-    Indices karts, rows; /* each agent's kart, and its row in `last` and `sums` */
-    Doubles last, sums;  /* (R, C): reward terms, then events, of the step; their sums */
-    Doubles events;      /* (K, E): events of all karts in the step */
+    Indices karts, reward_of; /* (A,) each agent's kart, and its reward */
+    Doubles last, sums;       /* (A, C): reward terms, then events, of the step; their sums */
+    Doubles events;           /* (K, E): events of all karts in the step */
     npy_intp num_columns, num_terms, num_events;
     double race_length;
     Reward *rewards;
     Py_ssize_t num_rewards;
-    npy_bool *is_racing; /* (R,) whether the row belongs to one of the agents */
+    npy_bool *is_racing; /* (A,) whether the agent acted in the step */
 } StepScorer;
 
 /* ---------------------------------------------------------------- rewards */
@@ -171,34 +171,25 @@ PyObject *reward_term(PyObject *Py_UNUSED(module), PyObject *args)
 
 static double *row_of(const StepScorer *self, Doubles table, npy_intp agent)
 {
-    return table.data + self->rows.data[agent] * self->num_columns;
+    return table.data + agent * self->num_columns;
 }
 
-static void score(const StepScorer *self, const Reward *reward, const Snapshot *before,
+/* Computes an agent's terms in a step and adds them to its sums. */
+static void score(const StepScorer *self, npy_intp agent, const Snapshot *before,
                   const Snapshot *after)
 {
     const Race race = {after->header->num_kart, self->race_length};
-    for (npy_intp i = 0; i < reward->who.size; i++) {
-        const npy_intp agent = reward->who.data[i], kart = self->karts.data[agent];
-        double *row = row_of(self, self->last, agent);
-        for (npy_intp t = 0; t < reward->weights.size; t++) {
-            row[reward->columns.data[t]] =
-                reward->weights.data[t] *
-                reward->terms[t](before->karts + kart, after->karts + kart, &race);
-        }
+    const Reward *reward = self->rewards + self->reward_of.data[agent];
+    const npy_intp kart = self->karts.data[agent];
+    double *last = row_of(self, self->last, agent), *sums = row_of(self, self->sums, agent);
+    for (npy_intp t = 0; t < reward->weights.size; t++) {
+        last[reward->columns.data[t]] =
+            reward->weights.data[t] *
+            reward->terms[t](before->karts + kart, after->karts + kart, &race);
     }
-}
-
-/* Adds the step's values to the sums. Rows of agents that have left the race get zeros. */
-static void add_up(StepScorer *self)
-{
-    double *last = self->last.data, *sums = self->sums.data;
-    for (npy_intp i = 0, row = 0; i < self->last.size; row++) {
-        for (const npy_intp end = i + self->num_columns; i < end; i++) {
-            if (!self->is_racing[row]) last[i] = 0;
-            sums[i] += last[i];
-        }
-    }
+    memcpy(last + self->num_terms, self->events.data + kart * self->num_events,
+           (size_t)self->num_events * sizeof *last);
+    for (npy_intp c = 0; c < self->num_columns; c++) sums[c] += last[c];
 }
 
 /* ---------------------------------------------------------------- results */
@@ -240,59 +231,59 @@ static int is_of_this_race(const StepScorer *self, const Snapshot *snapshot)
     return 0;
 }
 
-/* Computes the step's terms and adds them to the sums. Returns 0 with an exception set if the
-   snapshots are of another race. */
-static int advance(StepScorer *self, const Snapshot *before, const Snapshot *after)
+/* Computes the step of the agents `who`. The terms of all others are zeros. */
+static void advance(StepScorer *self, Indices who, const Snapshot *before, const Snapshot *after)
 {
-    if (!is_of_this_race(self, before) || !is_of_this_race(self, after)) return 0;
-    for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
-        score(self, self->rewards + i, before, after);
+    const npy_intp count = self->karts.size;
+    memset(self->is_racing, 0, (size_t)count * sizeof *self->is_racing);
+    for (npy_intp i = 0; i < who.size; i++) {
+        score(self, who.data[i], before, after);
+        self->is_racing[who.data[i]] = 1;
     }
-    for (npy_intp agent = 0; agent < self->karts.size; agent++) {
-        memcpy(row_of(self, self->last, agent) + self->num_terms,
-               self->events.data + self->karts.data[agent] * self->num_events,
-               (size_t)self->num_events * sizeof(double));
+    for (npy_intp agent = 0; agent < count; agent++) {
+        const npy_intp width = self->is_racing[agent] ? 0 : self->num_columns;
+        memset(row_of(self, self->last, agent), 0, (size_t)width * sizeof(double));
     }
-    add_up(self);
+}
+
+/* Returns whether there are as many slots below `count` as agents; sets an exception otherwise. */
+static int are_slots(const StepScorer *self, Indices who, Indices slots, npy_intp count)
+{
+    if (slots.size != who.size) {
+        PyErr_Format(PyExc_ValueError, "%zd slots for %zd agents", slots.size, who.size);
+        return 0;
+    }
+    if (!are_below(slots, count) || !are_below(who, self->karts.size)) {
+        PyErr_Format(PyExc_IndexError, "an agent or a slot is out of range");
+        return 0;
+    }
     return 1;
 }
 
-/* Returns whether each agent has a slot below `count`; sets an exception otherwise. */
-static int are_slots(const StepScorer *self, Indices slots, npy_intp count)
-{
-    if (slots.size != self->karts.size) {
-        PyErr_Format(PyExc_ValueError, "%zd slots for %zd agents", slots.size, self->karts.size);
-        return 0;
-    }
-    if (!are_below(slots, count)) {
-        PyErr_Format(PyExc_IndexError, "a slot index is out of range");
-        return 0;
-    }
-    return 1;
-}
-
-/* score_into(before, after, is_over, slots, rewards, terminations, truncations): computes the step
-   between the bytes of two snapshots, and writes the results into arrays with one element per slot;
-   agent i has slots[i]. `is_over` is whether the time limit has been reached. */
+/* score_into(before, after, is_over, who, slots, rewards, terminations, truncations): computes the
+   step between the bytes of two snapshots, and writes the results into arrays with one element per
+   slot; agent who[i] has slots[i]. `is_over` is whether the time limit has been reached. */
 static PyObject *scorer_score_into(PyObject *object, PyObject *args)
 {
     StepScorer *self = (StepScorer *)object;
     Snapshot before, after;
     int is_over;
-    Indices slots;
+    Indices who, slots;
     Doubles rewards;
     Flags ended, cut;
-    if (!PyArg_ParseTuple(args, "O&O&pO&O&O&O&", as_snapshot, &before, as_snapshot, &after, &is_over,
-                          as_indices, &slots, as_written_doubles, &rewards, as_written_flags,
-                          &ended, as_written_flags, &cut)) {
+    if (!PyArg_ParseTuple(args, "O&O&pO&O&O&O&O&", as_snapshot, &before, as_snapshot, &after,
+                          &is_over, as_indices, &who, as_indices, &slots, as_written_doubles,
+                          &rewards, as_written_flags, &ended, as_written_flags, &cut) ||
+        !is_of_this_race(self, &before) || !is_of_this_race(self, &after)) {
         return NULL;
     }
     if (ended.size != rewards.size || cut.size != rewards.size) {
         return PyErr_Format(PyExc_ValueError, "the arrays differ in length");
     }
-    if (!are_slots(self, slots, rewards.size) || !advance(self, &before, &after)) return NULL;
-    for (npy_intp agent = 0; agent < slots.size; agent++) {
-        const npy_intp slot = slots.data[agent];
+    if (!are_slots(self, who, slots, rewards.size)) return NULL;
+    advance(self, who, &before, &after);
+    for (npy_intp i = 0; i < slots.size; i++) {
+        const npy_intp agent = who.data[i], slot = slots.data[i];
         const npy_bool has_ended = after.karts[self->karts.data[agent]].has_finished_race > 0;
         rewards.data[slot] = total_of(self, agent);
         ended.data[slot] = has_ended;
@@ -301,19 +292,20 @@ static PyObject *scorer_score_into(PyObject *object, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* infos_into(data, length, slots, wholes, numbers): writes the infos at a snapshot into two tables,
-   each with a row per key and a column per slot; agent i has slots[i]. `length` is the number of
-   steps of the episode. */
+/* infos_into(data, length, who, slots, wholes, numbers): writes the infos at a snapshot into two
+   tables, each with a row per key and a column per slot; agent who[i] has slots[i]. `length` is the
+   number of steps of the episode. */
 static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 {
     const StepScorer *self = (StepScorer *)object;
     Snapshot now;
     npy_intp length;
-    Indices slots;
+    Indices who, slots;
     Wholes wholes;
     Doubles numbers;
-    if (!PyArg_ParseTuple(args, "O&nO&O&O&", as_snapshot, &now, &length, as_indices, &slots,
-                          as_written_wholes, &wholes, as_written_doubles, &numbers) ||
+    if (!PyArg_ParseTuple(args, "O&nO&O&O&O&", as_snapshot, &now, &length, as_indices, &who,
+                          as_indices, &slots, as_written_wholes, &wholes, as_written_doubles,
+                          &numbers) ||
         !is_of_this_race(self, &now)) {
         return NULL;
     }
@@ -321,9 +313,9 @@ static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
     if (wholes.size != 3 * count || numbers.size != num_rows * count) {
         return PyErr_Format(PyExc_ValueError, "expected tables of 3 and %zd rows", num_rows);
     }
-    if (!are_slots(self, slots, count)) return NULL;
-    for (npy_intp agent = 0; agent < slots.size; agent++) {
-        const npy_intp slot = slots.data[agent];
+    if (!are_slots(self, who, slots, count)) return NULL;
+    for (npy_intp i = 0; i < slots.size; i++) {
+        const npy_intp agent = who.data[i], slot = slots.data[i];
         write_info(self, agent, now.karts + self->karts.data[agent], length, count,
                    wholes.data + slot, numbers.data + slot);
     }
@@ -332,19 +324,18 @@ static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
 
 /* ---------------------------------------------------------------- the type */
 
-/* Sets a reward from a tuple (names of terms, weights, columns, who). */
+/* Sets a reward from a tuple (names of terms, weights, columns). */
 static int set_reward(StepScorer *self, Reward *reward, PyObject *spec)
 {
     PyObject *names;
     if (!PyTuple_Check(spec)) return refuse("a reward must be a tuple");
-    if (!PyArg_ParseTuple(spec, "O!O&O&O&", &PyTuple_Type, &names, as_doubles, &reward->weights,
-                          as_indices, &reward->columns, as_indices, &reward->who)) {
+    if (!PyArg_ParseTuple(spec, "O!O&O&", &PyTuple_Type, &names, as_doubles, &reward->weights,
+                          as_indices, &reward->columns)) {
         return -1;
     }
     const npy_intp count = PyTuple_GET_SIZE(names);
     if (reward->weights.size != count || reward->columns.size != count ||
-        !are_below(reward->columns, self->num_terms) ||
-        !are_below(reward->who, self->karts.size)) {
+        !are_below(reward->columns, self->num_terms)) {
         return refuse("the parts of a reward do not fit together");
     }
     if (!(reward->terms = room_for(self, count, sizeof *reward->terms))) return -1;
@@ -354,45 +345,47 @@ static int set_reward(StepScorer *self, Reward *reward, PyObject *spec)
     return 0;
 }
 
-/* Sets the numbers of columns from the shapes of `sums`, which `last` shares, and `events`; checks
-   the arrays, and marks the agents' rows. */
-static int set_rows(StepScorer *self, PyArrayObject *sums, PyArrayObject *events)
+/* Sets the numbers of columns from the shapes of `sums`, which `last` shares, and `events`. */
+static int set_columns(StepScorer *self, PyArrayObject *sums, PyArrayObject *events)
 {
     if (PyArray_NDIM(sums) != 2 || PyArray_NDIM(events) != 2) {
         return refuse("sums and events must be rows of numbers");
     }
-    const npy_intp num_rows = PyArray_DIM(sums, 0), count = self->karts.size;
+    const npy_intp count = self->karts.size;
     self->num_columns = PyArray_DIM(sums, 1);
     self->num_events = PyArray_DIM(events, 1);
     self->num_terms = self->num_columns - self->num_events;
-    if (self->rows.size != count || self->last.size != self->sums.size || self->num_terms < 0 ||
-        !are_below(self->rows, num_rows) || !are_below(self->karts, PyArray_DIM(events, 0))) {
+    if (PyArray_DIM(sums, 0) != count || self->reward_of.size != count ||
+        self->last.size != self->sums.size || self->num_terms < 0 ||
+        !are_below(self->reward_of, self->num_rewards) ||
+        !are_below(self->karts, PyArray_DIM(events, 0))) {
         return refuse("the arrays do not fit together");
     }
-    if (!(self->is_racing = room_for(self, num_rows, sizeof *self->is_racing))) return -1;
-    for (npy_intp i = 0; i < count; i++) self->is_racing[self->rows.data[i]] = 1;
     return 0;
 }
 
-/* StepScorer(karts, rows, last, sums, race_length, rewards, events): `rewards` is a tuple of tuples
-   for set_reward(). */
+/* StepScorer(karts, reward_of, last, sums, race_length, rewards, events): `rewards` is a tuple of
+   tuples for set_reward(). */
 static int scorer_set_up(StepScorer *self, PyObject *args, PyObject *Py_UNUSED(kwargs))
 {
     PyObject *rewards;
-    if (!PyArg_ParseTuple(args, "O&O&O&O&dO!O&", as_indices, &self->karts, as_indices, &self->rows,
-                          as_written_doubles, &self->last, as_written_doubles, &self->sums,
-                          &self->race_length, &PyTuple_Type, &rewards, as_written_doubles,
-                          &self->events) ||
-        set_rows(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 3),
-                 (PyArrayObject *)PyTuple_GET_ITEM(args, 6)) < 0) {
+    if (!PyArg_ParseTuple(args, "O&O&O&O&dO!O&", as_indices, &self->karts, as_indices,
+                          &self->reward_of, as_written_doubles, &self->last, as_written_doubles,
+                          &self->sums, &self->race_length, &PyTuple_Type, &rewards,
+                          as_written_doubles, &self->events)) {
         return -1;
     }
     self->num_rewards = PyTuple_GET_SIZE(rewards);
-    self->rewards = room_for(self, self->num_rewards, sizeof *self->rewards);
-    for (Py_ssize_t i = 0; self->rewards && i < self->num_rewards; i++) {
+    if (set_columns(self, (PyArrayObject *)PyTuple_GET_ITEM(args, 3),
+                    (PyArrayObject *)PyTuple_GET_ITEM(args, 6)) < 0 ||
+        !(self->is_racing = room_for(self, self->karts.size, sizeof *self->is_racing)) ||
+        !(self->rewards = room_for(self, self->num_rewards, sizeof *self->rewards))) {
+        return -1;
+    }
+    for (Py_ssize_t i = 0; i < self->num_rewards; i++) {
         if (set_reward(self, self->rewards + i, PyTuple_GET_ITEM(rewards, i)) < 0) return -1;
     }
-    return self->rewards ? 0 : -1;
+    return 0;
 }
 
 KERNEL_TYPE(StepScorer, scorer, "Makes the rewards, ends and infos of agents.",

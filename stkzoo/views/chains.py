@@ -39,8 +39,8 @@ class RecordsObserver:
         seen = self._kernel.observe(*source.course, source.snapshot.data, karts)
         if not self._extras:
             return seen
-        more = split_batch(self._values(source, karts), len(karts))
-        both = [own | other for own, other in zip(seen, more, strict=True)]
+        more = split_batch(self._values(source, karts), tuple(range(len(karts))))
+        both = [own | more[row] for row, own in enumerate(seen)]
         return [{name: own[name] for name in self._names} for own in both]
 
     def observe_into(
@@ -83,20 +83,14 @@ class _PlanKernel:
         self._rows: RowObserver = plan.observer or records
         self._form = form_of(space) if plan.has_rows else None
 
-    def observe(self, source: ObservationSource, karts: IntArray, order: IntArray) -> list[Any]:
-        """Returns the karts' observations, which share no memory with others.
-
-        Args:
-            source: the race at this moment.
-            karts: ``(A,)`` indices of the karts.
-            order: the numbers from 0 to A - 1.
-        """
+    def observe(self, source: ObservationSource, group: _Group) -> dict[str, Any]:
+        """Returns the observations of a group of agents, which share no memory with others."""
         if self._lists is not None:
-            return self._lists.observe(source, karts)
-        count = len(karts)
-        batch = new_batch(self._form, count)
-        self._rows.observe_into(source, karts, order, batch)
-        return split_batch(batch, count)
+            seen = self._lists.observe(source, group.karts)
+            return dict(zip(group.agents, seen, strict=True))
+        batch = new_batch(self._form, len(group.agents))
+        self._rows.observe_into(source, group.karts, group.order, batch)
+        return split_batch(batch, group.agents)
 
     def observe_into(
         self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
@@ -343,10 +337,11 @@ class AgentChains:
         """
         groups = self._roster(seats).groups
         # With one group, the agents are in order already.
-        observations = dict.fromkeys(seats.agents) if len(groups) > 1 else {}
+        if len(groups) == 1:
+            return groups[0].kernel.observe(source, groups[0])
+        observations: dict[str, Any] = dict.fromkeys(seats.agents)
         for group in groups:
-            seen = group.kernel.observe(source, group.karts, group.order)
-            observations.update(zip(group.agents, seen, strict=True))
+            observations |= group.kernel.observe(source, group)
         return observations
 
     def observe_into(

@@ -40,6 +40,7 @@ class Seats:
         rows: ``(A,)`` row of each agent in the controls, meaningless for agents that the game's AI
             drives.
         num_rows: number of rows of the controls.
+        numbers: ``(A,)`` number of each agent among all agents of the race.
         order: ``(A,)`` number of each agent among these agents: 0, 1, ...
     """
 
@@ -47,6 +48,7 @@ class Seats:
     karts: IntArray
     rows: IntArray
     num_rows: int
+    numbers: IntArray
     order: IntArray = field(init=False)
 
     def __post_init__(self) -> None:

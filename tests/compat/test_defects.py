@@ -195,10 +195,9 @@ def test_d06_a_better_finish_never_earns_less_under_the_placement_reward(history
     karts = np.arange(len(agents))
     earned = dict.fromkeys(agents, 0.0)
     for after in moments:
-        seats = Seats(tuple(agents[kart] for kart in karts), karts, karts, len(agents))
-        ends = record.ends_of(seats)
-        record.score(before, after, seats, False, seats.order, ends)
-        for agent, amount in zip(seats.agents, ends[0].tolist(), strict=True):
+        seats = Seats(tuple(agents[kart] for kart in karts), karts, karts, len(agents), karts)
+        record.score(before, after, seats, False, karts, record.ends)
+        for agent, amount in zip(seats.agents, record.ends[0][karts].tolist(), strict=True):
             earned[agent] += amount
         karts = np.flatnonzero(after.karts["has_finished_race"] == 0)
         before = after

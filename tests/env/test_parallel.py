@@ -11,12 +11,11 @@ from stkzoo import race_v0
 from stkzoo.engine.session import WorkerSession
 from stkzoo.env import race
 from stkzoo.env.episode import Episode
-from stkzoo.env.race import Race
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.views import AgentChains
 
 PHASES = [
-    (Race, "decode"),
+    (AgentChains, "decode"),
     (race, "drive_opponents"),
     (WorkerSession, "step_async"),
     (WorkerSession, "step_wait"),

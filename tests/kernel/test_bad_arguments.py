@@ -79,7 +79,7 @@ def cases():
     kept["to_polar"] = [((points,), {}, None, ())]
     kept["action_mask"] = [((flags, flags, points[0], np.ones(3, np.int64)), {}, None, ())]
     kept["new_batch"] = [((batch_of(), 3), {}, None, ())]
-    kept["split_batch"] = [((batch_of(), 4), {}, None, ())]
+    kept["split_batch"] = [((batch_of(), ("a", "b")), {}, None, ())]
     kept["reward_term"] = [(("advance", KARTS, KARTS, 20.0), {}, None, ())]
     kept["GameStepper"] = [
         (stepper_arguments(), {}, "step", (np.ones((2, 7), np.float32),)),

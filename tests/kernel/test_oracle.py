@@ -345,7 +345,7 @@ def test_actions_are_read_as_by_the_wrappers(view):
     names = () if set(plan.leaves) == {""} else tuple(plan.leaves)
     twin = oracle.ActionReader(names, tuple(plan.leaves.values()), 7)
     place = np.zeros(1, np.intp)
-    (group,) = chains._roster(Seats(("kart_0",), place, place, 1)).groups
+    (group,) = chains._roster(Seats(("kart_0",), place, place, 1, place)).groups
     num_taken = 0
     for _ in range(1000):
         actions = {"kart_0": fuzzed(random, space.sample())}

@@ -36,10 +36,9 @@ def new_batch(like: Any, count: int) -> Any:
     return np.empty((count, *like.shape[1:]), like.dtype)
 
 
-def split_batch(batch: Any, count: int) -> list[Any]:
+def split_batch(batch: Any, agents: tuple[Any, ...]) -> dict[Any, Any]:
     if isinstance(batch, dict):
-        columns = [split_batch(part, count) for part in batch.values()]
-        return [dict(zip(batch, row, strict=True)) for row in zip(*columns, strict=True)]
-    if isinstance(batch, list):
-        return batch[:count]
-    return batch[:count].tolist() if batch.ndim == 1 else list(batch[:count])
+        columns = {key: split_batch(part, agents) for key, part in batch.items()}
+        return {agent: {key: columns[key][agent] for key in batch} for agent in agents}
+    values = batch.tolist() if isinstance(batch, np.ndarray) and batch.ndim == 1 else batch
+    return dict(zip(agents, values, strict=False))

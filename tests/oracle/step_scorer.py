@@ -100,61 +100,55 @@ class StepScorer:
     def __init__(
         self,
         karts: IntArray,
-        rows: IntArray,
+        reward_of: IntArray,
         last: FloatArray,
         sums: FloatArray,
         race_length: float,
-        rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray, IntArray], ...],
+        rewards: tuple[tuple[tuple[str, ...], FloatArray, IntArray], ...],
         events: FloatArray,
     ) -> None:
-        self._karts, self._rows, self._last, self._sums = karts, rows, last, sums
+        self._karts, self._reward_of, self._last, self._sums = karts, reward_of, last, sums
         self._race_length, self._rewards = race_length, rewards
         self._events, self._num_terms = events, last.shape[1] - events.shape[1]
-        self._absent = np.ones(len(last), np.bool_)
-        self._absent[rows] = False
 
     def score_into(
         self,
         before: bytes,
         after: bytes,
         is_over: bool,
+        who: IntArray,
         slots: IntArray,
         rewards: FloatArray,
         terminations: BoolArray,
         truncations: BoolArray,
     ) -> None:
-        totals, finished = self._advance(before, after)
-        rewards[slots], terminations[slots] = totals, finished
-        truncations[slots] = finished < bool(is_over)
-
-    def _advance(self, before: bytes, after: bytes) -> tuple[FloatArray, BoolArray]:
-        """Adds a step to the sums; returns the agents' rewards and whether they have finished."""
         step = Transition(Snapshot(before), Snapshot(after), self._race_length)
-        for terms, weights, columns, who in self._rewards:
-            rows, karts = self._rows[who], self._karts[who]
+        for number, (terms, weights, columns) in enumerate(self._rewards):
+            own = who[self._reward_of[who] == number]
             for term, weight, column in zip(terms, weights, columns, strict=True):
                 values = np.asarray(TERMS[term](step), np.float64)
-                self._last[rows, column] = weight * values[karts]
-        self._last[self._rows, self._num_terms :] = self._events[self._karts]
-        self._last[self._absent] = 0.0
+                self._last[own, column] = weight * values[self._karts[own]]
+        self._last[who, self._num_terms :] = self._events[self._karts[who]]
+        self._last[np.setdiff1d(np.arange(len(self._karts)), who)] = 0.0
         self._sums += self._last
-        totals = self._last[:, : self._num_terms].sum(axis=1)[self._rows]
-        return totals, step.after.karts["has_finished_race"][self._karts] > 0
+        rewards[slots] = self._last[who, : self._num_terms].sum(axis=1)
+        terminations[slots] = step.after.karts["has_finished_race"][self._karts[who]] > 0
+        truncations[slots] = terminations[slots] < bool(is_over)
 
     def infos_into(
         self,
         data: bytes,
         length: int,
+        who: IntArray,
         slots: IntArray,
         wholes: npt.NDArray[np.int64],
         numbers: FloatArray,
     ) -> None:
         karts = Snapshot(data).karts
-        places = zip(self._rows.tolist(), self._karts.tolist(), strict=True)
-        for slot, (row, number) in zip(slots, places, strict=True):
-            kart, sums = karts[number], self._sums[row].tolist()
+        for slot, agent in zip(slots, who, strict=True):
+            kart, sums = karts[self._karts[agent]], self._sums[agent].tolist()
             wholes[:, slot] = kart["position"], max(int(kart["finished_laps"]), 0), length
             total = reduce(operator.add, sums[: self._num_terms], 0.0)
             driven = max(float(kart["overall_distance"]), 0.0)
-            own = driven, kart["finish_time"], *self._last[row].tolist(), *sums, total
+            own = driven, kart["finish_time"], *self._last[agent].tolist(), *sums, total
             numbers[:, slot] = own

@@ -195,7 +195,7 @@ class RandomMoment:
 
     def seats(self, agents):
         places = np.arange(len(agents))
-        return Seats(tuple(agents), karts=places, rows=places, num_rows=len(agents))
+        return Seats(tuple(agents), karts=places, rows=places, num_rows=len(agents), numbers=places)
 
     def full(self, agents, use_ai=False):
         """Returns the agents' observations in the ``full`` view."""

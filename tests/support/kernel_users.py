@@ -10,6 +10,7 @@ from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
 USERS = {
     "engine.track": ["TrackGraph"],
     "env.episode": ["StepScorer", "split_batch"],
+    "env.race": ["split_batch"],
     "env.vec.rows": ["new_batch"],
     "mdp.events": ["EventCounter"],
     "mdp.rewards": ["reward_term"],
