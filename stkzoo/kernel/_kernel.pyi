@@ -210,23 +210,6 @@ class RacingObserver:
             around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as
                 many karts and items as the race has.
         """
-    def trace(
-        self,
-        data: bytes,
-        road: int,
-        who: npt.NDArray[np.intp],
-        looks: npt.NDArray[np.float32],
-        out: npt.NDArray[np.float32],
-    ) -> None:
-        """Writes the road ahead of each kart of ``who``.
-
-        Args:
-            data: bytes of a snapshot.
-            road: index of its track.
-            who: ``(n,)`` indices of karts.
-            looks: ``(L,)`` distances at which the road is observed [m].
-            out: ``(n, L, 4)``, see :class:`~stkzoo.wrappers.racing.Surroundings`.
-        """
     def write(
         self,
         numbers: tuple[npt.NDArray[Any], ...],

@@ -399,30 +399,6 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
-/* trace(data, road, who, looks, out): writes the road ahead of each kart of `who`. */
-static PyObject *racing_trace(PyObject *self, PyObject *args)
-{
-    const RacingObserver *view = (RacingObserver *)self;
-    Snapshot snapshot;
-    npy_intp track;
-    Indices who;
-    Floats looks, out;
-    if (!PyArg_ParseTuple(args, "O&nO&O&O&", as_snapshot, &snapshot, &track, as_indices, &who,
-                          as_floats, &looks, as_written_floats, &out)) {
-        return NULL;
-    }
-    if (out.size != LINE * looks.size * who.size) {
-        return PyErr_Format(PyExc_ValueError, "out must hold %zd numbers",
-                            LINE * looks.size * who.size);
-    }
-    for (npy_intp i = 0; i < who.size; i++) {
-        Eye eye;
-        if (open_eye(view, track, &snapshot, who.data[i], &eye) < 0) return NULL;
-        see_road(view, &eye, looks, out.data + LINE * looks.size * i);
-    }
-    Py_RETURN_NONE;
-}
-
 /* write(numbers, kinds, around, out): writes the view of karts with given surroundings into the
    first columns of `out`. */
 static PyObject *racing_write(PyObject *self, PyObject *args)
@@ -519,5 +495,4 @@ KERNEL_TYPE(RacingObserver, racing, "Makes the view `racing` on a set of tracks.
             {"observe", racing_observe, METH_VARARGS,
              "Writes the views of karts into rows."},
             {"look", racing_look, METH_VARARGS, "Writes the surroundings of karts."},
-            {"trace", racing_trace, METH_VARARGS, "Writes the road ahead of karts."},
             {"write", racing_write, METH_VARARGS, "Writes the views for given surroundings."})

@@ -18,7 +18,7 @@ import pytest
 from stkzoo import RaceVectorEnv, kernel, race_v0
 from stkzoo.drivers.messages import encode_observation
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
-from stkzoo.wrappers.racing import LOOKS, racing_features
+from stkzoo.wrappers.racing import racing_features
 from stkzoo.wrappers.racing.wrapper import racing_view_of
 from tests.kernel.test_mlp import inputs_of, layers_of
 from tests.support.bad_arguments import check_bad_calls, check_lists_are_refused
@@ -98,7 +98,6 @@ def drive_races():
             view = racing_view_of(env.track_map)
             seen = [env.snapshot], [0], [np.arange(3)]
             racing_features(*view.surroundings(*seen))
-            view.road(*seen, LOOKS)
     for view in VIEWS[1:]:
         options = {"num_kart": 3, "track": "lighthouse", "view": view, "events": True}
         with contextlib.closing(RaceVectorEnv(1, **options, prefetch=False)) as envs:

@@ -262,7 +262,6 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
     np.testing.assert_allclose(seen, seen_by_twin(snapshot, table, who)[0], atol=2e-4)
     own, around = view.surroundings([snapshot], [0], [who])
     np.testing.assert_array_equal(racing_features(own, around), seen)
-    np.testing.assert_array_equal(view.road([snapshot], [0], [who], LOOKS), around.road)
 
 
 def seen_by_twin(snapshot, table, who):

@@ -98,7 +98,7 @@ class RacingObserver:
             for key, array in zip(keys, arrays, strict=True):
                 array[:] = own[key]
         line, karts, items, types = around
-        self.trace(data, road, who, looks, line)
+        self._trace(data, road, who, looks, line)
         locations, matrices = _frames(_records(snapshot, who))
         others, things = snapshot.karts["location"][None], snapshot.items["location"][None]
         karts[:], items[:], types[:] = np.inf, 0, -1
@@ -107,7 +107,7 @@ class RacingObserver:
         items[:, : things.shape[1]] = to_kart_frame(things, locations, matrices)
         types[:, : things.shape[1]] = snapshot.items["type"]
 
-    def trace(
+    def _trace(
         self,
         data: bytes,
         road: int,

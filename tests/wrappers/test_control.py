@@ -396,7 +396,8 @@ def test_a_view_uses_the_step_of_its_race(inner):
 
     def turned(env):
         """Returns how far one step turns the wheels at 1 rad/s."""
-        controls = env.decode({"kart_0": {"control": np.array([1.0, 5.0], np.float32)}})
+        action = {"kart_0": {"control": np.array([1.0, 5.0], np.float32)}}
+        controls = env.live_race.convert(env.live_race.check(action))
         return controls[0, 1] * env.snapshot.karts["max_steer_angle"][0]
 
     race = {"num_kart": 1, "track": "lighthouse", "view": lambda env: view(inner(env))}

@@ -128,10 +128,12 @@ class BatchedRacingLines:
                 points at ``GROUND_LINE_MARKS`` and the room to the left and to the right [m].
         """
         left, right = (
-            self._view.road(snapshots, [2 * n + side for n in roads], karts, GROUND_LINE_MARKS)
+            self._view.surroundings(
+                snapshots, [2 * n + side for n in roads], karts, GROUND_LINE_MARKS
+            )[1]
             for side in range(2)
         )
-        return np.concatenate([left, right[..., 3:]], axis=-1)
+        return np.concatenate([left.road, right.road[..., 3:]], axis=-1)
 
 
 @lru_cache(maxsize=64)

@@ -240,29 +240,6 @@ class BatchedRacingView:
             arrays,
         )
 
-    def road(
-        self,
-        snapshots: Sequence[Snapshot],
-        roads: Sequence[int],
-        karts: Sequence[IntArray],
-        looks: FloatArray,
-    ) -> FloatArray:
-        """Returns the road ahead of some karts of each race, as :meth:`surroundings` does.
-
-        Args:
-            snapshots: see :meth:`observe`.
-            roads: see :meth:`observe`.
-            karts: see :meth:`observe`.
-            looks: ``(L,)`` distances at which the road is observed [m].
-
-        Returns:
-            ``(A, L, 4)`` float32, see :class:`Surroundings`.
-        """
-        out = np.empty((sum(map(len, karts)), len(looks), 4), np.float32)
-        for snapshot, road, who, rows in _races(snapshots, roads, karts):
-            self._observer.trace(snapshot.data, road, who, looks, out[rows])
-        return out
-
 
 def _races(
     snapshots: Sequence[Snapshot], roads: Sequence[int], karts: Sequence[IntArray]

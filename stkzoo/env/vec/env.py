@@ -223,30 +223,23 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ApiOrderError: called after ``close``, or while another thread's call runs.
         """
         with self._turn.of("reset"):
-            return self._reset_slots(seed, options)
-
-    def _reset_slots(
-        self,
-        seed: int | Sequence[int | None] | None,
-        options: Sequence[Mapping[str, Any] | None],
-    ) -> SlotSteps:
-        self._require_open("reset")
-        seeds = seeds_of_races(seed, self.num_races)
-        if self._repeated is not None:
-            if any(own is not None for own in seeds):
-                self._repeated.reseed(seeds)
-            seeds = [self._next_seed() for _ in seeds]
-        for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
-            row.prepare(own_seed, own)
-        self._seeds = [
-            old if new is None else new for old, new in zip(self._seeds, seeds, strict=True)
-        ]
-        steps = self._steps.new()
-        for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
-            row.reset(steps, own_seed, own)
-        steps.active |= self.racing
-        self._prefetch(self._rows)
-        return self._completed(steps)
+            self._require_open("reset")
+            seeds = seeds_of_races(seed, self.num_races)
+            if self._repeated is not None:
+                if any(own is not None for own in seeds):
+                    self._repeated.reseed(seeds)
+                seeds = [self._next_seed() for _ in seeds]
+            for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
+                row.prepare(own_seed, own)
+            self._seeds = [
+                old if new is None else new for old, new in zip(self._seeds, seeds, strict=True)
+            ]
+            steps = self._steps.new()
+            for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
+                row.reset(steps, own_seed, own)
+            steps.active |= self.racing
+            self._prefetch(self._rows)
+            return self._completed(steps)
 
     def set_options(
         self, options: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
@@ -266,26 +259,21 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
                 was racing any more at the moment of a state or scenario.
         """
         with self._turn.of("set_options"):
-            self._set_options(options)
-
-    def _set_options(
-        self, options: Mapping[str, Any] | Sequence[Mapping[str, Any] | None] | None
-    ) -> None:
-        self._require_open("set_options")
-        if options is None or isinstance(options, Mapping):
-            options = [options] * self.num_races
-        if not isinstance(options, Sequence) or len(options) != self.num_races:
-            raise ConfigError(
-                f"options is {options!r}, expected a dict or a list of {self.num_races}, "
-                "one per race"
-            )
-        by_race = [{} if own is None else own for own in options]
-        for row, own in zip(self._rows, by_race, strict=True):
-            row.race.check_options(own)
-        for row, own in zip(self._rows, by_race, strict=True):
-            row.options = dict(own)
-        if any(row.track for row in self._rows):
-            self._prefetch(self._rows)
+            self._require_open("set_options")
+            if options is None or isinstance(options, Mapping):
+                options = [options] * self.num_races
+            if not isinstance(options, Sequence) or len(options) != self.num_races:
+                raise ConfigError(
+                    f"options is {options!r}, expected a dict or a list of {self.num_races}, "
+                    "one per race"
+                )
+            by_race = [{} if own is None else own for own in options]
+            for row, own in zip(self._rows, by_race, strict=True):
+                row.race.check_options(own)
+            for row, own in zip(self._rows, by_race, strict=True):
+                row.options = dict(own)
+            if any(row.track for row in self._rows):
+                self._prefetch(self._rows)
 
     def step(self, actions: Any) -> VectorStep:
         """Advances all races by one step.
@@ -317,20 +305,17 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ApiOrderError: called before ``reset``, after ``close``, or twice in a row.
         """
         with self._turn.of("step_async"):
-            self._request_steps(actions)
-
-    def _request_steps(self, actions: Any) -> None:
-        self._require_open("step")
-        races = [row.race for row in self._rows]
-        checked: Sequence[CheckedActions | None] = [
-            row.race.check_rows(actions, row.racing_slots, self.num_envs) for row in self._rows
-        ]
-        if None in checked:
-            checked = self._checked_singly(actions)
-        controls = [race.convert(own) for race, own in zip(races, checked, strict=True) if own]
-        drive_opponents(races, controls)
-        for row, own in zip(self._rows, controls, strict=True):
-            row.send(own)
+            self._require_open("step")
+            races = [row.race for row in self._rows]
+            checked: Sequence[CheckedActions | None] = [
+                row.race.check_rows(actions, row.racing_slots, self.num_envs) for row in self._rows
+            ]
+            if None in checked:
+                checked = self._checked_singly(actions)
+            controls = [race.convert(own) for race, own in zip(races, checked, strict=True) if own]
+            drive_opponents(races, controls)
+            for row, own in zip(self._rows, controls, strict=True):
+                row.send(own)
 
     def step_wait(self) -> VectorStep:
         """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.
@@ -356,19 +341,16 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ApiOrderError: called without :meth:`step_async`, or while another thread's call runs.
         """
         with self._turn.of("step_wait"):
-            return self._finish_steps()
-
-    def _finish_steps(self) -> SlotSteps:
-        steps = self._steps.new()
-        for row in self._rows:
-            row.step_wait(steps)
-            if row.is_over:  # starts while this call waits for the other races
-                row.prepare()
-        over = [row for row in self._rows if row.is_over]
-        for row in over:
-            row.reset(steps, self._next_seed())
-        self._prefetch(over)
-        return self._completed(steps)
+            steps = self._steps.new()
+            for row in self._rows:
+                row.step_wait(steps)
+                if row.is_over:  # starts while this call waits for the other races
+                    row.prepare()
+            over = [row for row in self._rows if row.is_over]
+            for row in over:
+                row.reset(steps, self._next_seed())
+            self._prefetch(over)
+            return self._completed(steps)
 
     def close_extras(self, **_: Any) -> None:
         """Stops the game processes; called by :meth:`close`."""
