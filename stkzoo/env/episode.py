@@ -319,8 +319,7 @@ class EpisodeRecord:
         )
         terminations, truncations = np.zeros((2, len(of_agent)), np.bool_)
         self.ends: EndArrays = np.zeros(len(of_agent)), terminations, truncations
-        self._table = InfoTable(self.info_keys, len(of_agent))
-        self._scorer = self._new_scorer()
+        self._make_scorer()
 
     def score(
         self,
@@ -400,7 +399,9 @@ class EpisodeRecord:
             values = self._rewards[number].value(name, step)[self._karts[agents]]
             self._last[agents, self._columns[name]] = values
 
-    def _new_scorer(self) -> StepScorer:
+    def _make_scorer(self) -> None:
+        """Makes the scorer and a table for infos, which share memory with arrays of the record."""
+        self._table = InfoTable(self.info_keys, len(self._karts))
         rewards = []
         for reward in self._rewards:
             terms = [(n, t) for n, t in reward.terms.items() if isinstance(t, KernelTerm)]
@@ -411,15 +412,15 @@ class EpisodeRecord:
         if events is None:
             events = np.zeros((int(self._karts.max()) + 1, 0))
         numbers = self._last, self._sums, self._race_length
-        return StepScorer(self._karts, self._reward_of, *numbers, tuple(rewards), events)
+        self._scorer = StepScorer(self._karts, self._reward_of, *numbers, tuple(rewards), events)
 
     def __getstate__(self) -> dict[str, Any]:
-        # The scorer writes into these arrays, so a copy makes its own.
-        return {name: value for name, value in vars(self).items() if name != "_scorer"}
+        own = ("_scorer", "_table")  # a copy of the arrays makes its own
+        return {name: value for name, value in vars(self).items() if name not in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._scorer = self._new_scorer()
+        self._make_scorer()
 
 
 def _is_agent(name: object, agents: Sequence[str]) -> bool:

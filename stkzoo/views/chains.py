@@ -83,14 +83,13 @@ class _PlanKernel:
         self._rows: RowObserver = plan.observer or records
         self._form = form_of(space) if plan.has_rows else None
 
-    def observe(self, source: ObservationSource, group: _Group) -> dict[str, Any]:
-        """Returns the observations of a group of agents, which share no memory with others."""
+    def observe(self, source: ObservationSource, seats: Seats) -> dict[str, Any]:
+        """Returns the observations of some agents, which share no memory with others."""
         if self._lists is not None:
-            seen = self._lists.observe(source, group.karts)
-            return dict(zip(group.agents, seen, strict=True))
-        batch = new_batch(self._form, len(group.agents))
-        self._rows.observe_into(source, group.karts, group.order, batch)
-        return split_batch(batch, group.agents)
+            return dict(zip(seats.agents, self._lists.observe(source, seats.karts), strict=True))
+        batch = new_batch(self._form, len(seats.agents))
+        self._rows.observe_into(source, seats.karts, seats.order, batch)
+        return split_batch(batch, seats.agents)
 
     def observe_into(
         self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
@@ -101,35 +100,19 @@ class _PlanKernel:
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Agents with equal plans.
+    """Agents with equal plans whose actions take the same way.
 
     Attributes:
         kernel: makes their observations and reads their actions.
-        agents: all agents of the group.
-        places: their places among the seats.
-        karts: their karts.
-        rows: their rows in the controls.
-        numbers: their positions among all agents of the race.
-        order: their numbers within the group: 0, 1, ...
-        acting: agents whose actions the kernel reads directly.
-        acting_places: their places among the seats.
-        acting_rows: their rows in the controls.
-        walking: agents whose actions pass through Python wrappers first.
-        walking_rows: their rows in the controls.
+        seats: where they sit.
+        places: their places among the seats of all agents.
+        numbers: their rows in the memory of the car controllers.
     """
 
     kernel: _PlanKernel
-    agents: tuple[str, ...]
+    seats: Seats
     places: IntArray
-    karts: IntArray
-    rows: IntArray
     numbers: IntArray
-    order: IntArray
-    acting: tuple[str, ...]
-    acting_places: IntArray
-    acting_rows: IntArray
-    walking: tuple[str, ...]
-    walking_rows: IntArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +121,16 @@ class _Roster:
 
     Attributes:
         seats: the seats.
-        groups: agents with equal plans.
-        walked: agents with Python wrappers.
+        groups: all agents.
+        read: those whose actions the kernel reads directly.
+        walking: those whose actions pass through Python wrappers first.
+        walked: all agents with Python wrappers.
     """
 
     seats: Seats
     groups: tuple[_Group, ...]
+    read: tuple[_Group, ...]
+    walking: tuple[_Group, ...]
     walked: tuple[str, ...]
 
 
@@ -265,14 +252,15 @@ class AgentChains:
         walked: Mapping[str, Any] = {}
         unread = [
             group
-            for group in roster.groups
-            if not group.kernel.reader.read(actions, group.acting, group.acting_rows, controls)
+            for group in roster.read
+            if not group.kernel.reader.read(actions, group.seats.agents, group.seats.rows, controls)
         ]
         if unread or roster.walked:
             require_actions(actions, seats.agents, self._ignored)
             for group in unread:
-                usual = {a: self._chains[a].read_action(actions[a]) for a in group.acting}
-                group.kernel.reader.read(usual, group.acting, group.acting_rows, controls)
+                agents, rows = group.seats.agents, group.seats.rows
+                usual = {a: self._chains[a].read_action(actions[a]) for a in agents}
+                group.kernel.reader.read(usual, agents, rows, controls)
             asked = [agent for agent in roster.walked if agent not in self._ignored]
             walked = self._walker.read_actions(actions, asked)
         return CheckedActions(roster, controls, walked)
@@ -296,9 +284,9 @@ class AgentChains:
         controls = np.zeros((seats.num_rows, len(self._columns)), np.float32)
         is_read = not roster.walked and all(
             group.kernel.reader.read(
-                batch, slots[group.acting_places], group.acting_rows, controls, num_slots
+                batch, slots[group.places], group.seats.rows, controls, num_slots
             )
-            for group in roster.groups
+            for group in roster.read
         )
         return CheckedActions(roster, controls, {}) if is_read else None
 
@@ -319,13 +307,13 @@ class AgentChains:
         roster, controls = checked.roster, checked.controls
         if roster.walked:
             base = self._walker.begin_step(checked.walked, roster.walked)
-            for group in roster.groups:
-                group.kernel.reader.read(base, group.walking, group.walking_rows, controls)
-        for group in roster.groups:
-            car = group.kernel.car
+            for group in roster.walking:
+                group.kernel.reader.read(base, group.seats.agents, group.seats.rows, controls)
+        for group in (*roster.read, *roster.walking):
+            car, seats = group.kernel.car, group.seats
             if car is not None:  # the controls are in physical units
                 data, numbers = source.snapshot.data, group.numbers
-                car.drive(controls, group.rows, data, group.karts, self._cars, numbers)
+                car.drive(controls, seats.rows, data, seats.karts, self._cars, numbers)
         return controls
 
     def observe(self, seats: Seats, source: ObservationSource) -> dict[str, Any]:
@@ -338,10 +326,10 @@ class AgentChains:
         groups = self._roster(seats).groups
         # With one group, the agents are in order already.
         if len(groups) == 1:
-            return groups[0].kernel.observe(source, groups[0])
+            return groups[0].kernel.observe(source, groups[0].seats)
         observations: dict[str, Any] = dict.fromkeys(seats.agents)
         for group in groups:
-            observations |= group.kernel.observe(source, group)
+            observations |= group.kernel.observe(source, group.seats)
         return observations
 
     def observe_into(
@@ -356,7 +344,7 @@ class AgentChains:
             batch: an array with one row per slot, or a dict of arrays and lists by entry.
         """
         for group in self._roster(seats).groups:
-            group.kernel.observe_into(source, group.karts, slots[group.places], batch)
+            group.kernel.observe_into(source, group.seats.karts, slots[group.places], batch)
 
     def reset(
         self,
@@ -466,33 +454,27 @@ class AgentChains:
         return roster
 
     def _new_roster(self, seats: Seats) -> _Roster:
-        members: dict[Hashable, list[int]] = {}
+        ways: dict[tuple[bool, bool], dict[Hashable, list[int]]] = {}
         for place, agent in enumerate(seats.agents):
-            members.setdefault(self._identities[agent], []).append(place)
-        groups = tuple(self._group(seats, places) for places in members.values())
-        walked = tuple(agent for agent in seats.agents if not self._chains[agent].is_empty)
-        return _Roster(seats, groups, walked)
-
-    def _group(self, seats: Seats, places: list[int]) -> _Group:
-        agents = seats.agents
-        own = tuple(agents[place] for place in places)
-        players = [place for place in places if agents[place] not in self._ignored]
-        acting = [place for place in players if self._chains[agents[place]].is_empty]
-        walking = [place for place in players if place not in acting]
-        return _Group(
-            kernel=self._kernel_of(own[0]),
-            agents=own,
-            places=np.array(places, np.intp),
-            karts=seats.karts[places],
-            rows=seats.rows[places],
-            numbers=np.array([self._numbers[agent] for agent in own], np.intp),
-            order=np.arange(len(own)),
-            acting=tuple(agents[place] for place in acting),
-            acting_places=np.array(acting, np.intp),
-            acting_rows=seats.rows[acting],
-            walking=tuple(agents[place] for place in walking),
-            walking_rows=seats.rows[walking],
+            way = agent in self._ignored, self._chains[agent].is_empty
+            same = ways.setdefault(way, {})
+            same.setdefault(self._identities[agent], []).append(place)
+        by_way = {
+            way: [self._group(seats, np.array(places)) for places in same.values()]
+            for way, same in ways.items()
+        }
+        return _Roster(
+            seats,
+            groups=tuple(group for groups in by_way.values() for group in groups),
+            read=tuple(by_way.get((False, True), ())),
+            walking=tuple(by_way.get((False, False), ())),
+            walked=tuple(agent for agent in seats.agents if not self._chains[agent].is_empty),
         )
+
+    def _group(self, seats: Seats, places: IntArray) -> _Group:
+        own = seats.at(places)
+        numbers = np.array([self._numbers[agent] for agent in own.agents], np.intp)
+        return _Group(self._kernel_of(own.agents[0]), own, places, numbers)
 
     def _kernel_of(self, agent: str) -> _PlanKernel:
         identity = self._identities[agent]

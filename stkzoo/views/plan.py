@@ -54,6 +54,12 @@ class Seats:
     def __post_init__(self) -> None:
         object.__setattr__(self, "order", np.arange(len(self.agents)))
 
+    def at(self, places: IntArray) -> Seats:
+        """Returns the seats of the agents at some places."""
+        agents = tuple(self.agents[place] for place in places)
+        karts, rows, numbers = self.karts[places], self.rows[places], self.numbers[places]
+        return Seats(agents, karts, rows, self.num_rows, numbers)
+
 
 class ObservationSource(Protocol):
     """A race at one moment, as the source of observations."""

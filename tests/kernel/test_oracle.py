@@ -349,10 +349,10 @@ def test_actions_are_read_as_by_the_wrappers(view):
     for _ in range(1000):
         actions = {"kart_0": fuzzed(random, space.sample())}
         ours, theirs = np.zeros((2, 1, 7), np.float32)
-        if not group.kernel.reader.read(actions, group.agents, group.rows, ours):
+        if not group.kernel.reader.read(actions, group.seats.agents, group.seats.rows, ours):
             continue
         num_taken += 1
-        assert twin.read(actions, group.agents, group.rows, theirs), actions
+        assert twin.read(actions, group.seats.agents, group.seats.rows, theirs), actions
         assert ours.tolist() == theirs.tolist(), actions
         base = chain.act(chain.read_action(actions["kart_0"]))
         assert ours[0].tolist() == [np.float32(np.ravel(base[key])[0]) for key in CONTROLS]
