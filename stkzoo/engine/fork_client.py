@@ -157,11 +157,11 @@ class ForkServerClient(SpawnedProcess):
         with contextlib.suppress(OSError):
             wire.send(self.connection, wire.DROP, str(pid).encode())
 
-    def drop(self) -> None:
+    def _drop(self) -> None:
         """Ends the fork server and all its children, even those that are stopped."""
         if self._process.poll() is None:
             os.killpg(self.pid, signal.SIGKILL)
-        super().drop()
+        super()._drop()
 
 
 @dataclass(eq=False)
@@ -173,9 +173,8 @@ class _ForkedProcess(RaceProcess):
         status = self.fork_server.end_child(self.pid)
         return "was lost" if status is None else describe_end(os.waitstatus_to_exitcode(status))
 
-    def drop(self) -> None:
+    def _drop(self) -> None:
         self.fork_server.drop_child(self.pid)
-        self._free()
 
     def fork(self) -> RaceProcess:
         return self.fork_server.fork_from(self.connection, self.connection.gettimeout())
@@ -205,11 +204,11 @@ def _retire(fork_server: ForkServerClient) -> None:
     with _fork_servers_lock:
         if _fork_servers.get(key) is fork_server:
             del _fork_servers[key]
-    fork_server.drop()
+    fork_server.release()
 
 
 @atexit.register
 def _close_all() -> None:
     with contextlib.suppress(KeyboardInterrupt):  # remaining fork servers end with the program
         for key in [key for key in _fork_servers if key[0] == os.getpid()]:
-            _fork_servers.pop(key).drop()
+            _fork_servers.pop(key).release()

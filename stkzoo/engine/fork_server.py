@@ -4,7 +4,7 @@ Each race is the first one of its process, so its results are reproducible bit f
 carries hidden random state from one race to the next. Forking the fork server is safe, because it
 never runs a race, uses no graphics and has no threads.
 
-The process of a race can clone itself (:mod:`stkzoo.engine.process_clone`). Clones are also
+The process of a race can clone itself (:mod:`stkzoo.engine.worker`). Clones are also
 children of the fork server: it ends and reaps them like the others, and they end with it.
 
 The fork server and the program exchange :mod:`stkzoo.engine.wire` messages over one packet socket.
@@ -22,9 +22,8 @@ import socket
 import time
 
 from stkzoo.engine import wire
-from stkzoo.engine.process_clone import serve_fork
 from stkzoo.engine.race import init_engine
-from stkzoo.engine.worker import WorkerServer
+from stkzoo.engine.worker import WorkerServer, serve_fork
 
 _POLL_SECONDS = 0.5
 #: Time for a child to end by itself after its connection is closed [s].

@@ -99,19 +99,18 @@ class RaceProcess:
         """
         raise NotImplementedError
 
-    def drop(self) -> None:
-        """Ends the process without waiting for it, and releases its resources."""
-        raise NotImplementedError
-
     def release(self) -> None:
-        """Calls :meth:`drop` in the program that started the process.
+        """Ends the process without waiting for it, and closes its handles.
 
-        In a fork of that program, this only closes the handles.
+        In a fork of the program that started the process, this only closes the handles.
         """
         if self.owner == os.getpid():
-            self.drop()
-        else:
-            self._free()
+            self._drop()
+        self.connection.close()
+        self.log.close()
+
+    def _drop(self) -> None:
+        raise NotImplementedError
 
     def reply(self) -> list[bytes]:
         """Waits for one reply and returns its frames.
@@ -146,10 +145,6 @@ class RaceProcess:
             "a race's state can be saved and copied only where races are forked: on Linux, "
             "without a window, and with STKZOO_START_METHOD not set to spawn"
         )
-
-    def _free(self) -> None:
-        self.connection.close()
-        self.log.close()
 
 
 #: Remedy in the error text when a process ended while it loaded the game's data.
@@ -318,12 +313,10 @@ class SpawnedProcess(RaceProcess):
         self._kill(patience=0.2)
         return describe_end(self._process.returncode)
 
-    def drop(self) -> None:
-        """See :meth:`RaceProcess.drop`."""
-        self._kill()
-        self._free()
+    def _drop(self) -> None:
+        self._kill(patience=0.0)
 
-    def _kill(self, patience: float = 0.0) -> None:
+    def _kill(self, patience: float) -> None:
         """Waits for the process to end by itself, then kills it. Ctrl-C kills it immediately.
 
         Args:
