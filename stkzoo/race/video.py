@@ -21,14 +21,13 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError, EngineError
 from stkzoo.race.listeners import RaceListener, RaceProgress
 from stkzoo.race.result import AgentResult, RaceResult
-from stkzoo.render.cards import ResultRow, end_card, with_labels
 from stkzoo.render.encoder import VideoWriter, check_video_path
-from stkzoo.render.ghost import Ghost
 from stkzoo.render.map import MapView
 from stkzoo.render.motion import snapshots_between
+from stkzoo.render.overlays import ResultRow, end_card, with_labels
 from stkzoo.render.pictures import grid_of, tiled
 from stkzoo.render.renderer import RaceRenderer, camera_karts
-from stkzoo.render.scene import Scene, clock, standings
+from stkzoo.render.scene import Ghost, Scene, clock, standings
 from stkzoo.wrappers.camera import checked_size
 
 logger = logging.getLogger(__name__)

@@ -11,11 +11,10 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
-from stkzoo.render.ghost import Ghost
+from stkzoo.render.overlays import draw_panel, panel_width
 from stkzoo.render.palette import readable_on, rgb
-from stkzoo.render.panel import draw_panel, panel_width
 from stkzoo.render.pictures import font_of, pillow
-from stkzoo.render.scene import Scene
+from stkzoo.render.scene import Ghost, Scene
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -17,9 +17,9 @@ import pytest
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceFilm, RaceVideo, run_race
 from stkzoo.render import encoder
-from stkzoo.render.cards import end_card
 from stkzoo.render.encoder import FORMATS, VideoError, VideoWriter
 from stkzoo.render.motion import game_time, poses_between, snapshots_between
+from stkzoo.render.overlays import end_card
 from stkzoo.render.pictures import grid_of, tiled
 from tests.support.rendering import drive, small_race, who_draws
 

@@ -19,7 +19,7 @@ from stkzoo.race.listeners import ForwardingListener, RaceListener, RaceProgress
 from stkzoo.race.replay.file import Replay, ReplayError, action_of, next_digest
 from stkzoo.race.result import AgentFailure, RaceResult, versions_now
 from stkzoo.race.runner import run_race
-from stkzoo.render.ghost import Ghost
+from stkzoo.render.scene import Ghost
 
 _DIFFERS = "differs"
 #: Fields of a replay that are also settings of a race.

@@ -1,9 +1,9 @@
-"""Overlays of videos: labels, a top bar, and a results card."""
+"""Text over frames: the standings beside a map; labels, a top bar and a results card of videos."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,12 +13,18 @@ from stkzoo.render.palette import readable_on, rgb
 from stkzoo.render.pictures import fitted_text, font_of, grid_of, pillow
 from stkzoo.render.scene import RaceStanding, Scene, clock, standings
 
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
 Picture = npt.NDArray[np.uint8]
 
 #: One line of the end card: rank, name, color as ``"#rrggbb"``, finish time or status.
 ResultRow = tuple[int, str, str, str]
 
-_DARK, _CARD, _TEXT, _FAINT = (14, 18, 25), (27, 34, 46), (240, 244, 250), (150, 162, 182)
+_DARK, _CARD, _LINE = (14, 18, 25), (27, 34, 46), (52, 63, 82)
+_TEXT, _FAINT = (240, 244, 250), (150, 162, 182)
+#: Width of the narrowest frame with a panel [pixels].
+_NARROWEST = 320
 _MEDALS = {1: "#ffd34d", 2: "#cfd8e3", 3: "#e0a371"}
 
 
@@ -66,13 +72,34 @@ def _draw_label(
     middle = (top + bottom) / 2
     ink = readable_on(line.color)
     draw.text((left + unit, middle), str(line.rank), ink, font_of(unit + 3), anchor="mm")
-    font, right = font_of(unit), left + tile[0] - unit * 0.6
+    between = left + unit * 2.6, left + tile[0] - unit * 0.6
     detail = f"{line.detail}   {max(speed, 0.0) * 3.6:.0f} km/h"
-    draw.text((right, middle), detail, _FAINT, font, anchor="rm")
-    begin = left + unit * 2.6
-    room, font = right - font.getlength(detail) - unit - begin, font_of(unit, line.name)
-    name = fitted_text(line.name, font, room)
-    draw.text((begin, middle), name, _TEXT, font, anchor="lm")
+    _draw_texts(draw, between, middle, line.name, detail, (unit, unit))
+
+
+def _draw_texts(
+    draw: Any,
+    between: tuple[float, float],
+    middle: float,
+    name: str,
+    detail: str,
+    sizes: tuple[int, int],
+) -> None:
+    """Draws a name, shortened if it does not fit, and a detail at the right end.
+
+    Args:
+        draw: Pillow's drawing.
+        between: left and right end [pixels].
+        middle: height of the line's middle [pixels].
+        name: the name.
+        detail: the detail.
+        sizes: sizes of both fonts [pixels].
+    """
+    left, right = between
+    small, font = font_of(sizes[1]), font_of(sizes[0], name)
+    draw.text((right, middle), detail, _FAINT, small, anchor="rm")
+    name = fitted_text(name, font, right - small.getlength(detail) - sizes[1] - left)
+    draw.text((left, middle), name, _TEXT, font, anchor="lm")
 
 
 def _draw_title(draw: Any, title: str, width: int, unit: int) -> None:
@@ -130,7 +157,66 @@ def _draw_result(
     middle = top + high / 2
     ink = rgb(_MEDALS[rank]) if rank in _MEDALS else _FAINT
     draw.text((left + unit * 2, middle), str(rank), ink, font_of(int(unit * 1.3)), anchor="mm")
-    begin, end, font = left + unit * 3.4, right - unit, font_of(int(unit * 1.1), name)
-    draw.text((end, middle), outcome, _FAINT, font_of(unit), anchor="rm")
-    name = fitted_text(name, font, end - font_of(unit).getlength(outcome) - unit - begin)
-    draw.text((begin, middle), name, _TEXT, font, anchor="lm")
+    between = left + unit * 3.4, right - unit
+    _draw_texts(draw, between, middle, name, outcome, (int(unit * 1.1), unit))
+
+
+def panel_width(size: tuple[int, int]) -> int:
+    """Returns the width of the panel in a frame [pixels]; 0 if it does not fit."""
+    width, height = size
+    if width < _NARROWEST or height < 120:
+        return 0
+    return min(int(width * 0.3), 360)
+
+
+def draw_panel(picture: Image, scene: Scene, snapshot: Snapshot, left: int) -> None:
+    """Draws the panel on the right side of a frame.
+
+    Args:
+        picture: the frame; changed in place.
+        scene: the race.
+        snapshot: current snapshot.
+        left: left edge of the panel [pixels].
+    """
+    width, height = picture.size
+    draw = pillow().ImageDraw.Draw(picture)
+    draw.rectangle([left, 0, width, height], fill=_CARD)
+    unit = max(9, min(height // 26, (width - left) // 12))
+    pad = unit
+    font = font_of(unit + 3, scene.title)
+    title = fitted_text(scene.title, font, width - left - 2 * pad)
+    draw.text((left + pad, pad), title, _TEXT, font)
+    draw.text((left + pad, pad + unit * 1.7), _subtitle(scene, snapshot), _FAINT, font_of(unit))
+    top = pad + unit * 3.6
+    row = unit * 2.3
+    lines = standings(scene, snapshot)
+    room = int((height - top - pad) // row)
+    for number, line in enumerate(lines[: max(room, 1)]):
+        _draw_line(draw, line, left + pad, width - pad, top + number * row, unit)
+    if len(lines) > room > 0:
+        more = f"and {len(lines) - room} more"
+        draw.text((left + pad, height - pad), more, _FAINT, font_of(unit), anchor="ls")
+
+
+def _subtitle(scene: Scene, snapshot: Snapshot) -> str:
+    leader = standings(scene, snapshot)[0]
+    laps = scene.setup.laps
+    lap = leader.detail if laps > 1 and not leader.has_finished else ""
+    time = clock(float(snapshot.header["time"]))
+    return f"{time}   {lap} of {laps}" if lap else time
+
+
+def _draw_line(
+    draw: Any, line: RaceStanding, left: float, right: float, top: float, unit: int
+) -> None:
+    """Draws a badge with the rank, the name, the lap or time, and a progress bar."""
+    color, ink = rgb(line.color), readable_on(line.color)
+    badge = unit * 1.5
+    draw.rounded_rectangle([left, top, left + badge, top + badge], radius=unit * 0.35, fill=color)
+    middle = top + badge / 2
+    draw.text((left + badge / 2, middle), str(line.rank), ink, font_of(unit), anchor="mm")
+    begin, sizes = left + badge + unit * 0.5, (unit, int(unit * 0.85))
+    _draw_texts(draw, (begin, right), middle - unit * 0.2, line.name, line.detail, sizes)
+    bar = top + badge
+    draw.rectangle([begin, bar - 2, right, bar], fill=_LINE)
+    draw.rectangle([begin, bar - 2, begin + (right - begin) * line.progress, bar], fill=color)
