@@ -11,14 +11,12 @@ Examples:
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import asdict, dataclass
 
 from stkzoo.cli._console import show_table
 from stkzoo.engine.assets import find_assets
+from stkzoo.engine.assets.tree import parse_xml
 from stkzoo.wrappers.control.kart import KARTS
-
-_ATTRIBUTE = r"<kart\b[^>]*?\b{}\s*=\s*\"([^\"]*)\""
 
 
 @dataclass
@@ -57,15 +55,10 @@ def kart_facts() -> list[KartFacts]:
     facts = []
     for kart in sorted(assets.karts):
         file = assets.root / "data" / "karts" / kart / "kart.xml"
-        text = file.read_text("utf-8", errors="replace") if file.exists() else ""
-        wheel_base, angle = KARTS.get(kart, (None, None))
-        facts.append(KartFacts(kart, _read(text, "name"), _read(text, "type"), wheel_base, angle))
+        about = parse_xml(file).attrib if file.exists() else {}
+        title, weight = about.get("name", "?"), about.get("type", "?")
+        facts.append(KartFacts(kart, title, weight, *KARTS.get(kart, (None, None))))
     return facts
-
-
-def _read(text: str, attribute: str) -> str:
-    found = re.search(_ATTRIBUTE.format(attribute), text)
-    return found[1] if found else "?"
 
 
 def run(arguments: KartsArguments) -> int:
