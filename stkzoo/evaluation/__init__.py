@@ -66,6 +66,7 @@ from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.evaluation.plotting import GRAY, INK, new_figure, save_figure, style_axes
 from stkzoo.evaluation.ratings import Rating, rate, require_openskill
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
+from stkzoo.evaluation.templates import render, require_jinja2
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
 from stkzoo.evaluation.tournament.report import plot_tournament
 from stkzoo.evaluation.tournament.run import (
@@ -134,6 +135,8 @@ __all__ = [
     "plot_tournament",
     "rate",
     "record_demonstrations",
+    "render",
+    "require_jinja2",
     "require_openskill",
     "resume_tournament",
     "run_benchmark",

@@ -10,7 +10,8 @@ from stkzoo.agents.training.common.run_folder import save_driver
 from stkzoo.agents.training.export import export_policy
 from stkzoo.agents.training.imitation import imitate, lessons
 from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run
-from stkzoo.agents.training.imitation.network import fit, held_out, make_network, mirrored
+from stkzoo.agents.training.imitation.network import fit, held_out, mirrored
+from stkzoo.agents.training.ppo.network import RacingNetwork
 from stkzoo.evaluation import record_demonstrations
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES, SIZE
@@ -28,10 +29,6 @@ SMALL = TeacherArguments(
 )
 
 
-def weights_of(network):
-    return {name: value.numpy() for name, value in network.state_dict().items()}
-
-
 def examples(count=4000):
     """Returns examples in which the choices depend on the first numbers of the observations."""
     random = np.random.default_rng(1)
@@ -46,7 +43,7 @@ def examples(count=4000):
 @pytest.mark.slow
 def test_a_network_learns_choices_that_depend_on_its_observations():
     observations, actions = examples()
-    network = make_network((64,), seed=0)
+    network = RacingNetwork((64,), seed=0)
     how = {"learning_rate": 3e-3, "batch_size": 256, "seed": 0}
     out = held_out(len(actions), (0,))
     first = fit(network, observations, actions, out, n_epochs=1, **how)
@@ -59,10 +56,10 @@ def test_the_same_seed_gives_the_same_network():
     observations, actions = examples(600)
     trained = []
     for _ in range(2):
-        network = make_network((16,), seed=3)
+        network = RacingNetwork((16,), seed=3)
         how = {"n_epochs": 1, "learning_rate": 1e-3, "batch_size": 64, "seed": 3}
         fit(network, observations, actions, held_out(600, (3,)), **how)
-        trained.append(weights_of(network))
+        trained.append(network.policy_weights())
     for name, array in trained[0].items():
         np.testing.assert_array_equal(trained[1][name], array)
 
@@ -126,12 +123,12 @@ def test_the_clone_drives_in_the_rounds_as_its_agent_does(tmp_path, monkeypatch)
         found.append(run_race(*drivers, **options | {"max_steps": 150}))
         return found[-1]
 
-    network = make_network((4,), seed=0)
+    network = RacingNetwork((4,), seed=0)
     with torch.no_grad():
-        network.action_net.weight[:] = 0.0
-        network.action_net.bias[:] = -torch.arange(float(sum(CHOICES)))
+        network.policy[-1].weight[:] = 0.0
+        network.policy[-1].bias[:] = -torch.arange(float(sum(CHOICES)))
     policy = tmp_path / "policy.safetensors"
-    save_driver(policy, network)
+    save_driver(policy, network.policy_weights())
     monkeypatch.setattr(imitate, "run_race", run_for_a_while)
     drive_race("pursuit", str(policy), 1, 3, "olivermath", 1)
     agent = export_policy(policy, "left", tmp_path / "agent")

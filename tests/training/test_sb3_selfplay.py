@@ -18,13 +18,19 @@ from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.agents.training.common.arguments import Lineup, parse_races
 from stkzoo.agents.training.common.run_folder import save_driver
 from stkzoo.agents.training.evaluate import newest_policy
-from stkzoo.agents.training.imitation.network import make_network
 from stkzoo.agents.training.plot import main as plot_main
+from stkzoo.agents.training.ppo.network import RacingNetwork
 from stkzoo.agents.training.ppo.opponents import RivalPool, bot_name, draw_opponent
 from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
-from stkzoo.agents.training.sb3.selfplay import SB3Arguments, SB3Run, initial_weights, main
+from stkzoo.agents.training.sb3.selfplay import (
+    SB3Arguments,
+    SB3Run,
+    arrays_of,
+    initial_weights,
+    main,
+)
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import RaceVecEnv
 from stkzoo.tracks import TRAIN_TRACKS
@@ -340,7 +346,7 @@ def test_a_driver_acts_like_its_policy(policy):
 
 
 def test_initial_weights_can_lack_the_value_network(tmp_path, policy):
-    save_driver(tmp_path / "whole", policy)
+    save_driver(tmp_path / "whole", arrays_of(policy))
     weights = load_weights(tmp_path / "whole")
     own = {name: array + 1 for name, array in weights.items() if "value" not in name}
     save_weights(tmp_path / "part", own)
@@ -354,7 +360,7 @@ def test_incompatible_weights_are_refused(tmp_path, policy):
     save_weights(tmp_path / "other", {"w0": np.zeros((3, 4), np.float32)})
     with pytest.raises(ConfigError, match="MlpPolicy from the 165 numbers"):
         initial_weights(tmp_path / "other", policy)
-    save_driver(tmp_path / "narrow", make_network((8, 8), seed=0))
+    save_driver(tmp_path / "narrow", RacingNetwork((8, 8), seed=0).policy_weights())
     with pytest.raises(ConfigError, match="--hidden"):
         initial_weights(tmp_path / "narrow", policy)
 

@@ -192,16 +192,16 @@ def remove_later_policies(folder: Path, kart_steps: int) -> None:
             policy.unlink()
 
 
-def save_driver(path: str | Path, policy: Any, hold: int = 0) -> None:
-    """Writes a Stable-Baselines3 policy to a file atomically.
+def save_driver(path: str | Path, weights: Mapping[str, Any], hold: int = 0) -> None:
+    """Writes a policy on the view ``racing`` to a file atomically.
 
     Args:
         path: path of the file.
-        policy: the policy, whose state dict is saved.
+        weights: arrays with Stable-Baselines3's names.
         hold: minimum steps of its drifts.
     """
-    state = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
-    save_weights(path, state | ({HOLD: np.array([hold], np.float32)} if hold else {}))
+    held = {HOLD: np.array([hold], np.float32)} if hold else {}
+    save_weights(path, {**weights, **held})
 
 
 def run_parameters(policy: Path) -> DriverParameters:

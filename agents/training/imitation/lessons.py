@@ -23,6 +23,7 @@ from stkzoo._os import atomic_write
 from stkzoo._reading import Unreadable, reading
 from stkzoo._schema import Level
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
+from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import SIZE
 
 from ..common.arguments import NetworkArguments, ScriptOptions
@@ -30,7 +31,8 @@ from ..common.command import ProgressBar
 from ..common.run_folder import keep_arguments, read_log, save_driver, write_log
 from ..export import export_policy
 from ..plot import plot_runs
-from .network import fit, held_out, load_weights_into, make_network
+from ..ppo.network import RacingNetwork
+from .network import fit, held_out
 
 A = TypeVar("A")
 Numbers = npt.NDArray[Any]
@@ -147,9 +149,9 @@ def run_rounds(
     """
     keep_arguments(folder, arguments, arguments.free)
     log = [line for line in read_log(folder) if "loss" in line]
-    network = make_network(arguments.hidden, arguments.seed, inputs)
+    network = RacingNetwork(arguments.hidden, arguments.seed, inputs=inputs)
     if log:
-        load_weights_into(network, _policy(folder, len(log) - 1))
+        network.start_from(load_weights(_policy(folder, len(log) - 1)))
     for number in range(len(log), arguments.rounds + (1 if judge else 2)):
         lesson = _lesson(folder, number, drive)
         log.append(_driven(number, teacher, lesson))
@@ -169,7 +171,7 @@ def run_rounds(
             batch_size=arguments.batch_size,
             seed=arguments.seed + number,
         )
-        save_driver(_policy(folder, number), network, hold)
+        save_driver(_policy(folder, number), network.policy_weights(), hold)
         figures = judge(load_driver(_policy(folder, number))) if judge else {}
         log[-1] |= {"examples": len(lessons.actions), **asdict(result), **figures}
         write_log(folder, log)

@@ -1,21 +1,19 @@
-"""A network that learns choices from examples, layered as Stable-Baselines3's ``MlpPolicy``."""
+"""Learns choices from examples."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo.agents.pretrained.action_filter import INPUT_MIRROR
-from stkzoo.agents.pretrained.weights import load_weights
-from stkzoo.wrappers.racing import CHOICES, SIZE
+from stkzoo.wrappers.racing import CHOICES
 
 from ..common.command import training_library, training_torch
+from ..ppo.network import RacingNetwork
 
 Numbers = npt.NDArray[Any]
 
@@ -34,33 +32,6 @@ class Fit:
 
     loss: float
     accuracy: list[float]
-
-
-def make_network(hidden: Sequence[int], seed: int, inputs: int = SIZE) -> Any:
-    """Returns a new network of tanh layers, whose state dict has the names of an ``MlpPolicy``."""
-    torch = training_torch()
-    torch.manual_seed(seed)
-    nn = torch.nn
-    sizes = [inputs, *hidden]
-    layers: list[Any] = []
-    for inputs, outputs in itertools.pairwise(sizes):
-        layers += [nn.Linear(inputs, outputs), nn.Tanh()]
-    network = nn.Module()
-    network.mlp_extractor = nn.Module()
-    network.mlp_extractor.policy_net = nn.Sequential(*layers)
-    network.action_net = nn.Linear(sizes[-1], sum(CHOICES))
-    return network
-
-
-def load_weights_into(network: Any, path: str | Path) -> None:
-    """Loads weights from a file; ignores additional arrays.
-
-    Raises:
-        ConfigError: the file is unreadable.
-    """
-    torch, weights = training_torch(), load_weights(path)
-    own = {name: torch.from_numpy(weights[name]) for name in network.state_dict()}
-    network.load_state_dict(own)
 
 
 def mirrored(observations: Numbers, actions: Numbers) -> tuple[Numbers, Numbers]:
@@ -85,7 +56,7 @@ def held_out(count: int, seed: Sequence[int]) -> npt.NDArray[np.bool_]:
 
 
 def fit(
-    network: Any,
+    network: RacingNetwork,
     observations: Numbers,
     actions: Numbers,
     is_held_out: npt.NDArray[np.bool_],
@@ -98,7 +69,7 @@ def fit(
     """Trains a network on examples and evaluates it on those that are held out.
 
     Args:
-        network: network from :func:`make_network`; training continues from its weights.
+        network: its policy learns, from its current weights on.
         observations: ``(N, inputs)``.
         actions: ``(N, 5)``.
         is_held_out: ``(N,)``, see :func:`held_out`. As the network keeps its weights from round to
@@ -115,14 +86,15 @@ def fit(
     inputs = torch.from_numpy(both[0].astype(np.float32))
     targets = torch.from_numpy(both[1].astype(np.int64))
     bells = torch.from_numpy(_bells())
-    optimizer = torch.optim.Adam(network.parameters(), lr=learning_rate)
+    optimizer = torch.optim.Adam(network.policy.parameters(), lr=learning_rate)
     total = max(n_epochs * -(-len(targets) // batch_size), 1)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, total)
     for _ in range(n_epochs):
         order = torch.from_numpy(random.permutation(len(targets)))
         for rows in order.split(batch_size):
             steer, *others = targets[rows].T
-            loss = sum(_losses(_logits(network, inputs[rows]), [bells[steer], *others]))
+            parts = network.policy(inputs[rows]).split(CHOICES, dim=1)
+            loss = sum(_losses(parts, [bells[steer], *others]))
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -144,16 +116,11 @@ def _losses(logits: Sequence[Any], targets: Sequence[Any]) -> list[Any]:
     return [entropy(*pair) for pair in zip(logits, targets, strict=True)]
 
 
-def _logits(network: Any, inputs: Any) -> Any:
-    """Returns the logits of each choice."""
-    logits = network.action_net(network.mlp_extractor.policy_net(inputs))
-    return logits.split(list(CHOICES), dim=1)
-
-
-def _judge(torch: Any, network: Any, observations: Numbers, actions: Numbers) -> Fit:
+def _judge(torch: Any, network: RacingNetwork, observations: Numbers, actions: Numbers) -> Fit:
     targets = torch.from_numpy(actions.astype(np.int64)).T
     with torch.no_grad():
-        parts = _logits(network, torch.from_numpy(observations.astype(np.float32)))
+        logits = network.policy(torch.from_numpy(observations.astype(np.float32)))
+        parts = logits.split(CHOICES, dim=1)
         loss = sum(map(float, _losses(parts, targets)))
         right = [
             float((part.argmax(1) == target).float().mean())

@@ -38,7 +38,7 @@ from stkzoo._schema import Count, Share
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights, save_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import require_openskill
+from stkzoo.evaluation import require_jinja2, require_openskill
 
 from ..common.arguments import BatchSize, Natural, PPOArguments, ScriptOptions, parse_races
 from ..common.command import ProgressBar, run_command
@@ -146,6 +146,7 @@ class League:
 
     def __init__(self, folder: str | Path, arguments: LeagueArguments) -> None:
         require_openskill()
+        require_jinja2()
         self.folder, self.arguments = Path(folder), arguments
         self.page = self.folder / _PAGE
         self._members = self.folder / _MEMBERS

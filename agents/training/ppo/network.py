@@ -248,17 +248,20 @@ class RacingNetwork(ActorCritic):
         hidden: see :class:`ActorCritic`.
         seed: see :class:`ActorCritic`.
         state_size: size of the race's state, which the value network sees too; 0 for none.
+        inputs: number of the policy's inputs, perhaps with the memory of the action filter.
     """
 
     activation = "Tanh"
 
-    def __init__(self, hidden: Sequence[int], seed: int, state_size: int = 0) -> None:
-        super().__init__(racing_shape(state_size), hidden, seed)
+    def __init__(
+        self, hidden: Sequence[int], seed: int, state_size: int = 0, inputs: int = SIZE
+    ) -> None:
+        super().__init__(racing_shape(state_size, inputs), hidden, seed)
         with self.torch.no_grad():
             for logit, bias in FIRST_BIASES.items():
                 self.policy[-1].bias[logit] += bias
         if state_size:
-            self.scale[SIZE:] = 1.0 / _state_units(state_size)
+            self.scale[inputs:] = 1.0 / _state_units(state_size)
 
     def start_from(self, weights: Weights) -> None:
         """Copies the policy."""

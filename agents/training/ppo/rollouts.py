@@ -121,9 +121,9 @@ def plan_shape(columns: Sequence[int]) -> PolicyShape:
     return PolicyShape(INPUT_SIZE, PLAN_CHOICES, tuple(columns), has_prior=True)
 
 
-def racing_shape(state_size: int = 0) -> PolicyShape:
+def racing_shape(state_size: int = 0, inputs: int = SIZE) -> PolicyShape:
     """Returns what a policy on the view ``racing`` sees and chooses."""
-    return PolicyShape(SIZE, CHOICES, tuple(range(len(CHOICES))), state_size=state_size)
+    return PolicyShape(inputs, CHOICES, tuple(range(len(CHOICES))), state_size=state_size)
 
 
 def critic_inputs(rows: npt.NDArray[np.void]) -> FloatArray:

@@ -263,7 +263,7 @@ class SB3Run:
         """Saves the policy, also as an agent; returns the agent's folder."""
         self._keep()  # other scripts take the newest of the saved policies
         file = self.folder / "policy.safetensors"
-        save_driver(file, self._model.policy, self.arguments.hold)
+        save_driver(file, arrays_of(self._model.policy), self.arguments.hold)
         return export_policy(file, f"selfplay_{self.kart_steps}", self.folder / "agent")
 
     def close(self) -> None:
@@ -379,7 +379,8 @@ class SB3Run:
     def _keep(self) -> str:
         """Writes the current policy; returns its name."""
         name = policy_name(self.kart_steps)
-        save_driver(self.folder / f"{name}.safetensors", self._model.policy, self.arguments.hold)
+        file = self.folder / f"{name}.safetensors"
+        save_driver(file, arrays_of(self._model.policy), self.arguments.hold)
         return name
 
     def _make_ready(self, name: str) -> None:
@@ -409,6 +410,11 @@ def _seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
+def arrays_of(policy: Any) -> dict[str, npt.NDArray[np.float32]]:
+    """Returns the state dict of a policy as arrays."""
+    return {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+
+
 def initial_weights(path: str | Path, policy: Any) -> dict[str, npt.NDArray[np.float32]]:
     """Returns a state dict for a policy from a file, which may lack the value network.
 
@@ -425,7 +431,7 @@ def initial_weights(path: str | Path, policy: Any) -> dict[str, npt.NDArray[np.f
     weights = load_weights(path)
     MlpDriver(weights, f"the weights {str(path)!r}")
     weights = {name: array for name, array in weights.items() if name != HOLD}
-    own = {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
+    own = arrays_of(policy)
     for name, array in weights.items():
         more = own[name].shape[-1] - array.shape[-1] if name in own and array.ndim == 2 else 0
         if array.shape[-1] == SIZE and more == MEMORY_SIZE:
