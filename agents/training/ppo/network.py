@@ -15,7 +15,6 @@ from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.mdp import GLOBAL_FEATURES, KART_FEATURES
 from stkzoo.wrappers.racing import CHOICES, RESCUE, SIZE
 
 from ..common.command import training_torch
@@ -30,29 +29,6 @@ _PARTS = ("policy", "value", "optimizer")
 #: Initial biases by index of the logit, on the view ``racing``: prefer going to braking, and rarely
 #: drift or call the rescue. Without them, karts stand still for most of their first races.
 FIRST_BIASES = {CHOICES[0]: 1.5, CHOICES[0] + RESCUE: -3.0, sum(CHOICES[:2]): 2.0}
-
-#: Values that the state's features are divided by: typical ones of a race.
-_GLOBAL_UNITS = {"time": 60.0, "phase": 4.0, "track_length": 500.0, "laps": 1.0}
-_KART_UNITS = {
-    "location": 100.0,
-    "rotation": 1.0,
-    "velocity": 20.0,
-    "angular_velocity": 2.0,
-    "speed": 20.0,
-    "energy": 5.0,
-    "skeed_factor": 1.0,
-    "shield_time": 5.0,
-    "attachment_type": 5.0,
-    "attachment_time_left": 10.0,
-    "powerup_type": 5.0,
-    "powerup_num": 2.0,
-    "node": 100.0,
-    "position": 5.0,
-    "finished_laps": 1.0,
-    "has_finished_race": 1.0,
-    "finish_time": 60.0,
-    "distance": 500.0,
-}
 
 
 class ActorCritic(ABC):
@@ -176,9 +152,14 @@ class ActorCritic(ABC):
             getattr(self, name).load_state_dict(state[name])
         self.mean, self.scale = state["mean"].numpy(), state["scale"].numpy()
 
+    def _normalize(self, rows: FloatArray, first: int) -> None:
+        """Fits the normalization of the value network's inputs from a column on to rows."""
+        self.mean[first:] = rows.mean(axis=0)
+        self.scale[first:] = 1.0 / np.maximum(rows.std(axis=0), _LEAST_SCALE)
+
     def _arrays(self, layers: Any) -> dict[str, FloatArray]:
         """Returns layers in the form of :class:`~stkzoo.agents.pretrained.policy.Network`."""
-        arrays = {"mean": self.mean, "scale": self.scale}
+        arrays = {"mean": self.mean.copy(), "scale": self.scale.copy()}
         for number, layer in enumerate(layers[::2]):
             arrays[f"w{number}"] = layer.weight.detach().numpy().T.copy()
             arrays[f"b{number}"] = layer.bias.detach().numpy().copy()
@@ -214,7 +195,7 @@ class PlanNetwork(ActorCritic):
     def start_from(self, weights: Weights) -> None:
         """Copies the policy and its normalization."""
         self._is_given = True
-        self.mean, self.scale = weights["mean"], weights["scale"]
+        self.mean, self.scale = weights["mean"].copy(), weights["scale"].copy()
         layers = dict(enumerate(self.policy[::2]))
         self._copy(
             {f"w{n}": layer.weight for n, layer in layers.items()},
@@ -235,9 +216,7 @@ class PlanNetwork(ActorCritic):
         """Fits the normalization unless it is given, equal for a race and its mirror image."""
         if self._is_given:
             return False
-        both = np.concatenate([seen["inputs"], mirrored_inputs(seen["inputs"])])
-        self.mean = both.mean(axis=0)
-        self.scale = 1.0 / np.maximum(both.std(axis=0), _LEAST_SCALE)
+        self._normalize(np.concatenate([seen["inputs"], mirrored_inputs(seen["inputs"])]), 0)
         return True
 
 
@@ -260,8 +239,13 @@ class RacingNetwork(ActorCritic):
         with self.torch.no_grad():
             for logit, bias in FIRST_BIASES.items():
                 self.policy[-1].bias[logit] += bias
-        if state_size:
-            self.scale[inputs:] = 1.0 / _state_units(state_size)
+
+    def prepare(self, seen: npt.NDArray[np.void]) -> bool:
+        """Fits the normalization of the race's state, if the value network sees it."""
+        if not self.shape.state_size:
+            return False
+        self._normalize(seen["state"], self.shape.inputs)
+        return True
 
     def start_from(self, weights: Weights) -> None:
         """Copies the policy."""
@@ -299,14 +283,6 @@ def _make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: f
         nn.init.zeros_(layer.bias)
         parts += [layer] if is_last else [layer, activation()]
     return nn.Sequential(*parts)
-
-
-def _state_units(state_size: int) -> FloatArray:
-    """Returns the values that the entries of a race's state are divided by, ``(state_size,)``."""
-    general = [_GLOBAL_UNITS[name] for name in GLOBAL_FEATURES]
-    kart = [_KART_UNITS[name] for name, size in KART_FEATURES for _ in range(size)]
-    num_kart = (state_size - len(general)) // len(kart)
-    return np.array(general + num_kart * kart, np.float32)
 
 
 def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:

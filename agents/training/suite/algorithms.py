@@ -6,7 +6,7 @@ stkzoo suite train versus ippo
   each kart's own reward. Policy and value network see the view of one kart; other learners are part
   of its environment.
 - ``mappo``, multi-agent PPO (Yu et al., 2022): the value network also sees the state of the race
-  (``env.state()``), scaled by fixed typical values. The trained agent does not need it.
+  (``env.state()``), normalized by that of the first rollout. The trained agent does not need it.
 - ``fsp`` and ``pfsp``, fictitious and prioritized self-play: in half of the races, one of 40 past
   policies drives one of the teams or half of the karts
   (:mod:`stkzoo.agents.training.ppo.opponents`).
