@@ -394,13 +394,14 @@ class PlanVectorEnv(VectorWrapper):
     def step_wait(self) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Waits for the step and returns its result; see :meth:`step`."""
         seen, rewards, terminations, truncations, infos = self.races.step_wait()
-        ended = np.flatnonzero(terminations | truncations)
-        last = {key: np.array(rows) for key, rows in seen.items()} if len(ended) else seen
-        for slot in ended.tolist():
+        ended = terminations | truncations
+        slots = np.flatnonzero(ended).tolist()
+        last = {key: np.array(rows) for key, rows in seen.items()} if slots else seen
+        for slot in slots:
             for key, value in infos["final_obs"][slot].items():
                 last[key][slot] = value
         observations = self.view.observe(last)
-        for slot in ended.tolist():
+        for slot in slots:
             infos["final_obs"][slot] = {key: rows[slot] for key, rows in observations.items()}
         begun = self._begun(ended)
         if len(begun):
@@ -409,15 +410,11 @@ class PlanVectorEnv(VectorWrapper):
         infos["applies"], infos["_applies"] = self._applies, np.ones(self.num_envs, np.bool_)
         return observations, rewards, terminations, truncations, infos
 
-    def _begun(self, ended: IntArray) -> IntArray:
-        """Returns the slots whose race began in the step in which some slots ended."""
-        count = self.races.num_agents
-        is_new = np.zeros((self.races.num_races, count), np.bool_)
-        is_new[ended // count] = self.races.racing.reshape(is_new.shape)[ended // count]
-        had_ended = np.zeros(self.num_envs, np.bool_)
-        had_ended[ended] = True
-        starts = is_new.all(axis=1) & had_ended.reshape(is_new.shape).any(axis=1)
-        return np.flatnonzero(np.repeat(starts, count))
+    def _begun(self, ended: BoolArray) -> IntArray:
+        """Returns the slots whose race began in a step in which some slots ended."""
+        by_race = self.races.num_races, self.races.num_agents
+        begins = ended.reshape(by_race).any(axis=1) & self.races.racing.reshape(by_race).all(axis=1)
+        return np.flatnonzero(np.repeat(begins, by_race[1]))
 
     def _begin(self, slots: IntArray) -> None:
         self.view.begin(slots, self._random.random(len(slots)) < self._mirror_share)
