@@ -30,8 +30,6 @@ _KEPT_BYTES, _KEPT_LINES = 8192, 20
 _ESCAPES = re.compile(r"\x1b(?:\[[0-?]*[ -/]*[@-~]|\][^\x07\x1b]*(?:\x07|\x1b\\)?)")
 #: Limits of the output shown for one process: bytes per line, and lines.
 _LINE_BYTES, _MAX_LINES = 300, 5000
-#: Interval at which an output reader checks whether it must stop [ms].
-_POLL = 200
 
 
 def in_words(error: BaseException) -> str:
@@ -158,7 +156,6 @@ class OutputTail:
         self._stream, self._label = stream, label
         self._tail = self._line = b""
         self._num_shown = 0
-        self._is_closing = False
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
 
@@ -170,40 +167,31 @@ class OutputTail:
     def wait(self, seconds: float = 0.1) -> None:
         """Waits until all output that the process has written is read, up to a timeout [s]."""
         deadline = time.monotonic() + seconds
-        while self._thread.is_alive() and self._is_readable(0) and time.monotonic() < deadline:
+        while self._thread.is_alive() and self._is_readable() and time.monotonic() < deadline:
             time.sleep(0.001)
         time.sleep(0.002)  # the thread may not have stored its last block yet
 
     def close(self) -> None:
-        """Waits briefly for the last lines of a process that has ended, then stops the thread.
+        """Waits briefly for the last lines of a process that has ended.
 
-        If an escaped process still holds the other end of the pipe, its output is lost.
+        If an escaped process still holds the other end of the pipe, the thread continues.
         """
         self._thread.join(0.5)
-        self._is_closing = True
-        self._thread.join(2 * _POLL / 1000)
         if not self._thread.is_alive():
             self._stream.close()
 
     def _read(self) -> None:
-        while block := self._next():
+        while block := os.read(self._stream.fileno(), 65536):
             self._tail = (self._tail + block)[-_KEPT_BYTES:]
             if self._label:
                 self._show(block)
         if self._line:
             self._show(b"\n")
 
-    def _next(self) -> bytes:
-        """Returns the next output; empty at the end."""
-        while not self._is_closing:
-            if self._is_readable(_POLL):
-                return os.read(self._stream.fileno(), 65536)
-        return b""
-
-    def _is_readable(self, milliseconds: int) -> bool:
+    def _is_readable(self) -> bool:
         poll = select.poll()
         poll.register(self._stream, select.POLLIN)
-        return bool(poll.poll(milliseconds))
+        return bool(poll.poll(0))
 
     def _show(self, block: bytes) -> None:
         """Writes the complete lines to stderr, up to a maximum number."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import os
 import re
 import stat
 import sys
@@ -180,7 +181,7 @@ def find_files(source: str) -> AgentFiles | None:
     Raises:
         ConfigError: the source is an existing path, but not an agent.
     """
-    path = _path_of(source)
+    path = Path(os.path.expanduser(source))
     if is_there(path):
         path = path.resolve()
         shown = plain_text(str(path))
@@ -204,13 +205,6 @@ def find_files(source: str) -> AgentFiles | None:
             )
         return AgentFiles(source, path)
     return AgentFiles(source, None) if _is_module(source) else None
-
-
-def _path_of(source: str) -> Path:
-    try:
-        return Path(source).expanduser()
-    except RuntimeError:  # the path starts with ~ and an unknown user
-        return Path(source)
 
 
 def _is_module(name: str) -> bool:

@@ -216,7 +216,6 @@ class IsolatedAgent:
     ) -> tuple[ReplyChannel, socket.socket, subprocess.Popen[bytes]]:
         ours, theirs = socket.socketpair()
         self._resources.callback(ours.close)
-        theirs.setblocking(True)  # whatever the program's default timeout of sockets
         life, end = socket.socketpair()
         self._resources.callback(life.close)
         path = json.dumps(search_path())

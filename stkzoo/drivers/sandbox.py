@@ -256,9 +256,7 @@ def _python_paths(own: Sequence[str]) -> Iterator[str]:
             named = (line for line in lines if line and not line.startswith(_NO_PATH))
             linked |= {os.path.realpath(os.path.join(folder, line)) for line in named}
     private = [*own, str(_PACKAGE)]
-    yield from sorted(path for path in linked if not _holds(Path(path), private))
+    yield from sorted(
+        path for path in linked if not any(Path(one).is_relative_to(path) for one in private)
+    )
     yield from filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(":"))
-
-
-def _holds(folder: Path, paths: Sequence[str]) -> bool:
-    return any(Path(path).is_relative_to(folder) for path in paths)

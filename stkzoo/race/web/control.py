@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from typing import Any
@@ -97,8 +98,8 @@ class RaceControl:
             Whether the race continues; ``False`` after :meth:`stop`.
         """
         with self._changed:
-            while not self._stopped and not self._may_go(step_size):
-                pass
+            while not self._stopped and (seconds := self._time_left(step_size)):
+                self._changed.wait(min(seconds, _WAKE_UP))
             return not self._stopped
 
     def wait_stop(self) -> None:
@@ -107,25 +108,19 @@ class RaceControl:
             while not self._stopped:
                 self._changed.wait(_WAKE_UP)
 
-    def _may_go(self, step_size: float) -> bool:
-        """Returns whether the race may take its next step; if not, waits briefly first."""
+    def _time_left(self, step_size: float) -> float:
+        """Returns the time until the race may take its next step [s]; if it is 0, it takes it."""
         now = time.monotonic()
-        if self._paused:
-            if self._steps:
-                self._steps -= 1
-                self._last = now
-                return True
-            self._changed.wait(_WAKE_UP)
-            return False
-        if self._speed is None:
-            self._last = now
-            return True
-        due = self._last + step_size / self._speed
+        if self._paused and not self._steps:
+            return math.inf
+        due = now
+        if self._speed is not None and not self._paused:
+            due = self._last + step_size / self._speed
         if now < due:
-            self._changed.wait(min(due - now, _WAKE_UP))
-            return False
+            return due - now
+        self._steps = max(self._steps - 1, 0)
         self._last = due if now - due < _MOST_LATE else now
-        return True
+        return 0.0
 
     def _set(self, **changes: Any) -> None:
         with self._changed:
