@@ -136,7 +136,6 @@ class DriverInstance(Protocol):
     @property
     def is_usable(self) -> bool:
         """Whether the instance accepts observations after an error in :meth:`answer`."""
-        ...
 
     def ready(self) -> str:
         """Waits until the driver is ready.
@@ -144,19 +143,15 @@ class DriverInstance(Protocol):
         Returns:
             The name that the driver declares; empty if it has none.
         """
-        ...
 
     def ask(self, observation: Any) -> None:
         """Sends the observation to the driver without waiting for its decision."""
-        ...
 
     def answer(self) -> Decision:
         """Waits for the decision on the observation of the last :meth:`ask`."""
-        ...
 
     def close(self) -> None:
         """Stops the driver and releases all resources. It may be called twice and never raises."""
-        ...
 
 
 #: Starts a driver and returns before it is ready, so that all drivers start in parallel.

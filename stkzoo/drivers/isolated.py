@@ -237,10 +237,15 @@ class IsolatedAgent:
         return ReplyChannel(ours), life, process
 
     def _has_ended(self, seconds: float) -> bool:
-        """Waits for the process to exit by itself."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(seconds)
-        return self._process.returncode is not None
+        """Waits until the process exits by itself, or the keeper reports why it ends it."""
+        with suppress(OSError, subprocess.TimeoutExpired):
+            if _HAS_KEEPER:
+                self._life.settimeout(seconds)
+                self._life.recv(1, socket.MSG_PEEK)
+            else:
+                self._process.wait(seconds)
+            return True
+        return False
 
     def _how_it_ended(self) -> str:
         """Describes how the process exited by itself, or why the keeper killed it."""

@@ -35,11 +35,9 @@ class Receiver(Protocol):
 
     def fileno(self) -> int:
         """Returns the file descriptor that becomes readable when part of the reply arrives."""
-        ...
 
     def receive_available(self) -> None:
         """Receives the available data without waiting; never raises."""
-        ...
 
 
 class _PendingReplies(threading.local):

@@ -31,6 +31,8 @@ from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
 from stkzoo.views import full_with
 
+#: Settings that are also options of the environment and facts of the result.
+_RACE_OPTIONS = ("track", "laps", "difficulty", "reverse", "mode")
 #: Without ``max_steps``, the time limit is the race length divided by this speed [m/s] ...
 _SLOWEST = 4.0
 #: ... plus this time [s].
@@ -177,25 +179,14 @@ def _env(
     options: dict[str, Any] = {}
     for listener in listeners:
         options |= listener.env_options()
-    count = len(drivers)
+    count, kart = len(drivers), settings.kart or ""
     return RaceParallelEnv(
         agents=[
-            AgentSpec(
-                place,
-                driver.is_game_ai,
-                driver.name,
-                kart=settings.kart or "",
-                color=number / count,
-            )
+            AgentSpec(place, driver.is_game_ai, driver.name, kart=kart, color=number / count)
             for number, (driver, place) in enumerate(zip(drivers, places, strict=True))
         ],
         num_kart=count,
-        track=settings.track,
-        laps=settings.laps,
-        difficulty=settings.difficulty,
-        reverse=settings.reverse,
-        mode=settings.mode,
-        max_paths=settings.max_paths,
+        **{name: getattr(settings, name) for name in (*_RACE_OPTIONS, "max_paths")},
         max_cycles=None,
         view={f"kart_{n}": full_with(driver.extras) for n, driver in enumerate(drivers)},
         **options,
@@ -387,11 +378,7 @@ class _RaceRun:
         rows = [self._agent_result(agent, places[agent] + 1) for agent in places]
         return RaceResult(
             status=status,
-            track=race.track,
-            reverse=race.reverse,
-            mode=race.mode,
-            laps=race.laps,
-            difficulty=race.difficulty,
+            **{name: getattr(race, name) for name in _RACE_OPTIONS},
             seed=self._settings.seed,
             race_length=self._length,
             steps=self._steps,

@@ -172,20 +172,21 @@ class RaceFilm:
         """Returns result rows for :meth:`finish`, computed from the last snapshot.
 
         Args:
-            agents: results of agents, in any order. They take precedence over the snapshot.
+            agents: results of agents, in any order; the rows show which of them have retired.
         """
         if self._writer is None:
             return []
-        known = {self._scene.kart_indices[int(row.agent.split("_")[1])]: row for row in agents}
-        rows: list[ResultRow] = []
-        for line in standings(self._scene, self._last):
-            agent = known.get(line.kart)
-            rank = agent.rank if agent else line.rank
-            outcome = line.outcome
-            if agent is not None and agent.status == "retired":
-                outcome = f"retired, {outcome}"
-            rows.append((rank, line.name, line.color, outcome))
-        return sorted(rows)
+        numbers = (int(row.agent.split("_")[1]) for row in agents if row.status == "retired")
+        retired = {self._scene.kart_indices[number] for number in numbers}
+        return sorted(
+            (
+                line.rank,
+                line.name,
+                line.color,
+                f"retired, {line.outcome}" if line.kart in retired else line.outcome,
+            )
+            for line in standings(self._scene, self._last)
+        )
 
     def _frames(self, snapshot: Snapshot) -> list[dict[int, Picture]]:
         """Renders the frames of a step; restarts the render process once if it fails."""
