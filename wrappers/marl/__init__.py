@@ -5,10 +5,8 @@
 observations and actions of :class:`MessageChannel`.
 """
 
-from stkzoo.wrappers.marl.masks import ActionMasks
-from stkzoo.wrappers.marl.messages import MessageChannel
-from stkzoo.wrappers.marl.partial import PartialObservations
-from stkzoo.wrappers.marl.talking import TalkingView, WordChannel
+from stkzoo.wrappers.marl.messages import MessageChannel, TalkingView, WordChannel
+from stkzoo.wrappers.marl.observations import ActionMasks, PartialObservations
 from stkzoo.wrappers.marl.teams import Teams
 
 __all__ = [

@@ -1,10 +1,12 @@
 """The racing view: a fixed-size observation of road, karts and items, and discrete actions."""
 
 from stkzoo.wrappers.racing.features import LOOKS, MEANINGS, MIRROR, PARTS, PLACES, SIZE
-from stkzoo.wrappers.racing.ground import GroundAhead, GroundTable, ground_table
 from stkzoo.wrappers.racing.racing_line import (
     BatchedRacingLines,
+    GroundAhead,
+    GroundTable,
     LineTables,
+    ground_table,
     line_tables,
     racing_line,
     racing_lines_of,
