@@ -30,11 +30,6 @@ def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict
     return space
 
 
-def observed_action(space: spaces.Space[Any]) -> spaces.Space[Any] | None:
-    """Returns the space of the game AI's ``action`` in an observation space, if it has one."""
-    return space.spaces.get("action") if isinstance(space, spaces.Dict) else None
-
-
 class ActionFormWrapper(ActionObservationWrapper):
     """Base class of wrappers that change actions, including the AI's ``action`` in observations."""
 

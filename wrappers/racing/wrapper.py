@@ -17,7 +17,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.kernel import RacingObserver
 from stkzoo.mdp.observations import as_actions
 from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space, observed_action
+from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_KINDS, OWN_NUMBERS, SIZE
 from stkzoo.wrappers.racing.surroundings import (
@@ -77,13 +77,11 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
             )
         refuse_polar(space, "RacingObservations", "not around PolarObservations")
         vector = spaces.Box(-5.0, 5.0, (SIZE,), np.float32)
-        action = observed_action(space)
-        self._has_action = action is not None
-        self.observation_space = (
-            vector
-            if action is None
-            else spaces.Dict({"observation": vector, "action": copy.deepcopy(action)})
-        )
+        self.observation_space = vector
+        self._has_action = "action" in space.spaces
+        if self._has_action:
+            parts = {"observation": vector, "action": copy.deepcopy(space["action"])}
+            self.observation_space = spaces.Dict(parts)
 
     def compile_into(self, plan: ViewPlan) -> bool:
         """See :class:`~stkzoo.views.bases.CompiledWrapper`."""
