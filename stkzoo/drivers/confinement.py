@@ -24,7 +24,7 @@ import struct
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 #: Maximum number of threads of all processes of an agent together.
 _MAX_THREADS = 512
@@ -200,6 +200,48 @@ class _ArgumentRule(ctypes.Structure):
     )
 
 
+def _has_bits(argument: int, bits: int) -> _ArgumentRule:
+    return _ArgumentRule(argument, _MASKED_EQUAL, bits, bits)
+
+
+def _is_int(argument: int, value: int) -> _ArgumentRule:
+    """Compares an ``int`` argument. The kernel ignores its upper 32 bits."""
+    return _ArgumentRule(argument, _MASKED_EQUAL, 0xFFFFFFFF, value)
+
+
+def _is_not(argument: int, value: int) -> _ArgumentRule:
+    return _ArgumentRule(argument, _NOT_EQUAL, value, 0)
+
+
+#: A rule of the filter: a call, its result, and what must hold for its arguments.
+_CallRule: TypeAlias = tuple[str, int, tuple[_ArgumentRule, ...]]
+_RULES: tuple[_CallRule, ...] = (
+    *((name, errno.EPERM, ()) for name in _REFUSED),
+    *((name, errno.EPERM, (_is_not(0, 0),)) for name in _ONLY_ON_ITSELF),
+    *(("clone", errno.EPERM, (_has_bits(0, flag),)) for flag in _NAMESPACES),
+    # clone3() passes its flags in memory, which a filter cannot read. With ENOSYS, libraries fall
+    # back to clone().
+    ("clone3", errno.ENOSYS, ()),
+    ("setpriority", errno.EPERM, (_is_not(0, _PRIO_PROCESS),)),
+    ("setpriority", errno.EPERM, (_is_not(1, 0),)),
+    # Shared memory keeps its pages after they are unmapped, and then Linux counts them for no
+    # process. Files in /dev/shm still share memory; the size of that folder is limited.
+    ("mmap", errno.EPERM, (_has_bits(3, _MAP_SHARED | _MAP_ANONYMOUS),)),
+    # Libraries that create code at run time use memfd_create() where it exists.
+    ("memfd_create", errno.ENOSYS, ()),
+    # Messages that are sent without a copy hold whole huge pages, which are not counted.
+    ("setsockopt", errno.EPERM, (_is_int(1, _SOL_SOCKET), _is_int(2, _SO_ZEROCOPY))),
+    # Linux divides CPU time among sessions, so an agent must not create more of them. The result 0
+    # pretends success.
+    ("setsid", 0, ()),
+)
+#: Rules for sandboxes with a network namespace of their own, and for others.
+_OWN_NETWORK: tuple[_CallRule, ...] = tuple(
+    ("socket", errno.EPERM, (_is_int(0, family),)) for family in (_AF_PACKET, _AF_ALG, _AF_VSOCK)
+)
+_NO_NETWORK: tuple[_CallRule, ...] = (("socket", errno.EPERM, (_is_not(0, _AF_UNIX),)),)
+
+
 @functools.cache
 def has_call_filter() -> bool:
     """Returns whether libseccomp is available on this system."""
@@ -221,58 +263,19 @@ def _restrict_calls(*, has_own_network: bool) -> None:
     library = _library()
     if library is None:
         return
+    sockets = _OWN_NETWORK if has_own_network else _NO_NETWORK
     context = library.seccomp_init(ctypes.c_uint32(_ALLOW))
     try:
-        for name in _REFUSED:
-            _refuse(library, context, name)
-        for flag in _NAMESPACES:
-            _refuse(library, context, "clone", _ArgumentRule(0, _MASKED_EQUAL, flag, flag))
-        for name in _ONLY_ON_ITSELF:
-            _refuse(library, context, name, _ArgumentRule(0, _NOT_EQUAL, 0, 0))
-        for argument, allowed in ((0, _PRIO_PROCESS), (1, 0)):
-            rule = _ArgumentRule(argument, _NOT_EQUAL, allowed, 0)
-            _refuse(library, context, "setpriority", rule)
-        # Shared memory keeps its pages after they are unmapped, and then Linux counts them for no
-        # process. Files in /dev/shm still share memory; the size of that folder is limited.
-        anonymous = _MAP_SHARED | _MAP_ANONYMOUS
-        rule = _ArgumentRule(3, _MASKED_EQUAL, anonymous, anonymous)
-        _refuse(library, context, "mmap", rule)
-        # Libraries that create code at run time use memfd_create() where it exists.
-        _refuse(library, context, "memfd_create", result=errno.ENOSYS)
-        # Messages that are sent without a copy hold whole huge pages, which are not counted.
-        zero_copy = _int_equal(1, _SOL_SOCKET), _int_equal(2, _SO_ZEROCOPY)
-        _refuse(library, context, "setsockopt", *zero_copy)
-        # clone3() passes its flags in memory, which a filter cannot read. With ENOSYS, libraries
-        # fall back to clone().
-        _refuse(library, context, "clone3", result=errno.ENOSYS)
-        # Linux divides CPU time among sessions, so an agent must not create more of them. The
-        # result 0 pretends success.
-        _refuse(library, context, "setsid", result=0)
-        for comparison in (
-            [_int_equal(0, family) for family in (_AF_PACKET, _AF_ALG, _AF_VSOCK)]
-            if has_own_network
-            else [_ArgumentRule(0, _NOT_EQUAL, _AF_UNIX, 0)]
-        ):
-            _refuse(library, context, "socket", comparison)
+        for name, result, arguments in (*_RULES, *sockets):
+            number = library.seccomp_syscall_resolve_name(name.encode())
+            if number == -1:  # an older library does not know the call
+                continue
+            rules = (_ArgumentRule * len(arguments))(*arguments)
+            action = ctypes.c_uint32(_ERRNO | result)
+            _check(library.seccomp_rule_add_array(context, action, number, len(rules), rules))
         _check(library.seccomp_load(context))
     finally:
         library.seccomp_release(context)
-
-
-def _int_equal(argument: int, value: int) -> _ArgumentRule:
-    """Compares an ``int`` argument. The kernel ignores its upper 32 bits."""
-    return _ArgumentRule(argument, _MASKED_EQUAL, 0xFFFFFFFF, value)
-
-
-def _refuse(
-    library: Any, context: Any, name: str, *comparisons: _ArgumentRule, result: int = errno.EPERM
-) -> None:
-    number = library.seccomp_syscall_resolve_name(name.encode())
-    if number == -1:  # an older library does not know the call
-        return
-    rules = (_ArgumentRule * len(comparisons))(*comparisons)
-    action = ctypes.c_uint32(_ERRNO | result)
-    _check(library.seccomp_rule_add_array(context, action, number, len(comparisons), rules))
 
 
 def _check(result: int) -> None:
