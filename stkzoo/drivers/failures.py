@@ -13,6 +13,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -167,8 +168,9 @@ class OutputTail:
     def wait(self, seconds: float = 0.1) -> None:
         """Waits until all output that the process has written is read, up to a timeout [s]."""
         deadline = time.monotonic() + seconds
-        while self._thread.is_alive() and self._is_readable() and time.monotonic() < deadline:
-            time.sleep(0.001)
+        with suppress(ValueError):  # the thread has closed the stream
+            while self._is_readable() and time.monotonic() < deadline:
+                time.sleep(0.001)
         time.sleep(0.002)  # the thread may not have stored its last block yet
 
     def close(self) -> None:
@@ -177,14 +179,13 @@ class OutputTail:
         If an escaped process still holds the other end of the pipe, the thread continues.
         """
         self._thread.join(0.5)
-        if not self._thread.is_alive():
-            self._stream.close()
 
     def _read(self) -> None:
-        while block := os.read(self._stream.fileno(), 65536):
-            self._tail = (self._tail + block)[-_KEPT_BYTES:]
-            if self._label:
-                self._show(block)
+        with self._stream:
+            while block := os.read(self._stream.fileno(), 65536):
+                self._tail = (self._tail + block)[-_KEPT_BYTES:]
+                if self._label:
+                    self._show(block)
         if self._line:
             self._show(b"\n")
 
