@@ -117,6 +117,30 @@ class RaceOptions:
         names = {field.name for field in fields(self)}
         return replace(self, **{name: value for name, value in options.items() if name in names})
 
+    def of_episode(self, asked: Mapping[str, Any], known_tracks: Sequence[str]) -> RaceOptions:
+        """Returns a copy with the options of a ``reset`` applied.
+
+        Args:
+            asked: the options; a ``state`` or ``scenario`` is not applied here.
+            known_tracks: all tracks in the game's data.
+
+        Raises:
+            ConfigError: an option is unknown or invalid, or changes the number of karts.
+        """
+        options = self.changed(asked)
+        if options.num_kart != self.num_kart:
+            raise ConfigError(
+                f"options request {options.num_kart} karts, but this environment has "
+                f"{self.num_kart}; make another environment"
+            )
+        known = (*self.__dataclass_fields__, "state", "scenario")
+        for name in asked:
+            # PettingZoo's conformance tests reset with {"options": 1}.
+            if name not in (*known, "options"):
+                raise unknown_name("option", name, known)
+        options.tracks(known_tracks)
+        return options
+
     def tracks(self, known: Sequence[str]) -> tuple[str, ...]:
         """Returns the tracks from which an episode's track is drawn.
 

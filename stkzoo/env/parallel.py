@@ -16,7 +16,7 @@ from gymnasium.utils import EzPickle
 from pettingzoo import ParallelEnv
 
 from stkzoo._checks import check_arguments, check_number, check_whole
-from stkzoo.agent_names import of_agent
+from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
@@ -493,7 +493,7 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
             ConfigError: ``agents`` is not a list of agents.
         """
         episode = self.live_race.running("observe_batch")
-        ids = self.live_race.ids_of(agents)
+        ids = self._ids_of(agents)
         if not ids:
             raise ConfigError("agents is empty, expected a list of one agent or more")
         return episode.observe_batch(ids)
@@ -508,7 +508,7 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``.
             ConfigError: ``agents`` is not a list of agents.
         """
-        return self.live_race.observe(agents)
+        return self.live_race.observe(self._ids_of(agents))
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Returns the agents' current infos, before their wrappers.
@@ -520,7 +520,16 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
             ApiOrderError: called before the first ``reset``.
             ConfigError: ``agents`` is not a list of agents.
         """
-        return self.live_race.infos(agents)
+        return self.live_race.infos(self._ids_of(agents))
+
+    def _ids_of(self, agents: Sequence[str]) -> list[str]:
+        if isinstance(agents, str) or not isinstance(agents, Sequence):
+            raise ConfigError(f"agents is {agents!r}, expected a list of agents")
+        known = self.observation_spaces
+        return [
+            agent if isinstance(agent, str) and agent in known else find_agent(agent, known)
+            for agent in agents
+        ]
 
     # ------------------------------------------------------------------ saved moments
 

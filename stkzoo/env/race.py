@@ -13,9 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.utils import seeding
 
-from stkzoo._checks import unknown_name
 from stkzoo._turns import CallTurn
-from stkzoo.agent_names import find_agent
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import Assets
 from stkzoo.engine.race import RaceStart
@@ -166,7 +164,7 @@ class Race:
             EngineError: the game does not start.
         """
         self.rendering.check()
-        options = self._options_now(asked)
+        options = self.options.of_episode(asked, self._assets.tracks)
         check_agents(self.specs, self.options.num_kart, self._assets.karts)
         if self._agents_of_ai() != self.ai_agents:
             raise ConfigError(
@@ -195,7 +193,7 @@ class Race:
             ApiOrderError: no agent was racing any more at the moment of a state or scenario.
             ConfigError: an option is unknown or invalid.
         """
-        self._options_now(asked)
+        self.options.of_episode(asked, self._assets.tracks)
         if asked.get("scenario") is not None:
             self._drivers_in(self._checked_scenario(asked), copy.deepcopy(self.np_random))
         elif asked.get("state") is not None:
@@ -363,26 +361,12 @@ class Race:
     def observe(self, agents: Sequence[str]) -> dict[str, Any]:
         """Returns current observations of some agents, before their Python wrappers."""
         episode = self.running("observe")
-        return self._chains.observe(episode.seats(self.ids_of(agents)), episode)
+        return self._chains.observe(episode.seats(agents), episode)
 
     def infos(self, agents: Sequence[str]) -> dict[str, dict[str, Any]]:
         """Returns current infos of some agents, before their Python wrappers."""
         episode = self.running("infos")
-        return episode.infos(episode.seats(self.ids_of(agents)))
-
-    def ids_of(self, agents: Sequence[str]) -> list[str]:
-        """Returns the ids of some agents.
-
-        Raises:
-            ConfigError: ``agents`` is not a list of agents.
-        """
-        if isinstance(agents, str) or not isinstance(agents, Sequence):
-            raise ConfigError(f"agents is {agents!r}, expected a list of agents")
-        known = self._chains.observation_spaces
-        return [
-            agent if isinstance(agent, str) and agent in known else find_agent(agent, known)
-            for agent in agents
-        ]
+        return episode.infos(episode.seats(agents))
 
     # ------------------------------------------------------------------ moments
 
@@ -581,21 +565,6 @@ class Race:
                 "status` shows where the game's data comes from"
             )
         return scenario
-
-    def _options_now(self, asked: Mapping[str, Any]) -> RaceOptions:
-        options = self.options.changed(asked)
-        if options.num_kart != self.options.num_kart:
-            raise ConfigError(
-                f"options request {options.num_kart} karts, but this environment has "
-                f"{self.options.num_kart}; make another environment"
-            )
-        known = (*RaceOptions.__dataclass_fields__, "state", "scenario")
-        for name in asked:
-            # PettingZoo's conformance tests reset with {"options": 1}.
-            if name not in (*known, "options"):
-                raise unknown_name("option", name, known)
-        options.tracks(self._assets.tracks)
-        return options
 
     def _agents_of_ai(self) -> set[str]:
         pairs = zip(self.possible_agents, self.specs, strict=True)
