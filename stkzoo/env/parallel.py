@@ -134,7 +134,7 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
             from names to weights also defines a pool.
 
     Attributes:
-        live_race: the :class:`~stkzoo.env.race.Race` that this environment drives.
+        live_race: the ``stkzoo.env.race.Race`` that this environment drives.
 
     Raises:
         ConfigError: an argument is invalid.
