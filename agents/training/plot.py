@@ -2,8 +2,8 @@
 
     python -m stkzoo.agents.training.plot runs/first runs/second --output curves.png
 
-The plot has one panel per group of figures in the logs: time ratios, places, rewards, wins, and
-ratings from evaluations during training.
+The plot has one panel per group of figures in the logs: time ratios, places, rewards and
+wins.
 """
 
 from __future__ import annotations
@@ -12,19 +12,17 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Meta
 
 from stkzoo._arguments import option, positional
 from stkzoo._reading import Unreadable, reading
-from stkzoo._schema import Count, Positive
 from stkzoo.evaluation import GRAY, INK, new_figure, save_figure, style_axes
 
 from .common.command import run_command
-from .common.run_folder import LOG, read_run_file, require_log
+from .common.run_folder import LOG, require_log
 
 #: A rating and both ends of its interval.
 Interval = Sequence[float]
@@ -77,36 +75,6 @@ _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class PolicyRating:
-    """The rating of a saved policy of a run.
-
-    Attributes:
-        name: name of the policy.
-        kart_steps: kart-steps of its training.
-        time_ratio: its mean time over the AI's.
-        rating: its rating.
-        rating_low: lower end of the rating's interval.
-        rating_high: upper end of the rating's interval.
-    """
-
-    name: str
-    kart_steps: Count
-    time_ratio: Positive
-    rating: float
-    rating_low: float
-    rating_high: float
-
-
-@dataclass(frozen=True, slots=True)
-class RunRatings:
-    """Content of a run's ``ratings.json``: policies by kart-steps, other drivers, and a table."""
-
-    policies: Annotated[tuple[PolicyRating, ...], Meta(min_length=1)]
-    others: dict[str, dict[str, float]]
-    table: tuple[str, ...]
-
-
 def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     """Plots the curves of runs.
 
@@ -120,10 +88,7 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     logs = [(Path(folder).name, read_figures(folder)) for folder in folders]
     names = {name for _, log in logs for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
-    files = [Path(folder) / "ratings.json" for folder in folders]
-    ratings = [(f.parent.name, read_run_file(RunRatings, f)) for f in files if f.exists()]
-    count = len(panels) + 2 * bool(ratings)
-    rows = max(-(-count // 2), 1)
+    rows = max(-(-len(panels) // 2), 1)
     figure = new_figure(10, 2.8 * rows)
     axes = list(figure.subplots(rows, 2, squeeze=False).flat)
     for axis, (title, entries) in zip(axes, panels, strict=False):
@@ -139,15 +104,13 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
                     if entry == "time_ratio":
                         error = 1.96 * np.array([line["error"] for line in found])
                         _draw_band(axis, curve, steps, values - error, values + error)
-    for run, policies in ratings:
-        _draw_evaluations(axes[count - 2], axes[count - 1], run, policies)
-    for axis in axes[:count]:
+    for axis in axes[: len(panels)]:
         label = "million kart-steps" if "kart_steps" in names else "round"
         axis.set_xlabel(label, fontsize=8, color=INK)
         axis.grid(alpha=0.3)
         if axis.get_legend_handles_labels()[0]:
             axis.legend(fontsize=7)
-    for axis in axes[count:]:
+    for axis in axes[len(panels) :]:
         axis.remove()
     save_figure(figure, output)
 
@@ -176,28 +139,6 @@ def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     window = np.ones(min(1 + len(values) // 10, 9))
     sums = np.convolve(values, window, mode="same")
     return sums / np.convolve(np.ones_like(values), window, mode="same")
-
-
-def _draw_evaluations(rating_axis: Any, time_axis: Any, run: str, ratings: RunRatings) -> None:
-    """Draws the ratings and time ratios of a run's saved policies."""
-    policies = ratings.policies
-    steps = [policy.kart_steps / 1e6 for policy in policies]
-    names = ("rating", "rating_low", "rating_high")
-    style_axes(rating_axis, "Rating, with 95% interval")
-    draw_ratings(
-        rating_axis, run, steps, [[getattr(policy, n) for n in names] for policy in policies]
-    )
-    others = {n: r["value"] for n, r in ratings.others.items() if not n.startswith("policy-")}
-    draw_levels(rating_axis, others)
-    style_axes(time_axis, "Time over that of the game's AI, evaluated")
-    ratios = [policy.time_ratio for policy in policies]
-    time_axis.plot(steps, ratios, marker="o", markersize=3, label=run)
-    time_axis.set_yscale("log")
-    ticks = [0.8, 1, 1.5, 2, 3, 5, 10]
-    time_axis.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    time_axis.minorticks_off()
-    time_axis.set_ylim(0.75, 11)
-    time_axis.axhline(1.0, color=GRAY, linewidth=0.8, linestyle=":")
 
 
 def draw_ratings(

@@ -1,27 +1,20 @@
 """Rates the saved policies of runs in races against each other.
 
     python -m stkzoo.agents.training.rate runs/first runs/second --output ratings
-    python -m stkzoo.agents.training.rate runs/first --policy policy-000200000
 
-The first command drives races of four policies and one kart of the game's AI at its highest
+It drives races of four policies and one kart of the game's AI at its highest
 difficulty, on training tracks or those of ``--track``, with policies and grid positions drawn
 uniformly. Each race is a line of ``matches.jsonl``. To continue, also after a kill, run the same
 command again, perhaps with more ``--matches``. From all finishing orders it computes ratings with
 intervals (``ratings.json``), a plot of them over kart-steps (``ratings.png``), and how often the
 policy with more kart-steps finished ahead of one with fewer. ``start`` is the plans of the first
 run without learning; for networks without plans, it is the first saved policy of that run.
-
-The second command rates one policy of a run against ``start``, one of its past selves, random
-choices, and a game bot of each difficulty in turn. It writes its results to the run's folder:
-``evaluations``, and ``ratings.json`` over all of them. ``sb3.selfplay`` runs this command during
-training.
 """
 
 from __future__ import annotations
 
 import itertools
 import json
-import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -33,12 +26,11 @@ import numpy as np
 from stkzoo._arguments import option, positional
 from stkzoo._checks import check_whole
 from stkzoo._locks import locked_folder
-from stkzoo._schema import Count, Positive
 from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import Rating, percentile_interval, save_figure
+from stkzoo.evaluation import percentile_interval, save_figure
 
 from .common.arguments import QUICK_TRACKS, track_names
 from .common.command import limit_threads, run_command
@@ -50,27 +42,20 @@ from .common.matches import (
     MatchRecord,
     match_driver,
     plan_match_driver,
-    play_matches,
     play_records,
-    random_driver,
     rate_orders,
 )
 from .common.run_folder import (
     continue_json_lines,
-    policy_name,
-    read_run_file,
     run_parameters,
     saved_policies,
     write_json,
 )
 from .plot import rating_figure
-from .ppo.opponents import bot_name
 
-#: Names of the driver from which learning is measured, and of a policy with random choices.
-START, RANDOM = "start", "random"
-#: File of a run's ratings, and folder of the underlying races.
-RATINGS, EVALUATIONS = "ratings.json", "evaluations"
-_MATCHES, _PLOT = "matches.jsonl", "ratings.png"
+#: Name of the driver from which learning is measured.
+START = "start"
+_RATINGS, _MATCHES, _PLOT = "ratings.json", "matches.jsonl", "ratings.png"
 #: Number of races between two writes.
 _AT_ONCE = 16
 #: Number of bootstrap samples of an interval.
@@ -134,18 +119,8 @@ def _start_policy(run: Path) -> Path | None:
 
 
 def _steps_of(name: str) -> int:
-    """Returns the kart-steps in the name of a saved policy.
-
-    Raises:
-        ConfigError: there are none.
-    """
-    numbers = re.findall(r"\d+", name)
-    if not numbers:
-        raise ConfigError(
-            f"the policy {name[:60]!r} has no kart-steps in its name, expected a saved policy of a "
-            f"run, such as {policy_name(200_000)}"
-        )
-    return int(numbers[-1])
+    """Returns the kart-steps in the name of a saved policy."""
+    return int(re.findall(r"\d+", name)[-1])
 
 
 # ---------------------------------------------------------------------- all against all
@@ -249,7 +224,7 @@ def _rate_runs(
     ]
     learned_longer = asdict(progress) if progress else None
     report = {"matches": len(records), "learned_longer": learned_longer, "ratings": rows}
-    write_json(folder / RATINGS, report)
+    write_json(folder / _RATINGS, report)
     intervals = {name: [r.value, *r.interval] for name, r in ratings.items()}
     rated = sorted((steps[name], name) for name in ratings if name != AI)
     started = runs[:1] if first else runs  # all runs share plans without learning
@@ -273,107 +248,6 @@ def _rate_runs(
         )
 
 
-# ---------------------------------------------------------------------- one policy of a run
-
-
-@dataclass(frozen=True, slots=True)
-class PolicyEvaluation:
-    """The races of one policy of a run.
-
-    Attributes:
-        name: name of the policy; ``start`` for the first saved one.
-        kart_steps: kart-steps of its training.
-        orders: finishing order of each race.
-        ratios: time ratios by name, one per race: finish time over the AI's median time; estimated
-            from the pace if the kart did not finish.
-    """
-
-    name: str
-    kart_steps: Count
-    orders: list[list[str]]
-    ratios: dict[str, list[Positive]]
-
-
-def evaluate_policy(run: Path, name: str, tracks: Sequence[str], races: int) -> PolicyEvaluation:
-    """Drives a policy's races and writes the results.
-
-    Args:
-        run: folder of the run.
-        name: name of a saved policy.
-        tracks: tracks, driven in turn.
-        races: number of races.
-
-    Raises:
-        ConfigError: the policy does not exist.
-    """
-    older = sorted(path.stem for path in saved_policies(run) if path.stem < name)
-    own = name if older else START
-    files = {own: name}
-    if older:
-        files[START] = older[0]
-    if len(older) > 1:
-        files[older[len(older) // 2]] = older[len(older) // 2]
-    drivers = {key: match_driver(run / f"{file}.safetensors") for key, file in files.items()}
-    drivers[RANDOM] = random_driver(_steps_of(name))
-    evaluation = PolicyEvaluation(own, _steps_of(name), [], {driver: [] for driver in drivers})
-    parent = os.getppid()
-    for number in range(races):
-        if os.getppid() != parent:
-            raise ConfigError("the training that started this is gone")
-        track = tracks[number % len(tracks)]
-        match = Match(tuple(drivers), track, number=1000 + number, difficulty=number % 4)
-        (finishes,) = play_matches([match], drivers)
-        evaluation.orders.append(match.order(finishes, bot_name(match.difficulty)))
-        for driver, finish in zip(match.drivers, finishes, strict=True):
-            evaluation.ratios[driver].append(round(finish.estimate, 4))
-    (run / EVALUATIONS).mkdir(exist_ok=True)
-    write_json(run / EVALUATIONS / f"{name}.json", asdict(evaluation))
-    return evaluation
-
-
-def read_evaluations(run: Path) -> list[PolicyEvaluation]:
-    """Returns all evaluations of a run, ordered by kart-steps."""
-    files = sorted((run / EVALUATIONS).glob("policy-*.json"))
-    return [read_run_file(PolicyEvaluation, file) for file in files]
-
-
-def write_ratings(run: Path) -> list[str]:
-    """Writes ``ratings.json`` from all evaluations of a run.
-
-    Returns:
-        The lines of a table of ratings.
-    """
-    evaluations = read_evaluations(run)
-    ratings = rate_orders([order for each in evaluations for order in each.orders])
-    policies = [
-        {
-            "name": each.name,
-            "kart_steps": each.kart_steps,
-            "time_ratio": float(np.mean(each.ratios[each.name])),
-            "rating": ratings[each.name].value,
-            "rating_low": ratings[each.name].low,
-            "rating_high": ratings[each.name].high,
-        }
-        for each in evaluations
-    ]
-    known = {each.name for each in evaluations}
-    others = {name: asdict(rating) for name, rating in ratings.items() if name not in known}
-    table = _table(evaluations, ratings)
-    write_json(run / RATINGS, {"policies": policies, "others": others, "table": table})
-    return table
-
-
-def _table(evaluations: Sequence[PolicyEvaluation], ratings: Mapping[str, Rating]) -> list[str]:
-    lines = [f"{'':>18}  rating (95% interval)  time ratio"]
-    for name in sorted(ratings, key=lambda name: -ratings[name].value):
-        rating = ratings[name]
-        found = [ratio for each in evaluations for ratio in each.ratios.get(name, [])]
-        ratio = f"{np.mean(found):10.2f}" if found else f"{'':>10}"
-        interval = f"({rating.low:5.1f} to {rating.high:5.1f})"
-        lines.append(f"{name:>18}  {rating.value:5.1f} {interval}  {ratio}")
-    return lines
-
-
 # ---------------------------------------------------------------------- the command
 
 
@@ -384,32 +258,23 @@ class RatingOptions:
     Attributes:
         runs: folders of runs of any script.
         output: folder for races and ratings.
-        policy: rate only this policy of one run, and write to the run's folder.
-        matches: total races (default: 200; 6 with --policy).
+        matches: total races.
         every: minimum kart-steps between two policies; the last one is always rated.
-        tracks: names of tracks or of splits (default: the training tracks but black_forest;
-            lighthouse with --policy).
+        tracks: names of tracks or of splits.
 
     Raises:
-        ConfigError: output and policy are both given or both missing, a policy is given with
-            several runs, or a number is out of bounds.
+        ConfigError: a number is out of bounds.
     """
 
     runs: tuple[Path, ...] = positional()
-    output: Path | None = option(metavar="FOLDER")
-    policy: str = ""
-    matches: int | None = None
+    output: Path = option(required=True, metavar="FOLDER")
+    matches: int = 200
     every: int = 1_000_000
-    tracks: tuple[str, ...] = option((), flag="--track", metavar="TRACK")
+    tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
 
     def __post_init__(self) -> None:
-        if bool(self.policy) == bool(self.output):
-            raise ConfigError("expected either --output FOLDER or --policy NAME")
-        if self.policy and len(self.runs) > 1:
-            raise ConfigError(f"--policy rates one run, but there are {len(self.runs)}; name one")
         check_whole("every", self.every, 0)
-        if self.matches is not None:
-            check_whole("matches", self.matches, 1)
+        check_whole("matches", self.matches, 1)
 
 
 def main(words: list[str] | None = None) -> int:
@@ -420,18 +285,9 @@ def main(words: list[str] | None = None) -> int:
 
 def _run(options: RatingOptions) -> None:
     limit_threads()
-    if options.output:
-        with locked_folder(options.output, "rating"):
-            tracks = track_names(options.tracks or QUICK_TRACKS)
-            _rate_runs(options.runs, options.output, options.matches or 200, options.every, tracks)
-        return
-    if hasattr(os, "nice"):
-        os.nice(5)  # yields to the training process
-    run = options.runs[0]
-    evaluate_policy(
-        run, options.policy, track_names(options.tracks or ("lighthouse",)), options.matches or 6
-    )
-    print("\n".join(write_ratings(run)))
+    with locked_folder(options.output, "rating"):
+        tracks = track_names(options.tracks)
+        _rate_runs(options.runs, options.output, options.matches, options.every, tracks)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ SMALL = ["--track=olivermath", "--n-epochs=1", "--hidden", "16", "16"]
 TRAINERS = {
     "imitation.imitate": ["--teacher=pursuit", "--karts=1", "--jobs=2", *SMALL],
     "ppo.selfplay": ["--total-timesteps=99999", "--races=2x1", "--n-steps=16", *SMALL],
-    "sb3.selfplay": ["--total-timesteps=99999", "--races=2x1", "--evaluation-races=0", *SMALL],
+    "sb3.selfplay": ["--total-timesteps=99999", "--races=2x1", *SMALL],
     "tune_plans": ["--generations=50", "--population=3", "--track=lighthouse"],
     "league.league": ["--total-timesteps=99999", "--races=2x1", "--n-steps=16", *SMALL],
 }

@@ -100,13 +100,6 @@ def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, drawn):
     assert steps == {"first": expected, "first b": expected}
 
 
-@pytest.mark.parametrize("name", ["policy", "mine"])
-def test_a_policy_without_kart_steps_in_its_name_is_refused(name, run, capsys):
-    save_weights(run / f"{name}.safetensors", small_network())
-    assert main([str(run), f"--policy={name}"]) == 1
-    assert "no kart-steps in its name, expected a saved policy" in capsys.readouterr().err
-
-
 @pytest.mark.matrix
 def test_better_policies_are_rated_higher_and_races_can_be_added(run, tmp_path, capsys):
     words = [str(run), "--every=0", f"--output={tmp_path / 'out'}", "--track=olivermath"]

@@ -97,7 +97,7 @@ def test_a_run_that_ended_at_once_can_have_other_arguments(tmp_path):
 
 def test_an_unreadable_file_of_weights_does_not_bind_a_run_to_its_name(tmp_path, capsys):
     folder = tmp_path / "run"
-    words = [f"--output={folder}", "--races=1x1", "--evaluation-races=0", "--total-timesteps=0"]
+    words = [f"--output={folder}", "--races=1x1", "--total-timesteps=0"]
     assert sb3.main([*words, "--init=misspelt.safetensors"]) == 1
     assert "cannot be read" in capsys.readouterr().err
     assert sb3.main(words) == 0

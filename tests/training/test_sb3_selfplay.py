@@ -48,7 +48,6 @@ SMALL = {
     "keep_every": 60,
     "decay_timesteps": 100,
     "snapshot_share": 1.0,
-    "evaluation_races": 0,
 }
 
 
@@ -378,10 +377,9 @@ def test_values_are_learned_before_the_policy(tmp_path):
 
 
 @pytest.mark.slow
-def test_it_learns_evaluates_and_ends(tmp_path):
-    evaluation = {"evaluation_races": 1, "evaluation_tracks": "olivermath"}
+def test_it_learns_and_ends(tmp_path):
     command = [sys.executable, "-m", "stkzoo.agents.training.sb3.selfplay"]
-    command += words(tmp_path, 150, evaluate_every=10_000, **evaluation)
+    command += words(tmp_path, 150)
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     log = log_of(tmp_path)
@@ -395,9 +393,6 @@ def test_it_learns_evaluates_and_ends(tmp_path):
     assert np.allclose(rates, SB3Arguments().learning_rate / np.sqrt(1 + seen / 100), atol=1e-6)
     first = load_weights(tmp_path / "policy-000000000.safetensors")
     assert any((last_policy(tmp_path)[name] != first[name]).any() for name in first)
-    ratings = json.loads((tmp_path / "ratings.json").read_text())
-    assert [policy["name"] for policy in ratings["policies"]] == ["start"]
-    assert set(ratings["others"]) == {"random", "bot:0"}
     assert list(tmp_path.glob("events.out.tfevents.*"))
     assert (tmp_path / "agent" / "pystk_actor.py").exists()
 
@@ -449,10 +444,6 @@ def test_the_newest_policy_of_a_run_is_the_one_with_which_it_ended(tmp_path):
 def test_learning_curves_are_plotted(tmp_path):
     lines = [{"kart_steps": 1000 * n, "pace": 0.1 * n, "beats_bots": 0.5} for n in range(1, 5)]
     (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
-    figures = {"time_ratio": 3.0, "rating": 25, "rating_low": 20, "rating_high": 30}
-    policies = [{"name": f"policy-{n}", "kart_steps": n, **figures} for n in (0, 1000)]
-    found = {"policies": policies, "others": {"random": {"value": 10}}, "table": []}
-    (tmp_path / "ratings.json").write_text(json.dumps(found))
     picture = tmp_path / "curves.png"
     assert plot_main([str(tmp_path), f"--output={picture}"]) == 0
     assert picture.read_bytes().startswith(b"\x89PNG")

@@ -28,8 +28,6 @@ Coefficient = Annotated[float, Meta(ge=0)]
 Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]  # up to the highest that all libraries accept
 BatchSize = Annotated[int, Meta(ge=2)]  # advantages are normalized
 _DEFAULT_BOUNDS = {int: Meta(ge=1), float: Meta(gt=0)}
-#: Fields in which names of splits, such as ``train_only``, are replaced with their tracks.
-_TRACK_FIELDS = ("tracks", "evaluation_tracks")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +58,8 @@ class RunArguments:
         hints = get_type_hints(type(self), include_extras=True)
         for entry in fields(self):
             value, hint = getattr(self, entry.name), hints[entry.name]
-            if entry.name in _TRACK_FIELDS:
-                object.__setattr__(self, entry.name, track_names(value))
+            if entry.name == "tracks":
+                object.__setattr__(self, "tracks", track_names(value))
             elif entry.name == "hidden":
                 _check_hidden(value, hint)
             elif type(entry.default) in _DEFAULT_BOUNDS:

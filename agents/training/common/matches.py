@@ -26,7 +26,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.evaluation import Rating, load_ai_times, rate
-from stkzoo.wrappers.racing import CHOICES, controls_of_choices, racing_features
+from stkzoo.wrappers.racing import controls_of_choices, racing_features
 
 from .run_folder import plan_parameters, run_parameters
 
@@ -117,12 +117,6 @@ def network_driver(choose: Callable[[FloatArray], Any], hold: int = 0) -> MatchD
         return control
 
     return MatchDriver(take_karts)
-
-
-def random_driver(seed: int) -> MatchDriver:
-    """Returns a driver with random choices on the view ``racing``."""
-    random = np.random.default_rng(seed)
-    return network_driver(lambda seen: random.integers(0, CHOICES, (len(seen), len(CHOICES))))
 
 
 def match_driver(source: str | Path) -> MatchDriver:

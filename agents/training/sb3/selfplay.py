@@ -16,24 +16,23 @@ driven plus places gained.
 To continue a run that was killed, run the same command again. Training consists of rounds. Each
 round starts with new races and its own seeds and ends with a checkpoint, so that the run continues
 bit for bit. The folder contains ``checkpoint.pt``, ``log.jsonl`` (one line per update),
-``arguments.json``, TensorBoard files, ``policy-STEPS.safetensors``, ``evaluations`` (races of saved
-policies, driven by a process in the background), ``ratings.json``, and ``agent``, which ``stkzoo
+``arguments.json``, TensorBoard files, ``policy-STEPS.safetensors``, and ``agent``, which ``stkzoo
 race`` accepts:
 
     tensorboard --logdir runs
     python -m stkzoo.agents.training.plot runs/first
+    python -m stkzoo.agents.training.rate runs/first --every 0 --output ratings
     stkzoo race runs/first/agent ai ai random --track lighthouse
 """
 
 from __future__ import annotations
 
 import importlib
-import subprocess
 import sys
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -50,7 +49,6 @@ from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver, load_driver
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import require_openskill
 from stkzoo.wrappers.racing import SIZE
 
 from ..common.arguments import Coefficient, Natural, PPOArguments, ScriptOptions, parse_races
@@ -60,26 +58,20 @@ from ..common.run_folder import (
     keep_arguments,
     load_checkpoint,
     policy_name,
-    read_run_file,
     reading_checkpoint,
     save_checkpoint,
     save_driver,
-    saved_policies,
 )
 from ..export import export_policy
-from ..plot import RunRatings
 from ..ppo.network import FIRST_BIASES
 from ..ppo.opponents import Rival, RivalPool, bot_name
-from ..rate import EVALUATIONS, RATINGS
 from .curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 
 #: Arguments that have the same name in Stable-Baselines3's PPO.
 _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
 #: Number of karts in the means of the log.
 _RECENT = 100
-#: Time limit of the last evaluations [s].
-_LAST_EVALUATIONS = 1800.0
-_EXTRAS = "sb3,train,tournament"
+_EXTRAS = "sb3,train"
 
 
 # ---------------------------------------------------------------------- arguments
@@ -105,9 +97,6 @@ class SB3Arguments(PPOArguments):
         decay_timesteps: learning rate and entropy coefficient decay as 1 / sqrt(1 + kart-steps /
             this); 0 keeps them constant.
         keep_every: kart-steps between two snapshots.
-        evaluate_every: kart-steps between two evaluations.
-        evaluation_races: races of each evaluation; 0 disables evaluations.
-        evaluation_tracks: tracks of evaluations, driven in turn.
     """
 
     learning_rate: float = 5e-4
@@ -125,11 +114,6 @@ class SB3Arguments(PPOArguments):
     warm_up: Natural = 0
     decay_timesteps: Natural = 1_000_000
     keep_every: int = 50_000
-    evaluate_every: int = 100_000
-    evaluation_races: Natural = 6
-    evaluation_tracks: tuple[str, ...] = option(
-        EASY_TO_HARD[:3], flag="--evaluation-track", metavar="TRACK"
-    )
 
     def __post_init__(self) -> None:
         given = self.tracks
@@ -173,7 +157,6 @@ class SB3Run:
     def __init__(self, folder: str | Path, arguments: SB3Arguments) -> None:
         self._torch = training_library("torch", _EXTRAS)
         training_library("stable_baselines3", _EXTRAS)
-        require_openskill()
         self.folder, self.arguments = Path(folder), arguments
         with ExitStack() as resources:
             resources.enter_context(locked_folder(self.folder, "run"))
@@ -187,9 +170,6 @@ class SB3Run:
             self._envs = self._make_races()
             resources.callback(self._envs.close)
             self._model = self._make_model()
-            self.evaluation = BackgroundEvaluation(
-                self.folder, arguments.evaluation_tracks, arguments.evaluation_races
-            )
             if checkpoint := load_checkpoint(self.folder, SB3Facts):
                 with reading_checkpoint(self.folder):
                     self._restore(*checkpoint)
@@ -200,7 +180,6 @@ class SB3Run:
                     self._model.policy.load_state_dict(tensors)
                 self._keep()
                 self.save_checkpoint()
-            resources.callback(self.evaluation.close)
             self._resources = resources.pop_all()
 
     def play_round(self, report: Callable[[dict[str, float]], None]) -> None:
@@ -218,31 +197,11 @@ class SB3Run:
         for _ in range(arguments.updates):
             report(self._update())
         self.rounds += 1
-        is_rival = self.kart_steps // arguments.keep_every > before // arguments.keep_every
-        if is_rival or self._is_judged(before, self.kart_steps):
+        if self.kart_steps // arguments.keep_every > before // arguments.keep_every:
             name = self._keep()
-            if is_rival:
-                self._snapshots.add(name)
-                self._make_ready(name)
+            self._snapshots.add(name)
+            self._make_ready(name)
         self.save_checkpoint()
-
-    def evaluate(self, wait: float = 0.0) -> bool:
-        """Continues the evaluations of saved policies; returns whether one has finished.
-
-        Args:
-            wait: maximum time to wait for the current one [s].
-        """
-        kept = saved_policies(self.folder)
-        steps = [int(path.stem.removeprefix("policy-")) for path in kept]
-        pairs = zip(kept, [-1, *steps], steps, strict=False)
-        due = [path.stem for path, last, now in pairs if self._is_judged(last, now)]
-        return self.evaluation.poll(due, wait)
-
-    def _is_judged(self, before: int, now: int) -> bool:
-        """Returns whether an evaluation is due between two numbers of kart-steps."""
-        every = self.arguments.evaluate_every
-        is_due = before // every < now // every and now <= self.kart_steps
-        return is_due and self.arguments.evaluation_races > 0
 
     def save_checkpoint(self) -> None:
         """Writes ``checkpoint.pt``, from which the run continues exactly."""
@@ -445,71 +404,6 @@ def initial_weights(path: str | Path, policy: Any) -> dict[str, npt.NDArray[np.f
     return {**own, **weights}
 
 
-# ---------------------------------------------------------------------- evaluations
-
-
-class BackgroundEvaluation:
-    """Evaluates saved policies one after another with :mod:`stkzoo.agents.training.rate`.
-
-    Args:
-        run: folder of the run.
-        tracks: tracks of the races.
-        races: races per policy.
-
-    Attributes:
-        failures: number of failed evaluations.
-    """
-
-    def __init__(self, run: Path, tracks: Sequence[str], races: int) -> None:
-        self._run, self._tracks, self._races = run, tuple(tracks), races
-        self._started: set[str] = set()
-        self._process: subprocess.Popen[bytes] | None = None
-        self.failures = 0
-
-    def poll(self, names: Sequence[str], wait: float = 0.0) -> bool:
-        """Starts the next evaluation if none is running.
-
-        Args:
-            names: policies to evaluate; each is evaluated once.
-            wait: maximum time to wait for the current evaluation [s].
-
-        Returns:
-            Whether an evaluation has finished since the last call.
-        """
-        is_finished = False
-        if self._process is not None:
-            try:
-                code = self._process.wait(wait)
-            except subprocess.TimeoutExpired:
-                return False
-            self._process = None
-            self.failures += code != 0
-            is_finished = code == 0
-        done = self._started | {path.stem for path in (self._run / EVALUATIONS).glob("*.json")}
-        if left := [name for name in names if name not in done]:
-            self._start(left[0])
-        return is_finished
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether an evaluation is running."""
-        return self._process is not None
-
-    def close(self) -> None:
-        """Stops the current evaluation."""
-        if self._process is not None:
-            self._process.terminate()
-            self._process.wait()
-
-    def _start(self, name: str) -> None:
-        self._started.add(name)
-        words = ["-m", "stkzoo.agents.training.rate", str(self._run), "--policy", name]
-        words += ["--matches", str(self._races), "--track", *self._tracks]
-        self._process = subprocess.Popen(  # noqa: S603 - this program
-            [sys.executable, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
-        )
-
-
 # ---------------------------------------------------------------------- the command
 
 
@@ -543,14 +437,14 @@ def train(options: SB3Options, arguments: SB3Arguments) -> None:
                 log.write(line)
                 show = bar.report if run.iteration % arguments.updates == 0 else bar.show
                 show(line["kart_steps"], _summary(line))
-                _log_evaluation(run, log)
 
             begin = time.monotonic()
             while run.kart_steps < total:
                 run.play_round(report)
                 if minutes is not None and time.monotonic() - begin > 60 * minutes:
                     break
-        _finish(run, log)
+        agent = run.save_agent()
+        print(f"stkzoo race {agent} ai ai random --track {arguments.tracks[0]}")
 
 
 def main(words: list[str] | None = None) -> int:
@@ -564,32 +458,6 @@ def _summary(line: dict[str, float]) -> str:
     names = ("pace", "finished", "beats_past", "beats_bots")
     figures = [f"{name.replace('_', ' ')} {line[name]:.2f}" for name in names if name in line]
     return f"stage {line['stage']:.0f}  {'  '.join(figures)}  {line['kart_steps_per_s']:.0f}/s"
-
-
-def _log_evaluation(run: SB3Run, log: TrainingLog, wait: float = 0.0) -> None:
-    """Adds a finished evaluation to the TensorBoard files."""
-    if not run.evaluate(wait):
-        return
-    latest = read_run_file(RunRatings, run.folder / RATINGS).policies[-1]
-    for name in ("rating", "rating_low", "rating_high", "time_ratio"):
-        log.add(f"evaluation/{name}", getattr(latest, name), latest.kart_steps)
-
-
-def _finish(run: SB3Run, log: TrainingLog) -> None:
-    """Writes the agent, waits for the evaluations, and prints the result."""
-    agent = run.save_agent()
-    _log_evaluation(run, log)
-    if run.evaluation.is_busy:
-        print("the last evaluations ...", file=sys.stderr, flush=True)
-    begin = time.monotonic()
-    while run.evaluation.is_busy and time.monotonic() - begin < _LAST_EVALUATIONS:
-        _log_evaluation(run, log, wait=1.0)
-    if run.evaluation.failures:
-        print(f"{run.evaluation.failures} evaluations failed; see above", file=sys.stderr)
-    file = run.folder / RATINGS
-    if file.exists():
-        print("\n".join(read_run_file(RunRatings, file).table))
-    print(f"stkzoo race {agent} ai ai random --track {run.arguments.tracks[0]}")
 
 
 if __name__ == "__main__":
