@@ -66,7 +66,7 @@ _KERNEL = Extension(
     sources=[f"stkzoo/kernel/{part}.c" for part in _PARTS],
     depends=[f"stkzoo/kernel/{part}.h" for part in ("arguments", "geometry", "kernel", "vectors")],
     include_dirs=[numpy.get_include()],
-    # Hidden functions: the kernel then calls its own libm, not that of the system.
+    # Hidden functions: the extensions then call their own libm, not that of the system.
     extra_compile_args=[*_FLAGS, "-fvisibility=hidden"] if _FLAGS else [],
     libraries=_LIBRARIES,
 )
@@ -75,6 +75,7 @@ _PLANNING = Extension(
     sources=[
         *(f"agents/planning/{part}.c" for part in ("module", "memory", "viewer", "weigher")),
         "stkzoo/kernel/arguments.c",
+        *(["stkzoo/kernel/libm.c"] if _IS_LINUX else []),
     ],
     depends=[
         "agents/planning/planning.h",

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stkzoo.kernel import to_polar
+
 from . import FloatArray, IntArray
 
 #: Number of marks along the road, starting at the kart, and their spacing [m].
@@ -54,8 +56,9 @@ def headings_of(line: FloatArray) -> FloatArray:
         line: ``(A, M + 1, 4)`` or ``(A, M + 1, 5)``, beginning with the marks in the kart's frame
             [m].
     """
-    steps = line[:, 1:, ::2] - line[:, :-1, ::2]
-    headings: FloatArray = np.arctan2(steps[..., 0], steps[..., 1])
+    steps = line[:, 1:, :3] - line[:, :-1, :3]
+    # The bits of numpy.arctan2 depend on the processor.
+    headings: FloatArray = np.ascontiguousarray(to_polar(steps)[..., 0])
     return headings
 
 
