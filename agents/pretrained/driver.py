@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -115,6 +116,18 @@ def reading_card(folder: str | Path) -> AbstractContextManager[None]:
     """Explains the errors of a block that reads the card of an agent's folder."""
     file = str(Path(folder) / CARD)
     return reading(f"{file!r} is no card of a learned agent", "a card of this version of stkzoo")
+
+
+def functions_in(file: str) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:
+    """Returns the functions of an agent's module.
+
+    Args:
+        file: ``__file__`` of the module, which is in the agent's folder.
+
+    Returns:
+        ``create_state``, ``get_actor`` and ``get_batch_actor``.
+    """
+    return partial(new_state, Path(file).parent), make_actor, make_batch_actor
 
 
 def make_actor(

@@ -145,6 +145,7 @@ def drive(
         agents=_KARTS,
         track=tuple(tracks),
         reverse=None,
+        difficulty=3,
         num_starts=_RACES,
         skip_countdown=True,
     )

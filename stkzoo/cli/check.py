@@ -73,7 +73,7 @@ def _show(report: AgentReport, track: str, limits: dict[str, Any]) -> None:
         times = report.thinking_time
         limit = f"{limits['action_timeout']:g} s" if limits["action_timeout"] else "none"
         say(
-            f"  thinking  mean {1000 * times.mean:.1f} ms, p95 {1000 * times.p95:.1f} ms, "
+            f"  thinking  mean {1000 * times.mean:.1f} ms, p99 {1000 * times.p99:.1f} ms, "
             f"max {1000 * times.max:.1f} ms (limit {limit})"
         )
     if report.memory is not None:

@@ -16,7 +16,7 @@ All of these run as batches: races run in parallel processes. Each result is sto
 folder as soon as its race ends, so the same call resumes after an interruption.
 """
 
-from stkzoo.evaluation.agent_check import AgentReport, ThinkingTime, check_agent
+from stkzoo.evaluation.agent_check import AgentReport, check_agent
 from stkzoo.evaluation.batch.agents import BatchAgent
 from stkzoo.evaluation.batch.run import BatchError, BatchProgress, RunOptions
 from stkzoo.evaluation.benchmark.ai_times import AiTime, AiTimes, load_ai_times, measure_ai_times
@@ -108,7 +108,6 @@ __all__ = [
     "RunOptions",
     "ScheduledRace",
     "Standing",
-    "ThinkingTime",
     "TimeTrialPlan",
     "TimeTrialRace",
     "TimeTrialResult",

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import time
 import zipfile
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
-
-import numpy as np
 
 from stkzoo.drivers.driver import find_driver
 from stkzoo.drivers.failures import printable
@@ -18,29 +15,7 @@ from stkzoo.drivers.files import MAX_BYTES, MAX_FILES, AgentFiles, find_files, i
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.isolated import IsolatedAgent
 from stkzoo.errors import ConfigError
-from stkzoo.race import run_race
-
-
-@dataclass(frozen=True, slots=True)
-class ThinkingTime:
-    """Statistics of the durations of an agent's decisions.
-
-    Attributes:
-        mean: mean duration [s].
-        p95: 95th percentile [s].
-        max: longest duration [s].
-    """
-
-    mean: float
-    p95: float
-    max: float
-
-    @classmethod
-    def of(cls, seconds: Sequence[float]) -> ThinkingTime | None:
-        """Returns the statistics of durations [s]; ``None`` if there are none."""
-        if not seconds:
-            return None
-        return cls(float(np.mean(seconds)), float(np.percentile(seconds, 95)), max(seconds))
+from stkzoo.race import ActionTime, run_race
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +48,7 @@ class AgentReport:
     distance: float = 0.0
     num_clipped: int = 0
     load_time: float | None = None
-    thinking_time: ThinkingTime | None = None
+    thinking_time: ActionTime | None = None
     memory: float | None = None
     num_files: int | None = None
     size: int | None = None
@@ -136,7 +111,7 @@ def check_agent(
         row.distance,
         row.num_clipped,
         meter.load_time,
-        ThinkingTime.of(meter.seconds),
+        row.action_time,
         meter.memory,
         num_files,
         size,
@@ -149,7 +124,6 @@ class _Meter:
 
     load_time: float | None = None
     memory: float | None = None
-    seconds: list[float] = field(default_factory=list)
 
 
 class _MeasuredAgent(IsolatedAgent):
@@ -171,7 +145,6 @@ class _MeasuredAgent(IsolatedAgent):
     def answer(self) -> Decision:
         """Waits for the agent's decision and returns it."""
         decision = super().answer()
-        self._meter.seconds.append(decision.seconds)
         self._meter.memory = self.peak_memory()
         return decision
 

@@ -156,5 +156,5 @@ def test_runs_of_all_scripts_are_rated_together(run):
 
 def test_ranks_without_a_driver_belong_to_the_ai():
     match = Match(("a", "b", "a"), "lighthouse", bots=2)
-    ends = [Finish(1.0, 1.0, rank) for rank in (1, 3, 4)]
+    ends = [Finish(1.0, rank) for rank in (1, 3, 4)]
     assert match.order(ends, "ai") == ["a", "ai", "b"]

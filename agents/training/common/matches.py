@@ -40,8 +40,6 @@ SEATS = 4
 UNFINISHED = 3.0
 #: Time limit of a race, as a multiple of the AI's median time.
 _PATIENCE = 1.6
-#: Upper limit of an estimated time ratio.
-_WORST_RATIO = 10.0
 _STEP = 0.1  # [s]
 #: Number of matches that one process drives in parallel.
 _SIDE_BY_SIDE = 28
@@ -150,12 +148,10 @@ class Finish:
 
     Attributes:
         ratio: finish time over the AI's median time; ``None`` if the match was cut short.
-        estimate: the ratio, estimated from the pace if the match was cut short; at most 10.
         rank: final rank, 1 is first.
     """
 
     ratio: float | None
-    estimate: float
     rank: Place
 
     @property
@@ -286,7 +282,6 @@ class _RunningMatch:
         self.match, self.finishes = match, dict[int, Finish]()
         self.env, self.observations = starts.begin(match)
         self._rows = {agent: first + n for n, agent in enumerate(self.env.possible_agents)}
-        self._steps = 0
 
     def see(self, seen: dict[str, Any]) -> None:
         """Writes the karts' observations into their rows."""
@@ -302,16 +297,12 @@ class _RunningMatch:
     def receive(self) -> None:
         """Waits for the step and records the karts that ended."""
         self.observations, _, finished, cut, infos = self.env.step_wait()
-        self._steps += 1
-        match, length = self.match, self.env.track_map.length
+        match = self.match
         median = ai_time(match.track, match.reverse, match.difficulty)
         for agent, info in infos.items():
             if finished[agent] or cut[agent]:
                 ratio = info["finish_time"] / median if finished[agent] else None
-                share = max(info["distance"] / length, 1e-6)
-                pace = self._steps * _STEP / median / share
-                estimate = min(pace if ratio is None else ratio, _WORST_RATIO)
-                self.finishes[self._rows[agent]] = Finish(ratio, estimate, info["position"])
+                self.finishes[self._rows[agent]] = Finish(ratio, info["position"])
 
 
 def _drive(
