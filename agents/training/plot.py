@@ -57,7 +57,6 @@ _PANELS: tuple[tuple[str, dict[str, str]], ...] = (
         {
             "beats_past": "past selves",
             "beats_bots": "the game's bots",
-            "win_share": "past selves",
             "beaten": "past policies",
             "won": "the frozen driver",
         },

@@ -2,13 +2,13 @@
 
     python -m stkzoo.agents.training.rate runs/first runs/second --output ratings
 
-It drives races of four policies and one kart of the game's AI at its highest
-difficulty, on training tracks or those of ``--track``, with policies and grid positions drawn
-uniformly. Each race is a line of ``matches.jsonl``. To continue, also after a kill, run the same
-command again, perhaps with more ``--matches``. From all finishing orders it computes ratings with
-intervals (``ratings.json``), a plot of them over kart-steps (``ratings.png``), and how often the
-policy with more kart-steps finished ahead of one with fewer. ``start`` is the plans of the first
-run without learning; for networks without plans, it is the first saved policy of that run.
+It drives races of four policies and one kart of the game's AI at its highest difficulty, on
+training tracks or those of ``--track``, with policies and grid positions drawn uniformly. Each race
+is a line of ``matches.jsonl``. To continue, also after a kill, run the same command again, perhaps
+with more ``--matches``. From all finishing orders it computes ratings with intervals
+(``ratings.json``) and a plot of them over kart-steps (``ratings.png``). ``start`` is the plans of
+the first run without learning; for networks without plans, it is the first saved policy of that
+run.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import percentile_interval, save_figure
+from stkzoo.evaluation import save_figure
 
 from .common.arguments import QUICK_TRACKS, track_names
 from .common.command import limit_threads, run_command
@@ -58,8 +58,6 @@ START = "start"
 _RATINGS, _MATCHES, _PLOT = "ratings.json", "matches.jsonl", "ratings.png"
 #: Number of races between two writes.
 _AT_ONCE = 16
-#: Number of bootstrap samples of an interval.
-_DRAWS = 2000
 
 
 # ---------------------------------------------------------------------- policies of runs
@@ -141,52 +139,6 @@ def draw_match(names: Sequence[str], number: int, tracks: Sequence[str] = QUICK_
     return Match(tuple(chosen), track, reverse, 3000 + lap)
 
 
-@dataclass(frozen=True, slots=True)
-class LearningProgress:
-    """How often a policy with more training finishes ahead.
-
-    Attributes:
-        duels: pairs of policies with different kart-steps, in all races.
-        ahead: fraction of these pairs in which the policy with more kart-steps finished first.
-        low: lower end of its interval, from a bootstrap over races.
-        high: upper end of its interval.
-    """
-
-    duels: int
-    ahead: float
-    low: float
-    high: float
-
-
-def learning_progress(
-    records: Sequence[MatchRecord], steps: Mapping[str, int]
-) -> LearningProgress | None:
-    """Compares policies with more and fewer kart-steps in matches of saved policies.
-
-    Args:
-        records: the matches.
-        steps: kart-steps by name.
-
-    Returns:
-        The comparison; ``None`` if all policies that met have the same kart-steps.
-    """
-    counts = np.array([_duels(record.order, steps) for record in records])
-    won, total = counts.sum(axis=0)
-    if not total:
-        return None
-    rows = np.random.default_rng(0).integers(len(counts), size=(_DRAWS, len(counts)))
-    ahead, duels = counts[rows].sum(axis=1).T
-    low, high = percentile_interval(ahead[duels > 0] / duels[duels > 0])
-    return LearningProgress(int(total), float(won / total), float(low), float(high))
-
-
-def _duels(order: Sequence[str], steps: Mapping[str, int]) -> tuple[int, int]:
-    """Counts the pairs of a race in which the policy with more kart-steps is ahead, and is not."""
-    own = [steps[name] for name in order if name != AI]
-    unlike = [(a, b) for a, b in itertools.combinations(own, 2) if a != b]
-    return sum(a > b for a, b in unlike), len(unlike)
-
-
 def _rate_runs(
     runs: Sequence[Path], folder: Path, wanted: int, every: int, tracks: Sequence[str]
 ) -> None:
@@ -217,14 +169,11 @@ def _rate_runs(
         records += played
         print(f"{len(records)} of {wanted} races", flush=True)
     ratings = rate_orders([record.order for record in records])
-    progress = learning_progress(records, steps)
     rows = [
         {"name": name, **asdict(rating), "matches": sum(name in r.order for r in records)}
         for name, rating in sorted(ratings.items())
     ]
-    learned_longer = asdict(progress) if progress else None
-    report = {"matches": len(records), "learned_longer": learned_longer, "ratings": rows}
-    write_json(folder / _RATINGS, report)
+    write_json(folder / _RATINGS, {"matches": len(records), "ratings": rows})
     intervals = {name: [r.value, *r.interval] for name, r in ratings.items()}
     rated = sorted((steps[name], name) for name in ratings if name != AI)
     started = runs[:1] if first else runs  # all runs share plans without learning
@@ -241,11 +190,6 @@ def _rate_runs(
     save_figure(rating_figure(curves, levels, title), folder / _PLOT)
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
-    if progress:
-        print(
-            f"the policy that has learned for longer is ahead in {progress.ahead:.1%} "
-            f"({progress.low:.1%}..{progress.high:.1%}) of {progress.duels} duels"
-        )
 
 
 # ---------------------------------------------------------------------- the command

@@ -25,7 +25,7 @@ from stkzoo.drivers.code import (
     load_agent,
     read_module,
 )
-from stkzoo.drivers.files import AgentFiles, declared, find_files, is_zip
+from stkzoo.drivers.files import ACTOR_MODULE, AgentFiles, declared, find_files, is_zip
 from stkzoo.drivers.inline import InlineAgent
 from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedAgent
@@ -200,6 +200,7 @@ def _find(source: str, inline: bool, adapter: str | None) -> Driver:
         return Driver.of_actor(source, _random_actor)
     if source in driver_names():
         module = f"{_AGENTS}.{source.replace(':', '.')}"
+        module += f".{ACTOR_MODULE}" if source.startswith(_PRETRAINED) else ""
         load = partial(_load_shipped, module)
         return Driver._here(source, load, source, declared_view(AgentFiles(module, None)))
     if source.startswith(f"{_PRETRAINED}:"):

@@ -20,7 +20,6 @@ from stkzoo.agents.training.rate import (
     START,
     draw_match,
     kept_policies,
-    learning_progress,
     main,
     run_drivers,
 )
@@ -114,27 +113,8 @@ def test_better_policies_are_rated_higher_and_races_can_be_added(run, tmp_path, 
     assert {*value} == {START, "ai", "first 0.00", "first 1.00", "first 2.00"}
     assert value[START] > value["first 2.00"]
     assert value["first 0.00"] > value["first 1.00"]
-    assert kept["learned_longer"]["ahead"] < 0.5
     assert (tmp_path / "out" / "ratings.png").read_bytes().startswith(b"\x89PNG")
     assert "3 of 3 races" in capsys.readouterr().out
-
-
-def test_learning_progress_is_the_share_of_duels_won_by_longer_training():
-    def races(*orders):
-        return [MatchRecord(0, "mines", False, list(order)) for order in orders]
-
-    steps = {"a 1.00": 1_000_000, "b 1.00": 1_000_000, "b 2.00": 2_000_000, START: 0}
-    best_first = ("b 2.00", "ai", "a 1.00", "start")
-    always = learning_progress(races(*[best_first] * 10), steps)
-    assert (always.duels, always.ahead, always.low, always.high) == (30, 1.0, 1.0, 1.0)
-    mixed = learning_progress(races(*[best_first] * 10, *[best_first[::-1]] * 30), steps)
-    assert (mixed.duels, mixed.ahead) == (120, 0.25)
-    assert 0.05 < mixed.low < 0.2 < 0.3 < mixed.high < 0.45
-    assert learning_progress(races(("a 1.00", "b 1.00", "start")), steps).duels == 2
-    equal = "a 1.00", "b 1.00", "ai"
-    assert learning_progress(races(equal), steps) is None
-    few = learning_progress(races(equal, best_first), steps)
-    assert (few.duels, few.low, few.high) == (3, 1.0, 1.0)
 
 
 def test_too_few_policies_are_refused(run, tmp_path, capsys):

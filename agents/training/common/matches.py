@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections import Counter, deque
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,8 +42,6 @@ _PATIENCE = 1.6
 _STEP = 0.1  # [s]
 #: Number of matches that one process drives in parallel.
 _SIDE_BY_SIDE = 28
-#: Number of sets of matches; one set is computed while the games of the others run.
-_LANES = 2
 
 #: Observations of some karts (:class:`~stkzoo.agents.planning.view.PlanSurroundings`), in rows.
 Seen = Mapping[str, Any]
@@ -242,14 +239,14 @@ class _MatchStarts:
         """Takes the environment of a match back."""
         self._free[len(match.drivers), match.bots].append(env)
 
-    def forget(self, starts: Sequence[tuple[Any, ...]]) -> None:
-        """Ends the processes of some starts."""
-        for start in starts:
+    def keep(self, starts: Collection[tuple[Any, ...]]) -> None:
+        """Ends the processes of all other starts."""
+        for start in self._states.keys() - starts:
             self._states.pop(start).close()
 
     def close(self) -> None:
         """Ends all processes."""
-        self.forget(list(self._states))
+        self.keep(())
         for env in (env for envs in self._free.values() for env in envs):
             env.close()
 
@@ -307,8 +304,8 @@ class _RunningMatch:
 
 def _drive(
     matches: Sequence[Match], drivers: Mapping[str, MatchDriver], starts: _MatchStarts
-) -> Generator[list[list[Finish]] | None]:
-    """Drives matches in parallel; yields ``None`` after each step, and finally all finishes."""
+) -> list[list[Finish]]:
+    """Drives matches in parallel."""
     names = np.array([name for match in matches for name in match.drivers])
     controllers: list[tuple[IntArray, KartController]] = []
     for name in dict.fromkeys(names.tolist()):
@@ -322,20 +319,19 @@ def _drive(
         space = running[0].env.observation_space("kart_0")
         seen: Any = create_empty_array(space, len(names))
         controls = np.zeros((len(names), 7), np.float32)
-        while left := [own for own in running if own.env.agents]:
-            for own in left:
-                own.see(seen)
+        while left := [each for each in running if each.env.agents]:
+            for each in left:
+                each.see(seen)
             for rows, control in controllers:
                 controls[rows] = control({key: array[rows] for key, array in seen.items()})
-            for own in left:
-                own.send(controls)
-            yield None  # while the games run
-            for own in left:
-                own.receive()
+            for each in left:
+                each.send(controls)
+            for each in left:
+                each.receive()
     finally:
-        for own in running:
-            starts.end(own.match, own.env)
-    yield [[own.finishes[row] for row in sorted(own.finishes)] for own in running]
+        for each in running:
+            starts.end(each.match, each.env)
+    return [[each.finishes[row] for row in sorted(each.finishes)] for each in running]
 
 
 def play_matches(
@@ -353,30 +349,16 @@ def play_matches(
     Returns:
         For each match, the finishes of its drivers' karts.
     """
-    cuts = range(0, len(matches), side_by_side)
-    waiting = deque(enumerate(matches[first : first + side_by_side] for first in cuts))
-    uses = Counter(match.start for match in matches)
-    results: dict[int, list[list[Finish]]] = {}
-    lanes: dict[int, Generator[list[list[Finish]] | None]] = {}
+    results: list[list[Finish]] = []
     starts = _MatchStarts(any(driver.sees_line for driver in drivers.values()))
     try:
-        while waiting or lanes:
-            while waiting and len(lanes) < _LANES:
-                number, part = waiting.popleft()
-                lanes[number] = _drive(part, drivers, starts)
-            for number, lane in list(lanes.items()):
-                if (finishes := next(lane)) is not None:
-                    results[number] = finishes
-                    lanes.pop(number).close()
-                    first = number * side_by_side
-                    played = Counter(m.start for m in matches[first : first + side_by_side])
-                    uses.subtract(played)
-                    starts.forget([start for start in played if not uses[start]])
+        for first in range(0, len(matches), side_by_side):
+            part = matches[first : first + side_by_side]
+            starts.keep({match.start for match in part})
+            results += _drive(part, drivers, starts)
     finally:
-        for lane in lanes.values():
-            lane.close()
         starts.close()
-    return [match for number in sorted(results) for match in results[number]]
+    return results
 
 
 def play_records(

@@ -200,7 +200,7 @@ def _iterations(algorithm: Any, arguments: RLlibArguments, folder: Path) -> None
             done = algorithm.iteration
             line = _figures(algorithm, result["env_runners"], time.monotonic() - begun)
             log.write(line)
-            print(_in_words(line, arguments.iterations), flush=True)
+            print(", ".join(f"{n.replace('_', ' ')} {v}" for n, v in line.items()), flush=True)
             number, is_between = divmod(done, arguments.snapshot_every)
             if arguments.frozen and not is_between:
                 copy_main(algorithm, arguments.slot(number - 1))
@@ -219,15 +219,6 @@ def _figures(algorithm: Any, result: Mapping[str, Any], seconds: float) -> dict[
         "restarted": algorithm.env_runner_group.num_remote_worker_restarts(),
         "seconds": round(seconds, 2),
     }
-
-
-def _in_words(line: Mapping[str, Any], iterations: int) -> str:
-    mean = "-" if line["return"] is None else f"{line['return']:.2f}"
-    return (
-        f"{line['iteration']}/{iterations}: {line['kart_steps']:,} kart-steps, "
-        f"{line['episodes']} episodes, return {mean}, {line['env_runners']} env runners "
-        f"({line['restarted']} restarted), {line['seconds']:.1f} s"
-    )
 
 
 def _save(algorithm: Any, folder: Path) -> None:
