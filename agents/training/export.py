@@ -20,7 +20,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -218,12 +218,18 @@ def _network(arrays: Arrays, source: Path) -> Arrays:
     return {name: array for name, array in arrays.items() if _VALUES not in name}
 
 
+@dataclass(frozen=True, slots=True)
+class _CardRuns:
+    """The training runs on a card."""
+
+    runs: list[dict[str, Any]] = field(default_factory=list)
+
+
 def _runs_of(source: Path) -> list[dict[str, Any]]:
     """Returns the training runs of a file of weights, or of an agent by its card."""
     if source.is_dir():
         with reading_card(source):
-            card = load_json(source / CARD, dict[str, Any])
-        return list(card.get("runs", []))
+            return load_json(source / CARD, _CardRuns).runs
     if (league := source.parent.parent / LEAGUE).exists():
         return [_run_of_member(league, source.stem)]
     arguments = source.with_name(ARGUMENTS)

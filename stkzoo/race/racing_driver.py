@@ -262,7 +262,8 @@ class TeamWords:
         if channel is None:
             return observation
         others = [other for other in self._agents if other != agent]
-        said = [self._said.get(other) if self._hears(agent, other) else None for other in others]
+        team, teams = self._teams[agent], self._teams
+        said = [self._said.get(other) if teams.get(other) == team else None for other in others]
         return {**observation, **heard_messages(said, channel.words)}
 
     def carry(self, words: Mapping[str, int | None]) -> None:
@@ -276,9 +277,6 @@ class TeamWords:
             for agent, word in words.items()
             if word is not None
         }
-
-    def _hears(self, agent: str, other: str) -> bool:
-        return self._teams[agent] == self._teams.get(other)
 
 
 def one_line(name: str) -> str:

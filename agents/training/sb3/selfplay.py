@@ -193,7 +193,8 @@ class SB3Run:
         arguments, model = self.arguments, self._model
         before = self.kart_steps
         model.set_env(self._envs, force_reset=True)
-        model.set_random_seed(_seed(arguments.seed, self.rounds))
+        (seed,) = np.random.SeedSequence([arguments.seed, self.rounds]).generate_state(1)
+        model.set_random_seed(int(seed))
         for _ in range(arguments.updates):
             report(self._update())
         self.rounds += 1
@@ -363,10 +364,6 @@ def _explained(buffer: Any) -> float:
     """Returns the explained variance of the returns, without idle steps."""
     values, returns = (a.reshape(-1)[buffer.active] for a in (buffer.values, buffer.returns))
     return float(1.0 - np.var(returns - values) / max(np.var(returns), 1e-8))
-
-
-def _seed(seed: int, number: int) -> int:
-    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 def arrays_of(policy: Any) -> dict[str, npt.NDArray[np.float32]]:
