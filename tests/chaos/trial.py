@@ -239,7 +239,7 @@ class _Witness:
 
     @property
     def pids(self) -> tuple[int, ...]:
-        pid = self._env._session.pid
+        pid = self._env.live_race.session.pid
         return () if pid is None else (pid,)
 
     def go_on(self, *, may_be_lost: bool) -> None:

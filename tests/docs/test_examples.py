@@ -72,7 +72,10 @@ PARSED = {
 }
 
 
-OTHER_PROGRAMS = ["pip", "apt", "sudo", "python3", ".", "cd", "git", "ray", "tensorboard", "conda"]
+OTHER_PROGRAMS = [
+    *("pip", "apt", "sudo", "python3", ".", "cd", "git", "ray", "tensorboard", "conda"),
+    "export",
+]
 
 
 def enter_folder(path, monkeypatch):

@@ -240,7 +240,12 @@ def test_a_saved_state_includes_the_memory_of_opponents():
             env.reset(options={"state": state})
             assert (drive(env, 40) == end).all()
             other = race_v0.parallel_env(**RACE, num_kart=5)
-            with other, pytest.raises(ConfigError, match="an environment with the same opponents"):
+            with (
+                other,
+                pytest.raises(
+                    ConfigError, match="an environment with the same karts, agents and opponents"
+                ),
+            ):
                 other.reset(options={"state": state})
 
 
