@@ -178,6 +178,7 @@ def test_a_directory_of_a_million_members_is_refused_without_reading_it(tmp_path
         open_zip(tmp_path / "a.zip", 10, 1 << 30).__enter__()
 
 
+@pytest.mark.slow
 def test_members_that_share_their_bytes_are_refused(tmp_path):
     """A zip of 300 kB whose 100 members share the same 300 MB."""
     whole = io.BytesIO()

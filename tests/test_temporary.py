@@ -62,6 +62,7 @@ def test_a_program_removes_its_folders_at_its_end(place, ending):
     assert (names(place), done.stderr) == ([], "")
 
 
+@pytest.mark.slow
 def test_the_next_program_removes_the_folders_of_a_killed_one(place):
     nest_in_killed = PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)"
     nest(run_program(nest_in_killed).stdout.strip())

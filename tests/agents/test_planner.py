@@ -114,6 +114,7 @@ def test_refuses_an_environment_of_several_agents():
 # ---------------------------------------------------------------------- use as a driver
 
 
+@pytest.mark.slow
 def test_races_against_bots_as_a_driver():
     result = run_race(["planner", "ai"], track="olivermath", seed=1, max_steps=GRID + 12)
     distances = {row.driver: row.distance for row in result.agents}

@@ -182,6 +182,7 @@ def test_an_interrupted_export_can_be_repeated(step, agent, tmp_path, monkeypatc
         assert (again / name).read_bytes() == (agent / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_an_exported_folder_races_like_any_agent(agent):
     result = run_race([str(agent), "ai"], track="olivermath", seed=1, max_steps=60)
     mine = next(row for row in result.agents if row.agent == "kart_0")

@@ -122,6 +122,7 @@ def ended(*words, **options):
     return subprocess.run(program, capture_output=True, text=True, timeout=60, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_command_that_is_told_to_end_stops_like_after_ctrl_c(name):
     done = ended(name)

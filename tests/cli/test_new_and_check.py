@@ -19,6 +19,7 @@ def starter(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_the_starter_agent_finishes_lighthouse(starter):
     (row,) = run_race([str(starter)], track="lighthouse", seed=1).agents
     assert row.status == "finished"

@@ -26,6 +26,7 @@ def stkzoo(words, redirection="", **variables):
     )
 
 
+@pytest.mark.slow
 def test_a_full_stdout_is_one_error_and_the_file_is_kept(tmp_path):
     file = tmp_path / "race.json"
     done = stkzoo(f"{RACE} --output {file}", ">/dev/full")
@@ -36,6 +37,7 @@ def test_a_full_stdout_is_one_error_and_the_file_is_kept(tmp_path):
     assert RaceResult.from_json(file.read_text()).steps == 3
 
 
+@pytest.mark.slow
 def test_a_name_that_the_terminal_cannot_show_is_escaped():
     name = "random@:\N{CHEQUERED FLAG}:fire:"
     done = stkzoo(f"race '{name}' --track lighthouse --max-steps 2", PYTHONIOENCODING="ascii")

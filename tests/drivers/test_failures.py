@@ -83,6 +83,7 @@ def test_a_failure_says_what_went_wrong(name, failures):
     assert len(failure.trace) < 6000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", AGENTS)
 def test_a_trace_has_only_the_agents_own_frames(name, failures):
     trace = failures[name].trace
@@ -122,6 +123,7 @@ def test_long_output_is_cut_off(tmp_path, capfd):
     assert lines[-1] == "flood (kart_0) | (more output is not shown)"
 
 
+@pytest.mark.slow
 def test_all_load_errors_are_reported_before_the_race(tmp_path, capsys):
     names = ("syntax", "missing")
     for name in names:

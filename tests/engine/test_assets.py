@@ -224,6 +224,7 @@ class TestInstalling:
         install()
         assert not folder.exists()
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("system")
     def test_install_waits_for_another_one(self):
         other = self.start_an_install("1")

@@ -325,6 +325,7 @@ def test_bots_drive_on_ground_and_not_in_walls(track, reverse):
     assert np.median(np.abs(spots.height - driven[:, 1])[is_there]) < 0.3
 
 
+@pytest.mark.slow
 def test_a_kart_stops_at_a_wall():
     with race_v0.parallel_env(agents=1, num_kart=1, track="stk_enterprise", max_paths=1) as env:
         env.reset(seed=1, options={"start": Start(distance=330.0, heading=np.pi / 2)})

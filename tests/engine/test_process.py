@@ -145,6 +145,7 @@ def test_a_killed_game_is_an_error_and_the_next_start_works(session, sign):
     assert len(trajectory(session)) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["stk_config.xml", "tracks/olivermath/olivermath_track.spm"])
 def test_a_crash_because_of_damaged_data_says_how_to_replace_it(name, root, tmp_path):
     copy = Path(shutil.copytree(root, tmp_path / "copy", copy_function=os.symlink))

@@ -233,6 +233,7 @@ class TestThinnedPack:
         digests = {self.race(root, track, reverse) for root in packs}
         assert len(digests) == 1
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("track", ["black_forest", "olivermath"])
     def test_ground_is_the_same(self, packs, track):
         whole, thinned = (read_scenery(root / "data", track) for root in packs)

@@ -79,6 +79,7 @@ def test_infos_are_new_dicts_of_numbers_with_the_same_keys(whole_race):
     assert kinds <= set("biuf")
 
 
+@pytest.mark.slow
 def test_actions_of_departed_agents_are_ignored(whole_race):
     with make_whole() as env:
         policy = RandomPolicy(env, with_departed=True)
@@ -257,6 +258,7 @@ def test_rendering_without_a_mode_warns():
             assert env.render() is None
 
 
+@pytest.mark.slow
 def test_a_race_prints_nothing():
     code = "from tests.env.test_conformance import make, play\nwith make() as env: [*play(env, 1)]"
     done = run_program(code, cwd=ROOT)

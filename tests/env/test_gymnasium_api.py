@@ -59,6 +59,7 @@ def test_sb3_check_env_passes_without_other_warnings(env_id):
         sb3_check_env(env)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
 def test_a_whole_race_passes_the_passive_checker(env_id):
     with gym.make(env_id, **OPTIONS, max_episode_steps=60) as env:

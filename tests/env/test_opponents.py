@@ -73,6 +73,7 @@ def drive(env, steps):
     return env.snapshot.karts["location"].copy()
 
 
+@pytest.mark.slow
 def test_opponents_of_all_kinds_drive():
     opponents = ["pretrained:ace", "heuristic", "ai:3", str(AGENTS / "plain"), forward]
     with against(opponents, num_kart=7) as env:
@@ -128,6 +129,7 @@ def test_a_single_pool_drives_all_karts_that_are_not_agents():
         assert len({*env.race.opponents}) == 1
 
 
+@pytest.mark.slow
 def test_an_opponent_that_fails_drops_out_and_the_race_continues(caplog):
     hostile = str(AGENTS / "hostile" / "exits.py")
     with against([Fails(), hostile, lambda _: [9.0, 0.0]]) as env:
@@ -323,6 +325,7 @@ def test_the_karts_of_one_driver_in_many_races_are_driven_together():
     envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["heuristic", "pretrained:ace", "network"])
 def test_a_shipped_driver_acts_the_same_for_a_batch_as_for_single_karts(name, tmp_path):
     """Bit for bit, on tracks with different numbers of segments and items."""

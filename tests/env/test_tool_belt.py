@@ -160,6 +160,7 @@ def test_discretize_observation_works_with_bounded_observations():
         assert observation in env.observation_space
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_record_video_and_save_video_film_a_race(tmp_path):
     options = {"max_episode_steps": 12, "num_kart": 1}

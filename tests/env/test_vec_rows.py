@@ -97,6 +97,7 @@ def test_rows_are_used_with_every_option(options, monkeypatch):
     both(monkeypatch, **options)
 
 
+@pytest.mark.slow
 def test_races_with_other_infos_share_the_columns(monkeypatch):
     trace = both(monkeypatch, options_later=[{"events": True}, None])
     infos = trace[-1][4]
@@ -168,6 +169,7 @@ def unusual(actions):
     yield actions | {"horn": np.ones(4)}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_each_form")
 def test_all_forms_of_an_action_have_the_same_effect():
     envs = RaceVectorEnv(2, **OPTIONS, view="flattened")

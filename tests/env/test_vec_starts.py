@@ -60,6 +60,7 @@ def test_a_few_starts_are_kept_and_repeated(make):
     assert len(waiting(envs)) == 3
 
 
+@pytest.mark.slow
 def test_a_copied_start_gives_the_same_race_as_a_new_one(make):
     copied, started = make(), make()
     for race in started.races:
@@ -82,6 +83,7 @@ def test_a_copied_environment_repeats_the_same_starts(make, moment, library):
         assert not set(waiting(again)) & set(waiting(envs))
 
 
+@pytest.mark.slow
 def test_the_seed_determines_the_starts(make):
     envs = make()
     first, again, other = drive(envs, 1), drive(envs, 1), drive(envs, 2)
@@ -112,6 +114,7 @@ def test_new_options_apply_to_the_next_races_and_old_starts_end(make):
     assert wait_until(lambda: not any(map(process_exists, before)))
 
 
+@pytest.mark.slow
 def test_a_start_that_was_killed_is_started_again(make):
     envs, other = make(num_starts=1), make(num_starts=1)
     drive(envs, 1)

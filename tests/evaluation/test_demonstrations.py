@@ -63,6 +63,7 @@ def test_a_data_set_records_how_it_was_made(driven):
     assert plan["versions"]["pystk2"]
 
 
+@pytest.mark.slow
 def test_a_file_survives_loading(driven):
     file, demos = driven
     names = set(load_file(file))
@@ -199,6 +200,7 @@ def test_other_views_are_recorded_in_their_own_spaces(view, tmp_path):
     assert demos.num_steps == 25
 
 
+@pytest.mark.slow
 def test_other_demonstrations_are_not_overwritten(driven):
     file, _ = driven
     with pytest.raises(ConfigError, match=r"other demonstrations.*seeds is"):

@@ -136,6 +136,7 @@ ROWS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROWS)
 def test_races_call_the_methods_that_write_into_arrays(cases, name):
     assert {*ROWS[name].split()} <= {method for _, _, method, _ in cases[name]}

@@ -148,6 +148,7 @@ def test_half_a_race_earns_less_than_a_whole_one():
         assert (half.returns("race")[drivers] > 0).all()
 
 
+@pytest.mark.slow
 def test_the_engine_reproduces_the_recorded_returns():
     live, kept = drive("olivermath", every=10), RACES["olivermath"]
     check_order(live)

@@ -34,6 +34,7 @@ def asks_for_rescues_at(*steps):
     return Driver.of_actor("caller", make)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", RATES)
 def test_rescues_are_counted_at_each_rate(rate):
     first, soon, second = (round(time * rate) for time in (4.0, 4.2, 7.5))

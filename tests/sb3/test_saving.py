@@ -31,6 +31,7 @@ def make():
         envs.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("view", "activation"),
     [("racing", torch.nn.Tanh), ("box_discrete", torch.nn.ReLU), ("box_continuous", torch.nn.Tanh)],

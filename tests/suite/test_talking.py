@@ -112,6 +112,7 @@ def test_an_agent_does_not_talk_in_tasks_without_words(task):
         plan_entry(task, EXAMPLE)
 
 
+@pytest.mark.slow
 def test_an_agent_can_name_each_task_as_its_view(tmp_path):
     versus = tmp_path / "versus.py"
     versus.write_text(

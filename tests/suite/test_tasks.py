@@ -34,6 +34,7 @@ def test_the_tasks_are_those_of_the_suite():
     assert {name: task.digest[:16] for name, task in TASKS.items()} == DIGESTS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", marked(DIGESTS, ["solo-1", "talk-2v2"]))
 def test_a_task_can_be_made_and_raced(name):
     task = find_task(name)

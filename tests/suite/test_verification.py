@@ -142,6 +142,7 @@ def test_numbers_that_do_not_follow_from_the_races_are_refused(entry, change, me
         _compare(claimed, card, results)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [

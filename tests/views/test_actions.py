@@ -12,6 +12,7 @@ from stkzoo.views.actions import read_action
 STEER = spaces.Dict({"steer": spaces.Box(-1, 1, (1,), np.float32)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "steer",
     [

@@ -93,6 +93,7 @@ def remind(drivers, state):
         array[:] = state[name]
 
 
+@pytest.mark.slow
 def test_the_prior_alone_drives_forward():
     for env, *_ in driven_race(150):
         moment = env.snapshot
@@ -113,6 +114,7 @@ def test_decisions_do_not_depend_on_the_batch_size(name):
             np.testing.assert_array_equal(decided[0], controls[kart])
 
 
+@pytest.mark.slow
 def test_plans_on_the_racing_line_follow_it():
     on_line = DriverParameters(racing_line=True)
     with race_v0.parallel_env(num_kart=2, track="hacienda", view="ground") as env:

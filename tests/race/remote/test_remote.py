@@ -234,6 +234,7 @@ def test_a_disconnected_client_frees_its_place(tmp_path):
     pytest.fail("the server still kept the place of a client that is gone")
 
 
+@pytest.mark.slow
 def test_a_silent_client_loses_its_place(monkeypatch):
     monkeypatch.setattr(server_module, "_PATIENCE", 0.2)
     with (

@@ -97,6 +97,7 @@ def test_a_replay_is_small(recorded):
     assert recorded[0].stat().st_size < 200_000
 
 
+@pytest.mark.slow
 def test_digests_are_computed_as_documented(recorded):
     path, _, positions = recorded
     digest, chain = b"", []
@@ -153,6 +154,7 @@ def test_random_actions_that_replace_a_failed_agent_are_kept(tmp_path):
     assert play_replay(load_replay(path)).is_exact
 
 
+@pytest.mark.slow
 def test_a_finished_race_ends_the_same_way(tmp_path):
     path = tmp_path / "race.stkz"
     result, _ = record(path, "ai", "heuristic", track="olivermath", seed=3)
@@ -367,6 +369,7 @@ def test_one_replay_file_for_several_races_is_a_usage_error(tmp_path, capsys):
     assert "--replay keeps one race" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_replay_becomes_a_map_video_without_the_render_process(small, tmp_path, monkeypatch):
     monkeypatch.delattr("stkzoo.render.game.RenderSession")  # the game cannot render
     video = tmp_path / "race.mp4"
