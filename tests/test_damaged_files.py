@@ -77,6 +77,7 @@ def test_an_invalid_field_of_a_result_is_refused_and_named(field, value, problem
         RaceResult.from_json(json.dumps(values))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [RaceResult, BenchmarkResult, TournamentResult, Entry])
 def test_values_that_break_the_published_schema_are_refused(kind):
     """A change that breaks the schema is refused. Missing entries do not count as a break."""

@@ -26,6 +26,7 @@ def test_the_starter_agent_finishes_lighthouse(starter):
     assert (row.driver, row.num_errors, row.num_clipped) == ("my agent", 0, 0)
 
 
+@pytest.mark.slow
 def test_the_starter_of_another_view_acts_in_that_view(tmp_path, capsys):
     folder = tmp_path / "racer"
     assert main(["new", str(folder), "--view", "racing"]) == 0

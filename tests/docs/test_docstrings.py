@@ -17,6 +17,7 @@ def modules():
                 yield package + ".".join(part for part in parts if part != "__init__")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(modules()))
 def test_the_examples_of_a_module_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -92,6 +92,7 @@ def test_a_trace_has_only_the_agents_own_frames(name, failures):
     assert "\x1b" not in trace
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["imports", "missing", "signature", "actor_signature"])
 def test_an_error_with_a_sufficient_message_has_no_trace(name, failures):
     assert failures[name].trace == ""

@@ -205,6 +205,7 @@ def test_errors_in_an_agents_module_are_reported(code, message, tmp_path):
     assert message in result.agents[0].errors[0].message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inline", [True, False])
 def test_an_agent_can_set_options_of_its_environment(inline, tmp_path):
     (tmp_path / "pystk_actor.py").write_text(

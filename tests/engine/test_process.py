@@ -339,6 +339,7 @@ def test_a_second_race_in_this_process_is_refused_while_the_first_runs(root):
     assert run_program(code).stdout.split() == ["ApiOrderError", "True", "0"]
 
 
+@pytest.mark.slow
 def test_restarts_in_this_process_leave_no_open_file_and_no_folder(root, tmp_path):
     code = f"""
         import os

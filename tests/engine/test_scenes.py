@@ -240,6 +240,7 @@ class TestThinnedPack:
         assert np.array_equal(whole.corners, thinned.corners)
         assert np.array_equal(whole.speed, thinned.speed)
 
+    @pytest.mark.slow
     def test_thinned_scenes_have_far_fewer_objects(self, packs):
         whole, thinned = (
             len(list(ET.parse(root / "data/tracks/cocoa_temple/scene.xml").iter("library")))

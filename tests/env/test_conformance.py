@@ -45,6 +45,7 @@ def whole_race():
         return list(play(env, 9))
 
 
+@pytest.mark.slow
 def test_results_have_the_acting_agents_as_keys_also_in_their_last_step(whole_race):
     for step in whole_race:
         for name, part in step.parts.items():
@@ -224,6 +225,7 @@ def invalid_arrays(space, path):
 # ---------------------------------------------------------------- the life of an environment
 
 
+@pytest.mark.slow
 def test_unseeded_resets_continue_the_random_stream_of_the_seed():
     with make("simple") as env:
         once, again = ([trace(play(env, seed)) for seed in (13, None, None)] for _ in range(2))

@@ -472,6 +472,7 @@ def test_no_state_outlives_the_program(ending):
     assert wait_until(lambda: not any(map(process_exists, pids)))
 
 
+@pytest.mark.slow
 def test_a_forked_copy_of_the_program_does_not_end_states():
     code = """
         import os

@@ -102,6 +102,7 @@ def test_a_reset_without_seeds_keeps_the_starts(make, seed):
     assert set(waiting(envs)) == met
 
 
+@pytest.mark.slow
 def test_new_options_apply_to_the_next_races_and_old_starts_end(make):
     envs = make(num_starts=2)
     drive(envs, 1)

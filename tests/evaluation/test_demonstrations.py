@@ -114,6 +114,7 @@ def test_a_check_runs_the_code_of_rivals_outside_this_program(rival, tmp_path):
     assert not hasattr(builtins, "rival_was_here")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"inline": True}, {"sandbox": "off"}, {}])
 def test_a_check_runs_no_rival_from_files_unless_it_is_trusted(driven, rival, settings):
     _, demos = driven

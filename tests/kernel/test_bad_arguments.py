@@ -142,6 +142,7 @@ def test_races_call_the_methods_that_write_into_arrays(cases, name):
     assert {*ROWS[name].split()} <= {method for _, _, method, _ in cases[name]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", marked(NAMES, ["ActionReader", "KartObserver"]))
 def test_bad_arguments_are_accepted_or_refused(cases, name):
     assert cases[name], "no race has called it"

@@ -253,6 +253,7 @@ def test_action_times_are_reported(result):
         assert 0 < part <= times["heuristic"].max
 
 
+@pytest.mark.slow
 def test_numbers_outside_a_box_are_clipped_and_counted_but_nan_fails(tmp_path, caplog):
     backwards = write_agent(
         tmp_path, "backwards", "return {**action_space.sample(), 'acceleration': [-1.0]}"

@@ -49,6 +49,7 @@ def test_rgb_array_returns_the_current_frame():
     assert (pictures[0] != pictures[-1]).any()
 
 
+@pytest.mark.slow
 def test_rgb_array_list_returns_the_frames_since_the_last_call():
     with small_race(render_mode="rgb_array_list", **MAP) as env:
         steps = drive(env, 5)

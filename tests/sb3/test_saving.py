@@ -49,6 +49,7 @@ def test_the_agent_acts_as_the_policy_does(view, activation, make, tmp_path):
         assert np.allclose(act(None, seen), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_agent_races(make, tmp_path):
     folder = save_agent(make("racing"), tmp_path / "agent", view="racing", name="Saved")
     result = run_race([folder, "ai"], track="olivermath", seed=1, max_steps=20)

@@ -76,6 +76,7 @@ def test_each_task_is_registered_with_pettingzoo():
         env.close()
 
 
+@pytest.mark.slow
 def test_both_splits_and_both_directions_are_driven():
     assert set(find_task("versus").options()["track"]) == set(TRAIN_TRACKS)
     with find_task("solo-general").make("test") as env:

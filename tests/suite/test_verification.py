@@ -161,6 +161,7 @@ def test_changed_rules_are_refused_before_any_race(entry, change, message):
     assert message in refusal(entry)
 
 
+@pytest.mark.slow
 def test_missing_and_extra_replays_are_refused(entry):
     replay_of(entry, 3).rename(entry / "replays" / "extra.stkz")
     assert "one replay per race; see 00003.stkz, extra.stkz" in refusal(entry)

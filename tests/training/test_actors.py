@@ -49,6 +49,7 @@ def pool():
     found.close()
 
 
+@pytest.mark.slow
 def test_results_and_memory_are_shared():
     memories = [SharedArray((2, 3), np.float32) for _ in range(2)]
     pool = ActorPool(Counter, [(memory, 0) for memory in memories])

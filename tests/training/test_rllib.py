@@ -82,6 +82,7 @@ def test_the_steps_of_the_learners_karts_are_recorded_to_the_end_of_their_races(
     np.testing.assert_allclose(last.log_probabilities, expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_kart_that_finishes_is_terminated():
     near_finish = {"start": Start(share=0.97, speed=15.0), "track": "lighthouse"}
     straight = [10, *np.cumsum(CHOICES[:-1])]  # at full throttle

@@ -266,6 +266,7 @@ def race():
     env.close()
 
 
+@pytest.mark.slow
 def test_an_adapted_race_equals_one_with_views(race):
     with race_v0.parallel_env(
         num_kart=3, track="lighthouse", view={0: "simple", 1: "flattened_discrete"}

@@ -14,6 +14,7 @@ from stkzoo.errors import ConfigError
 RACES = {"num_kart": 3, "agents": 2, "track": "olivermath", "num_starts": 1, "start_seed": 1}
 
 
+@pytest.mark.slow
 def test_all_karts_at_once_get_the_values_of_one_agent():
     """The two forms round differently, so the races drift apart slowly."""
     together = PlanVectorEnv(2, **RACES)

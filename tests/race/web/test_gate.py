@@ -66,6 +66,7 @@ def test_a_flood_of_incomplete_requests_does_not_affect_a_race(tmp_path, held):
     assert files[2].stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_page_responds_while_others_hold_incomplete_requests(page, held):
     most = page._server._gate.most
     connect_all(("127.0.0.1", page.port), 3 * most, HALF_REQUEST, held)
