@@ -69,6 +69,7 @@ def test_drives_the_same_race_with_the_same_seed(env):
     assert first[0] != other[0]
 
 
+@pytest.mark.slow
 def test_planning_does_not_change_the_race(env):
     actions, distance = plan(env, GRID + SOME)
     recorded = iter(actions)

@@ -234,6 +234,7 @@ def test_d07_actions_of_the_games_ai_become_the_nearest_steps():
 # ------------------------------------------------------------------------------------ D08
 
 
+@pytest.mark.slow
 def test_d08_flattened_views_have_exactly_two_keys():
     for view in (view for view in stkzoo.views.VIEWS if view.startswith("flattened")):
         env = gym.make(f"supertuxkart/{view}-v0", track=SHORT_TRACK)

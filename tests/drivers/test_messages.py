@@ -63,12 +63,14 @@ def assert_same(one, other):
         assert one == other
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(observations)
 def test_an_observation_survives_a_round_trip(observation):
     assert_same(decode_observation(encode_observation(observation)), observation)
 
 
+@pytest.mark.slow
 def test_an_observation_of_a_race_survives_a_round_trip():
     view = full_with(frozenset(EXTRAS))
     with race_v0.parallel_env(num_kart=3, track="lighthouse", view=view) as env:

@@ -52,6 +52,7 @@ def test_results_have_the_acting_agents_as_keys_also_in_their_last_step(whole_ra
             assert tuple(part) == step.acting, f"step {step.number}: {name}"
 
 
+@pytest.mark.slow
 def test_agents_leave_when_they_end_and_the_others_race_on(whole_race):
     for step in whole_race[1:]:
         assert step.agents == tuple(a for a in step.acting if not step.is_end_of(a))

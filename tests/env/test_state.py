@@ -227,6 +227,7 @@ class Remembering(gym.Wrapper):
         return *parts, info | {"seen": len(self.seen), "noise": float(self.np_random.random())}
 
 
+@pytest.mark.slow
 def test_the_memory_of_wrappers_is_part_of_the_state():
     with make(view=Remembering, agents=2) as env:
         state = started(env).save_state()
@@ -249,6 +250,7 @@ def test_a_wrapper_that_cannot_be_copied_is_named():
             env.save_state()
 
 
+@pytest.mark.slow
 def test_a_state_of_other_wrappers_is_refused_and_the_race_continues(env):
     with make(view=Remembering, agents=2) as other:
         state = started(other).save_state()
@@ -279,6 +281,7 @@ def test_a_state_of_other_karts_or_agents_is_refused(env, options):
         other.restore_state(state)
 
 
+@pytest.mark.slow
 def test_a_race_of_a_spawned_process_cannot_be_saved_but_continues(env, monkeypatch):
     monkeypatch.setenv("STKZOO_START_METHOD", "spawn")
     started(env)

@@ -198,6 +198,7 @@ def trace(env):
     )
 
 
+@pytest.mark.slow
 def test_an_environment_can_move_between_threads():
     fork_client._close_all()  # so that the fork server becomes a child of a thread that ends
     env = in_thread(lambda: race_v0.parallel_env(**OPTIONS))

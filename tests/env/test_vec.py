@@ -185,6 +185,7 @@ def test_all_races_start_a_step_before_any_is_waited_for():
 # ---------------------------------------------------------------------- seeds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prefetch", [True, False])
 def test_set_options_applies_from_the_next_race_until_it_is_changed(prefetch):
     envs = make(max_cycles=2, prefetch=prefetch)
@@ -300,6 +301,7 @@ def finishes():
     return Finishes()
 
 
+@pytest.mark.slow
 def test_an_agent_that_finishes_is_terminated_once(finishes):
     terminations = sum(result[2].astype(int) for result in finishes.results)
     assert terminations.tolist() == [1, 1, 1]
@@ -368,6 +370,7 @@ def test_the_infos_of_a_crash_have_no_rewards_of_the_step_before():
     envs.close()
 
 
+@pytest.mark.slow
 def test_a_hanging_game_is_replaced():
     envs = make(engine_timeout=0.3)
     envs.reset(seed=1)

@@ -124,6 +124,7 @@ def test_a_check_runs_no_rival_from_files_unless_it_is_trusted(driven, rival, se
     assert not hasattr(builtins, "rival_was_here")
 
 
+@pytest.mark.slow
 def test_a_check_runs_no_adapter_that_the_dataset_names(driven, rival):
     _, demos = driven
     plan = {**demos.plan, "settings": demos.plan["settings"] | {"adapter": rival}}

@@ -250,6 +250,7 @@ def test_a_block_with_too_few_items_is_refused():
         stepper.read(True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [float("nan"), float("inf"), 1e30])
 def test_a_kart_with_an_invalid_location_can_be_observed(cases, place):
     observed = (case for case in cases["RacingObserver"] if case[2] == "observe")

@@ -57,6 +57,7 @@ def test_the_agent_races(make, tmp_path):
     assert not any(row.errors for row in result.agents)
 
 
+@pytest.mark.slow
 def test_an_unsupported_policy_is_refused(make, tmp_path):
     model = make("flattened_discrete", "MultiInputPolicy")
     with pytest.raises(ConfigError, match=r"MultiInput.*expected .MlpPolicy."):

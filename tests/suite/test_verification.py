@@ -167,6 +167,7 @@ def test_missing_and_extra_replays_are_refused(entry):
     assert "one replay per race; see 00003.stkz, extra.stkz" in refusal(entry)
 
 
+@pytest.mark.slow
 def test_an_unknown_task_and_a_missing_entry_are_errors(entry, tmp_path):
     card = read_entry(entry)
     card["plan"]["task"] = "smal"

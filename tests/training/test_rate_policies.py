@@ -89,6 +89,7 @@ def drawn(monkeypatch):
     return curves
 
 
+@pytest.mark.slow
 def test_a_curve_has_only_the_policies_of_its_own_run(run, tmp_path, drawn):
     longer = run.with_name("first b")
     shutil.copytree(run, longer)
@@ -122,6 +123,7 @@ def test_too_few_policies_are_refused(run, tmp_path, capsys):
     assert "expected 4 or more" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_runs_of_all_scripts_are_rated_together(run):
     plans = run / "policy-000000100.safetensors"
     network = run.parent / "network.safetensors"

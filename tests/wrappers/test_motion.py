@@ -146,6 +146,7 @@ def get_actor(module_dir, observation_space, action_space):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inline", [True, False])
 def test_agents_from_files_can_request_motion(tmp_path, inline):
     (tmp_path / "pystk_actor.py").write_text(MODULE)

@@ -34,6 +34,7 @@ def test_the_line_does_not_count_ground_behind_a_wall():
     assert (left > 6.2).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("track", ["hacienda", "minigolf"])
 def test_the_line_is_shorter_than_the_driving_line_and_on_free_ground(track):
     with race_v0.parallel_env(num_kart=1, track=track) as env:
@@ -69,6 +70,7 @@ def test_the_ground_view_shows_the_line():
             assert (seen["ground_room"] >= 1).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_the_solver_finds_the_least_squares_solution_with_bounds(seed):

@@ -100,6 +100,7 @@ def test_the_prior_alone_drives_forward():
     assert (moment.karts["overall_distance"] > 120).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ace", "scout"])
 def test_decisions_do_not_depend_on_the_batch_size(name):
     folder = Path(pretrained.__file__).parent / name

@@ -192,6 +192,7 @@ def other_site(tmp_path):
     thread.join(10)
 
 
+@pytest.mark.slow
 def test_another_site_in_the_same_browser_cannot_control_the_race(reader, other_site):
     page = LivePage(port=0, paused=True)
     try:
