@@ -48,7 +48,8 @@ class _ForkServer:
     def __init__(self, control: socket.socket):
         self._control = control
         self._program = os.getppid()
-        self._dropped: list[int] = []  # killed children that have not been reaped
+        self._statuses: dict[int, int] = {}  # of ended children; the program may request them
+        self._dropped: set[int] = set()  # killed children whose status is not needed
 
     def run(self) -> None:
         """Serves the program's requests until the program ends."""
@@ -82,21 +83,28 @@ class _ForkServer:
     def _end(self, pid: int) -> int:
         """Returns the wait status of a child, which is killed after :data:`_GRACE_SECONDS`."""
         deadline = time.monotonic() + _GRACE_SECONDS
-        while True:
-            ended, status = os.waitpid(pid, os.WNOHANG)
-            if ended:
-                return status
+        self._reap()
+        while pid not in self._statuses:
             if time.monotonic() > deadline:
                 os.kill(pid, signal.SIGKILL)
             time.sleep(0.001)
+            self._reap()
+        return self._statuses.pop(pid)
 
     def _drop(self, pid: int) -> None:
         """Ends a child without waiting for it."""
-        os.kill(pid, signal.SIGKILL)
-        self._dropped.append(pid)
+        if self._statuses.pop(pid, None) is None:
+            os.kill(pid, signal.SIGKILL)
+            self._dropped.add(pid)
 
     def _reap(self) -> None:
-        self._dropped = [pid for pid in self._dropped if not os.waitpid(pid, os.WNOHANG)[0]]
+        with contextlib.suppress(ChildProcessError):
+            while (child := os.waitpid(-1, os.WNOHANG))[0]:
+                pid, status = child
+                if pid in self._dropped:
+                    self._dropped.discard(pid)
+                else:
+                    self._statuses[pid] = status
 
 
 def _unbuffer_output(libc: ctypes.CDLL) -> None:
