@@ -58,8 +58,7 @@ def headings_of(line: FloatArray) -> FloatArray:
     """
     steps = line[:, 1:, :3] - line[:, :-1, :3]
     # The bits of numpy.arctan2 depend on the processor.
-    headings: FloatArray = np.ascontiguousarray(to_polar(steps)[..., 0])
-    return headings
+    return np.ascontiguousarray(to_polar(steps)[..., 0])
 
 
 class RivalMoment(NamedTuple):

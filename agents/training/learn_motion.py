@@ -172,8 +172,7 @@ def drive(
 
 def _karts_of(race: Any) -> npt.NDArray[np.void]:
     """Returns the records of a race's karts, in the order of its agents."""
-    records: npt.NDArray[np.void] = race.snapshot.karts[list(race.race.kart_indices)]
-    return records
+    return np.asarray(race.snapshot.karts[list(race.race.kart_indices)])
 
 
 def _logged(

@@ -103,9 +103,8 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
                     if entry == "time_ratio":
                         error = 1.96 * np.array([line["error"] for line in found])
                         _draw_band(axis, curve, steps, values - error, values + error)
-    for axis in axes[: len(panels)]:
-        label = "million kart-steps" if "kart_steps" in names else "round"
-        axis.set_xlabel(label, fontsize=8, color=INK)
+        unit = "million kart-steps" if "kart_steps" in names else "round"
+        axis.set_xlabel(unit, fontsize=8, color=INK)
         axis.grid(alpha=0.3)
         if axis.get_legend_handles_labels()[0]:
             axis.legend(fontsize=7)
@@ -140,27 +139,11 @@ def _smooth(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return sums / np.convolve(np.ones_like(values), window, mode="same")
 
 
-def draw_ratings(
-    axis: Any, label: str, steps: Sequence[float], ratings: Sequence[Interval]
-) -> None:
-    """Draws the ratings of saved policies with their intervals.
-
-    Args:
-        axis: axis of matplotlib.
-        label: label of the curve.
-        steps: kart-steps of each policy [millions].
-        ratings: rating of each policy.
-    """
-    values, lows, highs = np.array(ratings, float).reshape(-1, 3).T
-    (curve,) = axis.plot(steps, values, marker="o", markersize=3, label=label, gid=f"curve {label}")
-    _draw_band(axis, curve, steps, lows, highs)
-
-
 def _draw_band(axis: Any, curve: Any, steps: Any, lows: Any, highs: Any) -> None:
     axis.fill_between(steps, lows, highs, color=curve.get_color(), alpha=0.15, linewidth=0)
 
 
-def draw_levels(axis: Any, values: Mapping[str, float]) -> None:
+def _draw_levels(axis: Any, values: Mapping[str, float]) -> None:
     """Draws labeled horizontal lines; lines at nearly the same height share a label."""
     room = 0.04 * float(np.ptp([*axis.get_ylim(), *values.values()]))
     groups: list[list[str]] = []
@@ -193,8 +176,12 @@ def rating_figure(
     axis = figure.subplots()
     style_axes(axis, title)
     for name, points in curves.items():
-        draw_ratings(axis, name, [at for at, _ in points], [rating for _, rating in points])
-    draw_levels(axis, levels)
+        steps = [at for at, _ in points]
+        values, lows, highs = np.array([rating for _, rating in points], float).reshape(-1, 3).T
+        marks = {"marker": "o", "markersize": 3, "gid": f"curve {name}"}
+        (curve,) = axis.plot(steps, values, label=name, **marks)
+        _draw_band(axis, curve, steps, lows, highs)
+    _draw_levels(axis, levels)
     axis.set_xlabel("million kart-steps", color=INK)
     axis.set_ylabel("rating (Plackett-Luce; bands: 95%)", color=INK)
     axis.grid(alpha=0.3)

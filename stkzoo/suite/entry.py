@@ -19,11 +19,10 @@ from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import batch_settings
-from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, check_plot, written
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, benchmark_orders, plan_benchmark
 from stkzoo.evaluation.benchmark.races import FigureKind
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, plot_benchmark, race_outcomes
-from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.statistics import Estimate
 from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult, shared_protections
@@ -296,7 +295,7 @@ ENTRIES = BatchKind(
     entry_orders,
     _entry,
     written(ENTRY_FILE, plot_benchmark, "entry.png"),
-    lambda options: require_plot(options.plot),
+    check_plot,
 )
 
 

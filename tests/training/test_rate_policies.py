@@ -133,10 +133,10 @@ def test_runs_of_all_scripts_are_rated_together(run):
     match = Match(("plans", "network", START), "olivermath", bots=0)
     (finishes,) = play_matches([match], drivers)
     assert sorted(finish.rank for finish in finishes) == [1, 2, 3]
-    assert match.order(finishes, "ai")[-1] == "network"  # it does not follow the road
+    assert match.order(finishes)[-1] == "network"  # it does not follow the road
 
 
 def test_ranks_without_a_driver_belong_to_the_ai():
     match = Match(("a", "b", "a"), "lighthouse", bots=2)
     ends = [Finish(1.0, rank) for rank in (1, 3, 4)]
-    assert match.order(ends, "ai") == ["a", "ai", "b"]
+    assert match.order(ends) == ["a", "ai", "b"]

@@ -183,16 +183,15 @@ class Match:
         place = self.track, self.reverse, self.number, self.difficulty
         return len(self.drivers), self.bots, *place
 
-    def order(self, finishes: Sequence[Finish], ai: str) -> list[str]:
+    def order(self, finishes: Sequence[Finish]) -> list[str]:
         """Returns names in finishing order, each once, at its best rank.
 
         Args:
             finishes: finishes of the drivers' karts.
-            ai: name of the game's AI.
         """
         ranks = {finish.rank: name for finish, name in zip(finishes, self.drivers, strict=True)}
         places = range(1, len(finishes) + self.bots + 1)
-        return list(dict.fromkeys(ranks.get(place, ai) for place in places))
+        return list(dict.fromkeys(ranks.get(place, AI) for place in places))
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,7 +371,7 @@ def play_records(
         turn: turn of the league.
     """
     played = zip(matches, play_matches(matches, drivers), strict=True)
-    return [MatchRecord(turn, m.track, m.reverse, m.order(ends, AI)) for m, ends in played]
+    return [MatchRecord(turn, m.track, m.reverse, m.order(ends)) for m, ends in played]
 
 
 # ---------------------------------------------------------------------- rating

@@ -1,4 +1,4 @@
-"""Past selves as opponents: the pool, the matchmaker, and who drives which kart of a race.
+"""Past selves as opponents: the pool, the matchmaker, and the assignment of karts in a race.
 
 Prioritized fictitious self-play (Vinyals et al., "Grandmaster level in StarCraft II using
 multi-agent reinforcement learning", 2019) draws an opponent that is beaten with probability p with

@@ -58,7 +58,7 @@ class ActorRaces:
 
     @property
     def company(self) -> str:
-        """Whom the learners meet: ``"alone"``, ``"selfplay"`` or ``"rivals"``."""
+        """The opponents of the learners: ``"alone"`` for none, ``"selfplay"`` or ``"rivals"``."""
         if self.options["num_kart"] > self.num_agents:
             return "rivals"
         return "selfplay" if self.num_agents > 1 else "alone"
@@ -184,7 +184,7 @@ class KartRace:
     """The race of a learner's kart.
 
     Attributes:
-        company: whom it met: ``"alone"``, ``"selfplay"`` or ``"rivals"``.
+        company: its opponents: ``"alone"`` for none, ``"selfplay"`` or ``"rivals"``.
         reward: sum of its rewards.
         position: its position at the end; 1 is first.
         ratio: its time over the AI's median time; ``None`` if it did not finish.

@@ -235,7 +235,8 @@ class RaceSampler:
 
     def _step(self) -> dict[str, npt.NDArray[Any]]:
         """Makes one step of all races, and returns its arrays; see :func:`_fragments`."""
-        logits, seen, racing = self._logits(), self._observations, self._races.racing
+        seen, racing = self._observations, self._races.racing
+        logits = self._logits(racing)
         shape = racing_shape()
         actions, log_probabilities = sample(logits, self._random, shape.heads, shape.columns)
         self._races.step_async(actions)
@@ -258,9 +259,8 @@ class RaceSampler:
             "is_truncated": truncations,
         }
 
-    def _logits(self) -> FloatArray:
+    def _logits(self, racing: npt.NDArray[np.bool_]) -> FloatArray:
         """Returns the logits of all karts; zeros for idle ones."""
-        racing = self._races.racing
         logits = np.zeros((len(racing), sum(CHOICES)), np.float32)
         for module, network in self._networks.items():
             rows = np.flatnonzero((self._modules.ravel() == module) & racing)

@@ -143,18 +143,16 @@ def _ray() -> Any:
 @contextmanager
 def _started(ray: Any, arguments: RLlibArguments) -> Iterator[None]:
     """Connects to a cluster and sends it the pack, or starts Ray on this machine."""
-    address, environment = arguments.address, {}
+    address = arguments.address
     with tempfile.TemporaryDirectory() as files:
-        if arguments.pack or address:
-            environment["working_dir"] = files
-            if arguments.pack:
-                shutil.copy(arguments.pack, Path(files, PACK))
-            else:
-                pack(output=Path(files, PACK))
+        if arguments.pack:
+            shutil.copy(arguments.pack, Path(files, PACK))
+        elif address:
+            pack(output=Path(files, PACK))
         try:
             ray.init(
                 address=address or "local",
-                runtime_env=environment,
+                runtime_env={"working_dir": files} if arguments.pack or address else {},
                 log_to_driver=False,
                 include_dashboard=False,
             )

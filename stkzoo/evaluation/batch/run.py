@@ -20,6 +20,7 @@ from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import Plan, find_plan, keep_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel
+from stkzoo.evaluation.plotting import require_plot
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult
 
@@ -195,6 +196,15 @@ def written(
             plot(result, folder / plot_name)
 
     return write
+
+
+def check_plot(options: RunOptions) -> None:
+    """Checks before the first race that results can be plotted, for :class:`BatchKind`.
+
+    Raises:
+        ConfigError: a plot is wanted, and matplotlib is missing.
+    """
+    require_plot(options.plot)
 
 
 def _run_rest(

@@ -16,7 +16,7 @@ from stkzoo.evaluation.batch.plan import (
     describe_differences,
     result_file,
 )
-from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, check_plot, written
 from stkzoo.evaluation.benchmark.plan import (
     AgentPlan,
     BenchmarkPlan,
@@ -36,7 +36,6 @@ from stkzoo.evaluation.plotting import (
     GRAY,
     PALETTE,
     draw_intervals,
-    require_plot,
     shorten,
     style_axes,
     two_panels,
@@ -256,7 +255,7 @@ BENCHMARK = BatchKind(
     benchmark_orders,
     _result,
     written(RESULT_FILE, plot_benchmark, "benchmark.png"),
-    lambda options: require_plot(options.plot),
+    check_plot,
 )
 
 
