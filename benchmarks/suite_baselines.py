@@ -29,8 +29,7 @@ DRIVERS = ("ai", "pursuit", "heuristic", "pretrained:scout", "pretrained:ace", "
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser("suite_baselines", __doc__)
-    known = [name for name, task in TASKS.items() if not task.words]
-    words.add_argument("--tasks", nargs="+", choices=known, default=known)
+    words.add_argument("--tasks", nargs="+", choices=TASKS, default=[*TASKS])
     words.add_argument(
         "--folder", type=Path, default=Path("runs/suite-baselines"), help="of the entries"
     )

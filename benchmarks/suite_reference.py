@@ -81,8 +81,7 @@ _Chapters: Any = Annotated[tuple[_Chapter, ...], Meta(min_length=1)]
 def main(arguments: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
     words = parser("suite_reference", __doc__)
-    known = [name for name, task in TASKS.items() if not task.words]
-    words.add_argument("--tasks", nargs="+", choices=known, default=REFERENCE_TASKS)
+    words.add_argument("--tasks", nargs="+", choices=TASKS, default=REFERENCE_TASKS)
     words.add_argument("--algorithms", nargs="+", choices=ALGORITHMS, default=[*ALGORITHMS])
     words.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     words.add_argument("--kart-steps", type=int, help="instead of the task's budget")

@@ -30,7 +30,7 @@ from stkzoo.drivers.inline import InlineAgent
 from stkzoo.drivers.instances import DriverStart
 from stkzoo.drivers.isolated import IsolatedAgent
 from stkzoo.errors import ConfigError
-from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory, extras_for, find_view, words_for
+from stkzoo.views import CAMERA_VIEWS, VIEWS, ViewFactory, extras_for, find_view
 
 _AGENTS = "stkzoo.agents"
 #: Packages in ``stkzoo.agents`` that are not drivers.
@@ -61,7 +61,6 @@ class Driver:
         load: loads the driver's code into this process; ``None`` for the game's AI and for drivers
             that run in another process.
         is_from_files: whether the driver is loaded from the user's files, so an adapter applies.
-        words: number of words that the driver can say to its team in a race; 0 if it does not talk.
     """
 
     name: str
@@ -71,7 +70,6 @@ class Driver:
     extras: frozenset[str] = frozenset()
     load: CodeLoader | None = None
     is_from_files: bool = False
-    words: int = 0
 
     @property
     def is_game_ai(self) -> bool:
@@ -120,8 +118,7 @@ class Driver:
     def _here(cls, name: str, load: CodeLoader, source: str, view: ViewFactory) -> Driver:
         """Returns a driver whose code runs in this process."""
         start = partial(InlineAgent, load=load)
-        words = words_for(view)
-        return cls(name, start, source, extras=extras_for(view), load=load, words=words)
+        return cls(name, start, source, extras=extras_for(view), load=load)
 
 
 def driver_names() -> list[str]:

@@ -57,7 +57,11 @@ class InlineAgent:
             self._code = self._load(self._resources)
             with self._code.scope:
                 self._chain = AgentChain(
-                    request.agent, *request.spaces, self._code.wrap, is_strict=False
+                    request.agent,
+                    request.observation_space,
+                    request.action_space,
+                    self._code.wrap,
+                    is_strict=False,
                 )
                 self._chain.action_space.seed(request.seed)
                 self._actor = self._make_actor()

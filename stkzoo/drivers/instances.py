@@ -15,8 +15,6 @@ from typing import Any, Protocol
 
 from gymnasium import spaces
 
-from stkzoo.wrappers.marl import WordChannel
-
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
@@ -75,8 +73,8 @@ class DriverRequest:
 
     Attributes:
         agent: id of the agent, such as ``"kart_0"``.
-        observation_space: space of the observations that the instance gets, without words.
-        action_space: space of the actions that the instance returns, without words.
+        observation_space: space of the observations that the instance gets.
+        action_space: space of the actions that the instance returns.
         seed: seed of the driver's random numbers.
         limits: resource limits of the driver.
         output_label: prefix of each line that an agent in its own process prints; if empty, the
@@ -85,7 +83,6 @@ class DriverRequest:
         cores: processor cores on which an agent in its own process runs; empty for all.
         env: environment of the race, for drivers that come with stkzoo and plan with copies of the
             race; ``None`` if the race does not provide it. Other drivers must not use it.
-        channel: the words that the instance also gets and returns; ``None`` for no words.
     """
 
     agent: str
@@ -97,15 +94,6 @@ class DriverRequest:
     clock: ThinkingClock = field(default_factory=ThinkingClock)
     cores: tuple[int, ...] = ()
     env: object | None = None
-    channel: WordChannel | None = None
-
-    @property
-    def spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
-        """The observation space and the action space, with words if there is a channel."""
-        seen, acted, channel = self.observation_space, self.action_space, self.channel
-        if channel is None:
-            return seen, acted
-        return channel.observation_space(seen), channel.action_space(acted)
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,7 +108,6 @@ class IsolatedAgent:
             seed=request.seed,
             memory=self._memory,
             extras=sorted(extras_of(request.observation_space)),
-            channel=request.channel,
             cpu_time=None if budget is None else self._limits.start_timeout + budget,
             confinement=enclosure.confinement,
         )
@@ -345,7 +344,6 @@ def _load(channel: Channel, start: messages.LoadRequest) -> InlineAgent | None:
         kart_action_space(),
         start.seed,
         no_limits,
-        channel=start.channel,
     )
     agent = InlineAgent(request, load)
     _seed_everything(start.seed)

@@ -29,7 +29,6 @@ from stkzoo.drivers.files import AgentPlace
 from stkzoo.drivers.instances import Decision, DriverInstance
 from stkzoo.errors import AgentError, AgentTimeout, ProtocolError
 from stkzoo.kernel import join_rows
-from stkzoo.wrappers.marl import WordChannel
 
 #: Maximum size of a message [bytes]. The largest is the first of a race on ``black_forest``: 20
 #: karts with all optional entries of the ``full`` view need 1.5 MB there, and 0.2 to 0.4 MB on
@@ -64,7 +63,7 @@ class Message(Struct, forbid_unknown_fields=True, tag=str.lower):
 
 
 class Action(Struct, frozen=True, forbid_unknown_fields=True):
-    """An action in the game's own form, with the word of an agent that talks."""
+    """An action in the game's own form."""
 
     acceleration: Annotated[float, Meta(ge=0, le=1)]
     steer: Annotated[float, Meta(ge=-1, le=1)]
@@ -73,7 +72,6 @@ class Action(Struct, frozen=True, forbid_unknown_fields=True):
     fire: _Button
     nitro: _Button
     rescue: _Button
-    message: Count | None = None
 
     @classmethod
     def of(cls, action: Mapping[str, Any]) -> Action:
@@ -85,8 +83,6 @@ class Action(Struct, frozen=True, forbid_unknown_fields=True):
         values: dict[str, Any] = msgspec.structs.asdict(self)
         for name in ("acceleration", "steer"):
             values[name] = np.array([values[name]], np.float32)
-        if self.message is None:
-            del values["message"]
         return values
 
 
@@ -105,7 +101,6 @@ class LoadRequest(Message):
     seed: int
     memory: int
     extras: list[str]
-    channel: WordChannel | None
     cpu_time: float | None
     confinement: Confinement | None
 

@@ -22,16 +22,11 @@ def as_driver(opponent: object) -> Driver:
             (:meth:`Driver.of_policy`).
 
     Raises:
-        ConfigError: the opponent is none of these, no driver has this name, or the driver talks.
+        ConfigError: the opponent is none of these, or no driver has this name.
     """
     if isinstance(opponent, str):
         opponent = find_driver(opponent)
     if isinstance(opponent, Driver):
-        if opponent.words:
-            raise ConfigError(
-                f"the opponent {opponent.name or opponent.source!r} talks, but opponents cannot; "
-                "run it in a race (stkzoo race), or give it another view"
-            )
         return opponent
     if callable(opponent) or hasattr(opponent, "predict"):
         return Driver.of_policy(opponent)

@@ -1,10 +1,9 @@
-"""Drivers in a race: the handling of their failures, and the words that they say."""
+"""Drivers in a race, and the handling of their failures."""
 
 from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,12 +13,9 @@ from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import bounded, fitted, in_words, json_size, printable
 from stkzoo.drivers.files import name_of_files
 from stkzoo.drivers.instances import DriverInstance, DriverRequest, ThinkingClock
-from stkzoo.errors import ActionError, AgentError, AgentTimeout
+from stkzoo.errors import AgentError, AgentTimeout
 from stkzoo.race.result import AgentFailure
 from stkzoo.race.settings import RaceSettings
-from stkzoo.views.actions import read_action
-from stkzoo.wrappers.marl import WordChannel
-from stkzoo.wrappers.marl.messages import Message, heard_messages, message_of
 
 _MAX_FAILURES_KEPT = 20
 #: Maximum lengths of a name, and of a traceback including the last output [characters].
@@ -56,7 +52,6 @@ class RacingDriver:
         seconds: duration of each successful decision [s].
         clock: total time of all decisions.
         is_retired: whether the driver is out of the race.
-        word: word of the last action; ``None`` if the driver does not talk or has failed.
     """
 
     def __init__(self, driver: Driver, request: DriverRequest, settings: RaceSettings) -> None:
@@ -68,7 +63,6 @@ class RacingDriver:
         self.seconds: list[float] = []
         self.clock = ThinkingClock(settings.time_budget)
         self.is_retired = False
-        self.word: int | None = None
         self._driver, self._settings = driver, settings
         label = (
             f"{self.name or self._default_name()} ({self.agent})" if settings.show_output else ""
@@ -78,7 +72,6 @@ class RacingDriver:
         self._start_error: Exception | None = None
         self._is_ready = self._is_asked = False
         self._restarts = 0
-        self._talking_actions = None if request.channel is None else request.spaces[1]
         self._random_actions = copy.deepcopy(request.action_space)
         self._random_actions.seed(request.seed)
 
@@ -106,7 +99,7 @@ class RacingDriver:
 
     def ask(self, observation: Any, step: int) -> None:
         """Waits until the driver is ready, then sends the observation to it."""
-        self._is_asked, self.word = False, None
+        self._is_asked = False
         self.get_ready(step)
         if self.is_retired:
             return
@@ -134,23 +127,12 @@ class RacingDriver:
             if not self.num_clipped:
                 logger.warning("%s", _CLIPPED.format(self.name, self.agent, step))
             self.num_clipped += 1
-        return self._without_word(decision.action, step)
+        return decision.action
 
     def replace_action(self, error: Exception, step: int) -> Any:
         """Records an invalid action and returns a replacement."""
         self._handle(error, step)
         return self._replacement()
-
-    def _without_word(self, action: Any, step: int) -> Any:
-        """Returns the driving action of a driver that talks, and stores its word."""
-        if self._talking_actions is None:
-            return action
-        try:
-            checked = read_action(self._talking_actions, action, self.agent)
-        except ActionError as error:
-            return self.replace_action(error, step)
-        self.word = checked.pop("message")
-        return checked
 
     def close(self) -> None:
         """Closes the driver's instance."""
@@ -221,62 +203,6 @@ class RacingDriver:
         if self._settings.error_handling == "catch" and not self.is_retired:
             return self._random_actions.sample()
         return create_zero_array(self._request.action_space)
-
-
-class TeamWords:
-    """Carries the words of a race, each to the other karts of the same team.
-
-    A team consists of the karts of one agent: of drivers that talk and that were selected by the
-    same text. As with :class:`~stkzoo.wrappers.marl.MessageChannel`, a word is heard one step
-    later, and karts that have finished or failed are not heard.
-
-    Args:
-        drivers: the driver of each kart, by agent, in the order of the karts.
-    """
-
-    def __init__(self, drivers: Mapping[str, Driver]) -> None:
-        self._agents = tuple(drivers)
-        self._channels = {
-            agent: WordChannel(driver.words, len(drivers) - 1)
-            for agent, driver in drivers.items()
-            if driver.words
-        }
-        self._teams = {
-            agent: (drivers[agent].source, drivers[agent].name, drivers[agent].words)
-            for agent in self._channels
-        }
-        self._said: dict[str, Message] = {}
-
-    def channel(self, agent: str) -> WordChannel | None:
-        """Returns the form of the words of a kart; ``None`` if its driver does not talk."""
-        return self._channels.get(agent)
-
-    def add_to(self, observation: Any, agent: str) -> Any:
-        """Returns a kart's observation with the words that it hears, if its driver talks.
-
-        Args:
-            observation: observation of the ``full`` view.
-            agent: the kart.
-        """
-        channel = self._channels.get(agent)
-        if channel is None:
-            return observation
-        others = [other for other in self._agents if other != agent]
-        team, teams = self._teams[agent], self._teams
-        said = [self._said.get(other) if teams.get(other) == team else None for other in others]
-        return {**observation, **heard_messages(said, channel.words)}
-
-    def carry(self, words: Mapping[str, int | None]) -> None:
-        """Replaces the words of the last step.
-
-        Args:
-            words: the words of the karts that are still racing; ``None`` for no word.
-        """
-        self._said = {
-            agent: message_of(word, self._channels[agent].words)
-            for agent, word in words.items()
-            if word is not None
-        }
 
 
 def one_line(name: str) -> str:

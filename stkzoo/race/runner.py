@@ -25,7 +25,7 @@ from stkzoo.drivers.sandbox import (
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.errors import ActionError, ConfigError
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.racing_driver import RacingDriver, TeamWords, one_line
+from stkzoo.race.racing_driver import RacingDriver, one_line
 from stkzoo.race.rescues import RescueCounter
 from stkzoo.race.result import ActionTime, AgentResult, RaceResult, versions_now
 from stkzoo.race.settings import RaceSettings
@@ -208,7 +208,6 @@ class _RaceRun:
         self._versions, self._sandbox = versions_now(), _sandbox(settings, drivers)
         self._env, self._settings, self._listeners = env, settings, listeners
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
-        self._words = TeamWords(self._drivers)
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers))
         from_files = [agent for agent, driver in self._drivers.items() if driver.is_from_files]
@@ -230,7 +229,6 @@ class _RaceRun:
                     settings.limits,
                     cores=cores.get(agent, ()),
                     env=env,
-                    channel=self._words.channel(agent),
                 ),
                 settings,
             )
@@ -276,11 +274,9 @@ class _RaceRun:
     def _step(self) -> None:
         asked = [self.members[agent] for agent in self._env.agents if agent in self.members]
         for member in asked:
-            seen = self._words.add_to(self._observations[member.agent], member.agent)
-            member.ask(seen, self._steps)
+            member.ask(self._observations[member.agent], self._steps)
         self._actions = {member.agent: member.answer(self._steps) for member in asked}
         self._observations, self._rewards, _, _, infos = self._step_checked()
-        self._words.carry({m.agent: m.word for m in asked if m.agent in self._env.agents})
         self._infos.update(infos)
         for agent, reward in self._rewards.items():
             self._totals[agent] += reward

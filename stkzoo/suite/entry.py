@@ -234,9 +234,8 @@ def plan_entry(
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of ``settings``.
 
     Raises:
-        ConfigError: the task, the split or the agent does not exist, a setting is invalid, the
-            agent requires another difficulty than the races have, or it talks and the task has
-            other words or none.
+        ConfigError: the task, the split or the agent does not exist, a setting is invalid, or
+            the agent requires another difficulty than the races have.
         AssetError: the game's data is missing.
     """
     task = find_task(task) if isinstance(task, str) else task
@@ -252,7 +251,6 @@ def plan_entry(
         seeds=task.seeds if is_test else 1,
         settings=replace(batch_settings(settings, changes, EntryPlan.decided), max_paths=None),
     )
-    _check_words(task, base.agent.source)
     values = {entry.name: getattr(base, entry.name) for entry in fields(base)}
     return EntryPlan(
         **{**values, "forms": task.forms} | ({} if is_test else {"split": TRAIN}),
@@ -273,15 +271,6 @@ def _check_level(task: Task, agent: str) -> None:
         f"{driver.source!r} requires difficulty {driver.difficulty}, but {task.name} has {needed}; "
         "name ai, which has the difficulty of each race"
     )
-
-
-def _check_words(task: Task, agent: str) -> None:
-    words = find_driver(agent).words
-    if words not in (0, task.words):
-        raise ConfigError(
-            f"{agent} says one of {words} words, and {task.name} has {task.words or 'none'}; "
-            "name another task, or another env_name in the agent's module"
-        )
 
 
 def _entry(plan: EntryPlan, results: RaceResults, folder: Path) -> Entry:

@@ -1,4 +1,4 @@
-"""The six tasks of stkzoo-suite-1: what agents learn, on which tracks, and how they are evaluated.
+"""The five tasks of stkzoo-suite-1: what agents learn, on which tracks, and how they are evaluated.
 
 A task never changes. :attr:`Task.digest` identifies its definition; another definition is another
 suite.
@@ -13,7 +13,6 @@ from typing import Annotated, Any
 
 import gymnasium as gym
 import pettingzoo
-from msgspec import Meta
 from pettingzoo import ParallelEnv
 
 from stkzoo._checks import unknown_name
@@ -24,7 +23,7 @@ from stkzoo.evaluation.benchmark.races import BenchmarkForm
 from stkzoo.mdp.state import state_space
 from stkzoo.tracks import TEST_TRACKS, TRAIN_TRACKS
 from stkzoo.views import ViewFactory, find_view
-from stkzoo.wrappers.marl import MessageChannel, PartialObservations, TalkingView, Teams
+from stkzoo.wrappers.marl import Teams
 
 #: Name of the suite, with its version.
 SUITE = "stkzoo-suite-1"
@@ -55,8 +54,6 @@ class Task:
         view: view of the learners.
         reward: reward of the learners.
         teams: numbers of the learners of each team; empty without teams. A team shares its rewards.
-        sight: distance at which learners see other karts [m]; ``None`` for all distances.
-        words: size of the vocabulary: each learner says one word per step; 0 for no messages.
         forms: race forms of the evaluation (:class:`~stkzoo.evaluation.BenchmarkForm`): ``P`` is a
             kart of the agent, ``A`` of the game's hardest AI, ``B`` of the population.
         seeds: races for each form, end of the grid, track and direction.
@@ -75,8 +72,6 @@ class Task:
     view: str = "racing"
     reward: str = "race"
     teams: tuple[tuple[Count, ...], ...] = ()
-    sight: Annotated[float, Meta(ge=0)] | None = None
-    words: Count = 0
     forms: tuple[str, ...]
     seeds: Whole
     metric: Annotated[str, one_of(TIME_RATIO, BEATEN)] = BEATEN
@@ -86,7 +81,9 @@ class Task:
     @property
     def digest(self) -> str:
         """SHA-256 of the definition, including the suite's name and all defaults."""
-        text = json.dumps({"suite": SUITE, **asdict(self)}, sort_keys=True)
+        # The digests of the suite contain two rules that none of its tasks has any more.
+        rules = {"suite": SUITE, "sight": None, "words": 0, **asdict(self)}
+        text = json.dumps(rules, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @property
@@ -130,23 +127,12 @@ class Task:
             "track": tracks[split],
             "reverse": None,
             "difficulty": DIFFICULTY,
-            "view": self._learners_view(),
+            "view": self.view,
             "reward": self.reward,
         }
 
-    def _learners_view(self) -> Any:
-        return self.view if self.sight is None else ShortSighted(self.view, self.sight)
-
-    def agent_view(self) -> ViewFactory:
-        """Returns the view of the task's agents in races, with the words of their team.
-
-        Observations and actions are those of the learners in :meth:`make`.
-        """
-        view = find_view(self._learners_view())
-        return TalkingView(view, self.words) if self.words else view
-
     def make(self, split: str = "train", **options: Any) -> ParallelEnv[str, Any, Any]:
-        """Returns the task's environment, with its teams and messages.
+        """Returns the task's environment, with its teams.
 
         Args:
             split: as for :meth:`options`.
@@ -160,26 +146,7 @@ class Task:
         env: ParallelEnv[str, Any, Any] = RaceParallelEnv(**{**self.options(split), **options})
         if self.teams:
             env = Teams(env, teams=self.teams, share=1.0)
-        if self.words:
-            env = MessageChannel(env, words=self.words, within_teams=bool(self.teams))
         return env
-
-
-@dataclass(frozen=True, slots=True)
-class ShortSighted:
-    """A view in which other karts are visible only nearby.
-
-    Attributes:
-        view: name of the view.
-        sight: distance at which karts are visible [m].
-    """
-
-    view: str
-    sight: float
-
-    def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        """Wraps an environment in the ``full`` view."""
-        return find_view(self.view)(PartialObservations(env, radius=self.sight, of=["karts"]))
 
 
 #: The tasks by name.
@@ -228,16 +195,6 @@ TASKS = {
             forms=("PPBB",),
             seeds=5,
         ),
-        Task(
-            name="talk-2v2",
-            goal="Win as a team of two that sees 25 m far and can say eight words.",
-            learners=4,
-            teams=((0, 3), (1, 2)),
-            sight=25.0,
-            words=8,
-            forms=("PPBB",),
-            seeds=5,
-        ),
     )
 }
 
@@ -262,7 +219,7 @@ def can_learn(algorithm: str, task: Task) -> bool:
     """
     if algorithm not in ALGORITHMS:
         return True
-    return not task.words and task.learners >= ALGORITHMS[algorithm]
+    return task.learners >= ALGORITHMS[algorithm]
 
 
 # ------------------------------------------------------------------ ids
@@ -282,7 +239,7 @@ def view_of(env_id: str) -> ViewFactory:
     tasks = {id_of(task): task for task in TASKS.values()}
     if env_id not in tasks:
         raise unknown_name("env_name", env_id, tasks)
-    return tasks[env_id].agent_view()
+    return find_view(tasks[env_id].view)
 
 
 def register_tasks() -> None:

@@ -22,7 +22,6 @@ from stkzoo.views.registry import (
     options_of,
     views,
     views_of_agents,
-    words_for,
 )
 from stkzoo.views.shipped import SHIPPED
 
@@ -42,7 +41,6 @@ __all__ = [
     "options_of",
     "views",
     "views_of_agents",
-    "words_for",
 ]
 
 

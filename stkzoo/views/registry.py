@@ -121,16 +121,6 @@ def extras_for(view: ViewFactory) -> frozenset[str]:
     return frozenset(extra for extra in EXTRAS if getattr(view, f"sees_{extra}", False))
 
 
-def words_for(view: ViewFactory) -> int:
-    """Returns the number of words that a view's agent can say; 0 if it does not talk.
-
-    A function requests words with an attribute ``words``.
-    """
-    if isinstance(view, View):
-        return max(map(words_for, view.wrappers), default=0)
-    return int(getattr(view, "words", 0))
-
-
 def base_space(view: ViewFactory, use_ai: bool = False) -> spaces.Dict:
     """Returns a new space of the observations that a view wraps: ``full`` and the view's needs.
 

@@ -95,11 +95,10 @@ def test_decoded_arrays_are_writable():
 def test_an_action_survives_a_round_trip():
     space = kart_action_space()
     space.seed(1)
-    for word in ({}, {"message": 3}):
-        action = {**space.sample(), **word}
-        reply = decode(replies, encode(Decided(Action.of(action), is_clipped=True)))
-        assert space.contains({k: v for k, v in reply.action.values().items() if k != "message"})
-        assert reply.action.values() == action
+    action = space.sample()
+    reply = decode(replies, encode(Decided(Action.of(action), is_clipped=True)))
+    assert space.contains(reply.action.values())
+    assert reply.action.values() == action
 
 
 def test_an_error_survives_a_round_trip():
@@ -124,7 +123,6 @@ STILL = dict.fromkeys(("acceleration", "steer", "brake", "drift", "fire", "nitro
         ({"steer": float("nan")}, "Expected `float` >= -1.0"),
         ({"steer": [1.0]}, "Expected `float`, got `array`"),
         ({"brake": 2}, "Expected `int` <= 1"),
-        ({"message": -1}, "Expected `int` >= 0"),
         ({"horn": 1}, "unknown field `horn`"),
     ],
     ids=str,

@@ -113,12 +113,6 @@ def test_an_interrupted_run_loses_the_policies_after_its_checkpoint(tmp_path):
         small_run(tmp_path, n_steps=8)
 
 
-def test_a_task_with_messages_is_refused_before_anything_starts(tmp_path):
-    with pytest.raises(ConfigError, match="talk-2v2 has messages"):
-        small_run(tmp_path, task="talk-2v2")
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_rollout_has_shared_rewards_and_the_learners_own_values(tmp_path):
     actor, rollout, network = actor_of(tmp_path, "mappo", "team-2v2", 40)
     try:

@@ -1,11 +1,10 @@
 """Tools for multi-agent research: action masks, partial observability, teams and messages.
 
 :class:`ActionMasks` and :class:`PartialObservations` wrap one agent, in views; :class:`Teams` and
-:class:`MessageChannel` wrap the ``ParallelEnv``. :class:`TalkingView` gives one agent of a race the
-observations and actions of :class:`MessageChannel`.
+:class:`MessageChannel` wrap the ``ParallelEnv``.
 """
 
-from stkzoo.wrappers.marl.messages import MessageChannel, TalkingView, WordChannel
+from stkzoo.wrappers.marl.messages import MessageChannel
 from stkzoo.wrappers.marl.observations import ActionMasks, PartialObservations
 from stkzoo.wrappers.marl.teams import Teams
 
@@ -13,7 +12,5 @@ __all__ = [
     "ActionMasks",
     "MessageChannel",
     "PartialObservations",
-    "TalkingView",
     "Teams",
-    "WordChannel",
 ]

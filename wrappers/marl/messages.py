@@ -1,14 +1,12 @@
-"""Messages between agents: a channel around an environment, and words in races."""
+"""Messages between agents: a channel around an environment."""
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
@@ -18,10 +16,7 @@ from pettingzoo.utils import BaseParallelWrapper
 from stkzoo._checks import check_number, check_whole
 from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ActionError, ConfigError
-from stkzoo.views.bases import ActionObservationWrapper
-from stkzoo.views.registry import ViewFactory
 from stkzoo.views.walker import StepParts
-from stkzoo.wrappers.arguments import dict_space
 from stkzoo.wrappers.marl.teams import ClonableWrapper, Teams
 
 #: One message, ``(size,)``.
@@ -74,8 +69,14 @@ class MessageChannel(ClonableWrapper):
             seen, action = map(
                 copy.deepcopy, (env.observation_space(agent), env.action_space(agent))
             )
-            heard = heard_spaces(len(env.possible_agents) - 1, self.size)
-            self._observation_spaces[agent] = spaces.Dict({"observation": seen, **heard})
+            others = len(env.possible_agents) - 1
+            self._observation_spaces[agent] = spaces.Dict(
+                {
+                    "observation": seen,
+                    "messages": spaces.Box(-1, 1, (others, self.size)),
+                    "heard": spaces.Box(0, 1, (others,), np.int8),
+                }
+            )
             said = copy.deepcopy(self._message_space)
             self._action_spaces[agent] = spaces.Dict({"action": action, "message": said})
 
@@ -130,16 +131,23 @@ class MessageChannel(ClonableWrapper):
                 f"the message of {agent!r} is {message!r:.200}, not in {self._message_space!r}",
                 agent,
             )
-        row: Message = message if self.words is None else message_of(int(message), self.words)
+        row: Message = (
+            message if self.words is None else np.eye(self.words, dtype=np.float32)[message]
+        )
         return row
 
     def _with_messages(self, observations: dict[str, Any]) -> dict[str, Any]:
-        heard = {}
-        for agent in observations:
-            others = [other for other in self.env.possible_agents if other != agent]
-            said = [self._said.get(o) if self._hears(agent, o) else None for o in others]
-            heard[agent] = heard_messages(said, self.size)
-        return {a: {"observation": seen, **heard[a]} for a, seen in observations.items()}
+        return {a: {"observation": seen, **self._heard(a)} for a, seen in observations.items()}
+
+    def _heard(self, agent: str) -> dict[str, Any]:
+        """Returns the messages that an agent gets, and from which other agents."""
+        others = [other for other in self.env.possible_agents if other != agent]
+        messages = np.zeros((len(others), self.size), np.float32)
+        heard = np.zeros(len(others), np.int8)
+        for row, other in enumerate(others):
+            if other in self._said and self._hears(agent, other):
+                messages[row], heard[row] = self._said[other], 1
+        return {"messages": messages, "heard": heard}
 
     def _hears(self, agent: str, other: str) -> bool:
         if self._team_of[agent] != self._team_of[other]:
@@ -152,178 +160,9 @@ class MessageChannel(ClonableWrapper):
         return bool(np.linalg.norm(here - there) <= self.reach)
 
 
-def heard_spaces(others: int, size: int) -> dict[str, spaces.Space[Any]]:
-    """Returns new spaces of the entries of :func:`heard_messages`.
-
-    Args:
-        others: number of the other agents.
-        size: length of a message.
-    """
-    return {
-        "messages": spaces.Box(-1, 1, (others, size)),
-        "heard": spaces.Box(0, 1, (others,), np.int8),
-    }
-
-
-def heard_messages(said: Sequence[Message | None], size: int) -> dict[str, Any]:
-    """Returns what an agent hears.
-
-    Args:
-        said: the message of each other agent, in agent order; ``None`` for agents not heard.
-        size: length of a message.
-
-    Returns:
-        ``messages``, ``(others, size)`` float32, and ``heard``, ``(others,)`` int8; see
-            :class:`MessageChannel`.
-    """
-    messages = np.zeros((len(said), size), np.float32)
-    heard = np.zeros(len(said), np.int8)
-    for row, message in enumerate(said):
-        if message is not None:
-            messages[row], heard[row] = message, 1
-    return {"messages": messages, "heard": heard}
-
-
-def message_of(word: int, words: int) -> Message:
-    """Returns a word as a one-hot message ``(words,)`` float32.
-
-    Args:
-        word: number of the word.
-        words: number of words.
-    """
-    message: Message = np.eye(words, dtype=np.float32)[word]
-    return message
-
-
 def _teams_in(env: Any) -> dict[str, int]:
     while isinstance(env, BaseParallelWrapper):
         if isinstance(env, Teams):
             return env.team_of
         env = env.env
     raise ConfigError("within_teams needs teams: put Teams(env, teams=...) inside MessageChannel")
-
-
-# ---------------------------------------------------------------------- words
-# In a race, each agent is wrapped on its own, so no MessageChannel wraps all of them. Instead, the
-# race adds the words to the observations of the kart and takes them from its actions.
-
-#: Entries of an observation with words, beyond those of the kart, and the entry of an action.
-_HEARD, _SAID = ("messages", "heard"), "message"
-
-
-@dataclass(frozen=True, slots=True)
-class WordChannel:
-    """Spaces of the words that a kart of a race hears and says.
-
-    Attributes:
-        words: number of words.
-        others: number of the other karts.
-    """
-
-    words: int
-    others: int
-
-    def observation_space(self, own: spaces.Space[Any]) -> spaces.Dict:
-        """Returns a kart's observation space with what it hears: ``messages`` and ``heard``.
-
-        Args:
-            own: space of the observations without words.
-        """
-        parts = dict_space(own, "observations", "WordChannel").spaces
-        return spaces.Dict({**parts, **heard_spaces(self.others, self.words)})
-
-    def action_space(self, own: spaces.Space[Any]) -> spaces.Dict:
-        """Returns a kart's action space with the word that it says: ``message``.
-
-        Args:
-            own: space of the actions without words.
-        """
-        parts = dict_space(own, "actions", "WordChannel").spaces
-        return spaces.Dict({**parts, _SAID: spaces.Discrete(self.words)})
-
-
-@dataclass(frozen=True, slots=True)
-class TalkingView:
-    """A view of an agent that hears and says words.
-
-    Actions are dicts of ``action`` and ``message``; observations are dicts of ``observation``,
-    ``messages`` and ``heard``, as in :class:`~stkzoo.wrappers.marl.MessageChannel`.
-
-    Attributes:
-        view: view of the driving action and of the observation.
-        words: number of words.
-    """
-
-    view: ViewFactory
-    words: int
-
-    def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        """Wraps an environment in the ``full`` view with words (:class:`WordChannel`).
-
-        Raises:
-            ConfigError: the environment has no words.
-        """
-        words = _WithoutWords(env)
-        return _WithWords(self.view(words), words)
-
-
-class _WithoutWords(ActionObservationWrapper):
-    """Hides the words from the view around it, and keeps them for :class:`_WithWords`.
-
-    Attributes:
-        spaces: spaces of the hidden entries.
-        heard: hidden entries of the last observation.
-        message: word that the next action says.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-        seen = dict_space(env.observation_space, "observations", "TalkingView").spaces
-        acted = dict_space(env.action_space, "actions", "TalkingView").spaces
-        if not {*_HEARD} <= seen.keys() or _SAID not in acted:
-            raise ConfigError(
-                "the agent talks, but no words are carried here. Agents talk in races "
-                "(stkzoo race, stkzoo suite evaluate), not on servers or as opponents of an "
-                "environment; their module must assign env_name as a literal"
-            )
-        self.spaces = {key: seen[key] for key in _HEARD} | {_SAID: acted[_SAID]}
-        self.observation_space = spaces.Dict(_without(seen, _HEARD))
-        self.action_space = spaces.Dict(_without(acted, (_SAID,)))
-        self.heard: dict[str, Any] = {}
-        self.message = 0
-
-    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Returns the observation without words."""
-        self.heard = {key: observation[key] for key in _HEARD}
-        return _without(observation, _HEARD)
-
-    def action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Returns the action with the word."""
-        return {**action, _SAID: self.message}
-
-
-class _WithWords(ActionObservationWrapper):
-    """Adds the words that :class:`_WithoutWords` keeps, in the form of ``MessageChannel``."""
-
-    def __init__(self, env: gym.Env[Any, Any], words: _WithoutWords) -> None:
-        super().__init__(env)
-        self._words, parts = words, copy.deepcopy(words.spaces)
-        self.action_space = spaces.Dict(
-            {"action": copy.deepcopy(env.action_space), _SAID: parts.pop(_SAID)}
-        )
-        self.observation_space = spaces.Dict(
-            {"observation": copy.deepcopy(env.observation_space), **parts}
-        )
-
-    def observation(self, observation: Any) -> dict[str, Any]:
-        """Returns the observation with what the kart hears."""
-        return {"observation": observation, **self._words.heard}
-
-    def action(self, action: dict[str, Any]) -> Any:
-        """Returns the driving action."""
-        self._words.message = action[_SAID]
-        return action["action"]
-
-
-def _without(values: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if key not in keys}

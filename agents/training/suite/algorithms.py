@@ -124,11 +124,6 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
 
 
 def _check_task(task: Task, algorithm: str) -> None:
-    if task.words:
-        raise ConfigError(
-            f"{task.name} has messages, which the reference algorithms do not learn; write a "
-            f"loop over its ParallelEnv, stkzoo.suite.find_task({task.name!r}).make()"
-        )
     if algorithm in _ALGORITHMS and not can_learn(algorithm, task):
         raise ConfigError(
             f"{task.name} has one learner, and {algorithm} is self-play; use ippo, which is the "

@@ -25,7 +25,7 @@ from stkzoo.errors import ProtocolError
 from stkzoo.mdp.spaces import EXTRAS
 
 #: Version of the protocol; both ends must have the same one.
-VERSION = 4
+VERSION = 5
 
 #: Maximum number of agents of one client on one server.
 MAX_SEATS = 32

@@ -244,9 +244,4 @@ def _checked(drivers: Sequence[Driver]) -> list[Driver]:
     for driver in drivers:
         if driver.is_game_ai:
             raise ConfigError("the game's AI runs in the game; name it on the client")
-        if driver.words:
-            raise ConfigError(
-                f"{driver.name or driver.source} talks, but servers do not carry words; run it on "
-                "the machine of the race"
-            )
     return list(drivers)
