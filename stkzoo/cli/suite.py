@@ -1,6 +1,6 @@
 """Tasks with fixed rules, for comparisons in papers and courses.
 
-stkzoo-suite-1 has six tasks: what to learn, on which tracks, in how many kart-steps, and in which
+stkzoo-suite-1 has five tasks: what to learn, on which tracks, in how many kart-steps, and in which
 races the result is evaluated. An evaluated agent is an entry: a folder with its scores and a
 replay of each race. `verify` runs all races of an entry again, without the agent, and compares
 every number.
@@ -140,7 +140,7 @@ class ConductArguments:
 
     Attributes:
         replays: replays, or folders of entries or other batches with replays
-        json: write JSON to stdout: each race with its karts and contacts
+        json: write JSON to stdout: each race with its karts
     """
 
     replays: tuple[str, ...] = positional(metavar="ENTRY_OR_REPLAY")
@@ -300,14 +300,14 @@ def _conduct(arguments: ConductArguments) -> int:
     """Show how karts behave: contacts, time off the road, overtakes.
 
     Runs recorded races again, bit for bit, and counts the environment's events of each kart. The
-    closing speed is the speed of a kart toward the other one before they touch. All other numbers
+    closing speed is the speed of a kart toward the nearest one before they touch. All other numbers
     are means per race.
 
     Examples:
       stkzoo race heuristic ai ai --seed 1 --replay race.stkz
       stkzoo suite conduct race.stkz
       stkzoo suite conduct suite/versus-my_agent --jobs 1
-      stkzoo suite conduct race.stkz --json        each contact with its step
+      stkzoo suite conduct race.stkz --json        each race
 
     exit codes:
       0 success, 1 a replay is damaged or not reproducible, 2 invalid command

@@ -32,8 +32,6 @@ EVENTS = (
 )
 #: The columns of :attr:`RaceEvents.seconds`.
 STREAKS = ("off_road", "wrong_way", "stuck")
-#: For how long contacts of the same two karts count once [s].
-_CONTACT_GAP = 0.5
 #: Number of columns in the kernel's memory, in addition to one column per kart.
 _NUM_OWN = 8
 _PLACE = slice(3, 6)
@@ -65,19 +63,6 @@ class RaceEvents:
         A kart counts as stuck while it stays within 3 m.
         """
         return self._memory[:, : len(STREAKS)]
-
-    @property
-    def contacts(self) -> npt.NDArray[np.bool_]:
-        """``(K, K)`` bool, which karts touched each other in the latest step."""
-        # The counter sets the time until the next contact of two karts counts.
-        touching: npt.NDArray[np.bool_] = self._memory[:, _NUM_OWN:] == _CONTACT_GAP
-        return touching
-
-    @property
-    def is_next_counted(self) -> npt.NDArray[np.bool_]:
-        """``(K, K)`` bool, whether a contact of two karts in the next step counts as another."""
-        is_over: npt.NDArray[np.bool_] = self._memory[:, _NUM_OWN:] <= 0
-        return is_over
 
     def count(self, before: Snapshot, after: Snapshot) -> None:
         """Counts the events of the step between two snapshots; none occur before the GO phase."""

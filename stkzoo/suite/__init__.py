@@ -10,9 +10,7 @@ Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")
 """
 
 from stkzoo.suite.conduct import (
-    Contact,
-    KartConduct,
-    MeanConduct,
+    Conduct,
     RaceConduct,
     mean_conduct,
     measure_conduct,
@@ -46,13 +44,11 @@ __all__ = [
     "TASKS",
     "About",
     "Baselines",
-    "Contact",
+    "Conduct",
     "Entry",
     "EntryPlan",
     "EntryRefused",
-    "KartConduct",
     "LearningCurve",
-    "MeanConduct",
     "Member",
     "RaceConduct",
     "RaceScore",

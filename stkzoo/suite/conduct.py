@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
-from statistics import fmean
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 from msgspec import Meta
 
-from stkzoo._schema import Count, Seconds
-from stkzoo.engine.snapshot import Snapshot
+from stkzoo._schema import Seconds, Whole
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
 from stkzoo.evaluation.batch.run import RunOptions, run_orders
@@ -27,42 +25,59 @@ from stkzoo.race.settings import RaceSettings
 
 _ENDING = ".stkz"
 _COLUMNS = [EVENTS.index(name) for name in ("kart_contact", "off_road", "overtake")]
+_NonNegative = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
-    """A contact of two karts.
+class Conduct:
+    """The conduct of a kart in a race, or the means of several karts.
 
     Attributes:
-        step: step of the race in which they touch, from 1.
-        karts: numbers of the two agents.
-        closing: speed of either kart toward the other before they touch [m/s].
-    """
-
-    step: Count
-    karts: tuple[Count, Count]
-    closing: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class KartConduct:
-    """The conduct of a kart in a race.
-
-    Attributes:
-        driver: display name of its driver.
+        driver: display name of the driver.
         source: the driver's source.
-        contacts: number of contacts with other karts.
-        closing: mean speed toward the other kart before a contact [m/s]; ``None`` without contacts.
-        off_road: time beside the road [s].
-        overtakes: number of karts that it overtook.
+        races: number of races, once for each kart.
+        contacts: contacts with other karts, per race.
+        closing: mean speed toward the nearest kart before a contact [m/s]; ``None`` without
+            contacts.
+        off_road: time beside the road per race [s].
+        overtakes: karts that it overtook, per race.
     """
 
     driver: str
     source: str
-    contacts: Count
+    races: Whole
+    contacts: _NonNegative
     closing: float | None
     off_road: Seconds
-    overtakes: Count
+    overtakes: _NonNegative
+
+    @classmethod
+    def of(cls, driver: str, source: str, races: int, sums: npt.NDArray[np.float64]) -> Conduct:
+        """Returns the conduct of a driver.
+
+        Args:
+            driver: display name of the driver.
+            source: the driver's source.
+            races: number of races.
+            sums: ``(4,)`` float64: contacts, time off the road, overtakes and closing speeds.
+        """
+        contacts, off_road, overtakes, speeds = sums.tolist()
+        mean = round(speeds / contacts, 3) if contacts else None
+        return cls(
+            driver,
+            source,
+            races,
+            round(contacts / races, 3),
+            mean,
+            round(off_road / races, 3),
+            round(overtakes / races, 3),
+        )
+
+    @property
+    def sums(self) -> npt.NDArray[np.float64]:
+        """The sums over races, as for :meth:`of`."""
+        speed = self.contacts * (self.closing or 0.0)
+        return self.races * np.array([self.contacts, self.off_road, self.overtakes, speed])
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,78 +88,39 @@ class RaceConduct(Document):
         replay: file of the recorded race.
         track: name of the track.
         reverse: whether the track was driven in reverse direction.
-        steps: number of steps of the race.
         karts: the karts, in the order of the agents.
-        contacts: the contacts, in the order of the race.
     """
 
     kind: ClassVar[str] = "race-conduct"
-    version: ClassVar[int] = 2  # 1: contacts had a kart at fault
+    version: ClassVar[int] = 3  # 2: each contact had an entry
     origin: ClassVar[str] = "a race from `stkzoo suite conduct --json`"
-    rows: ClassVar[str] = "contacts"
 
     replay: str
     track: str
     reverse: bool
-    steps: Count
-    karts: Annotated[tuple[KartConduct, ...], Meta(min_length=1, max_length=256)]
-    contacts: tuple[Contact, ...]
+    karts: Annotated[tuple[Conduct, ...], Meta(min_length=1, max_length=256)]
 
 
-@dataclass(frozen=True, slots=True)
-class MeanConduct:
-    """The mean conduct of a driver's karts.
-
-    Attributes:
-        driver: display name of the driver.
-        races: number of races of its karts, once for each kart.
-        contacts: contacts per race.
-        closing: mean speed toward the other kart before a contact [m/s]; ``None`` without contacts.
-        off_road: time beside the road per race [s].
-        overtakes: overtakes per race.
-    """
-
-    driver: str
-    races: int
-    contacts: float
-    closing: float | None
-    off_road: float
-    overtakes: float
-
-
-def mean_conduct(races: Iterable[RaceConduct]) -> list[MeanConduct]:
+def mean_conduct(races: Iterable[RaceConduct]) -> list[Conduct]:
     """Returns the mean conduct of each driver, in the order in which they occur.
 
     Args:
         races: the races.
     """
-    karts: dict[tuple[str, str], list[KartConduct]] = {}
-    for race in races:
-        for kart in race.karts:
-            karts.setdefault((kart.driver, kart.source), []).append(kart)
-    return [_mean(driver, rows) for (driver, _), rows in karts.items()]
-
-
-def _mean(driver: str, karts: Sequence[KartConduct]) -> MeanConduct:
-    touching = [(kart.closing, kart.contacts) for kart in karts if kart.closing is not None]
-    speeds = [speed for speed, contacts in touching for _ in range(contacts)]
-    return MeanConduct(
-        driver=driver,
-        races=len(karts),
-        contacts=fmean(kart.contacts for kart in karts),
-        closing=fmean(speeds) if speeds else None,
-        off_road=fmean(kart.off_road for kart in karts),
-        overtakes=fmean(kart.overtakes for kart in karts),
-    )
+    karts: dict[tuple[str, str], list[Conduct]] = {}
+    for kart in (kart for race in races for kart in race.karts):
+        karts.setdefault((kart.driver, kart.source), []).append(kart)
+    return [
+        Conduct.of(*driver, len(rows), np.sum([kart.sums for kart in rows], axis=0))
+        for driver, rows in karts.items()
+    ]
 
 
 class _ConductCounter(RaceListener):
-    """Counts the events of all agents while they race, and notes their contacts.
+    """Counts the events of all agents while they race.
 
     Attributes:
-        sums: ``(A, 3)`` float64: contacts, time off the road and overtakes of each agent.
-        speeds: speeds of each agent toward the other kart of its contacts [m/s].
-        contacts: the contacts.
+        sums: ``(A, 4)`` float64, as for :meth:`Conduct.of`.
     """
 
     def started(self, race: RaceProgress) -> None:
@@ -153,35 +129,30 @@ class _ConductCounter(RaceListener):
         assert track is not None  # noqa: S101 - the race has started
         self._events = RaceEvents(track, options.step_size, options.num_kart)
         self._before, self._karts = race.snapshot, list(race.race_info.kart_indices)
-        self.sums = np.zeros((len(self._karts), len(_COLUMNS)))
-        self.speeds: list[list[float]] = [[] for _ in self._karts]
-        self.contacts: list[Contact] = []
+        self.sums = np.zeros((len(self._karts), len(_COLUMNS) + 1))
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        is_new = self._events.is_next_counted
         self._events.count(self._before, race.snapshot)
-        is_racing = [agent in race.observations for agent in race.env.possible_agents]
         counts = self._events.counts[np.ix_(self._karts, _COLUMNS)]
-        self.sums[is_racing] += counts[is_racing]
-        is_counted = self._events.contacts & is_new
-        for pair in combinations(range(len(self._karts)), 2):
-            one, other = (self._karts[number] for number in pair)
-            if is_counted[one, other] and any(is_racing[number] for number in pair):
-                closing = _closing(self._before, one, other)
-                self.contacts.append(Contact(race.steps, pair, closing))
-                for number, speed in zip(pair, closing, strict=True):
-                    if is_racing[number]:
-                        self.speeds[number].append(speed)
+        speeds = counts[:, 0] * _closing_speeds(self._before.karts[self._karts])
+        is_racing = [agent in race.observations for agent in race.env.possible_agents]
+        self.sums[is_racing] += np.column_stack((counts, speeds))[is_racing]
         self._before = race.snapshot
 
 
-def _closing(snapshot: Snapshot, one: int, other: int) -> tuple[float, float]:
-    """Returns the speed of each of two karts toward the other one [m/s]."""
-    karts = snapshot.karts[[one, other]]
-    way = karts["location"][1].astype(float) - karts["location"][0]
-    speeds = karts["velocity"].astype(float) @ way / max(float(np.linalg.norm(way)), 1e-6)
-    return round(float(speeds[0]), 3), round(-float(speeds[1]), 3)
+def _closing_speeds(karts: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
+    """Returns the speed ``(A,)`` of each kart toward the nearest other one [m/s]."""
+    places, velocities = (karts[name].astype(float) for name in ("location", "velocity"))
+    if len(karts) < 2:
+        return np.zeros(len(karts))
+    ways = places[None] - places[:, None]
+    distances = np.linalg.norm(ways, axis=2)
+    np.fill_diagonal(distances, np.inf)
+    numbers, nearest = np.arange(len(karts)), distances.argmin(axis=1)
+    toward = (velocities * ways[numbers, nearest]).sum(axis=1)
+    speeds: npt.NDArray[np.float64] = toward / np.maximum(distances[numbers, nearest], 1e-6)
+    return speeds
 
 
 def race_conduct(file: str | os.PathLike[str]) -> RaceConduct:
@@ -203,25 +174,11 @@ def race_conduct(file: str | os.PathLike[str]) -> RaceConduct:
             f"the race differs from the recording {file} in {where}, and only exact replays show "
             "the conduct; `stkzoo replay` shows the difference"
         )
-    rows = zip(replay.agents, counter.sums.tolist(), counter.speeds, strict=True)
-    return RaceConduct(
-        replay=str(file),
-        track=replay.track,
-        reverse=replay.reverse,
-        steps=replay.steps,
-        karts=tuple(
-            KartConduct(
-                driver=agent.name,
-                source=agent.source,
-                contacts=round(contacts),
-                closing=round(fmean(speeds), 3) if speeds else None,
-                off_road=round(off_road, 3),
-                overtakes=round(overtakes),
-            )
-            for agent, (contacts, off_road, overtakes), speeds in rows
-        ),
-        contacts=tuple(counter.contacts),
+    karts = (
+        Conduct.of(agent.name, agent.source, 1, sums)
+        for agent, sums in zip(replay.agents, counter.sums, strict=True)
     )
+    return RaceConduct(str(file), replay.track, replay.reverse, tuple(karts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,24 +207,19 @@ def find_replays(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
         paths: replays, folders with replays, or folders of batches, such as entries.
 
     Raises:
-        ConfigError: a path does not exist, or a folder has no replays.
+        ConfigError: a folder has no replays.
     """
     files: dict[Path, Path] = {}
-    for file in (file for path in map(Path, paths) for file in _replays_in(path)):
-        load_replay(file)
-        files.setdefault(file.resolve(), file)
+    for path in map(Path, paths):
+        folder = path / REPLAYS if (path / REPLAYS).is_dir() else path
+        in_path = sorted(folder.glob(f"*{_ENDING}")) if folder.is_dir() else [path]
+        if not in_path:
+            raise ConfigError(
+                f"{path} has no replays (*{_ENDING}); give a file from `stkzoo race --replay` or "
+                "the folder of an entry from `stkzoo suite evaluate`"
+            )
+        files |= {file.resolve(): file for file in in_path}
     return [*files.values()]
-
-
-def _replays_in(path: Path) -> Iterator[Path]:
-    folder = path / REPLAYS if (path / REPLAYS).is_dir() else path
-    files = sorted(folder.glob(f"*{_ENDING}")) if folder.is_dir() else [path]
-    if not files:
-        raise ConfigError(
-            f"{path} has no replays (*{_ENDING}); give a file from `stkzoo race --replay` or "
-            "the folder of an entry from `stkzoo suite evaluate`"
-        )
-    yield from files
 
 
 def measure_conduct(
@@ -288,14 +240,13 @@ def measure_conduct(
         ConfigError: there are no replays, or an option is invalid.
         ReplayError: a replay is damaged, or a race cannot be reproduced.
     """
-    settings = RunOptions(**options)
     files = find_replays(paths)
     orders = [
         ConductOrder(number, (), RaceSettings(), replay=str(file.absolute()))
         for number, file in enumerate(files)
     ]
     races: dict[int, RaceConduct] = {}
-    with closing(run_orders(orders, Path(), settings, RaceConduct)) as outcomes:
+    with closing(run_orders(orders, Path(), RunOptions(**options), RaceConduct)) as outcomes:
         for order, race, error in outcomes:
             if race is None:
                 raise ReplayError(f"{files[order.number]}: {error}")

@@ -13,7 +13,7 @@ from stkzoo.race import run_race
 from stkzoo.race.listeners import RaceListener
 from stkzoo.race.replay import ReplayError, ReplayWriter, load_replay, play_replay, save_replay
 from stkzoo.suite import mean_conduct, measure_conduct, race_conduct
-from stkzoo.suite.conduct import find_replays
+from stkzoo.suite.conduct import _closing_speeds, find_replays
 
 
 def record(file, drivers, **settings):
@@ -62,30 +62,20 @@ def test_counts_equal_those_of_the_environment(crowded, measured):
         assert kart.contacts == counts["kart_contact"]
         assert kart.overtakes == counts["overtake"]
         assert kart.off_road == pytest.approx(counts["off_road"])
-        touching = [contact for contact in measured.contacts if number in contact.karts]
-        assert len(touching) == kart.contacts
-    assert measured.contacts
+    assert sum(kart.contacts for kart in measured.karts) > 0
 
 
-def test_the_kart_that_catches_up_has_the_higher_closing_speed(crowded, measured):
-    contact = measured.contacts[0]
-    snapshots = []
+def test_the_closing_speed_is_toward_the_nearest_kart():
+    karts = np.zeros(3, [("location", "f4", 3), ("velocity", "f4", 3)])
+    karts["location"][:, 2] = 0, 10, 100
+    karts["velocity"][:, 2] = 5, -2, 3
+    assert _closing_speeds(karts).tolist() == [5, 2, -3]
 
-    class Watch(RaceListener):
-        def stepped(self, race):
-            snapshots.append(race.snapshot.karts[list(race.race_info.kart_indices)])
 
-    play_replay(load_replay(crowded), listeners=[Watch()])
-    before = snapshots[contact.step - 2][list(contact.karts)]
-    distances = [
-        float(np.linalg.norm(karts["location"][0] - karts["location"][1]))
-        for karts in (before, snapshots[contact.step - 1][list(contact.karts)])
-    ]
-    way = before["location"][1] - before["location"][0]
-    assert contact.closing[0] == pytest.approx(
-        float(before["velocity"][0] @ way) / distances[0], abs=0.01
-    )
-    assert sum(contact.closing) > 0
+def test_karts_that_touch_drive_toward_each_other(measured):
+    speeds = [kart.closing for kart in measured.karts if kart.contacts]
+    assert all(kart.closing is None for kart in measured.karts if not kart.contacts)
+    assert max(speeds) > 0
 
 
 @pytest.mark.slow
@@ -106,7 +96,7 @@ def test_a_folder_without_replays_is_refused(tmp_path):
         find_replays([tmp_path])
 
 
-def test_damaged_replays_are_refused_before_any_race(alone, tmp_path, capsys):
+def test_damaged_replays_are_refused(alone, tmp_path, capsys):
     damaged = tmp_path / "damaged.stkz"
     damaged.write_bytes(alone.read_bytes()[:200])
     assert main(["suite", "conduct", str(alone), str(damaged)]) == 1
@@ -133,4 +123,4 @@ def test_the_command_shows_drivers_and_writes_json(crowded, measured, capsys):
     assert main(["suite", "conduct", str(crowded), "--jobs", "1", "--json"]) == 0
     (race,) = json.loads(capsys.readouterr().out)
     assert race["type"] == "race-conduct"
-    assert len(race["contacts"]) == len(measured.contacts)
+    assert [kart["contacts"] for kart in race["karts"]] == [k.contacts for k in measured.karts]
