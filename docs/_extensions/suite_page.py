@@ -9,7 +9,7 @@ from pathlib import Path
 
 from stkzoo.suite import load_runs, make_report
 from stkzoo.suite.report.figures import draw_figures
-from stkzoo.suite.report.tables import CAPTIONS, report_sections
+from stkzoo.suite.report.writing import CAPTIONS, report_sections
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results" / "suite"
 PICTURES = Path(__file__).parents[1] / "images" / "suite"

@@ -121,38 +121,6 @@ class TaskReport:
 
 
 @dataclass(frozen=True, slots=True)
-class OverallScores:
-    """The runs of an algorithm in several tasks.
-
-    Attributes:
-        algorithm: name of the algorithm.
-        seeds: the seeds that it has in all tasks.
-        iqm: interquartile mean over runs and tasks of normalized scores.
-        profile: mean over the tasks of their performance profiles.
-    """
-
-    algorithm: str
-    seeds: tuple[int, ...]
-    iqm: Estimate
-    profile: Band
-
-
-@dataclass(frozen=True, slots=True)
-class OverallReport:
-    """The runs in several tasks with normalized scores.
-
-    Attributes:
-        tasks: names of the tasks: those in which all algorithms have runs.
-        algorithms: the algorithms.
-        improvements: comparisons of each pair of algorithms, averaged over tasks.
-    """
-
-    tasks: tuple[str, ...]
-    algorithms: tuple[OverallScores, ...]
-    improvements: tuple[Improvement, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class SuiteReport(Document):
     """A report of training runs.
 
@@ -161,18 +129,17 @@ class SuiteReport(Document):
         confidence: coverage probability of the intervals.
         draws: number of draws of the bootstraps.
         tasks: the tasks that have runs.
-        overall: all tasks together; ``None`` if fewer than two can be combined.
         missing: task, algorithm and seed of runs that are missing.
         versions: versions of the software that ran, by name.
     """
 
     kind: ClassVar[str] = "suite-report"
+    version: ClassVar[int] = 2  # 1: it also had all tasks together
     origin: ClassVar[str] = "the report.json of `stkzoo suite report`"
 
     suite: str
     confidence: float
     draws: int
     tasks: tuple[TaskReport, ...]
-    overall: OverallReport | None
     missing: tuple[RunKey, ...]
     versions: dict[str, tuple[str, ...]]

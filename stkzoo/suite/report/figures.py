@@ -74,10 +74,6 @@ def profiles(report: SuiteReport) -> Any:
         }
         for task in report.tasks
     }
-    if report.overall is not None:
-        panels["all of these tasks with normalized scores"] = {
-            result.algorithm: result.profile for result in report.overall.algorithms
-        }
     return _curves(panels, _styles(report), "score", "share of runs and tracks above")
 
 
@@ -87,23 +83,15 @@ def scores(report: SuiteReport) -> Any:
     for task in report.tasks:
         title = f"IQM, {task.scale.replace('_', ' ')}; more is better"
         panels.setdefault(title, []).extend(_rows(task, "iqm"))
-    if report.overall is not None:
-        panels["IQM, normalized score; more is better"] += [
-            (f"all of these, {result.algorithm}", result.algorithm, result.iqm)
-            for result in report.overall.algorithms
-        ]
     return _intervals(panels, _styles(report))
 
 
 def improvement(report: SuiteReport) -> Any:
     """Returns the figure of comparisons; ``None`` with a single algorithm."""
-    comparisons_of = [(task.task, task.improvements) for task in report.tasks]
-    if report.overall is not None:
-        comparisons_of.append(("all of these", report.overall.improvements))
     rows = [
-        (f"{name}, {pair.first} over {pair.second}", pair.first, pair.probability)
-        for name, comparisons in comparisons_of
-        for pair in comparisons
+        (f"{task.task}, {pair.first} over {pair.second}", pair.first, pair.probability)
+        for task in report.tasks
+        for pair in task.improvements
     ]
     title = "Probability of improvement on a track and direction; the line is chance"
     panels = {title: rows} if rows else {}

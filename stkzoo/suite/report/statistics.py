@@ -112,20 +112,13 @@ def mean(scores: FloatArray) -> FloatArray:
     return np.asarray(scores.mean(axis=(-2, -1)))
 
 
-def interquartile_mean(*scores: FloatArray) -> FloatArray:
-    """Returns the interquartile mean: the mean of the middle half of the scores.
+def interquartile_mean(scores: FloatArray) -> FloatArray:
+    """Returns the interquartile mean of tables ``(..., R, C)``: the mean of their middle half.
 
     If a quarter of the scores is no whole number, the scores at both ends of the middle half count
     in part. ``scipy.stats.trim_mean`` leaves out fewer scores then, for example none of two.
-
-    Args:
-        *scores: one table ``(..., R, C)``, whose cells are the scores; or the tables of several
-            tasks, whose scores are the means of the runs.
     """
-    if len(scores) == 1:
-        values = scores[0].reshape(*scores[0].shape[:-2], -1)
-    else:
-        values = np.concatenate([table.mean(axis=-1) for table in scores], axis=-1)
+    values = scores.reshape(*scores.shape[:-2], -1)
     count = values.shape[-1]
     ends = np.clip(np.arange(count + 1), count / 4, count * 3 / 4)
     shares = np.diff(ends) / (count / 2)
@@ -139,38 +132,28 @@ def performance_profile(thresholds: FloatArray) -> Statistic:
         thresholds: the thresholds ``(N,)``.
 
     Returns:
-        Function of one or several tables ``(..., R, C)`` that returns the mean over the tables of
-        their shares, ``(..., N)``.
+        Function of a table ``(..., R, C)`` that returns the shares ``(..., N)``.
     """
 
-    def shares(*scores: FloatArray) -> FloatArray:
-        return np.asarray(np.mean([_shares_above(table, thresholds) for table in scores], axis=0))
+    def shares(scores: FloatArray) -> FloatArray:
+        cells = np.sort(scores.reshape(-1, scores.shape[-2] * scores.shape[-1]), axis=-1)
+        below = [np.searchsorted(row, thresholds, side="right") for row in cells]
+        above = 1.0 - np.array(below, float) / cells.shape[-1]
+        return np.asarray(above.reshape(*scores.shape[:-2], len(thresholds)))
 
     return shares
 
 
-def _shares_above(scores: FloatArray, thresholds: FloatArray) -> FloatArray:
-    cells = np.sort(scores.reshape(-1, scores.shape[-2] * scores.shape[-1]), axis=-1)
-    below = [np.searchsorted(row, thresholds, side="right") for row in cells]
-    shares = 1.0 - np.array(below, float) / cells.shape[-1]
-    return np.asarray(shares.reshape(*scores.shape[:-2], len(thresholds)))
-
-
-def improvement(*scores: FloatArray) -> FloatArray:
+def improvement(first: FloatArray, second: FloatArray) -> FloatArray:
     """Returns the probability that a run of one algorithm is better than one of another.
 
     It is the mean over columns of the share of pairs of runs in which the first is better; ties
     count half.
 
     Args:
-        *scores: a table ``(..., R, C)`` of each algorithm; or those of the first and of the second
-            algorithm in each of several tasks, in turn, whose probabilities are averaged.
+        first: table ``(..., R, C)`` of the first algorithm.
+        second: table ``(..., S, C)`` of the second algorithm.
     """
-    pairs = zip(scores[::2], scores[1::2], strict=True)
-    return np.asarray(np.mean([_improvement(first, second) for first, second in pairs], axis=0))
-
-
-def _improvement(first: FloatArray, second: FloatArray) -> FloatArray:
     one, other = first[..., :, None, :], second[..., None, :, :]
     better = (one > other) + 0.5 * (one == other)
     return np.asarray(better.mean(axis=(-3, -2, -1)))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 import numpy as np
 
@@ -15,21 +16,18 @@ from stkzoo._os import make_folder, write_text
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
-from stkzoo.evaluation.templates import require_jinja2
+from stkzoo.evaluation.templates import render, require_jinja2
 from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
     Band,
     Improvement,
-    OverallReport,
-    OverallScores,
     RunKey,
     SuiteReport,
     TaskReport,
 )
 from stkzoo.suite.report.figures import draw_figures
-from stkzoo.suite.report.marl_eval import marl_eval_json
-from stkzoo.suite.report.results import DIRECTIONS, SuiteRun, load_runs
+from stkzoo.suite.report.results import DIRECTIONS, LearningCurve, SuiteRun, load_runs
 from stkzoo.suite.report.statistics import (
     FloatArray,
     ScoreTable,
@@ -41,44 +39,111 @@ from stkzoo.suite.report.statistics import (
     mean,
     performance_profile,
 )
-from stkzoo.suite.report.tables import report_page
 from stkzoo.suite.scores import load_baselines, scale_ends
-from stkzoo.suite.tasks import SUITE, TASKS, can_learn, find_task
+from stkzoo.suite.tasks import SUITE, TASKS, TIME_RATIO, can_learn, find_task
 
-_NUM_POINTS = 100
+_NUM_POINTS, _NUM_STEPS = 100, 50
 _SECONDS_PER_HOUR = 3600.0
+#: Names of MARL-eval's metrics by fields of :class:`~stkzoo.suite.report.results.LearningCurve`.
+_METRICS = {"returns": "return", "finished": "finished", "position": "position"}
+#: Captions of the figures, by name.
+CAPTIONS = {
+    "learning_curves": "Mean return of the training races. Bands contain all runs.",
+    "scores": "Interquartile mean on the test tracks, with 95% intervals.",
+    "profiles": "Share of runs, tracks and directions with a score above each value, with 95% "
+    "bands.",
+    "improvement": "Probability that a run of the first algorithm is better than one of the "
+    "second on a track and direction, with 95% intervals.",
+    "gap": "Mean score on the training tracks minus that on the test tracks, with 95% intervals.",
+}
+#: The runs of each algorithm in a task, in the order of their seeds.
+_Groups = Mapping[str, Sequence[SuiteRun]]
 
 
-# ------------------------------------------------------------------ scores of runs
+# ------------------------------------------------------------------ the numbers
 
 
-@dataclass(frozen=True, slots=True)
-class _RunGroup:
-    """The runs of an algorithm in a task, in the order of their seeds."""
+def make_report(runs: Sequence[SuiteRun]) -> SuiteReport:
+    """Returns the report of training runs.
 
-    runs: tuple[SuiteRun, ...]
+    Each combination of their tasks, algorithms and seeds without a run is missing, except tasks
+    that an algorithm cannot learn.
 
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        return tuple(run.seed for run in self.runs)
+    Args:
+        runs: the runs, as :func:`~stkzoo.suite.report.results.load_runs` returns them.
+    """
+    groups: dict[str, dict[str, list[SuiteRun]]] = {task: {} for task in TASKS}
+    versions: dict[str, set[str]] = {}
+    for run in runs:
+        groups[run.task].setdefault(run.algorithm, []).append(run)
+        for name, version in run.versions.items():
+            versions.setdefault(name, set()).add(version)
+    return SuiteReport(
+        SUITE,
+        CONFIDENCE,
+        DRAWS,
+        tuple(_task_report(task, of_task) for task, of_task in groups.items() if of_task),
+        _missing(runs),
+        {name: tuple(sorted(of_name)) for name, of_name in sorted(versions.items())},
+    )
 
-    def only(self, seeds: Iterable[int]) -> _RunGroup:
-        return _RunGroup(tuple(run for run in self.runs if run.seed in set(seeds)))
 
-    def table(self, split: str = "test", *, is_raw: bool = False) -> ScoreTable:
-        """Returns the scores on a split's tracks: the metric itself, or on the task's scale."""
-        run = self.runs[0]
-        task = find_task(run.task)
-        tracks = task.test_tracks if split == "test" else task.train_tracks
-        values = np.stack([getattr(run, split).by_column(tracks) for run in self.runs])
-        if not is_raw:
-            zero, one = scale_ends(task.name)
-            values = (values - zero) / (one - zero)
-        return ScoreTable(values, (task.name, run.algorithm), tracks, len(DIRECTIONS))
+def _missing(runs: Sequence[SuiteRun]) -> tuple[RunKey, ...]:
+    keys = {(run.task, run.algorithm, run.seed) for run in runs}
+    every = itertools.product(*(sorted(set(values)) for values in zip(*keys, strict=True)))
+    return tuple(key for key in every if key not in keys and can_learn(key[1], find_task(key[0])))
 
 
-def _thresholds(groups: Sequence[_RunGroup]) -> FloatArray:
-    values = np.concatenate([group.table().scores.ravel() for group in groups])
+def _task_report(name: str, groups: _Groups) -> TaskReport:
+    task = find_task(name)
+    tables = {algorithm: _table(runs) for algorithm, runs in groups.items()}
+    thresholds = _thresholds([*tables.values()])
+    return TaskReport(
+        name,
+        task.digest,
+        task.metric,
+        NORMALIZED if load_baselines().has(name) else task.metric,
+        next(iter(groups.values()))[0].budget,
+        tuple(_algorithm_report(runs, thresholds) for runs in groups.values()),
+        tuple(
+            Improvement(one, two, estimate(improvement, tables[one], tables[two]))
+            for one, two in itertools.combinations(tables, 2)
+        ),
+    )
+
+
+def _algorithm_report(runs: Sequence[SuiteRun], thresholds: FloatArray) -> AlgorithmReport:
+    test = _table(runs)
+    profile = estimate_curve(performance_profile(thresholds), test)
+    return AlgorithmReport(
+        runs[0].algorithm,
+        tuple(run.seed for run in runs),
+        estimate(mean, _table(runs, is_raw=True)),
+        estimate(mean, _table(runs, "train", is_raw=True)),
+        estimate(interquartile_mean, test),
+        estimate(gap, _table(runs, "train"), test),
+        Band.of(thresholds, *profile),
+        _returns(runs),
+        fmean(run.kart_steps for run in runs),
+        fmean(run.training_seconds for run in runs) / _SECONDS_PER_HOUR,
+        fmean(run.evaluation_seconds for run in runs) / _SECONDS_PER_HOUR,
+        tuple(sorted({run.cores for run in runs})),
+    )
+
+
+def _table(runs: Sequence[SuiteRun], split: str = "test", *, is_raw: bool = False) -> ScoreTable:
+    """Returns the scores on a split's tracks: the metric itself, or on the task's scale."""
+    task = find_task(runs[0].task)
+    tracks = task.test_tracks if split == "test" else task.train_tracks
+    values = np.stack([getattr(run, split).by_column(tracks) for run in runs])
+    if not is_raw:
+        zero, one = scale_ends(task.name)
+        values = (values - zero) / (one - zero)
+    return ScoreTable(values, runs[0].algorithm, tracks, len(DIRECTIONS))
+
+
+def _thresholds(tables: Sequence[ScoreTable]) -> FloatArray:
+    values = np.concatenate([table.scores.ravel() for table in tables])
     low, high = np.floor(values.min() * 10 - 0.5) / 10, np.ceil(values.max() * 10 + 0.5) / 10
     return np.linspace(low, high, _NUM_POINTS + 1)
 
@@ -100,117 +165,71 @@ def _returns(runs: Sequence[SuiteRun]) -> Band | None:
     return Band.of(x, values.mean(axis=0), values.min(axis=0), values.max(axis=0))
 
 
-# ------------------------------------------------------------------ the report
+# ------------------------------------------------------------------ the files
 
 
-def make_report(runs: Sequence[SuiteRun], expected: Iterable[RunKey] | None = None) -> SuiteReport:
-    """Returns the report of training runs.
+def report_sections(report: SuiteReport, figures: Mapping[str, Path]) -> str:
+    """Returns all tables and figures as Markdown, with headings of level 2.
 
     Args:
-        runs: the runs, as :func:`~stkzoo.suite.report.results.load_runs` returns them.
-        expected: task, algorithm and seed of the runs that should be there; by default, each
-            combination of those that occur, except tasks that an algorithm cannot learn.
+        report: the report.
+        figures: file of each figure by name, relative to the page.
     """
-    keys = {(run.task, run.algorithm, run.seed) for run in runs}
-    if expected is None:
-        every = itertools.product(*(sorted(set(values)) for values in zip(*keys, strict=True)))
-        expected = [key for key in every if can_learn(key[1], find_task(key[0]))]
-    groups: dict[str, dict[str, _RunGroup]] = {}
-    for task in TASKS:
-        for run in (run for run in runs if run.task == task):
-            of_task = groups.setdefault(task, {})
-            of_task[run.algorithm] = _RunGroup(
-                (*of_task.get(run.algorithm, _RunGroup(())).runs, run)
-            )
-    versions: dict[str, set[str]] = {}
-    for name, version in (item for run in runs for item in run.versions.items()):
-        versions.setdefault(name, set()).add(version)
-    return SuiteReport(
-        SUITE,
-        CONFIDENCE,
-        DRAWS,
-        tuple(_task_report(task, of_task) for task, of_task in groups.items()),
-        _overall(groups),
-        tuple(key for key in expected if key not in keys),
-        {name: tuple(sorted(found)) for name, found in sorted(versions.items())},
-    )
+    return render(
+        Path(__file__).with_name("sections.md.jinja"),
+        report=report,
+        figures=figures,
+        captions=CAPTIONS,
+        comparisons=[(task.task, pair) for task in report.tasks for pair in task.improvements],
+        normalized=NORMALIZED,
+        time_ratio=TIME_RATIO,
+    ).strip()
 
 
-def _task_report(name: str, groups: dict[str, _RunGroup]) -> TaskReport:
-    task = find_task(name)
-    thresholds = _thresholds([*groups.values()])
-    return TaskReport(
-        name,
-        task.digest,
-        task.metric,
-        NORMALIZED if load_baselines().has(name) else task.metric,
-        next(iter(groups.values())).runs[0].budget,
-        tuple(_algorithm_report(of_task, thresholds) for of_task in groups.values()),
-        tuple(
-            Improvement(one, two, estimate(improvement, first.table(), second.table()))
-            for (one, first), (two, second) in itertools.combinations(groups.items(), 2)
-        ),
-    )
+def marl_eval_json(runs: Sequence[SuiteRun]) -> str:
+    """Returns runs as JSON text for MARL-eval: environment, task, algorithm, run, step, metrics.
+
+    MARL-eval (Gorsane et al., 2022, https://github.com/instadeepai/marl-eval) requires the same
+    metrics in all steps and in the absolute metrics of an environment. Training and evaluation
+    measure different things, so they are two environments:
+
+    - ``stkzoo-suite-1`` has one step, the end of the training, with the score of each race on the
+      test tracks, on the scale of the task;
+    - ``stkzoo-suite-1-training`` has the learning curve, at equal distances.
+
+    It also requires the same algorithms and seeds in all tasks.
+
+    Args:
+        runs: the runs.
+    """
+    environments: dict[str, Any] = {SUITE: {}, f"{SUITE}-training": {}}
+    for run in runs:
+        zero, one = scale_ends(run.task)
+        score = {"score": [(race.value - zero) / (one - zero) for race in run.test.races]}
+        curve = _curve_steps(run.curve)
+        last = {name: value for name, value in curve[-1].items() if name != "step_count"}
+        ends = [{"step_count": run.kart_steps, **score}]
+        parts = ((ends, score), (curve, last))
+        for tasks, (steps, absolute) in zip(environments.values(), parts, strict=True):
+            seeds = tasks.setdefault(run.task, {}).setdefault(run.algorithm, {})
+            numbered = {f"step_{number}": step for number, step in enumerate(steps)}
+            seeds[f"seed_{run.seed}"] = {**numbered, "absolute_metrics": absolute}
+    return json.dumps(environments, allow_nan=False, separators=(",", ":")) + "\n"
 
 
-def _algorithm_report(group: _RunGroup, thresholds: FloatArray) -> AlgorithmReport:
-    runs, test = group.runs, group.table()
-    profile = estimate_curve(performance_profile(thresholds), test)
-    return AlgorithmReport(
-        runs[0].algorithm,
-        group.seeds,
-        estimate(mean, group.table(is_raw=True)),
-        estimate(mean, group.table("train", is_raw=True)),
-        estimate(interquartile_mean, test),
-        estimate(gap, group.table("train"), test),
-        Band.of(thresholds, *profile),
-        _returns(runs),
-        fmean(run.kart_steps for run in runs),
-        fmean(run.training_seconds for run in runs) / _SECONDS_PER_HOUR,
-        fmean(run.evaluation_seconds for run in runs) / _SECONDS_PER_HOUR,
-        tuple(sorted({run.cores for run in runs})),
-    )
-
-
-def _overall(groups: dict[str, dict[str, _RunGroup]]) -> OverallReport | None:
-    """Returns the report of all tasks with baselines in which all algorithms have runs."""
-    algorithms = sorted({name for of_task in groups.values() for name in of_task})
-    tasks = [
-        task for task in groups if load_baselines().has(task) and set(groups[task]) >= {*algorithms}
-    ]
-    if len(tasks) < 2:
-        return None
-    shared: dict[str, list[_RunGroup]] = {}
-    for name in algorithms:
-        of_algorithm = [groups[task][name] for task in tasks]
-        seeds = set.intersection(*(set(group.seeds) for group in of_algorithm))
-        if seeds:
-            shared[name] = [group.only(seeds) for group in of_algorithm]
-    if not shared:
-        return None
-    thresholds = _thresholds([*itertools.chain(*shared.values())])
-    profile_of = performance_profile(thresholds)
-    tables = {name: [group.table() for group in of_name] for name, of_name in shared.items()}
-    return OverallReport(
-        tuple(tasks),
-        tuple(
-            OverallScores(
-                name,
-                shared[name][0].seeds,
-                estimate(interquartile_mean, *of_name),
-                Band.of(thresholds, *estimate_curve(profile_of, *of_name)),
-            )
-            for name, of_name in tables.items()
-        ),
-        tuple(
-            Improvement(
-                one,
-                two,
-                estimate(improvement, *itertools.chain(*zip(first, second, strict=True))),
-            )
-            for (one, first), (two, second) in itertools.combinations(tables.items(), 2)
-        ),
-    )
+def _curve_steps(curve: LearningCurve) -> list[dict[str, Any]]:
+    """Returns the metrics at equal distances, from the first race that ended."""
+    known = [n for n, value in enumerate(curve.returns) if value is not None] or [0]
+    at = np.array([curve.kart_steps[n] for n in known], float)
+    counts = np.linspace(at[0], at[-1], _NUM_STEPS)
+    steps: list[dict[str, Any]] = [{"step_count": round(count)} for count in counts]
+    for field, name in _METRICS.items():
+        values = [getattr(curve, field)[n] for n in known]
+        has_values = None not in values
+        at_counts = np.interp(counts, at, values) if has_values else counts
+        for step, value in zip(steps, at_counts.tolist(), strict=True):
+            step[name] = [round(value, 6)] if has_values else []
+    return steps
 
 
 def write_suite_report(
@@ -244,7 +263,9 @@ def write_suite_report(
     report = make_report(runs)
     make_folder(folder, "report")
     figures = draw_figures(report, folder)
+    versions = ", ".join(f"{name} {' and '.join(of)}" for name, of in report.versions.items())
+    head = f"# Report on {report.suite}\n\nVersions: {versions}."
     write_text(folder / "report.json", report.to_json() + "\n")
     write_text(folder / "marl_eval.json", marl_eval_json(runs))
-    write_text(folder / "report.md", report_page(report, figures))
+    write_text(folder / "report.md", f"{head}\n\n{report_sections(report, figures)}\n")
     return report
