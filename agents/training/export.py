@@ -51,7 +51,6 @@ from .common.command import run_command
 from .common.run_folder import (
     ARGUMENTS,
     LEAGUE,
-    chapters_of,
     kart_steps_of,
     plan_parameters,
     read_run_file,
@@ -237,7 +236,7 @@ def _runs_of(source: Path) -> list[dict[str, Any]]:
     history: Any = read_run_file(Any, arguments) if arguments.exists() else []
     if isinstance(history, dict):  # a run with fixed arguments
         history = [{"from": 0, "arguments": history}]
-    return [{"kart_steps": kart_steps, "history": chapters_of(history, kart_steps)}]
+    return [{"kart_steps": kart_steps, "history": history}]
 
 
 def _run_of_member(league: Path, name: str) -> dict[str, Any]:

@@ -11,6 +11,7 @@ contender but engine, one policy drives all karts:
     engine  pystk2 alone: one race per core, with recorded controls of the heuristic agent
     ppo     stkzoo.agents.training.ppo.selfplay
     sb3     PPO of Stable-Baselines3 on RaceVecEnv in the view racing
+    pytorch the loop of docs/how-to/pytorch.md on RaceVectorEnv in the view racing
     rllib   PPO of Ray RLlib with stkzoo.agents.training.rllib.selfplay, if Ray is installed
 
 The start and the first updates are not counted; resets and learning are. The time of all cores is
@@ -48,7 +49,12 @@ from benchmarks.learners.shares import SHARES
 from stkzoo._os import cpu_count
 
 #: Functions of the learners; the engine has none.
-_LEARNERS = {"ppo": programs.ppo, "sb3": programs.sb3, "rllib": programs.rllib}
+_LEARNERS = {
+    "ppo": programs.ppo,
+    "sb3": programs.sb3,
+    "pytorch": programs.pytorch,
+    "rllib": programs.rllib,
+}
 #: The engine's steps in a round.
 _ENGINE_STEPS = 400
 _QUICK = {"karts": [2], "races": [1], "rounds": 1, "iterations": 1}

@@ -7,9 +7,11 @@ updates, and return the kart-steps per second and core, and the shares of the ti
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from stkzoo._os import cpu_count
 
 #: Updates before the measured ones.
 _WARM_UP = 3
-#: Steps of each kart per update of sb3 and rllib, and of an episode.
+#: Steps of each kart per update of sb3, pytorch and rllib, and of an episode.
 _STEPS, _MAX_CYCLES = 128, 250
 #: Measured parts of an actor's time.
 _ACTOR_PARTS = ("networks", "observing")
@@ -156,7 +158,61 @@ def sb3(karts: int, races: int, number: int, track: str, iterations: int) -> dic
     rollouts = _WARM_UP + iterations
     model.learn(rollouts * _STEPS * envs.num_envs + 1, callback=Marks())
     envs.close()
-    first, last = marks[_WARM_UP], marks[rollouts]
+    return _rate_between(marks[_WARM_UP], marks[rollouts])
+
+
+def pytorch(karts: int, races: int, number: int, track: str, iterations: int) -> dict[str, float]:
+    """Measures the loop of ``docs/how-to/pytorch.md``; its networks and learning count as rest."""
+    _use_cores(number)
+    import stkzoo
+
+    meter, marks = Meter(), []
+
+    class Races(stkzoo.RaceVectorEnv):
+        """Records the times and counts at the start of each rollout."""
+
+        def __init__(self, _: int, **given: Any) -> None:
+            own = {"num_kart": karts, "track": track, "max_cycles": _MAX_CYCLES, "num_starts": 32}
+            super().__init__(races, **given | own)
+            self.timed_step = meter.timed("observing", super().step)
+            self.count = self.kart_steps = 0
+
+        def step(self, actions: Any) -> Any:
+            if self.count % _STEPS == 0:
+                self.mark()
+            self.count += 1
+            result = self.timed_step(actions)
+            self.kart_steps += int(result[4]["active"].sum())
+            return result
+
+        def mark(self) -> None:
+            now = time.perf_counter(), time.process_time(), engine_time(())
+            marks.append((*now, self.kart_steps, dict(meter.seconds)))
+
+        def close(self, **given: Any) -> None:
+            self.mark()
+            super().close(**given)
+
+    stkzoo.RaceVectorEnv = Races  # type: ignore[misc] # for the program of the page
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "pytorch.md"
+    found = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    size = f"STEPS, UPDATES = {_STEPS}, {_WARM_UP + iterations}"
+    code, changed = re.subn(r"^STEPS, UPDATES = .*", size, found[1] if found else "", flags=re.M)
+    if not changed:
+        raise LookupError(f"{page.name} has no program with STEPS, UPDATES = ...")
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)  # the program writes a driver
+        exec(compile(code, page.name, "exec"), {"__name__": "__main__"})  # noqa: S102
+    return _rate_between(marks[_WARM_UP], marks[-1])
+
+
+def _rate_between(first: Sequence[Any], last: Sequence[Any]) -> dict[str, float]:
+    """Returns the rate and the shares between two moments.
+
+    Args:
+        first: wall, CPU and engine time [s], number of kart-steps, and time of each part.
+        last: the same later.
+    """
     wall, programs, engine, steps = (last[n] - first[n] for n in range(4))
     parts = {name: last[4][name] - first[4][name] for name in first[4]}
     return {"rate": steps / wall / cpu_count(), **shares_of(wall, engine, programs, parts)}

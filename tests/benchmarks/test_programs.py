@@ -79,11 +79,12 @@ def test_a_section_saves_its_measurements(section, tmp_path):
 
 @pytest.mark.matrix
 def test_the_rates_of_learners_are_compared_with_the_engines(tmp_path):
-    run("learners", "--only", "engine", "ppo", "--quick", "--output", tmp_path)
+    run("learners", "--only", "engine", "ppo", "pytorch", "--quick", "--output", tmp_path)
     report = report_of(tmp_path / "learners.json")
-    engine, ppo = report["results"]
+    engine, ppo, page = report["results"]
     assert engine["rate"] > ppo["rate"] > 0
     assert ppo["engine"] + ppo["learning"] < 1
+    assert 0 < page["engine"] < 1
 
 
 def test_nothing_is_installed_without_consent(tmp_path):

@@ -49,7 +49,7 @@ def test_an_unknown_track_is_refused_with_the_nearest_name(kind):
         (SelfPlayArguments, {"kl_coef": -0.1}, "kl_coef is -0.1, .* of 0 or more"),
         (SelfPlayArguments, {"seed": 2**32}, "seed is 4294967296, .* from 0 to 4294967295"),
         (SelfPlayArguments, {"hidden": (8, 8, 8)}, r"hidden is \(8, 8, 8\), expected 2 layers"),
-        (SB3Arguments, {"n_steps": 1, "races": ("1",)}, "expected 2 or more steps"),
+        (SB3Arguments, {"n_steps": 1, "races": "1"}, "expected 2 or more steps"),
         (TuningArguments, {"seed": 2**32 - 1}, "seed is 4294967295, .* from 0 to 4294967294"),
     ],
 )

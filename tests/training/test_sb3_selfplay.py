@@ -20,10 +20,10 @@ from stkzoo.agents.training.common.run_folder import save_driver
 from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.plot import main as plot_main
 from stkzoo.agents.training.ppo.network import RacingNetwork
-from stkzoo.agents.training.ppo.opponents import RivalPool, bot_name, draw_opponent
+from stkzoo.agents.training.ppo.opponents import Matchmaker, draw_opponent
 from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
-from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
+from stkzoo.agents.training.sb3.races import SelfPlayVecEnv, make_races
 from stkzoo.agents.training.sb3.selfplay import (
     SB3Arguments,
     SB3Run,
@@ -38,7 +38,7 @@ from stkzoo.wrappers.racing import BRAKE, CHOICES, PLACES, RESCUE, SIZE, STEERS
 from tests.support.training import last_policy, log_of, run_and_kill, words_of
 
 SMALL = {
-    "races": ("2x1", "1+1x1"),
+    "races": "2+1x1",
     "tracks": ("lighthouse",),
     "updates": 2,
     "n_steps": 16,
@@ -72,30 +72,30 @@ def policy():
 
 
 def test_hard_rivals_are_drawn_more_often():
-    pool = RivalPool(3)
+    matchmaker = Matchmaker("prioritized", 3, share=1.0)
     for name in ("hard", "even", "easy"):
-        pool.add(name)
+        matchmaker.add(name)
     for _ in range(60):
-        pool.update("hard", 0.0)
-        pool.update("easy", 1.0)
+        matchmaker.update("hard", 0.0)
+        matchmaker.update("easy", 1.0)
     random = np.random.default_rng(0)
-    drawn = [draw_opponent(pool.odds(), random) for _ in range(600)]
+    drawn = [draw_opponent(matchmaker.odds(), random) for _ in range(600)]
     counts = [drawn.count(name) for name in ("hard", "even", "easy")]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > 2 * counts[1] > 0
     assert counts[2] > 0  # easy rivals still appear
-    assert pool.odds(["even"]) == {"even": 1.0}
+    assert matchmaker.prioritized(["even"]) == {"even": 1.0}
 
 
 def test_a_full_pool_drops_the_most_beaten_rival():
-    pool = RivalPool(2)
-    pool.add("first")
-    pool.add("second")
-    assert [rival.name for rival in pool.opponents] == ["first", "second"]
-    pool.update("second", 1.0)
-    pool.add("third")
-    assert [rival.name for rival in pool.opponents] == ["first", "third"]
-    pool.update("second", 1.0)  # the result of a race that was still running is ignored
+    matchmaker = Matchmaker("prioritized", 2)
+    matchmaker.add("first")
+    matchmaker.add("second")
+    assert [*matchmaker.pool] == ["first", "second"]
+    matchmaker.update("second", 1.0)
+    matchmaker.add("third")
+    assert [*matchmaker.pool] == ["first", "third"]
+    matchmaker.update("second", 1.0)  # the result of a race that was still running
 
 
 def test_stages_open_tracks_then_directions():
@@ -130,66 +130,49 @@ def test_groups_of_races_are_parsed():
             parse_races([text])
 
 
-def pools():
-    return RivalPool(4, [bot_name(difficulty) for difficulty in range(4)]), RivalPool(4)
-
-
 @pytest.mark.slow
-def test_rivals_add_no_training_data(monkeypatch, policy):
+def test_past_selves_add_no_training_data(monkeypatch, tmp_path, policy):
     monkeypatch.setattr(sb3_races, "SHORT_RACE", 12)
-    bots, snapshots = pools()
-    snapshots.add("past")
-    groups = [Lineup(4, 0), Lineup(1, 2)]
-    envs = SelfPlayVecEnv(
-        groups, Curriculum(["olivermath"]), bots, snapshots, snapshot_share=1.0, grid_share=0.0
-    )
-    weights = {name: value.numpy() for name, value in policy.state_dict().items()}
-    envs.add_driver("past", MlpDriver(weights))
-    try:
+    save_driver(tmp_path / "past.safetensors", arrays_of(policy))
+    matchmaker = Matchmaker("prioritized", share=1.0)
+    matchmaker.add("past")
+    races, curriculum = make_races(Lineup(4, 1, 2), "olivermath"), Curriculum(["olivermath"])
+    with closing(SelfPlayVecEnv(races, curriculum, matchmaker, tmp_path, grid_share=0.0)) as envs:
         envs.seed(5)
         envs.reset()
-        actions = np.zeros((5, 5), int)
         for step in range(12):
-            _, rewards, dones, infos = envs.step(actions)
+            _, rewards, dones, infos = envs.step(np.zeros((8, 5), int))
             is_rival = np.array([not info for info in infos])
-            assert is_rival.sum() == 2
-            assert not is_rival[4]  # a race with bots
+            assert is_rival.reshape(2, 4).sum(axis=1).tolist() == [2, 2]
             assert dones[is_rival].all()
             assert not rewards[is_rival].any()
             assert dones[~is_rival].all() == (step == 11)
-        assert envs.kart_steps == 3 * 12
-        assert [end.rival[:3] for end in envs.ends] == ["pas", "pas", "bot"]
-        assert {end.beaten for end in envs.ends} <= {0.0, 0.25, 0.5, 0.75, 1.0}
-        assert all(end.steps == 12 for end in envs.ends)
-        assert snapshots.opponents[0].races == 1
-        assert sum(rival.races for rival in bots.opponents) == 1
-    finally:
-        envs.close()
+        assert envs.kart_steps == 4 * 12
+        assert [kart["finished"] for kart in envs.recent] == [False] * 4
+        assert {1, 2, 3, 4, 5} >= {kart["position"] for kart in envs.recent}
+        assert matchmaker.pool["past"].races == 2
+        assert {*matchmaker.reported} <= {0.0, 0.25, 0.5, 0.75, 1.0}
 
 
 @pytest.mark.slow
-def test_a_finish_is_a_truncation_for_the_learner(monkeypatch):
+def test_a_finish_is_a_truncation_for_the_learner(monkeypatch, tmp_path):
     """The learner also gets the final observation and all rewards."""
     near_finish = Start(share=0.97, speed=15.0)
     monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
-    bots, snapshots = pools()
-    envs = SelfPlayVecEnv(
-        [Lineup(1, 0)], Curriculum(["lighthouse"]), bots, snapshots, grid_share=0.0
-    )
-    try:
+    races, curriculum = make_races(Lineup(1, 0), "lighthouse"), Curriculum(["lighthouse"])
+    with closing(SelfPlayVecEnv(races, curriculum, Matchmaker(), tmp_path, grid_share=0.0)) as envs:
         envs.seed(1)
         envs.reset()
         total = 0.0
-        while not envs.ends:
+        while not envs.recent:
             _, rewards, dones, infos = envs.step(np.array([[10, 0, 0, 0, 0]]))
             total += float(rewards[0])
-        assert envs.ends[0].finished
+        assert envs.figures()["finished"] == 1
+        assert envs.figures()["pace"] > 0.5
         assert dones[0]
         assert infos[0]["TimeLimit.truncated"]
         assert infos[0]["terminal_observation"][0:3].any()  # its velocity
         assert envs.rewarded == pytest.approx(total)
-    finally:
-        envs.close()
 
 
 # ---------------------------------------------------------------------- policies
@@ -442,7 +425,7 @@ def test_the_newest_policy_of_a_run_is_the_one_with_which_it_ended(tmp_path):
 
 @pytest.mark.slow
 def test_learning_curves_are_plotted(tmp_path):
-    lines = [{"kart_steps": 1000 * n, "pace": 0.1 * n, "beats_bots": 0.5} for n in range(1, 5)]
+    lines = [{"kart_steps": 1000 * n, "pace": 0.1 * n, "beaten": 0.5} for n in range(1, 5)]
     (tmp_path / "log.jsonl").write_text("\n".join(map(json.dumps, lines)))
     picture = tmp_path / "curves.png"
     assert plot_main([str(tmp_path), f"--output={picture}"]) == 0

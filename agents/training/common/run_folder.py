@@ -65,13 +65,8 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def check_resumed(
-    folder: Path,
-    before: Mapping[str, Any],
-    now: Mapping[str, Any],
-    remedy: str = "",
-    *,
-    may_change: bool = False,
-) -> bool:
+    folder: Path, before: Mapping[str, Any], now: Mapping[str, Any], remedy: str = ""
+) -> None:
     """Checks that a run continues with its original arguments.
 
     Args:
@@ -79,10 +74,6 @@ def check_resumed(
         before: arguments in its files.
         now: given arguments.
         remedy: another remedy to suggest, besides the same arguments or another folder.
-        may_change: whether the run may continue with other arguments.
-
-    Returns:
-        Whether they differ.
 
     Raises:
         ConfigError: the arguments differ, or another version of stkzoo wrote the files.
@@ -94,12 +85,11 @@ def check_resumed(
         )
     given = json.loads(json.dumps(now))
     changed = [f"{n} was {before[n]!r}, now {given[n]!r}" for n in given if before[n] != given[n]]
-    if changed and not may_change:
+    if changed:
         raise ConfigError(
             f"the run in {str(folder)!r} has other arguments: {', '.join(changed)}; give the same, "
             f"or another --output{remedy}"
         )
-    return bool(changed)
 
 
 def keep_arguments(
@@ -130,12 +120,11 @@ def keep_arguments(
 # ---------------------------------------------------------------------- plan parameters
 
 
-def plan_parameters(file: str | Path, kart_steps: int | None = None) -> DriverParameters:
+def plan_parameters(file: str | Path) -> DriverParameters:
     """Reads plan parameters from ``best.json`` of ``tune_plans`` or from a run's arguments.
 
     Args:
         file: path of the file; empty for the default parameters.
-        kart_steps: kart-steps of a policy of the run, see :func:`chapters_of`.
 
     Raises:
         ConfigError: the file is unreadable, or has unknown parameters.
@@ -145,20 +134,8 @@ def plan_parameters(file: str | Path, kart_steps: int | None = None) -> DriverPa
     with reading(f"{str(file)!r} has no parameters of plans", "a best.json or arguments.json"):
         content: Any = load_json(file, Any)
         if isinstance(content, list):
-            content = chapters_of(content, kart_steps)[-1]["rules"]
+            content = content[-1]["rules"]
         return DriverParameters.from_json(content)
-
-
-def chapters_of(history: Sequence[Any], kart_steps: int | None) -> Sequence[Any]:
-    """Returns the parts of a run in which a policy learned; the last one has its arguments.
-
-    Args:
-        history: parts of the run, each with the kart-steps ``from`` which its arguments apply.
-        kart_steps: kart-steps of the policy; ``None`` for the last policy.
-    """
-    if kart_steps is None:
-        return history
-    return [*history[:1], *(part for part in history[1:] if part["from"] < kart_steps)]
 
 
 def policy_name(kart_steps: int) -> str:
@@ -214,7 +191,7 @@ def run_parameters(policy: Path) -> DriverParameters:
         ConfigError: the run is from another version.
     """
     file = policy.with_name(ARGUMENTS)
-    return plan_parameters(file if file.exists() else "", kart_steps_of(policy))
+    return plan_parameters(file if file.exists() else "")
 
 
 # ---------------------------------------------------------------------- checkpoint

@@ -12,7 +12,7 @@ from stkzoo._schema import Count, matching, one_of
 from stkzoo.errors import ConfigError
 
 from ..common.matches import SEATS, Match, MatchRecord
-from ..ppo.opponents import ITSELF, DuelResults, Matchmaker, Odds
+from ..ppo.opponents import ITSELF, DuelResults, Matchmaker, Odds, Rival
 
 #: Kinds of players.
 MAIN, EXPLOITER, LEAGUE_EXPLOITER = "main", "exploiter", "league-exploiter"
@@ -24,7 +24,6 @@ _SELF_PLAY = 0.5
 _WON = 0.7
 #: Below this fraction of duels won against the newest main player, exploiters meet older ones too.
 _TOO_STRONG = 0.2
-_ENDLESS = 1_000_000
 #: First starting point of matches; training numbers its starting points from 0.
 _FIRST_NUMBER = 2000
 
@@ -128,7 +127,7 @@ class PlayerMatchmaker(Matchmaker):
     """
 
     def __init__(self, player: Player, members: Sequence[LeagueMember]) -> None:
-        super().__init__(size=_ENDLESS)
+        super().__init__()
         self._kind_of_player = player.kind
         self._all = [member.name for member in members]
         self._mains = [m.name for m in members if m.player.partition("-")[0] == MAIN]
@@ -137,15 +136,14 @@ class PlayerMatchmaker(Matchmaker):
     def odds(self) -> Odds:
         """Returns the probability of each opponent in a new race."""
         if self._kind_of_player == MAIN:
-            met = self.pool.odds(self._all)
+            met = self.prioritized(self._all)
             return {ITSELF: _SELF_PLAY, **{n: (1 - _SELF_PLAY) * own for n, own in met.items()}}
         if self._kind_of_player != EXPLOITER or not self._mains:
-            return self.pool.odds(self._all)
+            return self.prioritized(self._all)
         newest = self._mains[-1]
-        beaten = {opponent.name: opponent.beaten for opponent in self.pool.opponents}[newest]
-        if beaten >= _TOO_STRONG:
+        if self.pool[newest].beaten >= _TOO_STRONG:
             return {newest: 1.0}
-        odds = {name: 0.5 * own for name, own in self.pool.odds(self._mains).items()}
+        odds = {name: 0.5 * own for name, own in self.prioritized(self._mains).items()}
         return {**odds, newest: odds[newest] + 0.5}
 
     def restore(self, results: DuelResults) -> None:
@@ -159,7 +157,7 @@ class PlayerMatchmaker(Matchmaker):
 
     def _meet_members(self) -> None:
         for name in self._all:
-            self.pool.add(name)
+            self.pool.setdefault(name, Rival(name))
 
 
 def draw_matches(

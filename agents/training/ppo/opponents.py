@@ -1,4 +1,4 @@
-"""Past selves as opponents: the pool, the matchmaker, and the assignment of karts in a race.
+"""Past selves as opponents: the matchmaker, and the assignment of karts in a race.
 
 Prioritized fictitious self-play (Vinyals et al., "Grandmaster level in StarCraft II using
 multi-agent reinforcement learning", 2019) draws an opponent that is beaten with probability p with
@@ -32,17 +32,12 @@ NOBODY, FICTITIOUS, PRIORITIZED = OPPONENTS = "none", "fictitious", "prioritized
 Odds = Mapping[str, float]
 
 
-def bot_name(difficulty: int) -> str:
-    """Returns the opponent name of the game's bots at a difficulty, 0 to 3."""
-    return f"bot:{difficulty}"
-
-
 @dataclass(slots=True)
 class Rival:
     """An opponent in the pool.
 
     Attributes:
-        name: name of a snapshot, or ``bot:0`` to ``bot:3``.
+        name: name of a past self.
         beaten: fraction of duels that the learner won, 0 to 1; recent races weigh more.
         races: number of races.
     """
@@ -57,54 +52,6 @@ class Rival:
         share = max(_RATE, 1.0 / (self.races + 2))
         self.beaten += share * (beaten - self.beaten)
         self.races += 1
-
-
-class RivalPool:
-    """A pool of opponents.
-
-    Args:
-        size: capacity; when full, a new opponent replaces the most beaten one.
-        names: initial opponents.
-    """
-
-    def __init__(self, size: int, names: Sequence[str] = ()) -> None:
-        self.size = size
-        self._opponents = {name: Rival(name) for name in names}
-
-    @property
-    def opponents(self) -> list[Rival]:
-        """All opponents, the oldest first."""
-        return list(self._opponents.values())
-
-    def add(self, name: str) -> None:
-        """Adds an opponent; when full, it replaces the most beaten one."""
-        if name not in self._opponents and len(self._opponents) >= self.size:
-            del self._opponents[max(self.opponents, key=lambda opponent: opponent.beaten).name]
-        self._opponents.setdefault(name, Rival(name))
-
-    def odds(self, among: Sequence[str] | None = None) -> dict[str, float]:
-        """Returns the probability of each opponent, higher the less it is beaten.
-
-        Args:
-            among: names in the pool; ``None`` for all.
-        """
-        names = list(self._opponents) if among is None else list(among)
-        shares = [(1.0 - self._opponents[name].beaten) ** 2 for name in names]
-        weights = np.array(shares) + _LEAST_WEIGHT
-        return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
-
-    def update(self, name: str, beaten: float) -> None:
-        """Updates an opponent after a race; ignores opponents no longer in the pool."""
-        if name in self._opponents:
-            self._opponents[name].update(beaten)
-
-    def state(self) -> list[dict[str, Any]]:
-        """Returns the pool as JSON values."""
-        return [asdict(opponent) for opponent in self.opponents]
-
-    def restore(self, rivals: Sequence[Rival]) -> None:
-        """Restores a :meth:`state`."""
-        self._opponents = {rival.name: replace(rival) for rival in rivals}
 
 
 def draw_opponent(odds: Odds, random: np.random.Generator) -> str:
@@ -130,44 +77,61 @@ class Matchmaker:
 
     Args:
         kind: ``"none"``, ``"fictitious"`` or ``"prioritized"``.
-        size: number of past selves to keep.
+        size: number of past selves to keep; when full, a new one replaces the most beaten one.
         share: share of the races in which a past self drives some of the karts.
 
     Attributes:
-        pool: the past selves.
+        pool: the past selves by name, the oldest first.
         reported: fractions of duels won.
     """
 
     def __init__(self, kind: str = NOBODY, size: int = 40, share: float = 0.5) -> None:
-        self._kind, self._share = kind, share
-        self.pool = RivalPool(size)
+        self._kind, self._size, self._share = kind, size, share
+        self.pool: dict[str, Rival] = {}
         self.reported: list[float] = []
 
     def add(self, name: str) -> None:
         """Adds a past self."""
-        if self._kind != NOBODY:
-            self.pool.add(name)
+        if self._kind == NOBODY:
+            return
+        if name not in self.pool and len(self.pool) >= self._size:
+            del self.pool[max(self.pool.values(), key=lambda rival: rival.beaten).name]
+        self.pool.setdefault(name, Rival(name))
 
     def odds(self) -> Odds:
         """Returns the probability of each opponent in a new race."""
-        odds = self.pool.odds()
+        chances = self.prioritized(list(self.pool))
         if self._kind == FICTITIOUS:
-            odds = dict.fromkeys(odds, 1 / max(len(odds), 1))
-        met = {name: self._share * chance for name, chance in odds.items()}
+            chances = dict.fromkeys(chances, 1 / max(len(chances), 1))
+        met = {name: self._share * chance for name, chance in chances.items()}
         return {ITSELF: 1.0 - self._share, **met} if met else {}
 
+    def prioritized(self, names: Sequence[str]) -> dict[str, float]:
+        """Returns the probability of each of some past selves, higher the less it is beaten."""
+        weights = np.array([(1.0 - self.pool[name].beaten) ** 2 for name in names]) + _LEAST_WEIGHT
+        return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
+
     def update(self, name: str, beaten: float) -> None:
-        """Adds the fraction of duels with an opponent that the learner won in a race."""
-        self.pool.update(name, beaten)
+        """Adds the fraction of duels with an opponent that the learner won in a race.
+
+        The opponent may no longer be in the pool.
+        """
+        if name in self.pool:
+            self.pool[name].update(beaten)
         self.reported.append(beaten)
+
+    def figures(self) -> dict[str, float]:
+        """Returns the mean fraction of duels won against an opponent; empty without duels."""
+        beaten = [rival.beaten for rival in self.pool.values() if rival.races]
+        return {"beaten": float(np.mean(beaten))} if beaten else {}
 
     def state(self) -> dict[str, Any]:
         """Returns the results as JSON values."""
-        return {"pool": self.pool.state(), "reported": self.reported}
+        return {"pool": list(map(asdict, self.pool.values())), "reported": self.reported}
 
     def restore(self, results: DuelResults) -> None:
         """Restores a :meth:`state`."""
-        self.pool.restore(results.pool)
+        self.pool = {rival.name: replace(rival) for rival in results.pool}
         self.reported = list(results.reported)
 
 

@@ -58,7 +58,6 @@ class PPOSetup:
         bootstraps_finish: whether returns go on after the finish.
         matchmaker: determines the opponents.
         past: folder of the past selves; ``None`` for the run's own folder.
-        remedy: another remedy to suggest if the run had other arguments.
     """
 
     groups: tuple[ActorRaces, ...]
@@ -68,7 +67,6 @@ class PPOSetup:
     bootstraps_finish: bool = False
     matchmaker: Matchmaker = field(default_factory=Matchmaker)
     past: Path | None = None
-    remedy: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +74,7 @@ class PPOFacts:
     """The facts in the checkpoint of a run.
 
     Attributes:
-        history: arguments of each part of the run, with the kart-steps at which it began.
+        history: arguments of the run; older versions may have one entry for each part of it.
         kart_steps: number of kart-steps so far.
         iteration: number of iterations so far.
         recent: the latest races of learners.
@@ -97,7 +95,6 @@ class PPORun:
         folder: folder of the run.
         arguments: arguments of the run.
         setup: what it learns.
-        may_change: whether to continue even if the run had other arguments.
 
     Attributes:
         folder: see the argument.
@@ -112,14 +109,7 @@ class PPORun:
             with other arguments; or an argument is invalid.
     """
 
-    def __init__(
-        self,
-        folder: str | Path,
-        arguments: RolloutArguments,
-        setup: PPOSetup,
-        *,
-        may_change: bool = False,
-    ) -> None:
+    def __init__(self, folder: str | Path, arguments: RolloutArguments, setup: PPOSetup) -> None:
         self.folder, self.arguments, self._setup = Path(folder), arguments, setup
         self.matchmaker = setup.matchmaker
         with ExitStack() as resources:
@@ -128,9 +118,12 @@ class PPORun:
             self.network = setup.make_network()
             self.kart_steps = self.iteration = 0
             self.recent: deque[KartRace] = deque(maxlen=_RECENT)
-            self._history = [self._chapter()]
+            plans = {} if setup.plans is None else {"rules": asdict(setup.plans)}
+            self._history: list[dict[str, Any]] = [
+                {"from": 0, "arguments": asdict(arguments), **plans}
+            ]
             if checkpoint:
-                self._restore(*checkpoint, may_change)
+                self._restore(*checkpoint)
             elif setup.read_first is not None:
                 self.network.start_from(setup.read_first())
             write_json(self.folder / ARGUMENTS, self._history)
@@ -177,7 +170,7 @@ class PPORun:
             "iteration": self.iteration,
             "kart_steps": self.kart_steps,
             **race_figures(self.recent),
-            **self._duel_figures(),
+            **self.matchmaker.figures(),
             **learned,
             "wait_s": waited - begin,
             "learn_s": end - waited,
@@ -275,25 +268,12 @@ class PPORun:
         call = (iteration % 2, *self.network.weights(), self.matchmaker.odds())
         self._actors.send("drive", [call] * len(self._actors))
 
-    def _duel_figures(self) -> dict[str, float]:
-        beaten = [rival.beaten for rival in self.matchmaker.pool.opponents if rival.races]
-        return {"beaten": float(np.mean(beaten))} if beaten else {}
-
-    def _chapter(self, kart_steps: int = 0) -> dict[str, Any]:
-        """Returns the arguments that apply from a number of kart-steps on."""
-        own: dict[str, Any] = {"from": kart_steps, "arguments": asdict(self.arguments)}
-        plans = self._setup.plans
-        return own if plans is None else {**own, "rules": asdict(plans)}
-
-    def _restore(self, facts: PPOFacts, state: Mapping[str, Any], may_change: bool) -> None:
-        self._history = facts.history
-        now, last = self._chapter(facts.kart_steps), self._history[-1]
-        new = now.get("rules", {})
-        rules = {name: last.get("rules", {}).get(name) for name in new}
-        before, given = {**last["arguments"], **rules}, {**now["arguments"], **new}
-        remedy = self._setup.remedy
-        if check_resumed(self.folder, before, given, remedy, may_change=may_change):
-            self._history.append(now)
+    def _restore(self, facts: PPOFacts, state: Mapping[str, Any]) -> None:
+        before, now = (
+            {**part["arguments"], **part.get("rules", {})}
+            for part in (facts.history[-1], self._history[-1])
+        )
+        check_resumed(self.folder, before, now)
         self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
         remove_later_policies(self.folder, self.kart_steps)
         self.recent.extend(facts.recent)

@@ -118,7 +118,6 @@ def selfplay_setup(arguments: SelfPlayArguments) -> PPOSetup:
         plans=_plans(given),
         bootstraps_finish=True,  # so that karts do not slow down before the finish
         matchmaker=Matchmaker(given.opponents, given.pool_size),
-        remedy=", or --may-change to continue with these",
     )
 
 
@@ -171,11 +170,9 @@ class SelfPlayOptions(ScriptOptions):
 
     Attributes:
         total_timesteps: total kart-steps to train for.
-        may_change: continue even if the arguments differ; arguments.json records both.
     """
 
     total_timesteps: int = option(required=True)
-    may_change: bool = False
 
 
 def _train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
@@ -184,8 +181,7 @@ def _train(options: SelfPlayOptions, arguments: SelfPlayArguments) -> None:
     Raises:
         ConfigError: see :class:`.run.PPORun`.
     """
-    setup = selfplay_setup(arguments)
-    with closing(PPORun(options.output, arguments, setup, may_change=options.may_change)) as run:
+    with closing(PPORun(options.output, arguments, selfplay_setup(arguments))) as run:
         run.learn(options.total_timesteps, _SHOWN)
 
 

@@ -2,16 +2,15 @@
 
     python -m stkzoo.agents.training.sb3.selfplay --output runs/first --minutes 10
 
-One policy sees the view ``racing`` and drives the agents of several races. In half of the races
-without bots, one of its past selves drives half of the karts; hard opponents are drawn more often.
-In races with bots, the difficulty of the game's AI is drawn in the same way. A curriculum opens
-more tracks, directions and difficulties as the policy gets faster. The reward is the distance
-driven plus places gained.
+One policy sees the view ``racing`` and drives the agents of several races. In half of the races,
+one of its past selves drives half of these karts; hard opponents are drawn more often. The game's
+AI drives the other karts. A curriculum opens more tracks, directions and difficulties as the policy
+gets faster. The reward is the distance driven plus places gained.
 
     --minutes 10                stop after this time; the same command continues from there
     --total-timesteps 2000000   or after this total of kart-steps
     --init FILE                 start from the weights of another run, or of imitation
-    --races 4x4 2+2x2           four races of four agents, two of two agents and two bots
+    --races 4+1x5               five races of four agents and one bot
 
 To continue a run that was killed, run the same command again. Training consists of rounds. Each
 round starts with new races and its own seeds and ends with a checkpoint, so that the run continues
@@ -31,14 +30,12 @@ import importlib
 import sys
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -46,12 +43,19 @@ from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Share
 from stkzoo.agents.planning.memory import MEMORY_SIZE
-from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver, load_driver
+from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import SIZE
 
-from ..common.arguments import Coefficient, Natural, PPOArguments, ScriptOptions, parse_races
+from ..common.arguments import (
+    Coefficient,
+    Lineup,
+    Natural,
+    PPOArguments,
+    ScriptOptions,
+    parse_races,
+)
 from ..common.command import ProgressBar, run_command, training_library
 from ..common.run_folder import (
     TrainingLog,
@@ -64,13 +68,11 @@ from ..common.run_folder import (
 )
 from ..export import export_policy
 from ..ppo.network import FIRST_BIASES
-from ..ppo.opponents import Rival, RivalPool, bot_name
+from ..ppo.opponents import PRIORITIZED, DuelResults, Matchmaker
 from .curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 
 #: Arguments that have the same name in Stable-Baselines3's PPO.
 _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
-#: Number of karts in the means of the log.
-_RECENT = 100
 _EXTRAS = "sb3,train"
 
 
@@ -82,13 +84,12 @@ class SB3Arguments(PPOArguments):
     """Arguments of a run; they must not change when a run continues.
 
     Attributes:
-        races: groups of races: 4x4 is four races of four agents, 2+2x2 two races of two agents and
-            two bots.
+        races: 4+1x5 is five races of four agents and one bot.
         tracks: tracks from easy to hard, or a split, such as train_only.
         pass_at: pace, relative to the AI's in such races, at which the next stage begins.
-        snapshot_share: fraction of races without bots in which a snapshot drives half of the karts.
+        snapshot_share: fraction of races in which a past self drives half of the agents' karts.
         grid_share: fraction of races that start on the grid; the others start anywhere.
-        pool_size: number of snapshots to keep as opponents.
+        pool_size: number of past selves to keep as opponents.
         init: weights to start from; empty starts from scratch.
         n_steps: steps of each race between two updates.
         updates: updates per round; each round ends with a checkpoint.
@@ -96,12 +97,12 @@ class SB3Arguments(PPOArguments):
         warm_up: kart-steps at the start that train only the value network; for runs with --init.
         decay_timesteps: learning rate and entropy coefficient decay as 1 / sqrt(1 + kart-steps /
             this); 0 keeps them constant.
-        keep_every: kart-steps between two snapshots.
+        keep_every: kart-steps between two past selves.
     """
 
     learning_rate: float = 5e-4
     ent_coef: Coefficient = 0.003
-    races: tuple[str, ...] = ("4x4", "2+2x2")
+    races: str = "4+1x5"
     tracks: tuple[str, ...] = option(EASY_TO_HARD, flag="--track", metavar="TRACK")
     pass_at: float = 0.7
     snapshot_share: Share = 0.5
@@ -118,12 +119,17 @@ class SB3Arguments(PPOArguments):
     def __post_init__(self) -> None:
         given = self.tracks
         PPOArguments.__post_init__(self)
-        if self.n_steps * sum(own.learners * own.races for own in parse_races(self.races)) < 2:
+        if self.n_steps * self.lineup.learners * self.lineup.races < 2:
             raise ConfigError("n_steps is 1 in a race of one agent, expected 2 or more steps")
         if given != self.tracks:  # a split, whose tracks are in alphabetical order
             ordered = (track for track in EASY_TO_HARD if track in self.tracks)
             others = (track for track in self.tracks if track not in EASY_TO_HARD)
             object.__setattr__(self, "tracks", (*ordered, *others))
+
+    @property
+    def lineup(self) -> Lineup:
+        """The parallel races."""
+        return parse_races([self.races])[0]
 
 
 # ---------------------------------------------------------------------- the run
@@ -131,15 +137,14 @@ class SB3Arguments(PPOArguments):
 
 @dataclass(frozen=True, slots=True)
 class SB3Facts:
-    """The facts in a checkpoint; each component checks its own part."""
+    """The facts in a checkpoint."""
 
     kart_steps: Count
     iteration: Count
     rounds: Count
     curriculum: CurriculumState
-    bots: list[Rival]
-    snapshots: list[Rival]
-    recent: list[dict[str, Any]]
+    duels: DuelResults
+    recent: list[dict[str, float]]
 
 
 class SB3Run:
@@ -164,9 +169,9 @@ class SB3Run:
             keep_arguments(self.folder, arguments, remedy=remedy)
             self.kart_steps = self.iteration = self.rounds = 0
             self._curriculum = Curriculum(arguments.tracks, arguments.pass_at)
-            self._bots = RivalPool(4, [bot_name(difficulty) for difficulty in range(4)])
-            self._snapshots = RivalPool(arguments.pool_size)
-            self._recent: deque[Any] = deque(maxlen=_RECENT)
+            self._matchmaker = Matchmaker(
+                PRIORITIZED, arguments.pool_size, arguments.snapshot_share
+            )
             self._envs = self._make_races()
             resources.callback(self._envs.close)
             self._model = self._make_model()
@@ -199,9 +204,7 @@ class SB3Run:
             report(self._update())
         self.rounds += 1
         if self.kart_steps // arguments.keep_every > before // arguments.keep_every:
-            name = self._keep()
-            self._snapshots.add(name)
-            self._make_ready(name)
+            self._matchmaker.add(self._keep())
         self.save_checkpoint()
 
     def save_checkpoint(self) -> None:
@@ -211,9 +214,8 @@ class SB3Run:
             "iteration": self.iteration,
             "rounds": self.rounds,
             "curriculum": self._curriculum.state(),
-            "bots": self._bots.state(),
-            "snapshots": self._snapshots.state(),
-            "recent": [asdict(end) for end in self._recent],
+            "duels": self._matchmaker.state(),
+            "recent": list(self._envs.recent),
         }
         policy = self._model.policy
         state = {"policy": policy.state_dict(), "optimizer": policy.optimizer.state_dict()}
@@ -236,11 +238,10 @@ class SB3Run:
         races = importlib.import_module("stkzoo.agents.training.sb3.races")
         arguments = self.arguments
         return races.SelfPlayVecEnv(
-            parse_races(arguments.races),
+            races.make_races(arguments.lineup, arguments.tracks[0]),
             self._curriculum,
-            self._bots,
-            self._snapshots,
-            snapshot_share=arguments.snapshot_share,
+            self._matchmaker,
+            self.folder,
             grid_share=arguments.grid_share,
             hold=arguments.hold,
         )
@@ -280,16 +281,15 @@ class SB3Run:
         driven, rewarded = envs.kart_steps - before[0], envs.rewarded - before[1]
         self.kart_steps += driven
         self.iteration += 1
-        self._recent.extend(envs.ends)
-        envs.ends.clear()
         logged = self._model.logger.name_to_value
         line = {
             "iteration": self.iteration,
             "kart_steps": self.kart_steps,
             "stage": self._curriculum.stage,
-            "rivals": len(self._snapshots.opponents),
+            "rivals": len(self._matchmaker.pool),
             "reward": rewarded / max(driven, 1),
-            **self._racing_figures(),
+            **envs.figures(),
+            **self._matchmaker.figures(),
             **{
                 short: sign * float(logged[name])
                 for short, sign, name in (
@@ -319,23 +319,6 @@ class SB3Run:
         for part in (policy.mlp_extractor.policy_net, policy.action_net):
             part.requires_grad_(self.kart_steps >= self.arguments.warm_up)
 
-    def _racing_figures(self) -> dict[str, float]:
-        if not self._recent:
-            return {}
-        figures = {
-            "pace": float(np.mean([end.pace for end in self._recent])),
-            "finished": float(np.mean([end.finished for end in self._recent])),
-        }
-        for name, is_wanted in (("beats_bots", True), ("beats_past", False)):
-            duels = [
-                end.beaten
-                for end in self._recent
-                if end.beaten is not None and end.rival.startswith("bot:") == is_wanted
-            ]
-            if duels:
-                figures[name] = float(np.mean(duels))
-        return figures
-
     def _keep(self) -> str:
         """Writes the current policy; returns its name."""
         name = policy_name(self.kart_steps)
@@ -343,21 +326,14 @@ class SB3Run:
         save_driver(file, arrays_of(self._model.policy), self.arguments.hold)
         return name
 
-    def _make_ready(self, name: str) -> None:
-        self._envs.add_driver(name, load_driver(self.folder / f"{name}.safetensors"))
-
     def _restore(self, facts: SB3Facts, state: dict[str, Any]) -> None:
         self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
         self.rounds = facts.rounds
         self._curriculum.restore(facts.curriculum)
-        self._bots.restore(facts.bots)
-        self._snapshots.restore(facts.snapshots)
-        ends: Any = importlib.import_module("stkzoo.agents.training.sb3.races").RaceEnd
-        self._recent.extend(msgspec.convert(end, ends) for end in facts.recent)
+        self._matchmaker.restore(facts.duels)
+        self._envs.recent.extend(facts.recent)
         self._model.policy.load_state_dict(state["policy"])
         self._model.policy.optimizer.load_state_dict(state["optimizer"])
-        for rival in self._snapshots.opponents:
-            self._make_ready(rival.name)
 
 
 def _explained(buffer: Any) -> float:
@@ -452,8 +428,8 @@ def main(words: list[str] | None = None) -> int:
 
 def _summary(line: dict[str, float]) -> str:
     """Returns a short text on an update."""
-    names = ("pace", "finished", "beats_past", "beats_bots")
-    figures = [f"{name.replace('_', ' ')} {line[name]:.2f}" for name in names if name in line]
+    names = ("pace", "finished", "position", "beaten")
+    figures = [f"{name} {line[name]:.2f}" for name in names if name in line]
     return f"stage {line['stage']:.0f}  {'  '.join(figures)}  {line['kart_steps_per_s']:.0f}/s"
 
 
