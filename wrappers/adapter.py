@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import gymnasium as gym
@@ -13,22 +12,26 @@ from gymnasium.wrappers.utils import create_zero_array
 from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import check_arguments
 from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ConfigError
-from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
 
-class MonoAgentWrapperAdapter:
+@check_arguments
+class MonoAgentWrapperAdapter(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Gives each agent of an environment its own wrappers.
 
     Around a Gymnasium environment with ``Dict`` spaces by agent (``supertuxkart/multi-full-v0``),
-    the result is a Gymnasium wrapper, :class:`GymAgentAdapter`. Around a PettingZoo
-    ``ParallelEnv``, it is a ``ParallelEnv``, :class:`ParallelAgentAdapter`. Any Gymnasium wrapper
-    works, including those with their own ``step`` or ``reset``. Wrappers are reset with the race,
-    and their changes to rewards, ends and infos apply to their agent. An instance of a subclass has
-    the form for its environment, too.
+    this is a Gymnasium wrapper. Around a PettingZoo ``ParallelEnv``, the call returns a
+    ``ParallelEnv``, :class:`ParallelAgentAdapter`. Any Gymnasium wrapper works, including those
+    with their own ``step`` or ``reset``. Wrappers are reset with the race, and their changes to
+    rewards, ends and infos apply to their agent.
+
+    If the Gymnasium environment provides ``info["reward"]`` and ``info["terminated"]`` by agent,
+    the wrappers see them as their agent's reward and end. The wrapped values replace them, as well
+    as ``info["truncated"]`` and ``info["infos"]``, and the scalar reward changes by the sum of the
+    differences. Agents that are missing in a step's observations or actions are skipped.
 
     Args:
         env: the multi-agent environment.
@@ -36,9 +39,8 @@ class MonoAgentWrapperAdapter:
             view is a name (``stkzoo.views()``), a function that wraps the agent's environment, or a
             pair of either and its options, such as ``("simple", {"state_items": 3})``. Agents that
             are missing or ``None`` have no wrappers.
-        keep_original: also return copies of the unwrapped observations. The Gymnasium form adds
-            ``original/<agent>`` to the observations. In the ``ParallelEnv`` form, each observation
-            and its space become ``{"observation": wrapped, "original": unwrapped}``.
+        keep_original: also return copies of the unwrapped observations, as the entries
+            ``original/<agent>`` of the observations. Only around a Gymnasium environment.
 
     Raises:
         ConfigError: ``env`` is neither kind of environment, an agent does not exist, or a view is
@@ -46,52 +48,16 @@ class MonoAgentWrapperAdapter:
         AgentException: a factory or, later, a wrapper failed; ``key`` names the agent.
     """
 
-    def __new__(
-        cls, env: Any = None, wrapper_factories: Any = None, *_: Any, **options: Any
-    ) -> MonoAgentWrapperAdapter:
-        """Selects the class for the kind of environment; subclasses may have other arguments."""
-        if issubclass(cls, (GymAgentAdapter, ParallelAgentAdapter)):
+    def __new__(cls, env: Any = None, *arguments: Any, **options: Any) -> Any:
+        """Returns a :class:`ParallelAgentAdapter` around a ``ParallelEnv``."""
+        if not isinstance(env, ParallelEnv):
             return super().__new__(cls)
         if cls is not MonoAgentWrapperAdapter:
-            is_parallel = isinstance(env, ParallelEnv)
-            return _blank(ParallelAgentAdapter if is_parallel else GymAgentAdapter, cls)
-        for name in options.keys() - {"keep_original"}:
-            known = ("env", "wrapper_factories", "keep_original")
-            raise unknown_name("argument", name, known)
-        if not isinstance(wrapper_factories, Mapping):
             raise ConfigError(
-                'wrapper_factories has to be a mapping from agents to views, such as {"0": '
-                f'"simple"}}, but is {wrapper_factories!r:.200}'
+                f"{cls.__name__} is a Gymnasium wrapper and cannot wrap the ParallelEnv {env}; "
+                "derive a class from ParallelAgentAdapter for it"
             )
-        if isinstance(env, ParallelEnv):
-            return super().__new__(ParallelAgentAdapter)
-        if isinstance(env, gym.Env):
-            return super().__new__(GymAgentAdapter)
-        raise ConfigError(
-            f"MonoAgentWrapperAdapter wraps a ParallelEnv or a gymnasium.Env, not {env!r}."
-        )
-
-    keep_original = False
-
-    def __init__(
-        self, env: Any, wrapper_factories: Factories, *, keep_original: bool = False
-    ) -> None: ...
-
-    def _copies(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns copies of unwrapped observations if requested; call it before wrappers run."""
-        return copy.deepcopy(dict(observations)) if self.keep_original else {}
-
-
-class GymAgentAdapter(
-    MonoAgentWrapperAdapter, gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
-):
-    """:class:`MonoAgentWrapperAdapter` around a Gymnasium environment.
-
-    If the environment provides ``info["reward"]`` and ``info["terminated"]`` by agent, the wrappers
-    see them as their agent's reward and end. The wrapped values replace them, as well as
-    ``info["truncated"]`` and ``info["infos"]``, and the scalar reward changes by the sum of the
-    differences. Agents that are missing in a step's observations or actions are skipped.
-    """
+        return ParallelAgentAdapter(env, *arguments, **options)
 
     def __init__(
         self,
@@ -100,11 +66,15 @@ class GymAgentAdapter(
         *,
         keep_original: bool = False,
     ) -> None:
+        if not isinstance(env, gym.Env):
+            raise ConfigError(
+                f"MonoAgentWrapperAdapter wraps a ParallelEnv or a gymnasium.Env, not {env!r}."
+            )
         gym.utils.RecordConstructorArgs.__init__(
             self,
             _disable_deepcopy=True,  # a factory may be a method of a large or uncopyable object
             keep_original=bool(keep_original),
-            wrapper_factories=dict(wrapper_factories),
+            wrapper_factories=_checked_factories(wrapper_factories),
         )
         gym.Wrapper.__init__(self, env)
         self.keep_original = bool(keep_original)
@@ -112,7 +82,7 @@ class GymAgentAdapter(
         self._walker = ChainWalker(originals, _spaces_by_agent(env.action_space), wrapper_factories)
         self._present: tuple[str, ...] = ()
         self.action_space = spaces.Dict(self._walker.action_spaces)
-        kept = self._handed_out(originals)
+        kept = self._originals(originals)
         self.observation_space = spaces.Dict({**self._walker.observation_spaces, **kept})
 
     def reset(
@@ -121,7 +91,7 @@ class GymAgentAdapter(
         """Resets the environment and all wrappers."""
         observations, info = self.env.reset(seed=seed, options=options)
         options = _with_step_size(options, self.env)
-        originals = self._handed_out(observations)
+        originals = self._originals(observations)
         changed, infos = self._known(observations), dict(info.get("infos", {}))
         self._present = tuple(changed)
         self._walker.reset(self._present, changed, infos, seed, options)
@@ -142,7 +112,7 @@ class GymAgentAdapter(
         base = self._walker.begin_step(checked, self._present)
         try:
             observations, reward, terminated, truncated, info = self.env.step(base)
-            originals = self._handed_out(observations)
+            originals = self._originals(observations)
             parts = _parts_by_agent(self._known(observations), info, terminated, truncated)
             changed, rewards, terminations, truncations, _ = parts
             unchanged = dict(rewards)
@@ -172,49 +142,38 @@ class GymAgentAdapter(
             agent: observations[agent] for agent in observations if agent in self._walker.chains
         }
 
-    def _handed_out(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
+    def _originals(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
         """Returns copies of unwrapped observations if requested; call it before wrappers run."""
-        copies = self._copies(self._known(by_agent))
-        return {f"original/{agent}": value for agent, value in copies.items()}
+        if not self.keep_original:
+            return {}
+        return {f"original/{a}": copy.deepcopy(seen) for a, seen in self._known(by_agent).items()}
 
 
-@dataclass(frozen=True, slots=True)
-class _AdapterMoment:
-    """State of an adapter: the memory of its wrappers by agent, and the agents that have left."""
-
-    wrappers: Mapping[str, WrapperMemory]
-    retired: frozenset[str]
-
-
-class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any, Any]):
+@check_arguments
+class ParallelAgentAdapter(BaseParallelWrapper[str, Any, Any]):
     """:class:`MonoAgentWrapperAdapter` around a PettingZoo ``ParallelEnv``.
 
     An agent whose wrapper ends its episode early leaves ``agents``; its kart stays in the race with
-    an action of zeros. Around a race, saved states include the attributes of the wrappers. For
-    clones, use views instead: ``race_v0.parallel_env(view=wrapper_factories)``.
+    an action of zeros. For saved states and clones, use views instead:
+    ``race_v0.parallel_env(view=wrapper_factories)``.
+
+    Args:
+        env: the environment.
+        wrapper_factories: see :class:`MonoAgentWrapperAdapter`.
+
+    Raises:
+        ConfigError: see :class:`MonoAgentWrapperAdapter`; likewise ``AgentException``.
     """
 
-    def __init__(
-        self,
-        env: ParallelEnv[str, Any, Any],
-        wrapper_factories: Factories,
-        *,
-        keep_original: bool = False,
-    ) -> None:
-        BaseParallelWrapper.__init__(self, env)
-        self.keep_original = bool(keep_original)
+    def __init__(self, env: ParallelEnv[str, Any, Any], wrapper_factories: Factories) -> None:
+        super().__init__(env)
         self._retired: frozenset[str] = frozenset()
         agents = env.possible_agents
         self._walker = ChainWalker(
             {agent: env.observation_space(agent) for agent in agents},
             {agent: env.action_space(agent) for agent in agents},
-            wrapper_factories,
+            _checked_factories(wrapper_factories),
         )
-        self._observation_spaces = self._walker.observation_spaces
-        if self.keep_original:
-            originals = self._copies({agent: env.observation_space(agent) for agent in agents})
-            both = self._with_originals(self._observation_spaces, originals)
-            self._observation_spaces = {agent: spaces.Dict(parts) for agent, parts in both.items()}
 
     @property
     def agents(self) -> list[str]:
@@ -223,7 +182,7 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's wrapped observation space, the same object on every call."""
-        return of_agent(self._observation_spaces, agent)
+        return of_agent(self._walker.observation_spaces, agent)
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Returns the agent's wrapped action space, the same object on every call."""
@@ -236,10 +195,9 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
         observations, infos = self.env.reset(seed=seed, options=options)
         options = _with_step_size(options, self.env)
         self._retired = frozenset()
-        originals = self._copies(observations)
         observations, infos = dict(observations), dict(infos)
         self._walker.reset(tuple(observations), observations, infos, seed, options)
-        return self._with_originals(observations, originals), infos
+        return observations, infos
 
     def step(self, actions: dict[str, Any]) -> StepParts:
         """Converts the agents' actions, steps the environment and wraps the results.
@@ -258,125 +216,42 @@ class ParallelAgentAdapter(MonoAgentWrapperAdapter, BaseParallelWrapper[str, Any
             base[agent] = create_zero_array(self.env.action_space(agent))
         try:
             results = self.env.step(base)
-            originals = self._copies(results[0])
             present = [agent for agent in agents if agent in results[0]]
-            parts: Any = tuple({agent: part[agent] for agent in present} for part in results)
+            by_part: Any = tuple({agent: part[agent] for agent in present} for part in results)
+            parts: StepParts = by_part
             self._walker.finish_step(present, parts)
         finally:
             self._walker.abandon()
-        observations, rewards, terminations, truncations, infos = parts
+        _, _, terminations, truncations, _ = parts
         self._retired |= {agent for agent in present if terminations[agent] or truncations[agent]}
-        observations = self._with_originals(observations, originals)
-        return observations, rewards, terminations, truncations, infos
+        return parts
 
-    def save_state(self) -> Any:
-        """Saves the current moment of the race and of the wrappers.
+    def save_state(self, *_: object) -> NoReturn:
+        """Raises ``ConfigError``, as do the other methods for saved states and clones.
 
-        See :meth:`~stkzoo.env.parallel.RaceParallelEnv.save_state`.
-
-        Raises:
-            AgentException: a wrapper holds an object that cannot be copied.
-        """
-        wrappers = {agent: chain.memory() for agent, chain in self._walker.chains.items()}
-        state = self._race_method("save_state")()
-        state.front = (*(state.front or ()), _AdapterMoment(wrappers, self._retired))
-        return state
-
-    def restore_state(self, state: Any) -> None:
-        """Continues from a saved state, with the race and the wrappers as they were.
-
-        See :meth:`~stkzoo.env.parallel.RaceParallelEnv.restore_state`.
-
-        Args:
-            state: a state from :meth:`save_state` of this adapter or of an equal one.
-
-        Raises:
-            AgentException: the state is of other wrappers.
-            ConfigError: the state was saved without the adapter.
-        """
-        front, depth = getattr(state, "front", None), _num_adapters(self.env)
-        moments = front if isinstance(front, tuple) else ()
-        if len(moments) <= depth or not isinstance(moments[depth], _AdapterMoment):
-            raise ConfigError(
-                f"state is {state!r:.200}, expected one that save_state() of this adapter "
-                "returned, with the memory of its wrappers"
-            )
-        moment, chains = moments[depth], self._walker.chains
-        if moment.wrappers.keys() != chains.keys():
-            raise ConfigError(
-                f"the state is of agents {', '.join(moment.wrappers)}, this environment has "
-                f"{', '.join(chains)}"
-            )
-        for agent, chain in chains.items():
-            chain.check_memory(moment.wrappers[agent])
-        self._race_method("restore_state")(state)
-        for agent, chain in chains.items():
-            chain.recall(moment.wrappers[agent])
-        self._retired = moment.retired
-
-    def clone(self, *_: object) -> NoReturn:
-        """Raises ``ConfigError``, as ``lookahead`` and ``follow`` do.
-
-        A clone would lack the wrappers, and the wrappers would not follow another environment.
+        A state or clone of the race would lack the wrappers.
         """
         raise ConfigError(
-            "clone(), lookahead() and follow() do not work around MonoAgentWrapperAdapter, whose "
-            "wrappers belong to one environment; make the race with view=wrapper_factories "
-            "instead, or use those of the race without these wrappers, its unwrapped"
+            "saved states and clones do not work around MonoAgentWrapperAdapter, because they "
+            "would lack its wrappers; make the race with view=wrapper_factories instead, or use "
+            "those of the race without these wrappers, its unwrapped"
         )
 
-    lookahead = follow = clone
-
-    def _race_method(self, name: str) -> Any:
-        method = getattr(self.env, name, None)
-        if method is None:
-            raise ConfigError(f"{name}() needs an environment with saved states, not {self.env!r}")
-        return method
+    restore_state = clone = lookahead = follow = save_state
 
     def close(self) -> None:
         """Closes all wrappers and the environment."""
         self._walker.close()
         super().close()
 
-    def _with_originals(
-        self, changed: dict[str, Any], originals: Mapping[str, Any]
-    ) -> dict[str, Any]:
-        if not self.keep_original:
-            return changed
-        return {
-            agent: {"observation": observation, "original": originals[agent]}
-            for agent, observation in changed.items()
-        }
 
-
-def _num_adapters(env: Any) -> int:
-    """Returns the number of adapters in an environment."""
-    count = 0
-    while isinstance(env, BaseParallelWrapper):
-        count += isinstance(env, ParallelAgentAdapter)
-        env = env.env
-    return count
-
-
-#: The result of :func:`_subclass_in` for each pair of arguments.
-_SUBCLASSES: dict[tuple[type[Any], type[Any]], type[Any]] = {}
-
-
-def _subclass_in(form: type[Any], kind: type[Any]) -> type[Any]:
-    """Returns a subclass of the adapter, ``kind``, in the form for an environment."""
-    if (form, kind) in _SUBCLASSES:
-        return _SUBCLASSES[form, kind]
-    own: dict[str, Any] = {
-        name: getattr(kind, name) for name in ("__doc__", "__module__", "__qualname__")
-    }
-    own["__reduce__"] = lambda adapter: (_blank, (form, kind), vars(adapter))
-    return _SUBCLASSES.setdefault((form, kind), type(kind.__name__, (kind, form), own))
-
-
-def _blank(form: type[Any], kind: type[Any]) -> MonoAgentWrapperAdapter:
-    """Returns a new adapter of a subclass, without attributes."""
-    made: MonoAgentWrapperAdapter = object.__new__(_subclass_in(form, kind))
-    return made
+def _checked_factories(factories: object) -> dict[Any, Any]:
+    if not isinstance(factories, Mapping):
+        raise ConfigError(
+            'wrapper_factories has to be a mapping from agents to views, such as {"0": "simple"}, '
+            f"but is {factories!r:.200}"
+        )
+    return dict(factories)
 
 
 def _with_step_size(options: Mapping[str, Any] | None, env: Any) -> dict[str, Any] | None:

@@ -9,7 +9,6 @@ follow from the worth of the plans. An action is a choice among the plans; see :
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -26,9 +25,8 @@ from stkzoo.views import View
 from stkzoo.wrappers import CompiledWrapper
 from stkzoo.wrappers.racing import (
     ABSENT,
-    BatchedRacingView,
-    RoadTable,
     Surroundings,
+    road_observer,
     surroundings_of,
 )
 
@@ -184,21 +182,16 @@ class _SurroundingsObserver:
         arrays = {key: array[part] for key, array in batch.items()}
         arrays["phase"][:] = snapshot.phase
         out = arrays, tuple(arrays[key] for key in _AROUND)
-        _view_of(source.track_map).look_into(snapshot, 0, karts, ALL_LOOKS, out)
+        road_observer(source.track_map).look_into(snapshot, karts, ALL_LOOKS, out)
 
     def _seen(self, source: Any, karts: IntArray) -> dict[str, Any]:
-        snapshot, view = source.snapshot, _view_of(source.track_map)
-        kart, around = view.surroundings([snapshot], [0], [karts], ALL_LOOKS)
+        snapshot = source.snapshot
+        kart, around = road_observer(source.track_map).surroundings(snapshot, karts, ALL_LOOKS)
         seen = _row(kart, around, np.full(len(karts), snapshot.phase))
         if self._sees_line:
             ahead = source.ground_ahead(karts)
             seen["line"] = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
         return seen
-
-
-@functools.lru_cache(maxsize=64)
-def _view_of(track: Any) -> BatchedRacingView:
-    return BatchedRacingView([RoadTable(track)])
 
 
 def _row(kart: Mapping[str, Any], around: Surroundings, phase: Any) -> dict[str, Any]:

@@ -7,6 +7,7 @@ heuristic driver is faster.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from .driver import PursuitDriver, PursuitParameters, PursuitState
@@ -33,9 +34,9 @@ create_state = PursuitState
 
 def get_wrappers() -> list[Any]:
     """Returns wrappers for actions of speed, steering angle and the rescue button."""
-    from stkzoo.wrappers.control import ControlView
+    from stkzoo.wrappers.control import ControlWrapper
 
-    return [ControlView(observe="full", buttons=("rescue",))]
+    return [partial(ControlWrapper, buttons=("rescue",))]
 
 
 def get_actor(module_dir: object, observation_space: Any, action_space: Any) -> PursuitDriver:

@@ -49,8 +49,8 @@ def controls_of(style: str, action: Mapping[str, Any]) -> list[float]:
 
     Args:
         style: see :func:`driving_style`.
-        action: action of the view ``full``; with :data:`PHYSICAL`, of a
-            :class:`~stkzoo.wrappers.control.ControlView` of ``full``.
+        action: action of the view ``full``; with :data:`PHYSICAL`, of
+            :class:`~stkzoo.wrappers.control.ControlWrapper` around ``full``.
     """
     if style == PHYSICAL:
         return [*map(float, action["control"]), 0.0, 0.0, 0.0, 0.0, 0.0]

@@ -186,9 +186,9 @@ class _StkzooParallel(_StkzooGym):
     def make(self) -> None:
         view = self.spec["view"]
         if view == "control of full":
-            from stkzoo.wrappers.control import ControlView
+            from stkzoo.wrappers.control import ControlWrapper
 
-            view = ControlView(observe="full")
+            view = ControlWrapper
         self.env = self._stkzoo.RaceParallelEnv(
             agents=self.spec["num_agents"],
             num_kart=self.spec["num_kart"],

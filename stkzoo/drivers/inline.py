@@ -127,20 +127,13 @@ class InlineAgent:
             AgentError: the action is invalid.
         """
         try:
-            return self._decode(action)
+            return self._chain.begin_base_step(self._chain.read_action(action))
         except ActionError as error:
             details = (
                 f"the agent returned: {shortened(action, _MAX_VALUE)}\n"
                 f"its action space:   {shortened(self._chain.action_space, _MAX_VALUE)}"
             )
             raise AgentError(in_words(error), self._request.agent, details) from error
-
-    def _decode(self, action: Any) -> Any:
-        """Converts an action to the game's action; checks it again after custom wrappers."""
-        checked = self._chain.read_action(action)
-        if self._chain.is_pure:
-            return self._chain.begin_step(checked)
-        return self._chain.begin_base_step(checked)
 
     def _skip_step(self) -> None:
         """Begins a step for an agent that failed, so that its wrappers keep their state."""

@@ -22,12 +22,11 @@ from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer, split_batch
 from stkzoo.mdp.events import EVENTS, RaceEvents
-from stkzoo.mdp.observations import as_actions, observe_karts
 from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
 from stkzoo.views.plan import Seats
-from stkzoo.wrappers.racing import ground_table, racing_lines_of
+from stkzoo.wrappers.racing import ground_observer
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -124,7 +123,6 @@ class Episode:
         self._karts = np.array(kart_indices, np.intp)
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
         self._latest_seats: tuple[tuple[Sequence[str], Seats], ...] = ()
-        self._reports_control = any(kart.reports_control for kart in setup.karts)
         self._past: Any = None  # (earlier history, latest controls), shared by copies
         self._start(options, rewards)
 
@@ -215,15 +213,6 @@ class Episode:
         """Returns new infos of some agents; see :meth:`EpisodeRecord.infos`."""
         return self._record.infos(self.snapshot, seats, self._num_steps)
 
-    def observe_batch(self, agents: Sequence[str]) -> dict[str, Any]:
-        """Returns the current observations of some agents in the ``full`` view, in batch form."""
-        karts = self.seats(agents).karts
-        _, num_paths, kart_types = self.course
-        batch = observe_karts(self.track_map, kart_types, self.snapshot, karts, num_paths)
-        if self._reports_control:
-            batch["action"] = as_actions(self.snapshot.karts["control"][karts])
-        return batch
-
     @property
     def ground(self) -> Ground:
         """Ground and walls of the track."""
@@ -232,15 +221,7 @@ class Episode:
 
     def ground_ahead(self, karts: IntArray) -> dict[str, npt.NDArray[Any]]:
         """Returns the observation entries of the ground ahead of some karts."""
-        records, track, ground = self.snapshot.karts[karts], self.track_map, self.ground
-        ahead = ground_table(track, ground).ahead(records["node"], records["location"])
-        line = racing_lines_of(track, ground).ahead([self.snapshot], [0], [karts])
-        return {
-            "ground_kind": ahead.kind,
-            "ground_speed": ahead.speed,
-            "ground_line": line[..., :3],
-            "ground_room": line[..., 3:],
-        }
+        return ground_observer(self.track_map, self.ground).observe(self.snapshot, karts)
 
     def state(self) -> npt.NDArray[np.float32]:
         """Returns the state of the whole race as one vector (:mod:`stkzoo.mdp.state`)."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
@@ -19,21 +18,16 @@ from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.track import TrackMap
+from stkzoo.env.front import RaceFront
 from stkzoo.env.keyboard import keys_to_action
-from stkzoo.env.options import RaceOptions
-from stkzoo.env.parallel import ClonableEnv, RaceParallelEnv
-from stkzoo.env.race import Started
+from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.rendering import RENDER_MODES
-from stkzoo.env.state import RaceState
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.camera import Camera
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 
 class _TrackNames:
@@ -56,7 +50,7 @@ class _RaceOption:
         instance.options = replace(instance.options, **{self._name: value})
 
 
-class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
+class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
     """Base class of Gymnasium environments on top of the parallel environment.
 
     Attributes:
@@ -89,6 +83,7 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         options.setdefault("max_cycles", None)
         options["reward"] = RewardOver("reference", options.get("reward"))
         self.core = RaceParallelEnv(agents=agents, **options)
+        self.live_race = self.core.live_race
         self.render_mode = self.core.render_mode
         drawn = {key: self.core.metadata[key] for key in ("render_modes", "render_fps")}
         self.metadata = {**self.metadata, **drawn}
@@ -118,13 +113,14 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         return list(assets.tracks)
 
     @property
-    def options(self) -> RaceOptions:
-        """Options of the next race."""
-        return self.core.options
+    def _np_random(self) -> np.random.Generator:  # type: ignore[override]
+        return self.np_random  # under Gymnasium's private name, which its checker reads
 
-    @options.setter
-    def options(self, value: RaceOptions) -> None:
-        self.core.options = value
+    @property
+    def np_random_seed(self) -> int:
+        """The seed of the random generator."""
+        source: Any = self.np_random.bit_generator
+        return int(source.seed_seq.entropy)
 
     @property
     def num_kart(self) -> int:
@@ -134,17 +130,17 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
     @property
     def current_track(self) -> str | None:
         """Name of the current track; ``None`` before the first reset."""
-        return self.core.race.track if self.core.race else None
+        return self.race.track if self.race else None
 
     @property
     def track(self) -> TrackMap | None:
         """Map of the current track; ``None`` before the first reset."""
-        return self.core.track_map
+        return self.track_map
 
     @property
     def world(self) -> WorldView | None:
         """Current state of the race; ``None`` before the first reset."""
-        return self.world_update() if self.core.snapshot is not None else None
+        return self.world_update() if self.snapshot is not None else None
 
     def world_update(self, keep: bool = True) -> WorldView:  # noqa: ARG002 - as the reference
         """Returns the current state of the race.
@@ -155,66 +151,12 @@ class GymnasiumRaceEnv(gym.Env[Any, Any], ClonableEnv):
         Raises:
             ApiOrderError: called before the first ``reset``.
         """
-        if self.core.snapshot is None or self.core.race is None:
+        if self.snapshot is None or self.race is None:
             raise ApiOrderError("there is no race before reset(); call reset() first")
-        return WorldView.of(self.core.snapshot, self.core.race.kart_types)
-
-    def render(self) -> Any:
-        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.render`."""
-        return self.core.render()
-
-    def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
-        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.frames`."""
-        return self.core.frames()
-
-    def close(self) -> None:
-        """Stops the game process. You may call ``reset`` again."""
-        self.core.close()
-
-    def save_state(self) -> RaceState:
-        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.save_state`.
-
-        The state does not include the counters of outer wrappers, such as ``TimeLimit``.
-        """
-        state = self.core.save_state()
-        state.front = self._front()
-        return state
-
-    def restore_state(self, state: RaceState) -> None:
-        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.restore_state`."""
-        with self.core.live_race.exchange():
-            self.core.restore_state(state)
-            self._go_on(state.front)
-
-    def follow(self, other: Self) -> None:
-        """See :meth:`~stkzoo.env.parallel.RaceParallelEnv.follow`."""
-        with self.core.live_race.exchange():
-            self.core.follow(other.core)
-            self._go_on(other._front())
-
-    def _go_on(self, front: Any) -> None:
-        self.np_random = self.core.np_random
-        self._recall(front)
-
-    def _front(self) -> Any:
-        """Returns a copy of the state that this environment keeps in addition to the core."""
-        return None
-
-    def _recall(self, front: Any) -> None:
-        """Restores a state from :meth:`_front`; that of another class is derived from the core."""
-
-    def _reset_core(self, seed: int | None, options: dict[str, Any] | None) -> Started:
-        """Resets the core, which shares its random generator with this environment."""
-        with self.core.live_race.turn.of("reset"):
-            if seed is None:
-                self.core.np_random = self.np_random
-            started = self.core.reset(seed, options)
-            gym.Env.reset(self, seed=None if seed is None else int(seed))
-            self._np_random = self.core.np_random
-            return started
+        return WorldView.of(self.snapshot, self.race.kart_types)
 
     def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
-        if self.core.snapshot is not None and not self.core.agents:
+        if self.snapshot is not None and not self.core.agents:
             raise ApiOrderError("step() after the episode's end; call reset() first")
         return self.core.step(actions)
 
@@ -252,7 +194,7 @@ class STKRaceEnv(GymnasiumRaceEnv):
     @property
     def kart_ix(self) -> int | None:
         """Index of your kart in grid order; ``None`` before the first reset."""
-        return self.core.race.kart_indices[0] if self.core.race else None
+        return self.race.kart_indices[0] if self.race else None
 
     @property
     def camera(self) -> Camera:
@@ -275,7 +217,7 @@ class STKRaceEnv(GymnasiumRaceEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
-        observations, infos = self._reset_core(seed, options)
+        observations, infos = self.core.reset(seed, options)
         return observations[self._name], infos[self._name]
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -316,15 +258,6 @@ def split_keywords(
     }
     rest = {name: value for name, value in keywords.items() if name in race}
     return (find_view((own, options)) if options else view), rest
-
-
-@dataclass(frozen=True, slots=True)
-class _Front:
-    """State of :class:`STKRaceMultiEnv` beside its core: ends and infos by agent."""
-
-    terminated: Mapping[str, bool]
-    truncated: Mapping[str, bool]
-    infos: Mapping[str, dict[str, Any]]
 
 
 class STKRaceMultiEnv(GymnasiumRaceEnv):
@@ -371,31 +304,32 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     @property
     def kart_indices(self) -> list[int] | None:
         """Index of each agent's kart in grid order; ``None`` before the first reset."""
-        return list(self.core.race.kart_indices) if self.core.race else None
+        return list(self.race.kart_indices) if self.race else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
         with self.core.live_race.turn.of("reset"):
-            observations, infos = self._reset_core(seed, options)
-            self._recall(None)
-            self._infos.update(infos)
-            return (
-                self._by_number({**self._observe_departed(observations), **observations}),
-                self._info(dict.fromkeys(self.core.possible_agents, 0.0)),
-            )
+            observations, infos = self.core.reset(seed, options)
+            return self._completed(observations), self._info(infos, {}, {})
 
     def step(
         self, action: Mapping[str, Any]
     ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
         with self.core.live_race.turn.of("step"):
-            return self._step(action)
+            observations, rewards, _, truncations, infos = self._step_by_number(action)
+            return (
+                self._completed(observations),
+                float(sum(rewards.values())),
+                not self.core.agents and not any(truncations.values()),
+                any(truncations.values()),
+                self._info(infos, rewards, truncations),
+            )
 
-    def _step(
-        self, action: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+    def _step_by_number(self, action: Mapping[str, Any]) -> StepParts:
+        """Steps the race with actions by number; returns results by agent."""
         require_actions(action, [*self._names], optional=self._names)
         try:
             actions = {self._names[key]: value for key, value in action.items()}
@@ -405,31 +339,9 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
                 f"there is an action for agent {key!r}, expected {', '.join(self._names)}", key
             ) from None
         try:
-            observations, rewards, terminations, truncations, infos = self._step_core(actions)
+            return self._step_core(actions)
         except ActionError as error:
             raise self._by_key(error) from None
-        self._terminated.update(terminations)
-        self._truncated.update(truncations)
-        self._infos.update(infos)
-        return (
-            self._by_number({**self._observe_departed(observations), **observations}),
-            float(sum(rewards.values())),
-            all(self._terminated.values()),
-            any(truncations.values()),
-            self._info({agent: rewards.get(agent, 0.0) for agent in self.core.possible_agents}),
-        )
-
-    def _front(self) -> Any:
-        return _Front(dict(self._terminated), dict(self._truncated), dict(self._infos))
-
-    def _recall(self, front: Any) -> None:
-        agents = self.core.possible_agents
-        self._terminated = {agent: agent not in self.core.agents for agent in agents}
-        self._truncated = dict.fromkeys(agents, False)
-        self._infos = self.core.infos(agents)
-        if isinstance(front, _Front):
-            self._terminated, self._truncated = dict(front.terminated), dict(front.truncated)
-            self._infos = dict(front.infos)
 
     def _by_key(self, error: ActionError) -> ActionError:
         """Returns the error with the core's agent names replaced by this environment's keys."""
@@ -439,18 +351,32 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
         keys = {agent: key for key, agent in self._names.items()}
         return ActionError(text, keys.get(error.agent, error.agent))
 
-    def _observe_departed(self, present: Mapping[str, Any]) -> dict[str, Any]:
-        departed = [agent for agent in self.core.possible_agents if agent not in present]
-        return self.core.observe(departed) if departed else {}
+    def _completed(self, observations: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the observations by number, with those of agents that have finished."""
+        departed = self._without(observations)
+        seen = self.core.observe(departed) if departed else {}
+        return self._by_number({**seen, **observations})
 
-    def _info(self, rewards: Mapping[str, float]) -> dict[str, Any]:
-        done = {a: self._terminated[a] or self._truncated[a] for a in self._terminated}
+    def _info(
+        self,
+        infos: Mapping[str, dict[str, Any]],
+        rewards: Mapping[str, float],
+        truncations: Mapping[str, bool],
+    ) -> dict[str, Any]:
+        agents, departed = self.core.possible_agents, self._without(infos)
+        done = {agent: agent not in self.core.agents for agent in agents}
+        terminated = {a: is_done and not truncations.get(a, False) for a, is_done in done.items()}
+        finished = self.core.infos(departed) if departed else {}
         return {
-            "infos": self._by_number({agent: dict(info) for agent, info in self._infos.items()}),
-            "reward": self._by_number(rewards),
-            "terminated": self._by_number(self._terminated),
+            "infos": self._by_number({**finished, **infos}),
+            "reward": self._by_number({agent: rewards.get(agent, 0.0) for agent in agents}),
+            "terminated": self._by_number(terminated),
             "done": self._by_number(done),
         }
+
+    def _without(self, present: Mapping[str, Any]) -> list[str]:
+        """Returns the agents without an entry."""
+        return [agent for agent in self.core.possible_agents if agent not in present]
 
     def _by_number(self, by_agent: Mapping[str, Any]) -> dict[str, Any]:
         return {key: by_agent[agent] for key, agent in self._names.items()}

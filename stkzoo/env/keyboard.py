@@ -100,7 +100,7 @@ def keys_to_action(view: ViewFactory, name: str) -> dict[Any, Any]:
     chosen: dict[Any, Any] = {}
     for number in range(len(codes) + 1):
         for combination in combinations(codes, number):
-            seen = chain.observe({**blank, "action": base_action(combination)})
+            seen, _ = chain.reset({**blank, "action": base_action(combination)}, {})
             # Gymnasium rejects an empty tuple, but accepts an empty string for "no key".
             chosen[combination or ""] = _action_in(seen, chain, name)
     return chosen

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -20,82 +18,30 @@ from stkzoo.agent_names import find_agent, of_agent
 from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
-from stkzoo.engine.ground import Ground
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
-from stkzoo.engine.snapshot import CONTROLS, Snapshot
-from stkzoo.engine.track import TrackMap
+from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.cameras import RaceCameras
-from stkzoo.env.episode import Episode, rewards_of_agents
-from stkzoo.env.grid import RaceInfo
+from stkzoo.env.episode import rewards_of_agents
+from stkzoo.env.front import RaceFront
 from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_stream
 from stkzoo.env.race import Race
-from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate, scene_of
-from stkzoo.env.scenario import Scenario
-from stkzoo.env.state import RaceState
+from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.spaces import kart_action_space
 from stkzoo.mdp.state import state_space
-from stkzoo.render.scene import Scene
 from stkzoo.views import base_space, views_of_agents
 from stkzoo.views.chains import AgentChains
 from stkzoo.views.walker import StepParts
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
-
     from stkzoo.env.opponent_choice import OpponentChoice
 
 
 Observations = dict[str, Any]
 
 
-class ClonableEnv(EzPickle):
-    """An environment that can continue from the state of another environment of its class."""
-
-    if TYPE_CHECKING:
-        options: RaceOptions
-
-        def follow(self, other: Self) -> None:
-            """Continues from the current state of another environment."""
-
-        def close(self) -> None:
-            """Stops the game process."""
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Returns the arguments and the options of the next race."""
-        return {**super().__getstate__(), "options": self.options}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Makes the environment in place, because its cameras refer to it."""
-        self.__init__(*state["_ezpickle_args"], **state["_ezpickle_kwargs"])  # type: ignore[misc]
-        self.options = state["options"]
-
-    def clone(self) -> Self:
-        """Returns an independent environment that continues from this moment.
-
-        Raises:
-            ApiOrderError: called before the first ``reset``.
-            AgentException: an agent's wrapper holds an object that cannot be copied.
-            EngineError: this platform cannot fork races, or the game crashed.
-        """
-        make: Any = type(self)
-        twin: Self = make(*self._ezpickle_args, **self._ezpickle_kwargs)
-        twin.follow(self)
-        return twin
-
-    def lookahead(self) -> contextlib.closing[Self]:
-        """Yields a clone for trying actions and closes it at the end.
-
-        Raises:
-            ApiOrderError: called before the first ``reset``.
-            AgentException: an agent's wrapper holds an object that cannot be copied.
-            EngineError: this platform cannot fork races, or the game crashed.
-        """
-        return contextlib.closing(self.clone())
-
-
 @check_arguments
-class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
+class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
     """One race of SuperTuxKart in which every agent drives a kart.
 
     Agents are named ``kart_0`` to ``kart_{n-1}``. When an agent's kart finishes, the agent gets its
@@ -126,8 +72,6 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
             this process, which allows only one race at a time; with bots, only the first race is
             reproducible.
         engine_timeout: time limit of the game for one step [s].
-        max_snapshots: maximum number of open states saved by this environment. Each is a process of
-            about 1 MB with two open files.
         opponents: drivers of additional karts, which are not agents. Either a list of driver names
             (:func:`stkzoo.race.find_driver`), policies, drivers and pools, one per kart; or an
             :class:`~stkzoo.OpponentPool`, which drives all karts that are not agents. A mapping
@@ -169,7 +113,6 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
         render_size: Sequence[int] = (640, 480),
         graphics_config: Any = None,
         engine_timeout: float = 30.0,
-        max_snapshots: int = 100,
         start: Any = None,
         opponents: Any = None,
         events: bool = False,
@@ -186,7 +129,6 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
         choice, num_opponents = _opponents(opponents, agents, num_kart)
         specs = _specs(agents, num_kart - num_opponents)
         check_whole("num_cameras", num_cameras, 0, MAX_CAMERAS)
-        check_whole("max_snapshots", max_snapshots, 0)
         engine_timeout = check_number("engine_timeout", engine_timeout, 1e-3, 1e6)
         self.render_mode = render_mode
         self.metadata = {
@@ -201,7 +143,9 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
         self.possible_agents = [f"kart_{index}" for index in range(len(specs))]
         rewards = rewards_of_agents(reward, self.possible_agents)
         this = weakref.ref(self)  # cameras do not keep the environment alive
-        cameras = RaceCameras(self.possible_agents, lambda: (env := this()) and env._episode)
+        cameras = RaceCameras(
+            self.possible_agents, lambda: (env := this()) and env.live_race.episode
+        )
         views = views_of_agents(view, self.possible_agents)
         ai_agents = {a for a, s in zip(self.possible_agents, specs, strict=True) if s.use_ai}
         chains = AgentChains(
@@ -230,7 +174,6 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
             cameras=cameras,
             opponents=drivers,
             num_cameras=num_cameras,
-            max_snapshots=max_snapshots,
         )
 
     # ------------------------------------------------------------------ PettingZoo's API
@@ -338,32 +281,6 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
         with self.live_race.turn.of("step_wait"):
             return self.live_race.finish()
 
-    def render(self) -> Any:
-        """Renders the race according to ``render_mode``.
-
-        Returns:
-            With ``"rgb_array"``, a frame ``(height, width, 3)`` uint8: the view of the first
-                agent's camera, several cameras as tiles, or the map. With ``"rgb_array_list"``, a
-                list of frames, one per step since the last call or reset. With ``"human"``,
-                ``None``: the window updates after every step.
-
-        Raises:
-            ApiOrderError: called before the first ``reset``.
-            EngineError: the game cannot render on this machine and ``render_backend`` is
-                ``"engine"``.
-        """
-        return self.live_race.rendering.render(self._episode)
-
-    def frames(self) -> dict[str, npt.NDArray[np.uint8]]:
-        """Returns each agent's camera frame, ``(height, width, 3)`` uint8, in any render mode.
-
-        Raises:
-            ApiOrderError: called before the first ``reset``.
-            EngineError: the game cannot render on this machine and ``render_backend`` is
-                ``"engine"``.
-        """
-        return self.live_race.rendering.frames(self._episode, self.possible_agents)
-
     def state(self) -> npt.NDArray[np.float32]:
         """Returns the state of the race: a vector in ``state_space`` (:mod:`stkzoo.mdp.state`).
 
@@ -372,18 +289,11 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
         """
         return self.live_race.running("state").state()
 
-    def close(self) -> None:
-        """Stops the game process. You may call ``reset`` again."""
-        with self.live_race.turn.of("close"):
-            self.live_race.close()
-
     def __enter__(self) -> RaceParallelEnv:
         return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-    # ------------------------------------------------------------------ beyond the API
 
     @property
     def unwrapped(self) -> RaceParallelEnv:
@@ -411,92 +321,9 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
         return self.live_race.cameras
 
     @property
-    def options(self) -> RaceOptions:
-        """Options of the next race."""
-        return self.live_race.options
-
-    @options.setter
-    def options(self, options: RaceOptions) -> None:
-        self.live_race.options = options
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """The environment's random generator, which ``reset(seed=...)`` seeds."""
-        return self.live_race.np_random
-
-    @np_random.setter
-    def np_random(self, random: np.random.Generator) -> None:
-        self.live_race.np_random = random
-
-    @property
-    def race(self) -> RaceInfo | None:
-        """Names of the current race and its karts; ``None`` before the first reset."""
-        return self._episode.race if self._episode else None
-
-    @property
-    def scene(self) -> Scene | None:
-        """Data of the current race for rendering; ``None`` before the first reset."""
-        return scene_of(self._episode) if self._episode else None
-
-    @property
-    def track_map(self) -> TrackMap | None:
-        """Map of the current track; ``None`` before the first reset."""
-        return self._episode.track_map if self._episode else None
-
-    @property
-    def ground(self) -> Ground | None:
-        """Ground and walls of the current track; ``None`` before the first reset.
-
-        They are read from the track's meshes, which takes 0.2 to 2 s the first time.
-        """
-        return self._episode.ground if self._episode else None
-
-    @property
-    def snapshot(self) -> Snapshot | None:
-        """Snapshot of all karts at the current moment; ``None`` before the first reset."""
-        return self._episode.snapshot if self._episode else None
-
-    @property
-    def _episode(self) -> Episode | None:
-        return self.live_race.episode
-
-    @property
-    def render_backend(self) -> str:
-        """Renderer in use: ``"engine"`` or ``"map"``; ``"auto"`` before the first frame."""
-        return self.live_race.rendering.backend
-
-    @property
     def step_size(self) -> float:
         """Game time of one step of the current race, or of the next one before a reset [s]."""
-        return self._episode.step_size if self._episode else self.options.step_size
-
-    @property
-    def max_cycles(self) -> int | None:
-        """Number of steps after which the race is truncated; ``None`` for no limit."""
-        return self.options.max_cycles
-
-    @max_cycles.setter
-    def max_cycles(self, value: int | None) -> None:
-        self.options = replace(self.options, max_cycles=value)
-
-    def observe_batch(self, agents: Sequence[str]) -> dict[str, Any]:
-        """Returns current observations in the ``full`` view, in batch form.
-
-        Args:
-            agents: ids of the agents, racing or not; at least one.
-
-        Returns:
-            Arrays with a leading axis over ``agents`` (:mod:`stkzoo.mdp.observations`).
-
-        Raises:
-            ApiOrderError: called before the first ``reset``.
-            ConfigError: ``agents`` is not a list of agents.
-        """
-        episode = self.live_race.running("observe_batch")
-        ids = self._ids_of(agents)
-        if not ids:
-            raise ConfigError("agents is empty, expected a list of one agent or more")
-        return episode.observe_batch(ids)
+        return self.race.step_size if self.race else self.options.step_size
 
     def observe(self, agents: Sequence[str]) -> Observations:
         """Returns the agents' current observations, before custom wrappers.
@@ -530,67 +357,6 @@ class RaceParallelEnv(ClonableEnv, ParallelEnv[str, Any, Any]):
             agent if isinstance(agent, str) and agent in known else find_agent(agent, known)
             for agent in agents
         ]
-
-    # ------------------------------------------------------------------ saved moments
-
-    def save_state(self) -> RaceState:
-        """Saves the current moment of the race, which continues unaffected.
-
-        Raises:
-            ApiOrderError: called before the first ``reset``, or with ``max_snapshots`` states open.
-            AgentException: an agent's wrapper holds an object that cannot be copied.
-            EngineError: this platform cannot fork races, or the game crashed.
-        """
-        with self.live_race.turn.of("save_state"):
-            return self.live_race.save()
-
-    def restore_state(self, state: RaceState) -> None:
-        """Continues from a saved state, with everything as it was at that moment.
-
-        This includes the counters of the episode, the reward of the environment that saved the
-        state, the state of wrappers, and the random generator, so later resets repeat too. The race
-        that was running in this environment ends.
-
-        Args:
-            state: a state of this environment, or of another one with the same karts, agents and
-                opponents.
-
-        Raises:
-            ApiOrderError: the state was closed.
-            ConfigError: the state belongs to an environment with other karts or agents.
-            EngineError: this platform cannot fork races, or the state's process has ended; this
-                environment's race continues.
-        """
-        with self.live_race.turn.of("restore_state"):
-            self.live_race.restore(state)
-
-    def follow(self, other: Self) -> None:
-        """Continues from the current state of another environment, like a clone of it.
-
-        Args:
-            other: an environment with the same karts, agents and opponents.
-
-        Raises:
-            ApiOrderError: the other environment was not reset yet.
-            ConfigError: the other environment has other karts or agents.
-            AgentException: an agent's wrapper holds an object that cannot be copied.
-            EngineError: this platform cannot fork races, or the game crashed.
-        """
-        with self.live_race.turn.of("follow"), other.live_race.turn.of("clone"):
-            self.live_race.follow(other.live_race)
-
-    def scenario(self) -> Scenario:
-        """Returns the current moment as a scenario, which can be saved and replayed elsewhere.
-
-        Raises:
-            ApiOrderError: called before the first ``reset``, or while a step is running.
-        """
-        return self.live_race.scenario()
-
-    @property
-    def num_snapshots(self) -> int:
-        """Number of open states that this environment saved."""
-        return self.live_race.num_snapshots
 
 
 def _opponents(

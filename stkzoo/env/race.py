@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -63,7 +62,6 @@ class Race:
         cameras: the agents' cameras.
         opponents: drivers of karts that are not agents, if there are any.
         num_cameras: number of agents with a camera; 0 leaves the choice to the agents.
-        max_snapshots: maximum number of open saved states.
 
     Attributes:
         options: options of the next race.
@@ -94,7 +92,6 @@ class Race:
         cameras: RaceCameras,
         opponents: RaceOpponents | None,
         num_cameras: int,
-        max_snapshots: int,
     ) -> None:
         self.options, self.specs = options, specs
         self.possible_agents = [*rewards]
@@ -106,8 +103,7 @@ class Race:
         self.starts: Starts | None = None
         self.rendering, self.cameras, self.opponents = rendering, cameras, opponents
         self._rewards, self._assets, self._chains = rewards, assets, chains
-        self._num_cameras, self._max_snapshots = num_cameras, max_snapshots
-        self._states: weakref.WeakSet[RaceState] = weakref.WeakSet()
+        self._num_cameras = num_cameras
         self._random: np.random.Generator | None = None
         self._stepping: Episode | None = None  # the episode with a running step
 
@@ -131,11 +127,6 @@ class Race:
     def is_compiled(self) -> bool:
         """Whether the kernel runs all wrappers of all agents."""
         return self._chains.is_compiled
-
-    @property
-    def num_snapshots(self) -> int:
-        """Number of open states that were saved here."""
-        return sum(state.is_open for state in self._states)
 
     def running(self, method: str) -> Episode:
         """Returns the current episode.
@@ -373,15 +364,8 @@ class Race:
     def save(self) -> RaceState:
         """Saves the current moment of the race, which continues unaffected."""
         self.running("save_state")
-        if self.num_snapshots >= self._max_snapshots:
-            raise ApiOrderError(
-                f"{self.num_snapshots} saved states of this environment are open, as many as "
-                "max_snapshots allows; close() some or raise max_snapshots"
-            )
         moment = self._moment()
-        state = RaceState(self.session.branch(), moment)
-        self._states.add(state)
-        return state
+        return RaceState(self.session.branch(), moment)
 
     def restore(self, state: RaceState) -> None:
         """Continues from a saved state, with everything as it was at that moment."""

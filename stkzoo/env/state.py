@@ -51,7 +51,6 @@ class RaceState:
     :meth:`close`, until it is garbage-collected or until the program ends. It cannot be pickled.
 
     Attributes:
-        front: state of the Gymnasium environment around the parallel environment, if there is one.
         is_open: whether the state is still open.
         moment: state of the environment, without the state of the game.
     """
@@ -60,7 +59,6 @@ class RaceState:
         if isinstance(session, WorkerSession):
             session.what = f"the process of a saved state ({moment.episode.race.track})"
             session.remedy = "the state is lost; save another"
-        self.front: Any = None
         self._session = session
         self.moment = moment
         self.is_open = True

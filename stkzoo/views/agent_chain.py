@@ -224,7 +224,10 @@ class AgentChain:
         self.abandon()
         with agent_failures(self.agent, "change its action"):
             if self._is_plain:
-                return self.act(action)
+                for wrapper in self._wrappers:
+                    if type(wrapper).step in _ACTING:
+                        action = wrapper.action(action)
+                return action
             self._split_step = SplitStep(self.env.step, action)
             self._door.connect(self._split_step)
             try:
@@ -234,12 +237,14 @@ class AgentChain:
                 raise
 
     def begin_base_step(self, action: Any) -> Any:
-        """Runs :meth:`begin_step` and checks the base action.
+        """Runs :meth:`begin_step` and checks the base action of custom wrappers.
 
         Raises:
             ActionError: the wrappers returned an action outside the base space.
         """
         base = self.begin_step(action)
+        if self.is_pure:
+            return base  # as valid as the action
         name = "action after its wrappers" if self._wrappers else "action"
         return self._checked(self.base_action_space, base, name)
 
@@ -260,20 +265,6 @@ class AgentChain:
                 self._pass_out(result) if self._is_plain else self._finish_split_step(result)
             )
             return observation, float(reward), bool(terminated), bool(truncated), dict(info)
-
-    def act(self, action: Any) -> Any:
-        """Returns the base action for an action; all wrappers must have plain steps."""
-        for wrapper in self._wrappers:
-            if type(wrapper).step in _ACTING:
-                action = wrapper.action(action)
-        return action
-
-    def observe(self, observation: Any) -> Any:
-        """Returns the observation for a base observation; all wrappers must have plain steps."""
-        for wrapper in reversed(self._wrappers):
-            if type(wrapper).step in _OBSERVING:
-                observation = wrapper.observation(observation)
-        return observation
 
     def _pass_out(self, result: AgentStep) -> AgentStep:
         observation, reward, terminated, truncated, info = result

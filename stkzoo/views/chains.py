@@ -13,7 +13,7 @@ from gymnasium import spaces
 from stkzoo.agent_names import require_actions
 from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController, new_batch, split_batch
-from stkzoo.mdp.observations import as_actions
+from stkzoo.mdp.spaces import as_actions
 from stkzoo.views.agent_chain import WrapperMemory
 from stkzoo.views.batches import form_of, write_rows
 from stkzoo.views.plan import ObservationSource, RowObserver, Seats, ViewPlan, is_extra
@@ -72,6 +72,7 @@ class _PlanKernel:
 
     Attributes:
         reader: converts actions to controls.
+        rows: makes observations of a fixed size.
         car: converts actions in physical units to controls, if the plan has such actions.
     """
 
@@ -80,7 +81,7 @@ class _PlanKernel:
         self.car: CarController | None = plan.new_controller()
         records = RecordsObserver(plan)
         self._lists = None if plan.has_rows else records
-        self._rows: RowObserver = plan.observer or records
+        self.rows: RowObserver = plan.observer or records
         self._form = form_of(space) if plan.has_rows else None
 
     def observe(self, source: ObservationSource, seats: Seats) -> dict[str, Any]:
@@ -88,14 +89,8 @@ class _PlanKernel:
         if self._lists is not None:
             return dict(zip(seats.agents, self._lists.observe(source, seats.karts), strict=True))
         batch = new_batch(self._form, len(seats.agents))
-        self._rows.observe_into(source, seats.karts, seats.order, batch)
+        self.rows.observe_into(source, seats.karts, seats.order, batch)
         return split_batch(batch, seats.agents)
-
-    def observe_into(
-        self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
-    ) -> None:
-        """Writes the karts' observations into rows of a batch, if they have a fixed size."""
-        self._rows.observe_into(source, karts, rows, batch)
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,7 +339,7 @@ class AgentChains:
             batch: an array with one row per slot, or a dict of arrays and lists by entry.
         """
         for group in self._roster(seats).groups:
-            group.kernel.observe_into(source, group.seats.karts, slots[group.places], batch)
+            group.kernel.rows.observe_into(source, group.seats.karts, slots[group.places], batch)
 
     def reset(
         self,

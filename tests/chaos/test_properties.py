@@ -107,7 +107,6 @@ options = st.fixed_dictionaries(
         "render_backend": or_odd(st.sampled_from(["auto", "map"])),
         "render_size": or_odd(st.just((64, 48))),
         "engine_timeout": or_odd(st.just(30.0)),
-        "max_snapshots": or_odd(st.integers(1, 5)),
     },
 )
 

@@ -16,11 +16,11 @@ from stkzoo import AgentSpec, ConfigError, MonoAgentWrapperAdapter, race_v0
 from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
 from stkzoo.engine.track import TrackMap
 from stkzoo.env.episode import EpisodeRecord
-from stkzoo.mdp.observations import observe_karts
 from stkzoo.mdp.rewards import as_reward
 from stkzoo.mdp.spaces import kart_observation_space
 from stkzoo.views.plan import Seats
 from stkzoo.wrappers import Discretizer
+from tests.support.generic_env import moment_of, observe_full
 from tests.support.paths import ROOT
 from tests.support.views import EACH_ID, marked
 
@@ -224,7 +224,7 @@ def test_d07_actions_of_the_games_ai_become_the_nearest_steps():
     errors = []
     for _ in range(150):
         observation, *_ = env.step(env.action_space.sample())
-        steer = core.observe_batch(core.possible_agents)["action"]["steer"].item()
+        steer = core.snapshot.karts["control"][core.race.kart_indices[0], 1]
         errors.append(observation["action"][-1] / 3 - 1 - steer)
     env.close()
     assert np.abs(errors).max() <= 1 / 6 + 1e-6
@@ -265,7 +265,7 @@ def test_d09_observations_of_mixed_agents_are_in_their_spaces():
         ({"difficulty": 0}, lambda env: env.race.difficulty, 0),
         ({"reverse": True}, lambda env: env.race.reverse, True),
         ({"track": ["zengarden"]}, lambda env: env.race.track, "zengarden"),
-        ({"max_paths": 4}, lambda env: env.observe_batch(["kart_0"])["paths_width"].shape[1], 4),
+        ({"max_paths": 4}, lambda env: len(env.observe(["kart_0"])["kart_0"]["paths_width"]), 4),
     ],
 )
 def test_d12_options_given_at_reset_take_effect(options, read, expected):
@@ -368,8 +368,8 @@ def test_d15_many_power_ups_are_in_the_space(held, seen):
         karts = env.snapshot.karts.copy()
         karts["powerup_num"] = held
         snapshot = Snapshot.of(env.snapshot.header, karts, env.snapshot.items)
-        batch = observe_karts(env.track_map, env.race.kart_types, snapshot, np.array([0]))
-        count = batch["powerup_count"][0]
+        moment = moment_of(snapshot, env.track_map, env.race.kart_types)
+        count = observe_full(moment, [0])[0]["powerup_count"]
     assert count == seen
     assert kart_observation_space()["powerup_count"].contains(count)
 
@@ -453,8 +453,8 @@ def seen_line(start, end):
     karts["rotation"][:, 0] = 1
     header = np.zeros(1, HEADER_DTYPE)
     snapshot = Snapshot.of(header[0], karts, np.zeros(0, ITEM_DTYPE))
-    seen = observe_karts(track, ["tux"], snapshot, np.array([0]))
-    return seen["center_path"][0].tolist(), seen["center_path_distance"][0, 0]
+    (seen,) = observe_full(moment_of(snapshot, track, ["tux"]), [0])
+    return seen["center_path"].tolist(), seen["center_path_distance"][0]
 
 
 @pytest.mark.parametrize(

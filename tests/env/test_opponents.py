@@ -95,7 +95,7 @@ def test_the_games_ai_runs_inside_the_game():
     with against(["ai", "ai:1"], num_kart=4) as env:
         env.reset(seed=1)
         assert env.race.difficulty == 1
-        karts = [env._episode.setup.karts[kart] for kart in env.race.opponent_indices]
+        karts = [env.live_race.episode.setup.karts[kart] for kart in env.race.opponent_indices]
         assert all(kart.is_bot and not kart.reports_control for kart in karts)
 
 
@@ -143,7 +143,7 @@ def test_an_opponent_that_fails_drops_out_and_the_race_continues(caplog):
         assert any("opponent exits of kart_2 is out" in text for text in said)
         assert any("kart_3 is out" in text and "9.0" in text for text in said)
         env.reset(seed=2)
-        assert len(env.live_race.opponents.ask(env._episode)) == 3
+        assert len(env.live_race.opponents.ask(env.live_race.episode)) == 3
 
 
 class _Counts(gym.ObservationWrapper):
@@ -176,7 +176,9 @@ def test_an_opponent_whose_view_fails_in_a_race_drops_out(fails_at, caplog):
             drive(env, 6)
         assert "kart_1 is out" in caplog.text
         assert "no more" in caplog.text
-        assert [own.agent for own, _ in env.live_race.opponents.ask(env._episode)] == ["kart_2"]
+        assert [own.agent for own, _ in env.live_race.opponents.ask(env.live_race.episode)] == [
+            "kart_2"
+        ]
         assert made[-1].count == 7
 
 
@@ -198,7 +200,7 @@ def test_policies_of_opponents_get_no_images():
     driver = Driver.of_policy(forward, view=RACE["view"])
     with against([driver], view=("camera", {"backend": "map"})) as env:
         env.reset(seed=1)
-        assert len(env.live_race.opponents.ask(env._episode)) == 1
+        assert len(env.live_race.opponents.ask(env.live_race.episode)) == 1
 
 
 def test_a_mapping_is_a_pool_of_drivers_by_weight():

@@ -120,7 +120,7 @@ def test_the_keys_of_the_agents_dict_are_the_agents_names():
 def test_unknown_agents_of_observations_and_infos_are_refused():
     with race_v0.parallel_env(num_kart=2, agents=1, track="lighthouse") as env:
         env.reset(seed=1)
-        for ask in (env.observe, env.infos, env.observe_batch):
+        for ask in (env.observe, env.infos):
             with pytest.raises(ConfigError, match="unknown agent 'kart_9'"):
                 ask(["kart_9"])
             with pytest.raises(ConfigError, match="expected a list"):

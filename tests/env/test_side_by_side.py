@@ -61,7 +61,7 @@ def test_a_hanging_game_times_out():
 
 def test_calls_in_the_wrong_order_are_refused():
     env = make_env()
-    for call in (lambda: env.step({}), env.state, lambda: env.observe_batch(["kart_0"])):
+    for call in (lambda: env.step({}), env.state, lambda: env.observe(["kart_0"])):
         with pytest.raises(ApiOrderError, match="reset"):
             call()
     env.reset(seed=1)

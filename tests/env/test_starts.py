@@ -358,7 +358,7 @@ def test_a_random_start_that_is_refused_is_drawn_again():
     with race() as env:
         for seed in range(3):
             env.reset(seed=seed, options={"start": wish})
-            (start,) = env._episode.setup.starts
+            (start,) = env.live_race.episode.setup.starts
             assert abs(start.offset) < 6.0
             assert env.snapshot.karts[0]["is_on_road"]
         beside = RandomStart(share=(0.3, 0.3), offset=(18.0, 20.0))

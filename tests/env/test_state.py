@@ -311,15 +311,6 @@ def test_restoring_discards_a_step_in_progress(env):
     assert drive(env) == expected
 
 
-def test_more_states_than_max_snapshots_are_refused():
-    with make(max_snapshots=2) as env:
-        states = [started(env).save_state(), env.save_state()]
-        with pytest.raises(ApiOrderError, match="max_snapshots"):
-            env.save_state()
-        states.pop().close()
-        env.save_state()
-
-
 def test_a_closed_state_cannot_be_restored(env):
     state = started(env).save_state()
     with state:

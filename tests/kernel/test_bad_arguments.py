@@ -18,8 +18,7 @@ import pytest
 from stkzoo import RaceVectorEnv, kernel, race_v0
 from stkzoo.drivers.messages import encode_observation
 from stkzoo.engine.snapshot import CONTROLS, HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapshot
-from stkzoo.wrappers.racing import racing_features
-from stkzoo.wrappers.racing.wrapper import racing_view_of
+from stkzoo.wrappers.racing import racing_features, road_observer
 from tests.kernel.test_mlp import inputs_of, layers_of
 from tests.support.bad_arguments import check_bad_calls, check_lists_are_refused
 from tests.support.kernel_users import USERS, replaced_kernel
@@ -95,9 +94,8 @@ def drive_races():
             env.reset(seed=1)
             for _ in range(3):
                 env.step({agent: env.action_space(agent).sample() for agent in env.agents})
-            view = racing_view_of(env.track_map)
-            seen = [env.snapshot], [0], [np.arange(3)]
-            racing_features(*view.surroundings(*seen))
+            seen = road_observer(env.track_map).surroundings(env.snapshot, np.arange(3))
+            racing_features(*seen)
     for view in VIEWS[1:]:
         options = {"num_kart": 3, "track": "lighthouse", "view": view, "events": True}
         with contextlib.closing(RaceVectorEnv(1, **options, prefetch=False)) as envs:

@@ -26,7 +26,7 @@ from stkzoo.views.chains import RecordsObserver
 from stkzoo.views.plan import Seats, ViewPlan
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
-from stkzoo.wrappers.racing import SIZE, BatchedRacingView, RoadTable, racing_features
+from stkzoo.wrappers.racing import SIZE, RoadObserver, RoadTable, racing_features
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS
 from stkzoo.wrappers.racing.surroundings import NUM_POINTS
 from tests import oracle
@@ -233,8 +233,8 @@ def test_a_compiled_view_matches_its_wrappers(view):
         for agent, space in env.action_spaces.items():
             space.seed(int(agent[-1]))
         for _ in range(20):
-            seen = full.observe(env._episode, np.array([0]))
-            assert_close(observations["kart_0"], chain.observe(seen[0]))
+            seen = full.observe(env.live_race.episode, np.array([0]))
+            assert_close(observations["kart_0"], chain.reset(seen[0], {})[0])
             observations = env.step({a: env.action_space(a).sample() for a in env.agents})[0]
 
 
@@ -257,10 +257,10 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
     items["type"] = random.choice(list(ItemType), 12)
     snapshot = Snapshot.of(np.zeros((), HEADER_DTYPE), karts, items)
     table, who = road_of(random), np.arange(9)
-    view = BatchedRacingView([table])
-    seen = view.observe([snapshot], [0], [who])
+    observer, seen = RoadObserver(table), np.empty((9, SIZE), np.float32)
+    observer.observe_into(snapshot, who, who, seen)
     np.testing.assert_allclose(seen, seen_by_twin(snapshot, table, who)[0], atol=2e-4)
-    own, around = view.surroundings([snapshot], [0], [who])
+    own, around = observer.surroundings(snapshot, who)
     np.testing.assert_array_equal(racing_features(own, around), seen)
 
 
@@ -354,7 +354,7 @@ def test_actions_are_read_as_by_the_wrappers(view):
         num_taken += 1
         assert twin.read(actions, group.seats.agents, group.seats.rows, theirs), actions
         assert ours.tolist() == theirs.tolist(), actions
-        base = chain.act(chain.read_action(actions["kart_0"]))
+        base = chain.begin_step(chain.read_action(actions["kart_0"]))
         assert ours[0].tolist() == [np.float32(np.ravel(base[key])[0]) for key in CONTROLS]
     assert num_taken > 100
 

@@ -9,10 +9,10 @@ from stkzoo.engine.snapshot import HEADER_DTYPE, ITEM_DTYPE, KART_DTYPE, Snapsho
 from stkzoo.engine.track import TrackMap, decode_track, encode_track
 from stkzoo.errors import ConfigError
 from stkzoo.mdp.geometry import rotation_matrices
-from stkzoo.mdp.observations import observe_karts
 from stkzoo.mdp.rewards import REWARDS, Reward, as_reward, rank
 from stkzoo.mdp.state import KART_FEATURES, state_space
 from stkzoo.mdp.transition import Transition
+from tests.support.generic_env import moment_of, observe_full
 
 
 def make_snapshot(num_kart=2, num_items=0, **fields):
@@ -102,15 +102,14 @@ def test_after_steering_right_a_point_ahead_is_on_the_left():
 
 def test_karts_in_front_come_first_then_those_behind():
     snapshot = make_snapshot(5, location=[[0, 0, z] for z in (0, -2, 7, -9, 3)])
-    batch = observe_karts(forked_track(), ["tux"] * 5, snapshot, np.array([0]))
-    assert batch["karts_position"][0, :, 2].tolist() == [3, 7, -2, -9]
+    (seen,) = observe_full(moment_of(snapshot, forked_track(), ["tux"] * 5), [0])
+    assert [place[2] for place in seen["karts_position"]] == [3, 7, -2, -9]
 
 
 def test_a_lone_kart_sees_no_others():
-    batch = observe_karts(forked_track(), ["tux"], make_snapshot(1), np.array([0]), 3)
-    assert batch["karts_position"].shape == (1, 0, 3)
-    assert batch["items_position"].shape == (1, 0, 3)
-    assert batch["paths_start"].shape == (1, 3, 3)
+    (seen,) = observe_full(moment_of(make_snapshot(1), forked_track(), ["tux"], 3), [0])
+    assert seen["karts_position"] == seen["items_position"] == ()
+    assert len(seen["paths_start"]) == 3
 
 
 def transition(before, after, race_length=100.0):

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.mdp.geometry import rotation_matrices, to_kart_frame
-from stkzoo.mdp.observations import as_actions
-from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT
+from stkzoo.mdp.spaces import POWERUP_COUNT_LIMIT, as_actions
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]

@@ -30,8 +30,6 @@ with race_v0.parallel_env(num_kart=2, track="lighthouse", view="simple", reward=
     seen = observations["kart_0"]
     found["time"] = infos["kart_0"]["reward/time"]
     found["is_end_start"] = bool((seen["paths_end"] == seen["paths_start"]).all())
-    full = env.observe_batch(env.agents)
-    found["is_end_start_in_batch"] = bool((full["paths_end"] == full["paths_start"]).all())
 print(json.dumps(found))
 """
 
@@ -79,8 +77,8 @@ def test_a_changed_reward_term_and_a_changed_observation_take_effect(tmp_path):
         check=True,
         capture_output=True,
     )
-    assert race(ROOT) == {"time": -0.1, "is_end_start": False, "is_end_start_in_batch": False}
-    assert race(checkout) == {"time": -100.0, "is_end_start": True, "is_end_start_in_batch": True}
+    assert race(ROOT) == {"time": -0.1, "is_end_start": False}
+    assert race(checkout) == {"time": -100.0, "is_end_start": True}
 
 
 def test_the_documentation_names_these_files():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
+from types import SimpleNamespace
 
 import gymnasium as gym
 import numpy as np
@@ -199,9 +200,27 @@ class RandomMoment:
 
     def full(self, agents, use_ai=False):
         """Returns the agents' observations in the ``full`` view."""
-        spaces = kart_observation_space(use_ai), kart_action_space()
-        observer = RecordsObserver(ViewPlan(*spaces, CONTROLS))
-        return observer.observe(self, self.seats(agents).karts)
+        return observe_full(self, self.seats(agents).karts, use_ai)
+
+
+def observe_full(source, karts, use_ai=False):
+    """Returns the observation of each kart in the ``full`` view."""
+    spaces = kart_observation_space(use_ai), kart_action_space()
+    return RecordsObserver(ViewPlan(*spaces, CONTROLS)).observe(source, np.asarray(karts))
+
+
+def full_batch(env):
+    """Returns the agents' observations in the ``full`` view as arrays with a row for each."""
+    episode = env.live_race.episode
+    seen = observe_full(episode, episode.seats(env.agents).karts)
+    return {key: np.array([one[key] for one in seen]) for key in seen[0]}
+
+
+def moment_of(snapshot, track, kart_types, num_paths=None):
+    """Returns a moment of a race that can be observed."""
+    paths = track.num_nodes if num_paths is None else num_paths
+    course = track.graph, paths, tuple(kart_types)
+    return SimpleNamespace(snapshot=snapshot, track_map=track, course=course)
 
 
 def assert_same(left, right):

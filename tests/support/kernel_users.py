@@ -4,7 +4,7 @@ import contextlib
 import importlib
 
 from stkzoo.engine.track import decode_track
-from stkzoo.wrappers.racing.wrapper import _writer, racing_view_of
+from stkzoo.wrappers.racing.wrapper import _writer, road_observer
 
 #: The modules that use the kernel's names.
 USERS = {
@@ -15,7 +15,6 @@ USERS = {
     "mdp.events": ["EventCounter"],
     "mdp.rewards": ["reward_term"],
     "drivers.messages": ["join_rows"],
-    "mdp.observations": ["KartObserver"],
     "views.chains": ["new_batch", "split_batch"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
@@ -41,5 +40,5 @@ def replaced_kernel(patch, replacements):
 
 
 def _forget_objects():
-    for cache in (decode_track, racing_view_of, _writer):
+    for cache in (decode_track, road_observer, _writer):
         cache.cache_clear()

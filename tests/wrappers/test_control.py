@@ -1,6 +1,7 @@
 """Actions in physical units: their parts, their wrapper, and the motion of the karts."""
 
 import tracemalloc
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -9,6 +10,7 @@ from gymnasium import spaces
 
 from stkzoo import AgentSpec, ConfigError, Start, race_v0
 from stkzoo.agents.pursuit.driver import PursuitDriver, PursuitState
+from stkzoo.views import VIEWS, find_view
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     FlattenerWrapper,
@@ -18,7 +20,6 @@ from stkzoo.wrappers.control import (
     AcclAction,
     CarAction,
     CarParameters,
-    ControlView,
     ControlWrapper,
     LongitudinalActionEnum,
     Pedals,
@@ -257,12 +258,10 @@ def test_in_the_wrong_place_the_error_says_where_it_belongs():
 
 
 def test_a_flattened_view_has_a_plain_box():
-    env = ControlView(observe="flattened", normalize_act=True)(kart_env())
+    env = VIEWS["flattened_control"](kart_env())
     assert env.action_space == spaces.Box(-1.0, 1.0, (2,), np.float32)
-    with_buttons = ControlView(observe="flattened", buttons=("fire",))(kart_env())
+    with_buttons = find_view(("flattened_control", {"buttons": ("fire",)}))(kart_env())
     assert set(with_buttons.action_space.spaces) == {"continuous", "discrete"}
-    with pytest.raises(ConfigError, match="unknown view to observe 'flat'"):
-        ControlView(observe="flat")
 
 
 # ------------------------------------------------------------------ on the real engine
@@ -281,7 +280,7 @@ def drive(env, control, steps):
 
 @pytest.mark.parametrize("target", [5.0, 10.0, 15.0])
 def test_a_speed_is_reached_and_held_on_a_straight(target):
-    view = ControlView(observe="full", control_input=("speed", "steering_angle"))
+    view = ControlWrapper
     with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
         env.reset(seed=1)
         speeds, _ = drive(env, [0.0, target], 40)
@@ -289,7 +288,7 @@ def test_a_speed_is_reached_and_held_on_a_straight(target):
 
 
 def test_a_kart_can_stop_and_drive_backward():
-    view = ControlView(observe="full")
+    view = ControlWrapper
     with race_v0.parallel_env(num_kart=1, view=view, **STRAIGHT) as env:
         env.reset(seed=1, options={"start": Start(distance=190.0, speed=12.0)})
         speeds, _ = drive(env, [0.0, 0.0], 25)
@@ -301,7 +300,7 @@ def test_a_kart_can_stop_and_drive_backward():
 @pytest.mark.parametrize("radius", [4.0, 6.5])
 def test_a_steering_angle_holds_a_circle(radius):
     angle = CarParameters().steering_angle(radius)
-    view = ControlView(observe="full", control_input=("speed", "steering_angle"))
+    view = ControlWrapper
     with race_v0.parallel_env(num_kart=1, track="scotland", view=view) as env:
         env.reset(seed=1)
         distance = float(env.track_map.path_distance[139, 0]) + 2.0
@@ -318,7 +317,7 @@ def test_a_steering_angle_holds_a_circle(radius):
 @pytest.mark.slow
 @pytest.mark.parametrize("kinds", KINDS)
 def test_every_combination_drives_a_lap(kinds):
-    view = ControlView(observe="full", control_input=kinds, buttons=("rescue",))
+    view = (ControlWrapper, {"control_input": kinds, "buttons": ("rescue",)})
     driver, state, angle = PursuitDriver(), PursuitState(), 0.0
     with race_v0.parallel_env(num_kart=1, track="lighthouse", view=view) as env:
         observations, infos = env.reset(seed=1)
@@ -345,7 +344,7 @@ def requested(kinds, aim, angle, seen):
 
 
 def test_observed_actions_have_the_same_units():
-    view = ControlView(control_input=("speed", "steering_angle"), buttons=("nitro",))
+    view = ("control", {"buttons": ("nitro",)})
     with race_v0.parallel_env(
         agents=[AgentSpec(use_ai=True)], num_kart=1, track="lighthouse", view=view
     ) as env:
@@ -362,7 +361,7 @@ def test_observed_actions_have_the_same_units():
 
 
 def test_a_race_can_be_repeated_and_restored():
-    view = ControlView(control_input=("accl", "steering_speed"))
+    view = ("control", {"control_input": ("accl", "steering_speed")})
     script = np.random.default_rng(5).uniform([-0.6, -5], [0.6, 15], (40, 2)).astype(np.float32)
 
     def play(env, rows):
@@ -392,7 +391,7 @@ class Inner(gym.ObservationWrapper):
 
 @pytest.mark.parametrize("inner", [lambda env: env, Inner], ids=["kernel", "python"])
 def test_a_view_uses_the_step_of_its_race(inner):
-    view = ControlView(observe="full", control_input=("speed", "steering_speed"))
+    view = partial(ControlWrapper, control_input=("speed", "steering_speed"))
 
     def turned(env):
         """Returns how far one step turns the wheels at 1 rad/s."""

@@ -22,6 +22,7 @@ from stkzoo.race.remote import RemoteDriverGroup
 from stkzoo.wrappers.racing import (
     GroundTable,
     RoadTable,
+    ground_observer,
 )
 from tests.engine.test_ground import FLOOR, ground_with, plate, wall
 from tests.support.remote_race import server_thread
@@ -66,15 +67,16 @@ def ahead():
 
 
 def test_the_ground_is_observed_in_the_right_places(ahead):
-    assert ahead.kind.shape == ahead.speed.shape == (2, len(GROUND_MARKS), len(GROUND_LANES))
-    first, second = ahead.kind
+    kind, speed = ahead
+    assert kind.shape == speed.shape == (2, len(GROUND_MARKS), len(GROUND_LANES))
+    first, second = kind
     assert first[mark(12), lane(4.5)] == WALL
     assert first[mark(12), lane(-4.5)] == GROUND
     assert second[mark(6), lane(4.5)] == WALL
     assert first[mark(18), lane(-5.25)] == VOID
     assert first[mark(24), lane(0)] == ZIPPER
     assert first[mark(3), lane(7.5)] == SLOWED
-    assert ahead.speed[0, mark(3), lane(7.5)] == pytest.approx(0.5)
+    assert speed[0, mark(3), lane(7.5)] == pytest.approx(0.5)
     assert (first[mark(3), lane(-6) : lane(6)] == GROUND).all()
     assert (first[mark(60) :] == VOID).all()
 
@@ -92,12 +94,12 @@ def test_only_agents_that_request_the_ground_observe_it():
                 assert env.observation_space(agent).contains(seen)
                 assert ("ground_kind" in seen) == (agent == "kart_1")
             observations, *_ = env.step({a: env.action_space(a).sample() for a in env.agents})
-        table = GroundTable(RoadTable(env.track_map), env.ground)
-        record = env.snapshot.karts[[env.race.kart_indices[1]]]
-        ahead = table.ahead(record["node"], record["location"])
-        np.testing.assert_array_equal(observations["kart_1"]["ground_kind"], ahead.kind[0])
-        np.testing.assert_array_equal(observations["kart_1"]["ground_speed"], ahead.speed[0])
-        assert (ahead.kind[0, :4, MIDDLE] == GROUND).all()
+        observer = ground_observer(env.track_map, env.ground)
+        for key, rows in observer.observe(
+            env.snapshot, np.array(env.race.kart_indices[1:2])
+        ).items():
+            np.testing.assert_array_equal(observations["kart_1"][key], rows[0])
+        assert (observations["kart_1"]["ground_kind"][:4, MIDDLE] == GROUND).all()
 
 
 def test_user_defined_views_can_request_the_ground():

@@ -12,6 +12,7 @@ from stkzoo import ActionError, ConfigError, race_v0
 from stkzoo.views import VIEWS
 from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
 from stkzoo.wrappers.marl import ActionMasks, MessageChannel, PartialObservations, Teams
+from tests.support.generic_env import full_batch
 
 TEAMS = [["kart_0", 3], ["1", "kart_2"]]
 
@@ -63,9 +64,7 @@ def test_the_mask_is_correct_for_nitro_and_fire_during_a_whole_race():
     with race(agents=1, num_kart=2, view="masked_discrete", max_cycles=600) as env:
         observations, _ = env.reset(seed=2)
         while env.agents:
-            full = {
-                key: env.observe_batch(["kart_0"])[key][0] for key in ("energy", "powerup_type")
-            }
+            full = {key: rows[0] for key, rows in full_batch(env).items()}
             mask = observations["kart_0"]["action_mask"]
             can = {"nitro": full["energy"][0] > 0, "fire": full["powerup_type"] != 0}
             for action in range(0, 1120, 7):
@@ -126,11 +125,10 @@ def test_karts_far_away_or_behind_are_hidden():
         observations, _ = env.reset(seed=1)
         for _ in range(60):
             observations = env.step(some_actions(env))[0]
-        num_hidden = 0
-        for agent in ("kart_0", "kart_1"):
-            everything = env.observe_batch([agent])
+        num_hidden, everything = 0, full_batch(env)
+        for row, agent in enumerate(("kart_0", "kart_1")):
             for key, others in (("karts_position", ()), ("items_position", ("items_type",))):
-                rows = everything[key][0]
+                rows = everything[key][row]
                 kept = (np.linalg.norm(rows, axis=1) <= 20) & (rows[:, 2] >= 0)
                 num_hidden += len(rows) - kept.sum()
                 seen = np.array(observations[agent][key]).reshape(-1, 3)

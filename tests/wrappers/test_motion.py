@@ -25,11 +25,11 @@ def course(step_size=1 / 60, steps=300, seed=5):
     agents = [AgentSpec(rank_start=1), AgentSpec(rank_start=0, use_ai=True)]
     options = {"num_kart": 2, "agents": agents, "track": "lighthouse", "step_size": step_size}
     with race_v0.parallel_env(**options, view={0: MOVING}) as env:
-        seen, records = [env.reset(seed=seed)[0]["kart_0"]], [env._episode.snapshot.karts]
+        seen, records = [env.reset(seed=seed)[0]["kart_0"]], [env.live_race.episode.snapshot.karts]
         for _ in range(steps):
             seen.append(env.step({"kart_0": STAY})[0]["kart_0"])
-            records.append(env._episode.snapshot.karts)
-        mine, other = env._episode.race.kart_indices
+            records.append(env.live_race.episode.snapshot.karts)
+        mine, other = env.live_race.episode.race.kart_indices
     rows = {
         key: np.array([one[key][0] for one in seen], np.float64)
         for key in ("karts_position", "karts_velocity", "karts_heading")
@@ -73,8 +73,10 @@ def test_velocities_have_the_order_of_positions():
         for _ in range(40):
             actions = {a: env.action_space(a).sample() | {"rescue": 0} for a in env.agents}
             observations = env.step(actions)[0]
-        karts = env._episode.snapshot.karts
-        indices = dict(zip(env.possible_agents, env._episode.race.kart_indices, strict=True))
+        karts = env.live_race.episode.snapshot.karts
+        indices = dict(
+            zip(env.possible_agents, env.live_race.episode.race.kart_indices, strict=True)
+        )
     for agent, seen in observations.items():
         assert not seen["karts_velocity"][3:].any()  # padding
         assert not seen["karts_heading"][3:].any()

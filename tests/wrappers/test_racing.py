@@ -1,4 +1,4 @@
-"""The racing view has the same values for one kart, a whole race and many races."""
+"""The racing view has the same values for one kart, a batch and a whole race."""
 
 import itertools
 
@@ -19,16 +19,16 @@ from stkzoo.wrappers.racing import (
     PARTS,
     SIZE,
     STEERS,
-    BatchedRacingView,
     RacingActions,
     RacingObservations,
-    RoadTable,
     choices_of_action,
     controls_of_choices,
     road_line,
+    road_observer,
 )
 from stkzoo.wrappers.racing.features import MARKS, STEP
 from stkzoo.wrappers.racing.surroundings import NUM_POINTS
+from tests.support.generic_env import full_batch, kart_env
 
 
 class OneKart(gym.Env):
@@ -80,27 +80,15 @@ def test_one_kart_a_race_and_a_batch_have_the_same_observations(track, reverse):
     env = race(track=track, reverse=reverse)
     with env:
         view = RacingObservations(OneKart(env))
-        batched_view = None
         for observations in itertools.islice(moments(env), 0, None, 9):
-            batched_view = batched_view or BatchedRacingView([RoadTable(env.track_map)])
             alone = np.stack([view.observation(observations[agent]) for agent in env.agents])
-            together = view.observation(env.observe_batch(env.agents))
-            from_above = batched_view.observe([env.snapshot], [0], [places_of(env)])
+            together = view.observation(full_batch(env))
+            from_above = np.empty((len(env.agents), SIZE), np.float32)
+            rows, observer = np.arange(len(env.agents)), road_observer(env.track_map)
+            observer.observe_into(env.snapshot, places_of(env), rows, from_above)
             np.testing.assert_allclose(together, alone, atol=1e-5)
             np.testing.assert_allclose(from_above, alone, atol=1e-4)
     assert alone.shape == (4, SIZE)
-
-
-def test_a_batch_of_several_races_matches_single_races():
-    with race() as one, race(track="olivermath", num_kart=3) as two:
-        one.reset(seed=1), two.reset(seed=2)
-        roads = [RoadTable(env.track_map) for env in (one, two)]
-        both = BatchedRacingView(roads).observe(
-            [one.snapshot, two.snapshot], [0, 1], [places_of(one), places_of(two)]
-        )
-        first = BatchedRacingView(roads[:1]).observe([one.snapshot], [0], [places_of(one)])
-        second = BatchedRacingView(roads[1:]).observe([two.snapshot], [0], [places_of(two)])
-    np.testing.assert_allclose(both, np.concatenate([first, second]), atol=1e-6)
 
 
 def mirrored(observation):
@@ -253,7 +241,5 @@ def test_other_views_are_refused():
 
 
 def test_a_kart_without_visible_road_has_a_finite_view():
-    with race_v0.parallel_env(num_kart=1, track="lighthouse", view="racing") as env:
-        chain = env.live_race._chains._chains["kart_0"]
-        blank = create_zero_array(chain.base_observation_space)
-        assert np.isfinite(chain.observe(blank)).all()
+    env = RacingObservations(kart_env())
+    assert np.isfinite(env.observation(create_zero_array(env.env.observation_space))).all()

@@ -3,7 +3,7 @@
 :class:`LongitudinalAction` and :class:`SteerAction` convert the requested values to an acceleration
 and a wheel angle; :class:`Pedals` and :class:`CarAction` convert these to the game's controls. All
 are pure functions over arrays with any leading axes. :class:`ControlWrapper` applies them to one
-agent, and :class:`ControlView` defines a view with them.
+agent.
 """
 
 from stkzoo.wrappers.control.car_action import (
@@ -19,13 +19,12 @@ from stkzoo.wrappers.control.car_action import (
     from_single_to_multi_action_space,
 )
 from stkzoo.wrappers.control.kart import CarParameters, Pedals
-from stkzoo.wrappers.control.wrapper import ControlView, ControlWrapper
+from stkzoo.wrappers.control.wrapper import ControlWrapper
 
 __all__ = [
     "AcclAction",
     "CarAction",
     "CarParameters",
-    "ControlView",
     "ControlWrapper",
     "LongitudinalAction",
     "LongitudinalActionEnum",

@@ -1,10 +1,9 @@
-"""The wrapper for actions in physical units, and views that use it."""
+"""The wrapper for actions in physical units."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -17,8 +16,6 @@ from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
 from stkzoo.wrappers.control.kart import CarParameters
-from stkzoo.wrappers.flattening import FlattenerWrapper
-from stkzoo.wrappers.observations import ConstantSizedObservations, PolarObservations
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
@@ -27,7 +24,6 @@ if TYPE_CHECKING:
 BUTTONS = ("drift", "fire", "nitro", "rescue")
 
 _PEDALS = ("acceleration", "steer", "brake")
-_OBSERVED = ("full", "simple", "flattened")
 
 
 class ControlWrapper(ActionFormWrapper, CompiledWrapper):
@@ -150,47 +146,6 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         self._memory[0] = controls[1] * max_angle
         buttons = {button: int(done[button]) for button in self.buttons}
         return {**observation, "action": {"control": read, **buttons}}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ControlView:
-    """A view with actions in physical units, for ``view=`` and ``stkzoo.register_view``.
-
-    Attributes:
-        observe: observations of the view ``"full"``, ``"simple"`` or ``"flattened"``. With
-            ``"flattened"``, the action is a ``Box(2)`` without buttons, otherwise a dict of
-            ``continuous`` and ``discrete``.
-        control_input: see :class:`~stkzoo.wrappers.control.ControlWrapper`.
-        normalize_act: whether to scale both numbers to [-1, 1].
-        buttons: additional buttons of the game.
-        kart: kart model whose limits apply, as in ``AgentSpec.kart``.
-        step_size: see :class:`~stkzoo.wrappers.control.ControlWrapper`.
-    """
-
-    observe: str = "simple"
-    control_input: str | Sequence[str] = ("speed", "steering_angle")
-    normalize_act: bool = False
-    buttons: Sequence[str] = ()
-    kart: str = ""
-    step_size: float = 0.1
-
-    def __post_init__(self) -> None:
-        if self.observe not in _OBSERVED:
-            raise unknown_name("view to observe", self.observe, _OBSERVED)
-
-    def __call__(self, env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-        """Wraps an environment."""
-        if self.observe != "full":
-            env = PolarObservations(ConstantSizedObservations(env))
-        wrapped = ControlWrapper(
-            env,
-            control_input=self.control_input,
-            normalize_act=self.normalize_act,
-            buttons=self.buttons,
-            kart=self.kart,
-            step_size=self.step_size,
-        )
-        return FlattenerWrapper(wrapped) if self.observe == "flattened" else wrapped
 
 
 def _checked_buttons(buttons: object) -> tuple[str, ...]:

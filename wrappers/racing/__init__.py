@@ -2,14 +2,10 @@
 
 from stkzoo.wrappers.racing.features import LOOKS, MEANINGS, MIRROR, PARTS, PLACES, SIZE
 from stkzoo.wrappers.racing.racing_line import (
-    BatchedRacingLines,
-    GroundAhead,
+    GroundObserver,
     GroundTable,
-    LineTables,
-    ground_table,
-    line_tables,
+    ground_observer,
     racing_line,
-    racing_lines_of,
 )
 from stkzoo.wrappers.racing.surroundings import (
     ABSENT,
@@ -25,12 +21,13 @@ from stkzoo.wrappers.racing.wrapper import (
     PEDALS,
     RESCUE,
     STEERS,
-    BatchedRacingView,
     RacingActions,
     RacingObservations,
+    RoadObserver,
     choices_of_action,
     controls_of_choices,
     racing_features,
+    road_observer,
 )
 
 __all__ = [
@@ -47,22 +44,19 @@ __all__ = [
     "RESCUE",
     "SIZE",
     "STEERS",
-    "BatchedRacingLines",
-    "BatchedRacingView",
-    "GroundAhead",
+    "GroundObserver",
     "GroundTable",
-    "LineTables",
     "RacingActions",
     "RacingObservations",
+    "RoadObserver",
     "RoadTable",
     "Surroundings",
     "choices_of_action",
     "controls_of_choices",
-    "ground_table",
-    "line_tables",
+    "ground_observer",
     "racing_features",
     "racing_line",
-    "racing_lines_of",
     "road_line",
+    "road_observer",
     "surroundings_of",
 ]

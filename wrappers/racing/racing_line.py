@@ -9,7 +9,6 @@ and of the squared length is least. It keeps :data:`_KEPT` to the edges of the f
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -25,7 +24,7 @@ from stkzoo.mdp.spaces import GROUND_LANES, GROUND_LINE_MARKS, GROUND_MARKS
 from stkzoo.names import GroundKind
 from stkzoo.wrappers.racing.features import STEP
 from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadTable
-from stkzoo.wrappers.racing.wrapper import BatchedRacingView
+from stkzoo.wrappers.racing.wrapper import RoadObserver
 
 FloatArray = npt.NDArray[np.float32]
 DoubleArray = npt.NDArray[np.float64]
@@ -87,62 +86,6 @@ def racing_line(track: TrackMap, ground: Ground) -> RacingLine:
     return RacingLine(
         moved[ids].astype(np.float32), np.maximum(rooms, _LEAST_ROOM).astype(np.float32)
     )
-
-
-#: The lines ahead of all segments of a track, with the room to the left and to the right.
-LineTables = tuple[RoadTable, RoadTable]
-
-
-def line_tables(track: TrackMap, ground: Ground) -> LineTables:
-    """Returns the racing lines ahead of all segments of a track."""
-    line = racing_line(track, ground)
-    left, right = (
-        RoadTable(replace(track, path_nodes=line.nodes, path_width=2 * line.rooms[:, [side]]))
-        for side in range(2)
-    )
-    return left, right
-
-
-class BatchedRacingLines:
-    """The racing lines ahead of karts in several races.
-
-    Args:
-        tracks: lines of the tracks.
-    """
-
-    def __init__(self, tracks: Sequence[LineTables]) -> None:
-        self._view = BatchedRacingView([table for tables in tracks for table in tables])
-
-    def ahead(
-        self,
-        snapshots: Sequence[Snapshot],
-        roads: Sequence[int],
-        karts: Sequence[npt.NDArray[Any]],
-    ) -> FloatArray:
-        """Returns the racing lines ahead of some karts of each race, in the karts' frames.
-
-        Args:
-            snapshots: current snapshot of each race.
-            roads: number of each race's track, as an index into the constructor's ``tracks``.
-            karts: kart indices of each race, in grid order.
-
-        Returns:
-            ``(A, M, 5)`` float32, for the karts of the first race, then those of the second, ...:
-                points at ``GROUND_LINE_MARKS`` and the room to the left and to the right [m].
-        """
-        left, right = (
-            self._view.surroundings(
-                snapshots, [2 * n + side for n in roads], karts, GROUND_LINE_MARKS
-            )[1]
-            for side in range(2)
-        )
-        return np.concatenate([left.road, right.road[..., 3:]], axis=-1)
-
-
-@lru_cache(maxsize=64)
-def racing_lines_of(track: TrackMap, ground: Ground) -> BatchedRacingLines:
-    """Returns the racing lines of a track; takes up to 0.1 s (black_forest: 1.5 s), once."""
-    return BatchedRacingLines([line_tables(track, ground)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,19 +242,6 @@ _PLACE_IN_ORDER = np.argsort(_ORDER).astype(np.uint8)
 _CHUNK = 64
 
 
-@dataclass(frozen=True, slots=True)
-class GroundAhead:
-    """The ground beside the road ahead of A karts, at ``GROUND_MARKS`` and ``GROUND_LANES``.
-
-    Attributes:
-        kind: ``(A, M, L)`` uint8, numbers of :class:`~stkzoo.names.GroundKind`.
-        speed: ``(A, M, L)`` float32, the fraction of their top speed that karts keep there.
-    """
-
-    kind: ByteArray
-    speed: FloatArray
-
-
 class GroundTable:
     """The ground beside the lines ahead of all segments of a track.
 
@@ -329,26 +259,75 @@ class GroundTable:
             part = slice(begin, begin + _CHUNK)
             self._places[part], self._speeds[part] = _look(road.lines[part, :, :3], ground)
 
-    def ahead(self, nodes: npt.NDArray[np.integer], locations: FloatArray) -> GroundAhead:
+    def ahead(
+        self, nodes: npt.NDArray[np.integer], locations: FloatArray
+    ) -> tuple[ByteArray, FloatArray]:
         """Returns the ground beside the road ahead of some karts.
 
         Args:
             nodes: ``(A,)`` segments of the karts.
             locations: ``(A, 3)`` locations of the karts, world frame [m].
+
+        Returns:
+            ``(A, M, L)`` each, at ``GROUND_MARKS`` and ``GROUND_LANES``: numbers of
+                :class:`~stkzoo.names.GroundKind`, uint8; and the fraction of their top speed that
+                karts keep there, float32.
         """
         starts, along = self._starts[nodes] - locations, self._along[nodes]
         before, _ = line_places(starts, along, GROUND_MARKS, STEP, NUM_POINTS)
         here, next_ = (nodes[:, None], before), (nodes[:, None], before + 1)
-        return GroundAhead(
-            kind=_ORDER[np.maximum(self._places[here], self._places[next_])],
-            speed=0.5 * (self._speeds[here] + self._speeds[next_]),
+        kind = _ORDER[np.maximum(self._places[here], self._places[next_])]
+        return kind, 0.5 * (self._speeds[here] + self._speeds[next_])
+
+
+class GroundObserver:
+    """Makes the observation entries of the ground ahead of karts, with the racing line.
+
+    Args:
+        track: map of the track.
+        ground: ground and walls of the track.
+    """
+
+    def __init__(self, track: TrackMap, ground: Ground) -> None:
+        self._table = GroundTable(RoadTable(track), ground)
+        line = racing_line(track, ground)
+        self._lines = [
+            RoadObserver(
+                RoadTable(
+                    replace(track, path_nodes=line.nodes, path_width=2 * line.rooms[:, [side]])
+                )
+            )
+            for side in range(2)
+        ]
+
+    def observe(self, snapshot: Snapshot, karts: IntArray) -> dict[str, npt.NDArray[Any]]:
+        """Returns the entries ``ground_kind``, ``_speed``, ``_line`` and ``_room`` of some karts.
+
+        Args:
+            snapshot: current snapshot of the race.
+            karts: ``(A,)`` indices of the karts.
+
+        Returns:
+            Arrays with a leading axis of A karts, see
+                :func:`~stkzoo.mdp.spaces.kart_observation_space`.
+        """
+        records = snapshot.karts[karts]
+        kind, speed = self._table.ahead(records["node"], records["location"])
+        left, right = (
+            line.surroundings(snapshot, karts, GROUND_LINE_MARKS)[1].road for line in self._lines
         )
+        return {
+            "ground_kind": kind,
+            "ground_speed": speed,
+            "ground_line": left[..., :3],
+            "ground_room": np.concatenate([left[..., 3:], right[..., 3:]], axis=-1),
+        }
 
 
 @lru_cache(maxsize=64)
-def ground_table(track: TrackMap, ground: Ground) -> GroundTable:
-    """Returns the table of a track; takes up to 0.4 s (black_forest: 1.2 s), once."""
-    return GroundTable(RoadTable(track), ground)
+def ground_observer(track: TrackMap, ground: Ground) -> GroundObserver:
+    """Returns the observer of a track; takes up to 0.5 s (black_forest: 2.7 s), once."""
+    return GroundObserver(track, ground)
 
 
 def _look(points: FloatArray, ground: Ground) -> tuple[ByteArray, FloatArray]:

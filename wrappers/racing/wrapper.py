@@ -1,10 +1,10 @@
-"""The racing view as wrappers around one kart, and in batches for many karts."""
+"""The racing view as wrappers around one kart, and directly from snapshots."""
 
 from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -15,7 +15,7 @@ from gymnasium import spaces
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import RacingObserver
-from stkzoo.mdp.observations import as_actions
+from stkzoo.mdp.spaces import as_actions
 from stkzoo.views.bases import CompiledWrapper
 from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
@@ -113,8 +113,7 @@ class _RacingObserver:
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
             batch[rows] = [racing_features(*surroundings_of(one))[0] for one in seen]
         else:
-            view = racing_view_of(source.track_map)
-            view.observe_into(source.snapshot, 0, karts, rows, batch)
+            road_observer(source.track_map).observe_into(source.snapshot, karts, rows, batch)
 
 
 def _is_short(source: ObservationSource) -> bool:
@@ -123,105 +122,66 @@ def _is_short(source: ObservationSource) -> bool:
     return bool(num_paths < min(MAX_SEGMENTS, source.track_map.num_nodes))
 
 
-class BatchedRacingView:
-    """Makes the racing view of karts in several races directly from snapshots.
+class RoadObserver:
+    """Makes the racing view and the surroundings of karts on one road directly from snapshots.
 
-    It returns the same values as the wrapper but skips the ``full`` observation. Learners that
-    control dozens of karts per step use it.
+    It returns the same values as the wrapper but skips the ``full`` observation.
 
     Args:
-        roads: lines of the tracks.
+        road: lines of the road.
     """
 
-    def __init__(self, roads: Sequence[RoadTable]) -> None:
-        arrays = tuple((road.lines, road.starts, road.along) for road in roads)
-        self._observer = RacingObserver(arrays, *KERNEL_TABLES)
-
-    def observe(
-        self,
-        snapshots: Sequence[Snapshot],
-        roads: Sequence[int],
-        karts: Sequence[IntArray],
-    ) -> FloatArray:
-        """Returns the views of some karts of each race.
-
-        Args:
-            snapshots: current snapshot of each race.
-            roads: number of each race's track, as an index into the constructor's ``roads``.
-            karts: kart indices of each race, in grid order.
-
-        Returns:
-            ``(A, SIZE)`` float32, the karts of the first race followed by those of the second, ...
-        """
-        views = np.empty((sum(map(len, karts)), SIZE), np.float32)
-        for snapshot, road, who, rows in _races(snapshots, roads, karts):
-            self.observe_into(snapshot, road, who, np.arange(rows.start, rows.stop), views)
-        return views
+    def __init__(self, road: RoadTable) -> None:
+        roads = ((road.lines, road.starts, road.along),)
+        self._observer = RacingObserver(roads, *KERNEL_TABLES)
 
     def observe_into(
-        self, snapshot: Snapshot, road: int, karts: IntArray, rows: IntArray, views: FloatArray
+        self, snapshot: Snapshot, karts: IntArray, rows: IntArray, views: FloatArray
     ) -> None:
-        """Writes the views of some karts of one race into rows of an array.
+        """Writes the views of some karts into rows of an array.
 
         Args:
             snapshot: current snapshot of the race.
-            road: number of its track.
             karts: ``(A,)`` indices of the karts.
             rows: ``(A,)`` row of each kart.
             views: ``(N, SIZE)`` float32, modified in place.
         """
-        self._observer.observe(snapshot.data, road, karts, rows, views)
+        self._observer.observe(snapshot.data, 0, karts, rows, views)
 
-    def surroundings(
-        self,
-        snapshots: Sequence[Snapshot],
-        roads: Sequence[int],
-        karts: Sequence[IntArray],
-        looks: FloatArray = LOOKS,
-    ) -> Known:
-        """Returns own state and surroundings of some karts of each race.
+    def surroundings(self, snapshot: Snapshot, karts: IntArray, looks: FloatArray = LOOKS) -> Known:
+        """Returns own state and surroundings of some karts.
 
         Args:
-            snapshots: see :meth:`observe`.
-            roads: see :meth:`observe`.
-            karts: see :meth:`observe`.
+            snapshot: current snapshot of the race.
+            karts: ``(A,)`` indices of the karts.
             looks: ``(L,)`` distances at which the road is observed [m].
         """
-        count = sum(map(len, karts))
-        most_karts = max(len(snapshot.karts) for snapshot in snapshots)
-        most_items = max(len(snapshot.items) for snapshot in snapshots)
+        count = len(karts)
+        own: dict[str, npt.NDArray[Any]] = {
+            key: np.empty((count, 3 if key == "velocity" else 1), np.float32) for key in OWN_NUMBERS
+        }
+        own |= {key: np.empty(count, np.int64) for key in OWN_KINDS}
         arrays = (
             np.empty((count, len(looks), 4), np.float32),
-            np.empty((count, most_karts, 3), np.float32),
-            np.empty((count, most_items, 3), np.float32),
-            np.empty((count, most_items), np.int64),
+            np.empty((count, len(snapshot.karts), 3), np.float32),
+            np.empty((count, len(snapshot.items), 3), np.float32),
+            np.empty((count, len(snapshot.items)), np.int64),
         )
-        widths = (3 if key == "velocity" else 1 for key in OWN_NUMBERS)
-        numbers = tuple(np.empty((count, width), np.float32) for width in widths)
-        kinds = tuple(np.empty(count, np.int64) for _ in OWN_KINDS)
-        own: dict[str, npt.NDArray[Any]] = dict(zip(OWN_NUMBERS, numbers, strict=True))
-        own |= dict(zip(OWN_KINDS, kinds, strict=True))
-        for snapshot, road, who, rows in _races(snapshots, roads, karts):
-            parts = {key: array[rows] for key, array in own.items()}
-            self.look_into(
-                snapshot, road, who, looks, (parts, tuple(array[rows] for array in arrays))
-            )
+        self.look_into(snapshot, karts, looks, (own, arrays))
         return own, Surroundings(*arrays)
 
     def look_into(
         self,
         snapshot: Snapshot,
-        road: int,
         karts: IntArray,
         looks: FloatArray,
         out: tuple[Mapping[str, npt.NDArray[Any]], tuple[npt.NDArray[Any], ...]],
     ) -> None:
-        """Writes own state and surroundings of some karts of one race into arrays.
+        """Writes own state and surroundings of some karts into arrays.
 
         Args:
-            snapshot: current snapshot of the race.
-            road: number of its track.
-            karts: ``(A,)`` indices of the karts.
+            snapshot: see :meth:`surroundings`.
+            karts: see :meth:`surroundings`.
             looks: see :meth:`surroundings`.
             out: C-contiguous arrays in the form of the result of :meth:`surroundings`: own state by
                 key, then the first four arrays of :class:`Surroundings`. They may have room for
@@ -230,24 +190,13 @@ class BatchedRacingView:
         own, arrays = out
         self._observer.look(
             snapshot.data,
-            road,
+            0,
             karts,
             np.ascontiguousarray(looks, np.float32),
             tuple(own[key] for key in OWN_NUMBERS),
             tuple(own[key] for key in OWN_KINDS),
             arrays,
         )
-
-
-def _races(
-    snapshots: Sequence[Snapshot], roads: Sequence[int], karts: Sequence[IntArray]
-) -> Iterator[tuple[Snapshot, int, IntArray, slice]]:
-    """Yields each race's snapshot, road, karts, and the rows of these karts among all karts."""
-    begin = 0
-    for snapshot, road, who in zip(snapshots, roads, karts, strict=True):
-        rows = slice(begin, begin + len(who))
-        yield snapshot, int(road), np.ascontiguousarray(who, np.intp), rows
-        begin = rows.stop
 
 
 @functools.cache
@@ -277,9 +226,9 @@ def racing_features(
 
 
 @functools.lru_cache(maxsize=64)
-def racing_view_of(track: TrackMap) -> BatchedRacingView:
-    """Returns the racing view of a track; takes a few milliseconds the first time in a process."""
-    return BatchedRacingView([RoadTable(track)])
+def road_observer(track: TrackMap) -> RoadObserver:
+    """Returns the observer of a track; takes a few milliseconds the first time in a process."""
+    return RoadObserver(RoadTable(track))
 
 
 class RacingActions(ActionFormWrapper, CompiledWrapper):

@@ -250,9 +250,7 @@ class _MatchStarts:
             env.close()
 
     def _new_env(self, count: int, bots: int) -> Any:
-        return race_v0.parallel_env(
-            agents=count, num_kart=count + bots, view=self._view, max_snapshots=2**20
-        )
+        return race_v0.parallel_env(agents=count, num_kart=count + bots, view=self._view)
 
 
 def _state_at_go(env: Any, match: Match) -> Any:

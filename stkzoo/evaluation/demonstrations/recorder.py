@@ -70,7 +70,7 @@ class DemoView:
 
     def observe(self, observation: Mapping[str, Any]) -> Any:
         """Converts an observation in the view ``full`` to this view."""
-        return self._seeing.observe({key: observation[key] for key in self._keys})
+        return self._seeing.reset({key: observation[key] for key in self._keys}, {})[0]
 
     def action(self, observation: Mapping[str, Any], controls: Controls) -> Any:
         """Returns the action in this view that is nearest to controls ``(7,)``.
@@ -79,7 +79,8 @@ class DemoView:
             observation: an observation in the view ``full``. It does not affect the result.
             controls: controls of the game.
         """
-        return self._acting.observe({**observation, "action": action_of(controls)})["action"]
+        seen, _ = self._acting.reset({**observation, "action": action_of(controls)}, {})
+        return seen["action"]
 
 
 class DemoRecorder(RaceListener):

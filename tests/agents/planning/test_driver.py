@@ -28,9 +28,10 @@ from stkzoo.agents.pretrained.driver import read_numbers, read_policy
 from stkzoo.errors import ConfigError
 from stkzoo.wrappers.racing import (
     Surroundings,
-    racing_lines_of,
+    ground_observer,
     surroundings_of,
 )
+from tests.support.generic_env import full_batch
 
 SIDE = np.array([-1, 1, 1], np.float32)
 
@@ -49,7 +50,7 @@ def driven_race(steps, karts=3, track="lighthouse", rules=None, choose=best):
         env.reset(seed=3)
         drivers = PlanDriver(karts, rules)
         for _ in range(steps):
-            own, around = surroundings_of(env.observe_batch(env.agents), ALL_LOOKS)
+            own, around = surroundings_of(full_batch(env), ALL_LOOKS)
             if env.snapshot.phase < 2:
                 controls = np.zeros((karts, 7), np.float32)
                 controls[:, 0] = 1
@@ -121,14 +122,15 @@ def test_plans_on_the_racing_line_follow_it():
     with race_v0.parallel_env(num_kart=2, track="hacienda", view="ground") as env:
         observations, _ = env.reset(seed=3)
         drivers = {agent: PlanDriver(1, on_line) for agent in env.agents}
-        lines = racing_lines_of(env.track_map, env.ground)
+        observer = ground_observer(env.track_map, env.ground)
         misses = []
         for _ in range(120):
             seen = [observations[agent] for agent in env.agents]
             _, around = surroundings_of(seen)
             karts = np.array(env.race.kart_indices)
-            ahead = lines.ahead([env.snapshot], [0], [karts])
-            np.testing.assert_array_equal(around.line, ahead)
+            ahead = observer.observe(env.snapshot, karts)
+            line = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
+            np.testing.assert_array_equal(around.line, line)
             actions = {agent: drivers[agent].drive(observations[agent]) for agent in env.agents}
             misses.append([abs(float(one["ground_line"][0, 0])) for one in seen])
             observations, *_ = env.step(actions)

@@ -8,7 +8,7 @@ from stkzoo.agents.planning.memory import DriverMemory
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.road import LINE_MARKS, RIVALS, RivalTracker
 from stkzoo.agents.planning.worth import OwnState, plan_rules, weigh
-from stkzoo.wrappers.racing import BatchedRacingView, RoadTable, Surroundings
+from stkzoo.wrappers.racing import Surroundings, road_observer
 
 STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
 STRAIGHT[0, :, 2], STRAIGHT[0, :, 3] = LINE_MARKS, 5.0
@@ -106,12 +106,12 @@ def test_relative_speeds_match_the_engine_in_a_race():
     errors = []
     with race_v0.parallel_env(num_kart=5, agents=1, track="lighthouse", difficulty=3) as env:
         env.reset(seed=3)
-        batched_view, tracker = BatchedRacingView([RoadTable(env.track_map)]), RivalTracker(5)
+        observer, tracker = road_observer(env.track_map), RivalTracker(5)
         idle = {agent: env.action_space(agent).sample() for agent in env.agents}
         for step in range(100):
             env.step(idle)
             karts = env.snapshot.karts
-            _, around = batched_view.surroundings([env.snapshot], [0], [np.arange(5)], ALL_LOOKS)
+            _, around = observer.surroundings(env.snapshot, np.arange(5), ALL_LOOKS)
             tracker.look()
             velocity = np.ascontiguousarray(karts["velocity_lc"])
             seen = watched(tracker, around.karts, velocity, around.road)
