@@ -35,7 +35,7 @@ from stkzoo.drivers.messages import (
 from stkzoo.engine.assets.headless import read_archive
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.errors import AssetError, ConfigError, ProtocolError, StkzooError
-from stkzoo.race.remote.protocol import Act, Acted, Answer, ClientMessage, ServerMessage
+from stkzoo.race.remote.protocol import Act, Acted, ClientMessage, ServerMessage
 from tests.support.file_kinds import KINDS
 
 __all__ = ["TARGETS", "Target"]
@@ -98,8 +98,8 @@ def _message_seeds() -> list[bytes]:
     rows = (np.zeros(3, np.float32),) * 3
     return [
         encode(decided),
-        encode(Acted(1, [Answer(0, decided, 0.1, is_usable=True)])),
-        encode(Act(1, [(0, encode_observation({"rows": rows}))])),
+        encode(Acted(decided, is_usable=True)),
+        encode(Act(encode_observation({"rows": rows}))),
         encode_observation({"rows": rows, "array": np.zeros(2), "text": "a", "number": 1}),
     ]
 

@@ -216,10 +216,8 @@ WORST = {
     "a wide text": lambda n: msgspec.msgpack.encode({"a": "a" * n + "\U0001f40e"}),
     "bytes": lambda n: msgspec.msgpack.encode({"a": bytes(n)}),
     "unknown fields": lambda n: msgspec.msgpack.encode({"type": "bye", "a": [[]] * n}),
-    "answers": lambda n: msgspec.msgpack.encode({"type": "acted", "step": 1, "answers": [{}] * n}),
-    "seats": lambda n: msgspec.msgpack.encode(
-        {"type": "act", "step": 1, "observations": [(1, b"")] * (n // 4)}
-    ),
+    "answers": lambda n: msgspec.msgpack.encode({"type": "acted", "outcome": [{}] * n}),
+    "observations": lambda n: msgspec.msgpack.encode({"type": "act", "observation": bytes(n)}),
     "agents": lambda n: msgspec.msgpack.encode(
         {"type": "welcome", "protocol": 1, "stkzoo": "", "agents": [("", "", [])] * (n // 4)}
     ),

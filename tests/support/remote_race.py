@@ -74,14 +74,8 @@ def server_thread(drivers, **options):
 
 
 def open_request(**changes):
-    """Returns the fields of a request for a seat, which may be invalid, as a message."""
-    fields = {
-        "seat": 0,
-        "driver": 0,
-        "agent": "kart_0",
-        "extras": [],
-        "seed": 1,
-    }
+    """Returns the fields of a request for an agent, which may be invalid, as a message."""
+    fields = {"client": "c" * 16, "driver": 0, "agent": "kart_0", "extras": [], "seed": 1}
     fields |= {"type": "open", "action_timeout": 1.0, "start_timeout": 5.0}
     return msgspec.msgpack.encode({**fields, **changes})
 
@@ -101,8 +95,8 @@ class LyingServer:
     """A server that accepts all clients and sends false replies.
 
     Args:
-        lie: returns the frames of the reply to a message that requests a seat or actions; each is
-            a message of its own.
+        lie: returns the frames of the reply to a message that requests an agent or an action;
+            each is a message of its own.
         welcome: the reply to a hello.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -12,17 +13,17 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from stkzoo._checks import shortened
-from stkzoo._reading import Unreadable, is_there, read_text
+from stkzoo._checks import check_number, shortened
+from stkzoo._reading import is_there, read_text, reading
 from stkzoo._schema import Count
 from stkzoo.drivers.driver import Driver
 from stkzoo.drivers.failures import printable
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.messages import MAX_NAME, Failed, encode_observation
-from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError, reason
+from stkzoo.errors import AgentError, AgentTimeout, ConfigError, ProtocolError, RemoteError
 from stkzoo.mdp.spaces import extras_of
-from stkzoo.race.remote.connection import Connection, Server
-from stkzoo.race.remote.protocol import Answer, Welcome
+from stkzoo.race.remote.connection import Connection, Server, ServerTimeout
+from stkzoo.race.remote.protocol import Act, Acted, Open, Opened, Welcome
 from stkzoo.race.remote.sockets import (
     KeyPair,
     full_address,
@@ -85,12 +86,13 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
     >>> with RemoteDriverGroup(["tcp://127.0.0.1:5555"]) as group:  # doctest: +SKIP
     ...     result = run_race([*group.drivers, "ai"])
 
-    Use it in one thread only, for any number of races. A connection lasts for one race.
+    Use it in one thread only, for any number of races. Each agent has its own connection, which
+    lasts for one race.
 
     Args:
         servers: addresses of the servers.
-        agents: agents that are already known; you may omit ``servers`` then. The connection to
-            their servers is made, and their description checked, only when a race starts.
+        agents: agents that are already known; you may omit ``servers`` then. They are
+            compared with those of their servers when a race starts.
         keys: the client's keys. With ``None`` and ``server_keys``, new keys are generated, which
             only servers that allow any client accept.
         server_keys: public keys of the servers: none, one for all servers, or one per server.
@@ -120,18 +122,19 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
                 f"{len(server_keys)} server keys for {len(servers)} servers, expected one for all, "
                 "or one for each in the same order"
             )
-        for name, seconds in (("timeout", timeout), ("connect_timeout", connect_timeout)):
-            if seconds is not None and not 0 < seconds < 1e9:
-                raise ConfigError(f"{name} is {seconds!r}, expected seconds above 0")
+        check_number("connect_timeout", connect_timeout, unit="seconds")
+        if timeout is not None:
+            check_number("timeout", timeout, unit="seconds")
         self._keys = keys or (new_keys() if server_keys else None)
         self.timeout, self.connect_timeout = timeout, connect_timeout
-        one_for_each = [*server_keys] * (len(servers) if len(server_keys) == 1 else 1)
+        keys_in_order = [*server_keys] * (len(servers) if len(server_keys) == 1 else 1)
         self._servers = [
             Server(full_address(address), key)
-            for address, key in zip_longest(servers, one_for_each)
+            for address, key in zip_longest(servers, keys_in_order)
         ]
+        #: Random text by which servers recognize the connections of this group.
+        self.token = secrets.token_hex(16)
         self._context = zmq_module().Context()
-        self._connections: dict[Server, Connection] = {}
         try:
             #: The known agents, then the agents of each server, in order.
             self.agents: list[ServedAgent] = [*agents, *self._find_agents()]
@@ -146,34 +149,22 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
 
     def close(self) -> None:
         """Closes all connections; may be called more than once."""
-        for connection in self._connections.values():
-            connection.close()
-        self._connections = {}
-        self._context.term()
+        self._context.destroy(0)
 
-    def connection(self, server: Server) -> Connection:
-        """Returns the connection to a server; opens a new one if there is none or it failed."""
-        connection = self._connections.get(server)
-        if connection is None or connection.failure:
-            if connection is not None:
-                connection.close()
-            connection = Connection(self._context, server, self._keys)
-            self._connections[server] = connection
-        return connection
+    def connect(self, server: Server) -> Connection:
+        """Opens a connection to a server.
 
-    def flush(self) -> None:
-        """Sends the buffered observations to all servers. Call it before you wait for a reply."""
-        for connection in self._connections.values():
-            connection.flush()
+        Raises:
+            RemoteError: a connection to the server's address is impossible.
+        """
+        return Connection(self._context, server, self._keys)
 
     def _find_agents(self) -> list[ServedAgent]:
         deadline = time.monotonic() + self.connect_timeout
-        for server in self._servers:
-            self.connection(server)
+        connections = {server: self.connect(server) for server in dict.fromkeys(self._servers)}
         agents = []
-        for server in dict.fromkeys(self._servers):
-            connection = self.connection(server)
-            agents += ServedAgent.all_of(server, connection.wait_welcome(deadline))
+        for server, connection in connections.items():
+            agents += ServedAgent.all_of(server, connection.reply(deadline, "connect"))
             connection.close()
         return agents
 
@@ -183,11 +174,11 @@ class RemoteDriverGroup(AbstractContextManager["RemoteDriverGroup"]):
 
 
 class RemoteAgent:
-    """An agent that runs on a server.
+    """An agent that runs on a server, with its own connection.
 
     Args:
         request: the runner's request.
-        group: the group that owns the connections.
+        group: the group of the agent.
         served: description of the agent, which must match that of the server.
 
     Raises:
@@ -197,34 +188,35 @@ class RemoteAgent:
     def __init__(
         self, request: DriverRequest, group: RemoteDriverGroup, served: ServedAgent
     ) -> None:
-        self._group, self._served, self._server = group, served, served.server
+        self._group, self._served = group, served
         self._agent, self._limits = request.agent, request.limits
         self._paths: int | None = None
         self.is_usable = True
         self._begin = time.monotonic()
-        try:
-            self._connection = group.connection(served.server)
-            self._seat = self._connection.open(
-                driver=served.number,
-                agent=request.agent,
-                extras=sorted(extras_of(request.observation_space)),
-                seed=request.seed,
-                action_timeout=request.limits.action_timeout,
-                start_timeout=request.limits.start_timeout,
-            )
-        except RemoteError as error:
-            raise AgentError(str(error), self._agent) from error
+        with self._failures():
+            self._connection = group.connect(served.server)
+        opening = Open(
+            client=group.token,
+            driver=served.number,
+            agent=request.agent,
+            extras=sorted(extras_of(request.observation_space)),
+            seed=request.seed,
+            action_timeout=request.limits.action_timeout,
+            start_timeout=request.limits.start_timeout,
+        )
+        self._connection.request(opening, Opened)
 
     def ready(self) -> str:
         """Waits until the agent is ready and returns the name that it declares."""
-        start_timeout = self._limits.start_timeout
+        start_timeout, server = self._limits.start_timeout, self._served.server
         with self._failures():
             patience = min(self._group.connect_timeout, start_timeout)
-            welcome = self._connection.wait_welcome(self._begin + patience)
-            if self._served not in ServedAgent.all_of(self._server, welcome):
-                raise ProtocolError(f"the agents of {self._server.address} have changed")
+            welcome: Welcome = self._connection.reply(self._begin + patience, "connect")
+            if self._served not in ServedAgent.all_of(server, welcome):
+                raise ProtocolError(f"the agents of {server.address} have changed")
             deadline = self._begin + start_timeout + _MARGIN
-            outcome = self._connection.wait_answer(self._seat, deadline, "start an agent")
+            opened: Opened = self._connection.reply(deadline, "start an agent")
+        outcome = opened.outcome
         if isinstance(outcome, Failed):
             self.is_usable = False
             raise outcome.error(self._agent)
@@ -232,27 +224,24 @@ class RemoteAgent:
         return printable(outcome.name)
 
     def ask(self, observation: Any) -> None:
-        """Buffers the observation until each agent of the server has one."""
+        """Sends the observation."""
         self._begin = time.monotonic()
-        with self._failures():
-            self._connection.ask(self._seat, encode_observation(observation, self._paths))
+        self._connection.request(Act(encode_observation(observation, self._paths)), Acted)
 
     def answer(self) -> Decision:
-        """Sends all buffered observations and waits for the decision."""
-        self._group.flush()
+        """Waits for the decision."""
         with self._failures():
-            deadline = self._begin + self._timeout()
-            answer: Answer = self._connection.wait_answer(self._seat, deadline, "answer")
-        outcome = answer.outcome
+            acted: Acted = self._connection.reply(self._begin + self._timeout(), "answer")
+        outcome, seconds = acted.outcome, self._connection.seconds
         if isinstance(outcome, Failed):
-            self.is_usable = answer.is_usable
-            raise outcome.error(self._agent, answer.seconds)
-        return outcome.decision(answer.seconds)
+            self.is_usable = acted.is_usable
+            raise outcome.error(self._agent, seconds)
+        return outcome.decision(seconds)
 
     def close(self) -> None:
         """Stops the agent on the server."""
         self.is_usable = False
-        self._connection.close_seat(self._seat)
+        self._connection.close()
 
     def _timeout(self) -> float:
         """Returns the time limit for the server's reply [s]."""
@@ -268,10 +257,9 @@ class RemoteAgent:
             yield
         except RemoteError as error:
             self.is_usable = False
-            is_late = "in time" in str(error)
-            kind = AgentTimeout if is_late else AgentError
+            error_type = AgentTimeout if isinstance(error, ServerTimeout) else AgentError
             seconds = time.monotonic() - self._begin
-            raise kind(str(error), self._agent, seconds=seconds) from error
+            raise error_type(str(error), self._agent, seconds=seconds) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,10 +315,8 @@ def read_servers(file: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[s
             servers have a key.
     """
     path = Path(file).expanduser()
-    try:
+    with reading(f"the list of servers {path} cannot be read", "lines ADDRESS [KEY]"):
         text = read_text(path, _MAX_BYTES)
-    except (OSError, Unreadable) as error:
-        raise ConfigError(f"the list of servers {path} cannot be read: {reason(error)}") from error
     lines = [line.split() for line in text.splitlines() if line.strip() and line[0] != "#"]
     for words in lines:
         if len(words) > 2:

@@ -1,7 +1,7 @@
 """Messages between client and server of a networked race (``docs/reference/protocol.md``).
 
-Each message is one ZeroMQ frame with a struct of :mod:`stkzoo.drivers.messages`. A *seat* is the
-number of an agent on one connection.
+Each message is one ZeroMQ frame with a struct of :mod:`stkzoo.drivers.messages`. Each agent has its
+own connection.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from stkzoo.mdp.spaces import EXTRAS
 VERSION = 5
 
 #: Maximum number of agents of one client on one server.
-MAX_SEATS = 32
-_MAX_AGENTS = 1000
+MAX_AGENTS = 32
+#: Maximum number of agents that a server offers, and size of an observation [bytes].
+_MAX_OFFERS, _MAX_OBSERVATION = 1000, 1 << 20
 
 Extra: TypeAlias = Annotated[str, Meta(pattern=rf"^({'|'.join(EXTRAS)})\Z")]
 Extras: TypeAlias = Annotated[list[Extra], Meta(max_length=len(EXTRAS))]
 Seconds: TypeAlias = Annotated[float, Meta(gt=0, lt=1e9)]
-Duration: TypeAlias = Annotated[float, Meta(ge=0, lt=1e9)]
 
 # ---------------------------------------------------------------------- from the client
 
@@ -47,9 +47,9 @@ class Hello(Message):
 
 
 class Open(Message):
-    """Requests a seat for an agent. A client never reuses the number of a seat."""
+    """Requests an agent for this connection; ``client`` is the same for all agents of a client."""
 
-    seat: Count
+    client: Annotated[str, Meta(min_length=16, max_length=64)]
     driver: Count
     agent: Name
     extras: Extras
@@ -59,23 +59,16 @@ class Open(Message):
 
 
 class Act(Message):
-    """The observations of one step, encoded, by seat."""
+    """Requests the decision on an encoded observation."""
 
-    step: Count
-    observations: Annotated[list[tuple[Count, bytes]], Meta(max_length=MAX_SEATS)]
-
-
-class Close(Message):
-    """Releases a seat."""
-
-    seat: Count
+    observation: Annotated[bytes, Meta(max_length=_MAX_OBSERVATION)]
 
 
 class Bye(Message):
-    """Releases all seats."""
+    """Releases the agent; it has no reply."""
 
 
-ClientMessage: TypeAlias = Hello | Open | Act | Close | Bye
+ClientMessage: TypeAlias = Hello | Open | Act | Bye
 
 # ---------------------------------------------------------------------- from the server
 
@@ -93,50 +86,34 @@ class Welcome(Message):
 
     protocol: int
     stkzoo: Name
-    agents: Annotated[list[Offer], Meta(min_length=1, max_length=_MAX_AGENTS)]
+    agents: Annotated[list[Offer], Meta(min_length=1, max_length=_MAX_OFFERS)]
 
 
 class Opened(Message):
-    """The agent of a seat is ready, or has failed to start."""
+    """The reply to an open: the agent is ready, or has failed to start."""
 
-    seat: Count
     outcome: Ready | Failed
 
 
-class Answer(Struct, frozen=True, forbid_unknown_fields=True):
-    """The outcome of a step for one seat.
+class Acted(Message):
+    """The reply to an act.
 
     Attributes:
-        seat: the seat.
         outcome: the decision, or why there is none.
-        seconds: duration of the decision, as the server measured it [s].
         is_usable: whether the agent accepts further observations.
     """
 
-    seat: Count
     outcome: Decided | Failed
-    seconds: Duration
     is_usable: bool
 
 
-class Acted(Message):
-    """The reply to the observations of a step, with one answer for each seat."""
-
-    step: Count
-    answers: Annotated[list[Answer], Meta(max_length=MAX_SEATS)]
-
-
-class Alive(Message):
-    """Checks whether the client is still connected."""
-
-
 class Refused(Message):
-    """The session ends."""
+    """Instead of any reply: the connection ends."""
 
     reason: LongText
 
 
-ServerMessage: TypeAlias = Welcome | Opened | Acted | Alive | Refused
+ServerMessage: TypeAlias = Welcome | Opened | Acted | Refused
 
 _from_client = msgspec.msgpack.Decoder(ClientMessage)
 _from_server = msgspec.msgpack.Decoder(ServerMessage)

@@ -6,7 +6,8 @@ import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -18,15 +19,13 @@ from stkzoo.drivers.instances import DriverLimits
 from stkzoo.drivers.messages import MAX_NAME, Message, encode
 from stkzoo.errors import ConfigError, ProtocolError
 from stkzoo.race.remote import protocol, sockets
-from stkzoo.race.remote.session import ClientSession, Reply
+from stkzoo.race.remote.session import AgentSession
 
 logger = logging.getLogger(__name__)
 logger.addFilter(RepeatFilter())
 
-#: Time without a message after which the server ends a client's session [s].
+#: Time without a message after which the server ends a session [s].
 _PATIENCE = 600.0
-#: Time after which the server pings a silent client, to see whether it is still connected [s].
-_PING = 5.0
 #: Interval at which the server checks its sessions [s].
 _CHECK = 1.0
 #: Time after which the server notices :meth:`RaceServer.stop` [ms].
@@ -35,7 +34,6 @@ _POLL = 100
 _GRACE = 15.0
 #: Address within the server for replies from sessions.
 _REPLIES = "inproc://replies"
-_ALIVE = encode(protocol.Alive())
 
 
 class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
@@ -48,7 +46,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         drivers: drivers that clients can use; the game's AI is not allowed.
         address: address to listen on (:func:`~stkzoo.race.remote.full_address`).
         limits: resource limits of each agent; a client may request shorter time limits.
-        max_sessions: maximum number of clients with a session; the server refuses further ones.
+        max_sessions: maximum number of clients whose agents run; the server refuses further ones.
         keys: keys of the server and of its clients; ``None`` for no keys.
         insecure: allow an address that other machines can reach without keys.
 
@@ -70,14 +68,15 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         self._zmq = sockets.zmq_module()
         self._drivers, self._limits = _checked(drivers), limits or DriverLimits()
         check_whole("max_sessions", max_sessions, 1)
-        self._max_sessions, keys = max_sessions, keys or sockets.ServerKeys()
+        self._max_clients, keys = max_sessions, keys or sockets.ServerKeys()
         self._welcome = encode(
             protocol.Welcome(protocol.VERSION, version("stkzoo"), [*map(_offer, self._drivers)])
         )
         address = sockets.full_address(address)
         keys.check(address, insecure)
-        self._clients: dict[bytes, ClientSession] = {}
-        self._sessions: set[ClientSession] = set()  # including those that are ending
+        self._sessions: dict[bytes, AgentSession] = {}  # by the identity of the connection
+        self._identities: dict[int, bytes] = {}  # by the descriptor of the connection
+        self._threads: set[AgentSession] = set()  # including those that are ending
         self._stop = threading.Event()
         self._context = self._zmq.Context()
         try:
@@ -86,10 +85,13 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             )
             self._outbox = self._context.socket(self._zmq.PULL)
             self._outbox.bind(_REPLIES)
+            self._replies = self._context.socket(self._zmq.PUSH)
+            self._replies.connect(_REPLIES)
+            self._lock = threading.Lock()  # of the replies, which all sessions send
             self._socket = sockets.server_socket(self._context, address, keys)
             #: Address that the server listens on, including the port.
             self.address: str = self._socket.getsockopt_string(self._zmq.LAST_ENDPOINT)
-            self._connections = sockets.ConnectionLimit(self._socket)
+            self._connections = sockets.Connections(self._socket)
         except BaseException:
             self._context.destroy(0)
             raise
@@ -101,7 +103,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         """Serves clients until :meth:`stop` is called. Errors of clients do not end it."""
         poller = self._zmq.Poller()
         jobs: dict[Any, Callable[[], object]] = {
-            self._connections.socket: self._connections.update,
+            self._connections.socket: self._end_lost_sessions,
             self._socket: self._receive,
             self._outbox: self._send_reply,
         }
@@ -114,7 +116,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
             for socket, _ in poller.poll(_POLL):
                 jobs[socket]()
             if time.monotonic() > due:
-                self._check_clients()
+                self._end_silent_sessions()
                 due = time.monotonic() + _CHECK
 
     def stop(self) -> None:
@@ -123,13 +125,13 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
     def close(self) -> None:
         """Ends all sessions and releases the address. Call it in the thread of :meth:`serve`."""
-        for session in self._sessions:
-            session.end()
+        for session in self._threads:
+            session.put(None)
         deadline = time.monotonic() + _GRACE
-        for session in self._sessions:
+        for session in self._threads:
             session.join(max(0.0, deadline - time.monotonic()))
         self._connections.close()
-        if any(session.is_alive() for session in self._sessions):
+        if any(session.is_alive() for session in self._threads):
             self._socket.close(0)  # a socket must not be closed outside its thread
         else:
             self._context.destroy(0)  # also closes its sockets
@@ -137,42 +139,56 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
     # ------------------------------------------------------------------ incoming messages
 
     def _receive(self) -> None:
-        identity, *frames = self._socket.recv_multipart()
+        self._end_lost_sessions()  # before a new connection has the same descriptor
+        sender, *parts = self._socket.recv_multipart(copy=False)
+        identity, descriptor = sender.bytes, sender.get(self._zmq.SRCFD)
+        if descriptor not in self._connections.descriptors:
+            return
+        self._identities[descriptor] = identity
         try:
-            self._handle(identity, protocol.read_request(frames), len(frames[0]))
+            self._handle(identity, protocol.read_request([part.bytes for part in parts]))
         except ProtocolError as error:
             self._refuse(identity, str(error))
 
-    def _handle(self, identity: bytes, message: protocol.ClientMessage, size: int) -> None:
-        client = self._clients.get(identity)
+    def _handle(self, identity: bytes, message: protocol.ClientMessage) -> None:
+        session = self._sessions.get(identity)
         match message:
             case protocol.Hello():
                 self._send(identity, self._welcome)
             case protocol.Bye():
-                self._dismiss(identity)
-            case _ if client is not None:
-                client.heard = time.monotonic()
-                if not client.put(message, size):
-                    raise ProtocolError("too many messages at once")
-            case protocol.Open():
-                self._admit(identity, message, size)
-            case protocol.Act():
-                raise ProtocolError("observations came before a seat was requested")
+                self._end(identity)
+            case protocol.Open() if session is None:
+                self._admit(identity, message)
+            case protocol.Act(observation) if session is not None and not session.is_busy:
+                session.heard = time.monotonic()
+                session.put(observation)
+            case _:
+                raise ProtocolError("a request came before the reply to the last one, or no agent")
 
-    def _admit(self, identity: bytes, message: protocol.Open, size: int) -> None:
-        self._sessions = {session for session in self._sessions if session.is_alive()}
-        is_full = len(self._clients) >= self._max_sessions
-        if is_full or len(self._sessions) >= 2 * self._max_sessions:
-            self._refuse(
-                identity, f"the server is busy: all of its {self._max_sessions} sessions are taken"
+    def _admit(self, identity: bytes, opening: protocol.Open) -> None:
+        """Starts an agent.
+
+        Raises:
+            ProtocolError: the server has no such agent, or no place for it.
+        """
+        self._threads = {session for session in self._threads if session.is_alive()}
+        clients = [session.client for session in self._sessions.values()]
+        is_full = len({*clients, opening.client}) > self._max_clients
+        if is_full or len(self._threads) >= 2 * self._max_clients * protocol.MAX_AGENTS:
+            raise ProtocolError(
+                f"the server is busy: all of its {self._max_clients} sessions are taken"
             )
-            return
-        session = ClientSession(self._drivers, self._limits, lambda: self._replier(identity))
-        self._clients[identity] = session
-        session.put(message, size)
+        if clients.count(opening.client) >= protocol.MAX_AGENTS:
+            raise ProtocolError(f"a client has at most {protocol.MAX_AGENTS} agents on a server")
+        if opening.driver >= len(self._drivers):
+            raise ProtocolError(f"driver {opening.driver}, expected 0 to {len(self._drivers) - 1}")
+        driver, reply = self._drivers[opening.driver], partial(self._reply, identity)
+        session = AgentSession(driver, self._limits, opening, reply)
         session.start()
-        self._sessions.add(session)
-        logger.info("client connected; %d of %d sessions", len(self._clients), self._max_sessions)
+        self._sessions[identity] = session
+        self._threads.add(session)
+        if opening.client not in clients:
+            logger.info("client connected; %d of %d", len({*clients}) + 1, self._max_clients)
 
     # ------------------------------------------------------------------ outgoing messages
 
@@ -187,48 +203,43 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
     def _refuse(self, identity: bytes, reason: str) -> None:
         """Sends a client the reason for its refusal and ends its session if it has one."""
         self._send(identity, encode(protocol.Refused(reason)))
-        self._dismiss(identity)
+        self._end(identity)
 
-    def _dismiss(self, identity: bytes) -> None:
-        client = self._clients.pop(identity, None)
-        if client is not None:
-            client.end()
-            logger.info(
-                "client disconnected; %d of %d sessions", len(self._clients), self._max_sessions
-            )
+    def _end(self, identity: bytes) -> None:
+        """Ends the session of a connection if it has one."""
+        session = self._sessions.pop(identity, None)
+        if session is None:
+            return
+        session.put(None)
+        clients = {other.client for other in self._sessions.values()}
+        if session.client not in clients:
+            logger.info("client disconnected; %d of %d", len(clients), self._max_clients)
 
-    @contextlib.contextmanager
-    def _replier(self, identity: bytes) -> Iterator[Reply]:
-        """Yields a function that sends from a session's thread to its client.
+    def _end_lost_sessions(self) -> None:
+        for descriptor in self._connections.update():
+            self._end(self._identities.pop(descriptor, b""))
+
+    def _end_silent_sessions(self) -> None:
+        for identity, session in list(self._sessions.items()):
+            if time.monotonic() - session.heard > _PATIENCE:
+                self._refuse(identity, f"no message from the client for {_PATIENCE:g} s")
+
+    def _reply(self, identity: bytes, message: Message | None) -> None:
+        """Sends a message from a session's thread to its client; ``None`` ends the session.
 
         The messages pass through the server's thread, because only it may use the server's socket.
         """
-        with self._context.socket(self._zmq.PUSH) as outbox:
-            outbox.setsockopt(self._zmq.LINGER, 0)
-            outbox.connect(_REPLIES)
-
-            def reply(message: Message | None) -> None:
-                outbox.send_multipart([identity, b"" if message is None else encode(message)])
-
-            yield reply
+        data = b"" if message is None else encode(message)
+        with self._lock:
+            self._replies.send_multipart([identity, data])
 
     def _send_reply(self) -> None:
         identity, data = self._outbox.recv_multipart()
+        session = self._sessions.get(identity)
+        if session is not None:
+            session.is_busy = False
         if not data or not self._send(identity, data):
-            self._dismiss(identity)
-        elif identity in self._clients:
-            self._clients[identity].pinged = time.monotonic()
-
-    def _check_clients(self) -> None:
-        """Pings silent clients; ends sessions of clients that disconnected or timed out."""
-        now = time.monotonic()
-        for identity, client in list(self._clients.items()):
-            if now - client.heard > _PATIENCE:
-                self._refuse(identity, f"no message from the client for {_PATIENCE:g} s")
-            elif now - max(client.heard, client.pinged) > _PING:
-                client.pinged = now
-                if not self._send(identity, _ALIVE):
-                    self._dismiss(identity)
+            self._end(identity)
 
 
 def _offer(driver: Driver) -> protocol.Offer:

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 
 from stkzoo._imports import import_extra
 from stkzoo._logs import RepeatFilter
-from stkzoo._os import is_loopback, max_descriptors
-from stkzoo._reading import Unreadable, is_there, read_text
+from stkzoo._os import is_loopback, max_descriptors, write_whole
+from stkzoo._reading import is_there, read_text, reading
 from stkzoo._schema import plain_text
 from stkzoo.drivers.messages import MAX_BYTES
-from stkzoo.errors import ConfigError, RemoteError, reason
+from stkzoo.errors import ConfigError, RemoteError
 
 logger = logging.getLogger(__name__)
 logger.addFilter(RepeatFilter())
@@ -76,12 +76,12 @@ def is_local(address: str) -> bool:
 
 #: Options of all sockets; times in ms, lengths of a connection's queues in messages. A connection
 #: without messages and heartbeats for ``HEARTBEAT_TIMEOUT`` is closed. The send queue has room for
-#: the pings to a paused race.
+#: the replies to the opening of all seats.
 _LIMITS = {
     "LINGER": 0,
     "MAXMSGSIZE": MAX_BYTES,
     "RCVHWM": 4,
-    "SNDHWM": 200,
+    "SNDHWM": 100,
     "HEARTBEAT_IVL": 1000,
     "HEARTBEAT_TIMEOUT": 4000,
     "HEARTBEAT_TTL": 4000,
@@ -203,40 +203,50 @@ def _why(error: Exception) -> str:
     return str(error).partition(" (addr=")[0]
 
 
-class ConnectionLimit:
-    """Refuses further connections while a server has too many.
+class Connections:
+    """The connections of a server. Further ones are refused while there are too many.
 
     ZeroMQ accepts connections until the process has no file descriptors left, and has no call that
-    closes one. It closes connections that do not complete their handshake in time.
+    closes one. It closes connections that do not complete their handshake in time, and those of
+    clients that no longer send heartbeats.
 
     Args:
         router: the server's socket, which listens already.
 
     Attributes:
+        descriptors: file descriptors of the connections.
         socket: socket with ZeroMQ's events. Call :meth:`update` when it is readable.
     """
 
     def __init__(self, router: zmq.Socket[Any]) -> None:
         self._zmq, self._router = zmq_module(), router
         self._most = max(_LEAST, min(_MOST, max_descriptors() // _SHARE))
-        self._open: set[int] = set()
+        self.descriptors: set[int] = set()
         self.socket: zmq.Socket[Any] = router.get_monitor_socket(
             self._zmq.EVENT_ACCEPTED | self._zmq.EVENT_DISCONNECTED
         )
 
-    def update(self) -> None:
-        """Counts one change and refuses a connection above the limit."""
+    def update(self) -> set[int]:
+        """Reads all changes, and refuses connections above the limit.
+
+        Returns:
+            The descriptors of connections that have ended, which new connections may have again.
+        """
         from zmq.utils.monitor import recv_monitor_message
 
-        message = recv_monitor_message(self.socket)
-        descriptor = message["value"]
-        if message["event"] == self._zmq.EVENT_DISCONNECTED:
-            self._open.discard(descriptor)
-            return
-        self._open.add(descriptor)
-        if len(self._open) > self._most:
-            self._shut(descriptor)
-            logger.warning("too many connections; further ones are refused until others end")
+        ended = set()
+        while self.socket.EVENTS & self._zmq.POLLIN:
+            message = recv_monitor_message(self.socket)
+            descriptor = message["value"]
+            if message["event"] == self._zmq.EVENT_DISCONNECTED:
+                self.descriptors.discard(descriptor)
+                ended.add(descriptor)
+                continue
+            self.descriptors.add(descriptor)
+            if len(self.descriptors) > self._most:
+                self._shut(descriptor)
+                logger.warning("too many connections; further ones are refused until others end")
+        return ended
 
     def _shut(self, descriptor: int) -> None:
         """Shuts a new connection down, unless its descriptor belongs to something else by now."""
@@ -338,8 +348,11 @@ def new_key_files(name: str, folder: Path) -> tuple[Path, Path]:
             raise ConfigError(f"{file} exists already; choose another name, or remove it first")
     keys = new_keys()
     public = f"public {keys.public} {name}\n"
-    _write(secret_file, f"# A secret key: keep it to yourself.\n{public}secret {keys.secret}\n")
-    _write(public_file, public, mode=0o644)
+    secret = f"# A secret key: keep it to yourself.\n{public}secret {keys.secret}\n"
+    for file, text, mode in ((secret_file, secret, 0o600), (public_file, public, 0o644)):
+        with write_whole(file, "the key") as part:
+            part.chmod(mode)
+            part.write_text(text)
     return secret_file, public_file
 
 
@@ -405,12 +418,8 @@ def read_publics(sources: Iterable[str | Path]) -> dict[str, str]:
 
 
 def _lines_of(path: Path) -> list[list[str]]:
-    try:
+    with reading(f"the key {path} cannot be read", "a file from `stkzoo keys new NAME`"):
         text = plain_text(read_text(path, _MAX_BYTES))
-    except (OSError, Unreadable) as error:
-        raise ConfigError(
-            f"the key {path} cannot be read: {reason(error)}; make one with: stkzoo keys new NAME"
-        ) from error
     lines = [line.split() for line in text.splitlines() if line and not line.startswith("# ")]
     for words in lines:
         if len(words) < 2 or words[0] not in ("public", "secret") or not _KEY.fullmatch(words[1]):
@@ -418,15 +427,3 @@ def _lines_of(path: Path) -> list[list[str]]:
                 f"{path} has an invalid line, expected 'public' or 'secret' and 40 characters"
             )
     return lines
-
-
-def _write(file: Path, text: str, mode: int = 0o600) -> None:
-    beside = file.with_name(f".{file.name}.{os.getpid()}")
-    try:
-        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "w") as out:
-            out.write(text)
-        os.link(beside, file) if hasattr(os, "link") else os.rename(beside, file)
-    except OSError as error:
-        raise ConfigError(f"the key {file} cannot be written: {reason(error)}") from error
-    finally:
-        beside.unlink(missing_ok=True)

@@ -10,7 +10,7 @@ import pytest
 
 from stkzoo.errors import ConfigError, RemoteError
 from stkzoo.race import RaceListener, find_driver, run_race
-from stkzoo.race.remote import RaceServer, RemoteDriverGroup
+from stkzoo.race.remote import RaceServer, RemoteDriverGroup, sockets
 from stkzoo.race.remote import server as server_module
 from stkzoo.race.remote.protocol import Opened, Refused, read_reply
 from tests.support.remote_race import (
@@ -250,9 +250,10 @@ def test_a_silent_client_loses_its_place(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_paused_client_is_pinged_and_continues(monkeypatch):
-    monkeypatch.setattr(server_module, "_PING", 0.05)
-    monkeypatch.setattr(server_module, "_CHECK", 0.05)
+def test_a_paused_client_continues(monkeypatch):
+    """Its heartbeats go on."""
+    for option, milliseconds in (("IVL", 50), ("TIMEOUT", 200), ("TTL", 200)):
+        monkeypatch.setitem(sockets._LIMITS, f"HEARTBEAT_{option}", milliseconds)
     with (
         server_thread([find_driver("heuristic")]) as server,
         RemoteDriverGroup([server.address]) as group,
