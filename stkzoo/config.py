@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from stkzoo._checks import check_arguments, check_number, shortened, unknown_name
+from stkzoo._checks import check_arguments, check_number, unknown_name
 from stkzoo.errors import ConfigError
 from stkzoo.names import CameraMode
 
@@ -181,7 +180,4 @@ def check_mode(mode: object) -> None:
         ConfigError: there is no such mode.
     """
     if not isinstance(mode, str) or mode not in RACE_MODES:
-        known = " or ".join(map(repr, RACE_MODES))
-        near = difflib.get_close_matches(str(mode).lower(), RACE_MODES, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else f"; leave it out for {NORMAL!r}"
-        raise ConfigError(f"mode is {shortened(mode)}, expected {known}{hint}")
+        raise unknown_name("mode", mode, RACE_MODES)

@@ -7,8 +7,6 @@ this order:
   2. stkzoo's cache (the environment variable STKZOO_CACHE sets its folder):
      the headless pack, then the full data
   3. the cache of pystk2
-  4. an installed game (/usr/share/games/supertuxkart, then
-     /usr/share/supertuxkart)
 
 The headless pack has no textures, music or sound. Races with it are bit-identical and
 faster; drawing needs the full data. Only `stkzoo assets install` downloads anything.
@@ -157,8 +155,7 @@ def _pack(arguments: PackArguments) -> int:
 def _clean(arguments: CleanArguments) -> int:
     """Remove stkzoo's data from its cache.
 
-    Removes the full data, the headless pack and the links to an installed game from stkzoo's
-    cache. Nothing else is removed.
+    Removes the full data and the headless pack from stkzoo's cache. Nothing else is removed.
     """
     if not arguments.yes and not _agreed(f"Remove stkzoo's data from {cache_folder()}? [y/N] "):
         print("Nothing was removed.")

@@ -36,18 +36,18 @@ def can_fork() -> bool:
 
 
 def start_race_process(root: Path) -> RaceProcess:
-    """Starts a process that can run races.
+    """Starts a process that can run races, without waiting for its engine.
 
     Args:
         root: folder of the game's data, :attr:`stkzoo.engine.assets.Assets.root`.
 
     Raises:
-        EngineCrashed: the engine could not start.
-        EngineTimeout: the engine took too long to start.
+        EngineCrashed: the fork server could not start.
+        EngineTimeout: the fork server took too long to start.
     """
     with explain_os_errors():
         if not can_fork():
-            return SpawnedProcess(root, "worker").when_ready()
+            return SpawnedProcess(root, "worker")
         try:
             return start_fork_server(root).fork()
         except EngineCrashed:  # the fork server was killed after its last use
@@ -71,7 +71,6 @@ class ForkServerClient(SpawnedProcess):
         self.root = root
         self.connection.settimeout(_END_TIMEOUT)
         self._lock = threading.Lock()
-        self._has_forked = False
 
     def fork(self) -> RaceProcess:
         """Returns a new child of the fork server that has not run a race yet.
@@ -82,19 +81,15 @@ class ForkServerClient(SpawnedProcess):
         """
         error: EngineError
         try:
-            process = self.fork_from(self.connection, START_TIMEOUT)
+            return self.fork_from(self.connection, START_TIMEOUT)
         except TimeoutError:
             limit = f"{START_TIMEOUT:.0f} s"
             message = f"the game's fork server did not answer within {limit} and was stopped"
             error = EngineTimeout(message, tail(self.log))
         except (EOFError, ConnectionError):
             log = tail(self.log)
-            is_gone = "is gone; `stkzoo doctor` looks for the cause"
-            problem = is_gone if self._has_forked else f"could not start; {start_remedy(log)}"
-            error = EngineCrashed(f"the game's fork server {problem}", log)
-        else:
-            self._has_forked = True
-            return process
+            remedy = start_remedy(log, "`stkzoo doctor` looks for the cause")
+            error = EngineCrashed(f"the game's fork server has ended; {remedy}", log)
         _retire(self)
         raise error
 

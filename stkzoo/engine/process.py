@@ -21,16 +21,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
 from stkzoo._imports import python_command, search_path
 from stkzoo._installation import library_remedy
 from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
-from stkzoo.errors import ConfigError, EngineCrashed, EngineError, EngineTimeout
-
-if TYPE_CHECKING:
-    from typing_extensions import Self  # a dependency of gymnasium
+from stkzoo.errors import ConfigError, EngineError
 
 #: Time limit for a process to start, and for a race to place its karts on the grid [s].
 START_TIMEOUT = 60.0
@@ -148,18 +145,19 @@ class RaceProcess:
 
 
 #: Remedy in the error text when a process ended while it loaded the game's data.
-REPLACE_DATA = (
+_REPLACE_DATA = (
     "if this repeats, the game's data may be damaged; replace it: `stkzoo assets install --force`"
 )
 
 
-def start_remedy(output: str) -> str:
+def start_remedy(output: str, otherwise: str) -> str:
     """Returns the remedy for a process that ended before it could run a race.
 
     Args:
         output: output of the process.
+        otherwise: advice if no library of the system is missing.
     """
-    return library_remedy(output) or f"`stkzoo doctor` looks for the cause; {REPLACE_DATA}"
+    return library_remedy(output) or f"{otherwise}; {_REPLACE_DATA}"
 
 
 @contextlib.contextmanager
@@ -262,7 +260,7 @@ def _fixed_addresses() -> Iterator[None]:
 
 
 class SpawnedProcess(RaceProcess):
-    """A new interpreter.
+    """A new interpreter. It reads its first request after the engine has started.
 
     Args:
         root: folder of the game's data.
@@ -283,29 +281,6 @@ class SpawnedProcess(RaceProcess):
                 self._process = spawn_interpreter(module, other_end, environment, log)
             on_failure.pop_all()
         super().__init__(connection, self._process.pid, log)
-
-    def when_ready(self) -> Self:
-        """Waits until the engine has started, and returns this object.
-
-        Raises:
-            EngineCrashed: the process ended before it was ready.
-            EngineTimeout: the process was not ready in time.
-        """
-        self.connection.settimeout(START_TIMEOUT)
-        try:
-            self.reply()
-        except BaseException as error:
-            how, output = self.end(), tail(self.log)
-            self.log.close()
-            if isinstance(error, TimeoutError):
-                message = f"the game did not start in {START_TIMEOUT:.0f} s"
-                raise EngineTimeout(message, output) from None
-            if isinstance(error, (EOFError, ConnectionError)):
-                raise EngineCrashed(
-                    f"the game's process {how} at its start; {start_remedy(output)}", output
-                ) from None
-            raise
-        return self
 
     def end(self) -> str:
         """See :meth:`RaceProcess.end`."""

@@ -19,9 +19,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.engine.race import race_config
+from stkzoo.engine.race import init_engine, race_config
 from stkzoo.engine.setup import RaceSetup
-from stkzoo.engine.worker import RequestServer, connected
+from stkzoo.engine.worker import RequestServer
 
 #: Number of values in a pose: location [m], rotation (w, x, y, z), speed [m/s].
 _POSE_SIZE = 8
@@ -108,13 +108,14 @@ class MirroredRace:
 
 
 def main(descriptor: int) -> None:
-    """Serves the program's drawing requests until the program ends.
+    """Starts the engine and serves the program's drawing requests until the program ends.
 
     Args:
         descriptor: descriptor of the socket to the program.
     """
-    with connected(descriptor, os.environ.pop("STKZOO_GRAPHICS")) as connection:
-        _RenderServer(connection).run()
+    init_engine(os.environ.pop("STKZOO_GRAPHICS"))
+    _RenderServer(socket.socket(fileno=descriptor)).run()
+    os._exit(0)
 
 
 class _RenderServer(RequestServer):

@@ -17,7 +17,6 @@ from stkzoo._turns import CallTurn
 from stkzoo.engine import wire
 from stkzoo.engine.process import (
     DRAWING_START_TIMEOUT,
-    RaceProcess,
     SpawnedProcess,
     explain_os_errors,
 )
@@ -131,10 +130,22 @@ class RenderSession(ProcessSession):
         """
         if self._process is not None and self._process.owner != os.getpid():
             self.close()
-        if self._process is None:
-            self._process = self._start_process()
+        is_new = self._process is None
+        if is_new:
+            with explain_os_errors():
+                self._process = SpawnedProcess(self._root, "render_process", self._variables())
             self._timeouts[wire.DRAW] = 10 * self._timeout
-        self._request(wire.BEGIN, setup.to_json())
+        try:
+            self._request(wire.BEGIN, setup.to_json())
+        except EngineCrashed as error:
+            if not (is_new and self._has_window):
+                raise
+            raise EngineCrashed(
+                "the game could not open its window; check that the display exists that "
+                "DISPLAY or WAYLAND_DISPLAY names, start one with `xvfb-run`, or use "
+                'render_mode="rgb_array"',
+                error.log,
+            ) from None
 
     def draw(
         self,
@@ -182,21 +193,6 @@ class RenderSession(ProcessSession):
                 if self._asked is not None:
                     # Interrupted: the next request would get this request's reply.
                     self.close()
-
-    def _start_process(self) -> RaceProcess:
-        try:
-            with explain_os_errors():
-                process = SpawnedProcess(self._root, "render_process", self._variables())
-                return process.when_ready()
-        except EngineCrashed as error:
-            if not self._has_window:
-                raise
-            raise EngineCrashed(
-                "the game could not open its window; check that the display exists that "
-                "DISPLAY or WAYLAND_DISPLAY names, start one with `xvfb-run`, or use "
-                'render_mode="rgb_array"',
-                error.log,
-            ) from None
 
     def _variables(self) -> dict[str, str]:
         graphics = {"STKZOO_GRAPHICS": self._graphics}

@@ -17,12 +17,12 @@ from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
 from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (
-    REPLACE_DATA,
     START_TIMEOUT,
     RaceProcess,
     engine_environment,
     explain_os_errors,
     open_log,
+    start_remedy,
     tail,
 )
 from stkzoo.engine.race import GameRace, RaceStart, engine_is_initialized, init_engine
@@ -143,6 +143,7 @@ class ProcessSession:
 
     def _send(self, kind: bytes, *data: bytes) -> None:
         process = self._idle()
+        self._asked = kind
         try:
             if process.connection.gettimeout() != self._timeouts[kind]:
                 process.connection.settimeout(self._timeouts[kind])
@@ -150,7 +151,6 @@ class ProcessSession:
         except BaseException as error:
             self._end_after(error, process)
             raise
-        self._asked = kind
 
     def _receive(self, kind: bytes) -> list[bytes]:
         process = self._living()
@@ -195,13 +195,12 @@ class ProcessSession:
                     f"{self.what} was closed while it worked on a request; {self.remedy}"
                 ) from None
             return
-        remedy = self.remedy
-        if self._asked == wire.BEGIN:
-            remedy = f"{remedy}; {REPLACE_DATA}"
+        is_start = self._asked == wire.BEGIN
         self._process, self._asked = None, None
         seconds = process.connection.gettimeout()
         how, log = process.end(), tail(process.log)
         process.log.close()
+        remedy = start_remedy(log, self.remedy) if is_start else self.remedy
         if isinstance(error, TimeoutError):
             message = (
                 f"{self.what} did not answer within {seconds:g} s and was stopped; {self.remedy}"

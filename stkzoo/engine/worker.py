@@ -22,7 +22,7 @@ import os
 import platform
 import signal
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from stkzoo.engine import wire
@@ -39,29 +39,15 @@ _SYS_CLONE = {"x86_64": 56, "aarch64": 220}
 _libc: Any = ctypes.PyDLL(None, use_errno=True)
 
 
-@contextlib.contextmanager
-def connected(descriptor: int, *graphics: str) -> Iterator[socket.socket]:
-    """Starts the engine, tells the program that it is ready, and ends this process afterwards.
-
-    Args:
-        descriptor: descriptor of the socket to the program.
-        *graphics: arguments of :func:`stkzoo.engine.race.init_engine`.
-    """
-    init_engine(*graphics)
-    with socket.socket(fileno=descriptor) as connection:
-        wire.send(connection, wire.OK)
-        yield connection
-    os._exit(0)
-
-
 def main(descriptor: int) -> None:
-    """Serves the program's requests until the program ends.
+    """Starts the engine and serves the program's requests until the program ends.
 
     Args:
         descriptor: descriptor of the socket to the program.
     """
-    with connected(descriptor) as connection:
-        WorkerServer(connection).run()
+    init_engine()
+    WorkerServer(socket.socket(fileno=descriptor)).run()
+    os._exit(0)
 
 
 class RequestServer:

@@ -122,8 +122,7 @@ class RaceFilm:
         self._renderer.begin(self._scene)
         self._writer = VideoWriter(self.path, self._fps)
         self._last = snapshot
-        frames = self._renderer.pictures_between(snapshot, 1)
-        self._write(next(iter(frames), None), snapshot)
+        self._write(snapshot)
 
     def add(self, snapshot: Snapshot) -> None:
         """Adds the frames of one step.
@@ -135,11 +134,8 @@ class RaceFilm:
         """
         if self._writer is None:
             raise ConfigError("add() was called before begin(); call begin() first")
-        drawn = snapshots_between(self._last, snapshot, self._sub_steps)
-        frames = self._frames(snapshot)
-        for number, between in enumerate(drawn):
-            by_kart = frames[min(number, len(frames) - 1)] if frames else None
-            self._write(by_kart, between)
+        for between in snapshots_between(self._last, snapshot, self._sub_steps):
+            self._write(between)
         self._last = snapshot
 
     def finish(self, rows: Sequence[ResultRow], subtitle: str) -> None:
@@ -188,15 +184,16 @@ class RaceFilm:
             for line in standings(self._scene, self._last)
         )
 
-    def _frames(self, snapshot: Snapshot) -> list[dict[int, Picture]]:
-        """Renders the frames of a step; restarts the render process once if it fails."""
+    def _frames(self, snapshot: Snapshot) -> dict[int, Picture] | None:
+        """Renders the game's frames; restarts the render process once if it fails."""
         try:
-            return list(self._renderer.pictures_between(snapshot, self._sub_steps))
+            return self._renderer.game_pictures(snapshot)
         except EngineError as error:
             logger.warning("the render process failed and is restarted: %s", error)
-            return list(self._renderer.pictures_between(snapshot, self._sub_steps))
+            return self._renderer.game_pictures(snapshot)
 
-    def _write(self, by_kart: dict[int, Picture] | None, snapshot: Snapshot) -> None:
+    def _write(self, snapshot: Snapshot) -> None:
+        by_kart = self._frames(snapshot)
         if by_kart is None:
             picture = self._map_picture(snapshot, self._size, panel=True)
         else:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import selectors
+import select
 import shutil
 import subprocess
-import time
 from pathlib import Path
 from typing import IO, NoReturn, cast
 
@@ -37,9 +36,6 @@ FORMATS: dict[str, tuple[str, ...]] = {
     ".ogv": ("-c:v", "libtheora", "-q:v", "7", "-pix_fmt", "yuv420p", "-f", "ogv"),
     ".gif": ("-filter_complex", _GIF, "-loop", "0", "-f", "gif"),
 }
-
-#: Time limits of ffmpeg [s]: to accept one frame, and to exit after the last one.
-_STALL_LIMIT, _END_LIMIT = 60.0, 120.0
 
 
 class VideoError(StkzooError):
@@ -142,13 +138,9 @@ class VideoWriter:
         if self._process is None:
             raise VideoError(f"{self.path} would have no picture; no file was written")
         self._send_rest()
-        try:
-            with contextlib.suppress(OSError):
-                self._pipe.close()
-            code = self._process.wait(_END_LIMIT)
-        except subprocess.TimeoutExpired:
-            self._fail(f"ffmpeg did not end in {_END_LIMIT:.0f} s")
-        if code != 0:
+        with contextlib.suppress(OSError):
+            self._pipe.close()
+        if (code := self._process.wait()) != 0:
             self._fail(f"ffmpeg ended with code {code}")
         self._resources.close()
 
@@ -175,26 +167,21 @@ class VideoWriter:
                 start_new_session=True,  # this program handles Ctrl-C and stops ffmpeg
             )
             self._pipe = cast("IO[bytes]", self._process.stdin)
-            resources.callback(_end, self._process, self._pipe)
+            resources.enter_context(self._process)
+            resources.callback(self._process.kill)
             self._resources = resources.pop_all()
         os.set_blocking(self._pipe.fileno(), False)
 
     def _send_rest(self) -> None:
         """Sends the rest of the last frame. A partial frame would shift all later frames."""
-        if not self._rest:
-            return
-        deadline = time.monotonic() + _STALL_LIMIT
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._pipe, selectors.EVENT_WRITE)
+        poller = select.poll()
+        poller.register(self._pipe, select.POLLOUT)
+        try:
             while self._rest:
-                if not selector.select(max(0.0, deadline - time.monotonic())):
-                    self._fail(f"ffmpeg took no picture for {_STALL_LIMIT:.0f} s")
-                try:
-                    self._rest = self._rest[os.write(self._pipe.fileno(), self._rest) :]
-                except BlockingIOError:
-                    continue
-                except OSError as error:
-                    self._fail(f"ffmpeg is gone ({error})")
+                poller.poll()
+                self._rest = self._rest[os.write(self._pipe.fileno(), self._rest) :]
+        except OSError as error:
+            self._fail(f"ffmpeg is gone ({error})")
 
     def _fail(self, what: str) -> NoReturn:
         process = cast("subprocess.Popen[bytes]", self._process)
@@ -212,11 +199,3 @@ class VideoWriter:
 
 class _Aborted(Exception):
     """Raised to stop writing without leaving a file."""
-
-
-def _end(process: subprocess.Popen[bytes], pipe: IO[bytes]) -> None:
-    if process.poll() is None:
-        process.kill()
-        process.wait()
-    with contextlib.suppress(OSError):
-        pipe.close()

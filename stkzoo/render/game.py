@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from stkzoo._temporary import TemporaryFolder
-from stkzoo.engine.assets import find_assets, link_without_dial
+from stkzoo.engine.assets import find_assets
 from stkzoo.engine.render_session import TICK, Footage, RenderSession, check_graphics_libraries
 from stkzoo.engine.setup import KartSetup, RaceSetup
 from stkzoo.engine.snapshot import Snapshot
@@ -32,6 +33,8 @@ _HEIGHT_FACTORS = {2: 2.0, 5: 1.5, 6: 1.5}
 #: The largest off-screen screen that the game supports [pixels]; for a larger request it falls back
 #: to this size, with another aspect ratio.
 _LARGEST_SCREEN = 1024, 768
+#: Prefixes of the file names of the dials' images.
+_DIAL = ("speed", "gauge_")
 #: Distinctive kart models, for karts without a chosen model.
 _MODELS = (
     *("tux", "gnu", "nolok", "kiki", "konqi", "suzanne", "wilber", "puffy"),
@@ -47,6 +50,9 @@ class GameView:
         size: width and height of a frame [pixels].
         preset: see :class:`~stkzoo.engine.render_session.RenderSession`.
         has_window: whether to show the game's window.
+
+    Attributes:
+        karts: the karts, sorted.
 
     Raises:
         AssetError: the game's full data is missing.
@@ -64,12 +70,12 @@ class GameView:
         if not has_window:
             check_graphics_libraries()
         self._assets = find_assets(graphics=True)
-        self._karts, self._size = sorted(karts), size
+        self.karts, self._size = sorted(karts), size
         screen = size if has_window else _screen_for(size, len(karts))
         root = self._assets.root
         self._data = TemporaryFolder("window") if has_window else None
         if self._data is not None and os.name == "posix":
-            link_without_dial(root, self._data.path)
+            _link_without_dial(root, self._data.path)
             root = self._data.path
         self._session = RenderSession(root, screen, preset, has_window=has_window)
         self._last: Snapshot | None = None
@@ -81,30 +87,26 @@ class GameView:
         Raises:
             EngineError: the game cannot render on this machine.
         """
-        self._session.start(_drawn_setup(scene, self._karts, self._assets.karts))
+        self._session.start(_drawn_setup(scene, self.karts, self._assets.karts))
         self._last = None
 
-    def frames(self, snapshot: Snapshot) -> dict[int, Picture]:
-        """Returns the frame of each camera, ``(H, W, 3)`` uint8, by kart.
-
-        Raises:
-            EngineError: the game crashed or hung.
-        """
-        return self._frames(self._go(snapshot, images=True).images)
-
-    def frames_and_depths(
-        self, snapshot: Snapshot
+    def draw(
+        self, snapshot: Snapshot, *, depths: bool = False
     ) -> tuple[dict[int, Picture], dict[int, npt.NDArray[np.float32]]]:
         """Returns frames ``(H, W, 3)`` uint8 and depth buffers ``(H, W)`` float32 by kart.
 
-        Depth is 0 at the camera and 1 at the horizon.
+        Args:
+            snapshot: the moment to draw.
+            depths: whether to return depth buffers: 0 at the camera, 1 at the horizon.
 
         Raises:
             EngineError: the game crashed or hung.
         """
-        footage = self._go(snapshot, images=True, depths=True)
-        depths = [_thinned(depth, self._size) for depth in footage.depths]
-        return self._frames(footage.images), dict(zip(self._karts, depths, strict=True))
+        footage = self._go(snapshot, images=True, depths=depths)
+        images = [resized(image, self._size) for image in footage.images]
+        buffers = [_thinned(depth, self._size) for depth in footage.depths]
+        by_kart = dict(zip(self.karts, buffers, strict=True)) if depths else {}
+        return dict(zip(self.karts, images, strict=True)), by_kart
 
     def show(self, snapshot: Snapshot) -> None:
         """Moves the karts in the window, at most in real time.
@@ -121,18 +123,6 @@ class GameView:
         self._session.draw(poses, seconds=seconds / number, images=False, in_real_time=True)
         self._pace = (time.monotonic() - begin) / number
 
-    def frames_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
-        """Yields frames of ``number`` moments since the last frame; the last is ``snapshot``."""
-        last, seconds = self._last, self._seconds_to(snapshot)
-        if last is None or seconds is None:
-            yield self.frames(snapshot)
-            return
-        ticks = max(1, round(seconds / TICK / number))
-        poses = poses_between(last, snapshot, _evenly(number * ticks))
-        self._last = snapshot
-        for begin in range(0, len(poses), ticks):
-            yield self._frames(self._session.draw(poses[begin : begin + ticks]).images)
-
     def close(self) -> None:
         """Stops the render process."""
         self._session.close()
@@ -140,19 +130,18 @@ class GameView:
             self._data.close()
 
     def _go(self, snapshot: Snapshot, *, images: bool, depths: bool = False) -> Footage:
-        poses, seconds = self._way_to(snapshot)
-        self._last = snapshot
-        return self._session.draw(poses, seconds=seconds, images=images, depths=depths)
-
-    def _way_to(self, snapshot: Snapshot) -> tuple[npt.NDArray[np.float32], float]:
-        """Returns the poses that lead to a moment, and the time between poses [s]."""
+        """Moves the karts to a moment and draws it."""
         last, seconds = self._last, self._seconds_to(snapshot)
         if last is snapshot:
-            return poses_between(snapshot, snapshot, _evenly(0)), TICK
-        if last is None or seconds is None:
+            poses, pace = poses_between(snapshot, snapshot, _evenly(0)), TICK
+        elif last is None or seconds is None:
             settled = np.ones(_SETTLING_STEPS, np.float32)
-            return poses_between(snapshot, snapshot, settled), _SETTLING_STEP
-        return poses_between(last, snapshot, _evenly(max(1, round(seconds / TICK)))), TICK
+            poses, pace = poses_between(snapshot, snapshot, settled), _SETTLING_STEP
+        else:
+            ticks = max(1, round(seconds / TICK))
+            poses, pace = poses_between(last, snapshot, _evenly(ticks)), TICK
+        self._last = snapshot
+        return self._session.draw(poses, seconds=pace, images=images, depths=depths)
 
     def _seconds_to(self, snapshot: Snapshot) -> float | None:
         """Returns the game time since the last frame [s]; ``None`` after a jump or at first."""
@@ -161,9 +150,24 @@ class GameView:
         seconds = game_time(snapshot) - game_time(self._last)
         return seconds if 0 < seconds <= _LONGEST_WAY else None
 
-    def _frames(self, images: Picture) -> dict[int, Picture]:
-        pictures = [resized(image, self._size) for image in images]
-        return dict(zip(self._karts, pictures, strict=True))
+
+def _link_without_dial(root: Path, target: Path) -> None:
+    """Makes links to the game's data, with transparent dials.
+
+    In a window, the game shows dials for the speed and the nitro of the drawn karts. The render
+    process moves these karts directly, so the dials would stay near zero.
+
+    Args:
+        root: folder of the game's full data, a value for ``SUPERTUXKART_DATADIR``.
+        target: an existing folder for the links.
+    """
+    nothing = root / "data/textures/transparence.png"
+    for folder in ("data", "data/gui", "data/gui/icons"):
+        (target / folder).unlink(missing_ok=True)
+        (target / folder).mkdir()
+        for entry in os.scandir(root / folder):
+            is_dial = entry.name.startswith(_DIAL)
+            (target / folder / entry.name).symlink_to(nothing if is_dial else entry.path)
 
 
 def _thinned(depth: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:

@@ -70,8 +70,8 @@ def game_time(snapshot: Snapshot) -> float:
 def snapshots_between(before: Snapshot, after: Snapshot, number: int) -> list[Snapshot]:
     """Returns ``number`` evenly spaced snapshots after the first one; the last is ``after``.
 
-    Karts (:func:`poses_between`) and the race time are interpolated; other values are those of
-    ``after``.
+    The times and the karts' poses (:func:`poses_between`) and velocities are interpolated; other
+    values are those of ``after``.
     """
     fractions = np.arange(1, number, dtype=np.float32) / number
     noses = [snapshot.karts["front"] - snapshot.karts["location"] for snapshot in (before, after)]
@@ -81,7 +81,10 @@ def snapshots_between(before: Snapshot, after: Snapshot, number: int) -> list[Sn
         karts["location"] = poses[:, :3]
         karts["rotation"] = poses[:, 3:7]
         karts["front"] = poses[:, :3] + (1 - fraction) * noses[0] + fraction * noses[1]
+        for name in ("velocity", "velocity_lc"):
+            karts[name] += (1 - fraction) * (before.karts[name] - after.karts[name])
         header = after.header.copy()
-        header["time"] += (1 - fraction) * (before.header["time"] - after.header["time"])
+        for name in ("time", "aux_ticks"):
+            header[name] += (1 - fraction) * (before.header[name] - after.header[name])
         moments.append(Snapshot.of(header, karts, after.items))
     return [*moments, after]

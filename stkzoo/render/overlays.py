@@ -11,7 +11,7 @@ import numpy.typing as npt
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.render.palette import readable_on, rgb
 from stkzoo.render.pictures import fitted_text, font_of, grid_of, pillow
-from stkzoo.render.scene import RaceStanding, Scene, clock, standings
+from stkzoo.render.scene import Scene, clock, standings
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -25,7 +25,6 @@ _DARK, _CARD, _LINE = (14, 18, 25), (27, 34, 46), (52, 63, 82)
 _TEXT, _FAINT = (240, 244, 250), (150, 162, 182)
 #: Width of the narrowest frame with a panel [pixels].
 _NARROWEST = 320
-_MEDALS = {1: "#ffd34d", 2: "#cfd8e3", 3: "#e0a371"}
 
 
 def with_labels(
@@ -48,57 +47,40 @@ def with_labels(
     lines = {line.kart: line for line in standings(scene, snapshot)}
     for number, kart in enumerate(karts):
         row, column = divmod(number, columns)
-        place = column * tile[0], row * tile[1]
-        speed = float(snapshot.karts[kart]["speed"])
-        _draw_label(draw, lines[kart], speed, place, tile, unit)
+        left, bottom = column * tile[0], (row + 1) * tile[1]
+        draw.rectangle([left, bottom - unit * 2, left + tile[0], bottom], fill=(*_DARK, 185))
+        line, speed = lines[kart], max(float(snapshot.karts[kart]["speed"]), 0.0)
+        label = line.rank, line.name, line.color, f"{line.detail}   {speed * 3.6:.0f} km/h"
+        between = left + unit * 0.3, left + tile[0] - unit * 0.6
+        _draw_row(draw, label, between, bottom - unit * 1.75, unit)
     title = f"{scene.title}   {clock(float(snapshot.header['time']))}"
     _draw_title(draw, title, width, unit)
     return np.asarray(image)
 
 
-def _draw_label(
-    draw: Any,
-    line: RaceStanding,
-    speed: float,
-    place: tuple[int, int],
-    tile: tuple[int, int],
-    unit: int,
+def _draw_row(
+    draw: Any, row: ResultRow, between: tuple[float, float], top: float, unit: int
 ) -> None:
-    """Draws the bar at the bottom of a tile: rank in the kart's color, name, lap and speed."""
-    left, bottom = place[0], place[1] + tile[1]
-    top = bottom - unit * 2
-    draw.rectangle([left, top, left + tile[0], bottom], fill=(*_DARK, 185))
-    draw.rectangle([left, top, left + unit * 2, bottom], fill=rgb(line.color))
-    middle = (top + bottom) / 2
-    ink = readable_on(line.color)
-    draw.text((left + unit, middle), str(line.rank), ink, font_of(unit + 3), anchor="mm")
-    between = left + unit * 2.6, left + tile[0] - unit * 0.6
-    detail = f"{line.detail}   {max(speed, 0.0) * 3.6:.0f} km/h"
-    _draw_texts(draw, between, middle, line.name, detail, (unit, unit))
-
-
-def _draw_texts(
-    draw: Any,
-    between: tuple[float, float],
-    middle: float,
-    name: str,
-    detail: str,
-    sizes: tuple[int, int],
-) -> None:
-    """Draws a name, shortened if it does not fit, and a detail at the right end.
+    """Draws a badge with the rank, the name, shortened if it does not fit, and the outcome.
 
     Args:
         draw: Pillow's drawing.
+        row: the row.
         between: left and right end [pixels].
-        middle: height of the line's middle [pixels].
-        name: the name.
-        detail: the detail.
-        sizes: sizes of both fonts [pixels].
+        top: upper edge of the badge [pixels].
+        unit: size of the font [pixels].
     """
-    left, right = between
-    small, font = font_of(sizes[1]), font_of(sizes[0], name)
-    draw.text((right, middle), detail, _FAINT, small, anchor="rm")
-    name = fitted_text(name, font, right - small.getlength(detail) - sizes[1] - left)
+    rank, name, color, outcome = row
+    (left, right), badge = between, unit * 1.5
+    box = [left, top, left + badge, top + badge]
+    draw.rounded_rectangle(box, radius=unit * 0.35, fill=rgb(color))
+    middle = top + badge / 2
+    ink = readable_on(color)
+    draw.text((left + badge / 2, middle), str(rank), ink, font_of(unit), anchor="mm")
+    small, font = font_of(int(unit * 0.85)), font_of(unit, name)
+    draw.text((right, middle), outcome, _FAINT, small, anchor="rm")
+    left += badge + unit * 0.5
+    name = fitted_text(name, font, right - small.getlength(outcome) - unit - left)
     draw.text((left, middle), name, _TEXT, font, anchor="lm")
 
 
@@ -139,26 +121,14 @@ def end_card(
     room = max(1, int((height - first - unit * 1.5) // step))
     for number, row in enumerate(rows[:room]):
         y = first + number * step
-        _draw_result(draw, row, width / 2 - half, width / 2 + half, y, unit)
+        box = [width / 2 - half, y, width / 2 + half, y + unit * 2.1]
+        draw.rounded_rectangle(box, radius=unit * 0.5, fill=(*_CARD, 235))
+        between = width / 2 - half + unit * 0.3, width / 2 + half - unit
+        _draw_row(draw, row, between, y + unit * 0.3, unit)
     if len(rows) > room:
         more = f"and {len(rows) - room} more"
         draw.text((width / 2, height - unit * 0.8), more, _FAINT, font_of(unit), anchor="mm")
     return np.asarray(image)
-
-
-def _draw_result(
-    draw: Any, row: ResultRow, left: float, right: float, top: float, unit: int
-) -> None:
-    rank, name, color, outcome = row
-    high = unit * 2.1
-    draw.rounded_rectangle([left, top, right, top + high], radius=unit * 0.5, fill=(*_CARD, 235))
-    bar = [left, top, left + unit * 0.7, top + high]
-    draw.rounded_rectangle(bar, radius=unit * 0.35, fill=rgb(color))
-    middle = top + high / 2
-    ink = rgb(_MEDALS[rank]) if rank in _MEDALS else _FAINT
-    draw.text((left + unit * 2, middle), str(rank), ink, font_of(int(unit * 1.3)), anchor="mm")
-    between = left + unit * 3.4, right - unit
-    _draw_texts(draw, between, middle, name, outcome, (int(unit * 1.1), unit))
 
 
 def panel_width(size: tuple[int, int]) -> int:
@@ -192,7 +162,12 @@ def draw_panel(picture: Image, scene: Scene, snapshot: Snapshot, left: int) -> N
     lines = standings(scene, snapshot)
     room = int((height - top - pad) // row)
     for number, line in enumerate(lines[: max(room, 1)]):
-        _draw_line(draw, line, left + pad, width - pad, top + number * row, unit)
+        begin, end, y = left + pad, width - pad, top + number * row
+        _draw_row(draw, (line.rank, line.name, line.color, line.detail), (begin, end), y, unit)
+        bar, begin = y + unit * 1.5, begin + unit * 2
+        draw.rectangle([begin, bar - 2, end, bar], fill=_LINE)
+        done = begin + (end - begin) * line.progress
+        draw.rectangle([begin, bar - 2, done, bar], fill=rgb(line.color))
     if len(lines) > room > 0:
         more = f"and {len(lines) - room} more"
         draw.text((left + pad, height - pad), more, _FAINT, font_of(unit), anchor="ls")
@@ -204,19 +179,3 @@ def _subtitle(scene: Scene, snapshot: Snapshot) -> str:
     lap = leader.detail if laps > 1 and not leader.has_finished else ""
     time = clock(float(snapshot.header["time"]))
     return f"{time}   {lap} of {laps}" if lap else time
-
-
-def _draw_line(
-    draw: Any, line: RaceStanding, left: float, right: float, top: float, unit: int
-) -> None:
-    """Draws a badge with the rank, the name, the lap or time, and a progress bar."""
-    color, ink = rgb(line.color), readable_on(line.color)
-    badge = unit * 1.5
-    draw.rounded_rectangle([left, top, left + badge, top + badge], radius=unit * 0.35, fill=color)
-    middle = top + badge / 2
-    draw.text((left + badge / 2, middle), str(line.rank), ink, font_of(unit), anchor="mm")
-    begin, sizes = left + badge + unit * 0.5, (unit, int(unit * 0.85))
-    _draw_texts(draw, (begin, right), middle - unit * 0.2, line.name, line.detail, sizes)
-    bar = top + badge
-    draw.rectangle([begin, bar - 2, right, bar], fill=_LINE)
-    draw.rectangle([begin, bar - 2, begin + (right - begin) * line.progress, bar], fill=color)

@@ -50,7 +50,6 @@ class RaceRenderer:
         self._backend, self._preset, self._has_window = backend, preset, has_window
         self._scene: Scene | None = None
         self._game: GameView | None = None
-        self._game_karts: tuple[int, ...] = ()
         self._is_game_ready = False
         self._maps: dict[int | None, MapView] = {}  # by followed kart
 
@@ -85,10 +84,9 @@ class RaceRenderer:
         Raises:
             EngineError: the game cannot render, or crashed.
         """
-        with self._drawing() as game:
-            if game is None:
-                return self._map(None, snapshot).draw(snapshot)
-            by_kart = game.frames(snapshot)
+        by_kart = self.game_pictures(snapshot)
+        if by_kart is None:
+            return self._map(None, snapshot).draw(snapshot)
         frames = [by_kart[kart] for kart in camera_karts(self._current())]
         return tiled(frames, self.size) if len(frames) > 1 else frames[0]
 
@@ -100,11 +98,20 @@ class RaceRenderer:
         Raises:
             EngineError: the game cannot render, or crashed.
         """
-        with self._drawing() as game:
-            if game is not None:
-                return game.frames(snapshot)
+        by_kart = self.game_pictures(snapshot)
+        if by_kart is not None:
+            return by_kart
         karts = camera_karts(self._current())
         return {kart: self._map(kart, snapshot).draw(snapshot) for kart in karts}
+
+    def game_pictures(self, snapshot: Snapshot) -> dict[int, Picture] | None:
+        """Returns the game's frame for each kart with a camera; ``None`` if the map is drawn.
+
+        Raises:
+            EngineError: the game cannot render, or crashed.
+        """
+        with self._drawing() as game:
+            return None if game is None else game.draw(snapshot)[0]
 
     def pictures_and_depths(
         self, snapshot: Snapshot
@@ -117,17 +124,8 @@ class RaceRenderer:
         """
         with self._drawing() as game:
             if game is not None:
-                return game.frames_and_depths(snapshot)
+                return game.draw(snapshot, depths=True)
         raise ConfigError('the map has no depth; draw with the game, render_backend="engine"')
-
-    def pictures_between(self, snapshot: Snapshot, number: int) -> Iterator[dict[int, Picture]]:
-        """Yields the game's frames of ``number`` moments since the last frame.
-
-        After a jump in time there is only one moment; with the map there is none.
-        """
-        with self._drawing() as game:
-            if game is not None:
-                yield from game.frames_between(snapshot, number)
 
     def show(self, snapshot: Snapshot) -> None:
         """Updates the window to this snapshot."""
@@ -180,10 +178,9 @@ class RaceRenderer:
 
     def _start_game(self) -> None:
         karts = camera_karts(self._current())
-        if self._game is None or self._game_karts != tuple(sorted(karts)):
+        if self._game is None or self._game.karts != sorted(karts):
             self._end_game()
             self._game = GameView(karts, self.size, self._preset, has_window=self._has_window)
-            self._game_karts = tuple(sorted(karts))
         if not self._is_game_ready:
             self._game.start(self._current())
             self._is_game_ready = True

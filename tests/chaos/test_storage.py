@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -129,14 +130,13 @@ def test_a_full_temporary_disk_stops_no_race_or_raises_a_clear_error(tmp_path, m
 
 @pytest.fixture
 def machine(tmp_path, monkeypatch):
-    """Sets up a machine with the game installed and an empty cache."""
+    """Sets up a machine with a download of pystk2 and an empty cache."""
     monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
     monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
-    data = assets.make_data(tmp_path / "usr" / "data")
+    data = assets.make_download()
     for name in ("alps", "beach"):  # larger than their packed size
         (data / "tracks" / name / "more.xml").write_bytes(b"<x/>" * 20_000 + name.encode())
-    monkeypatch.setattr(find, "SYSTEM_FOLDERS", (data,))
     return tmp_path
 
 
@@ -195,7 +195,7 @@ def serve(package, folder, server, monkeypatch):
 
 
 def test_an_interrupted_download_leaves_nothing_and_can_be_repeated(machine, monkeypatch):
-    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
+    shutil.rmtree(find.pystk2_cache_folder())
     package = assets.make_package(machine / "package")
     with CuttingServer(package.parent, cuts=3).serving() as server:
         serve(package, machine / "apt", server, monkeypatch)

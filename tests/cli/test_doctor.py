@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from stkzoo.cli import main
-from stkzoo.engine.assets import find
 
 
 @pytest.fixture
@@ -16,7 +15,6 @@ def no_data(tmp_path, monkeypatch):
     monkeypatch.setenv("STKZOO_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
     monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
-    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
 
 
 def report(capsys):

@@ -4,6 +4,7 @@ import io
 import json
 import lzma
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -88,21 +89,28 @@ def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("STKZOO_CACHE", str(folder))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other caches"))
     monkeypatch.delenv("SUPERTUXKART_DATADIR", raising=False)
-    monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
     return folder
 
 
-@pytest.fixture
-def system(cache, tmp_path, monkeypatch):  # noqa: ARG001 - needs the fixture
-    """Adds an installed game to the machine without data; returns its data folder."""
-    data = make_data(tmp_path / "usr" / "data")
-    monkeypatch.setattr(find, "SYSTEM_FOLDERS", (data,))
+def make_download():
+    """Writes a finished download of pystk2 to its cache; returns its data folder."""
+    root = find.pystk2_cache_folder() / "1.5"
+    data = make_data(root / "data", version="1.5")
+    (data / "ttf" / "Cantarell-Regular.otf").unlink()
+    write(data / "skins" / "classic" / "stkskin.xml")
+    write(root / "__downloaded__.txt")
     return data
 
 
 @pytest.fixture
-def headless(system):  # noqa: ARG001 - needs the fixture
-    """Installs a headless pack of the installed game; returns its root."""
+def full(cache):  # noqa: ARG001 - needs the fixture
+    """Adds pystk2's download to the machine without data; returns its data folder."""
+    return make_download()
+
+
+@pytest.fixture
+def headless(full):  # noqa: ARG001 - needs the fixture
+    """Installs a headless pack of the download; returns its root."""
     install()
     return find.own_folder("headless")
 
@@ -132,7 +140,7 @@ class TestFinding:
 
     @pytest.mark.usefixtures("headless")
     def test_environment_comes_first(self, monkeypatch):
-        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(find.own_folder("system")))
+        monkeypatch.setenv("SUPERTUXKART_DATADIR", str(find.pystk2_cache_folder() / "1.5"))
         assert find_assets().source == "environment"
 
     @pytest.mark.usefixtures("headless")
@@ -153,49 +161,25 @@ class TestFinding:
     def test_full_data_is_used_for_rendering(self):
         assert not find_assets(graphics=True).headless
 
-    @pytest.mark.usefixtures("headless")
-    def test_headless_pack_alone_cannot_render(self, monkeypatch):
-        monkeypatch.setattr(find, "SYSTEM_FOLDERS", ())
+    def test_headless_pack_alone_cannot_render(self, headless, full):
+        shutil.rmtree(full)
+        assert find_assets().root == headless
         with pytest.raises(AssetError, match="full data, which drawing needs"):
             find_assets(graphics=True)
 
-    @pytest.mark.usefixtures("system")
+    @pytest.mark.usefixtures("full")
     def test_arenas_are_not_race_tracks(self):
         assert find_assets().tracks == ("alps", "beach")
 
-    @pytest.mark.usefixtures("system")
-    def test_system_install_is_completed_with_links(self):
-        data = find_assets().root / "data"
-        assert (data / "supertuxkart.1.5").is_file()
-        assert (data / "skins" / "classic" / "stkskin.xml").is_file()
-        assert (data / "ttf" / "Cantarell-Regular.otf").read_bytes() == b"a font"
-
-    def test_changed_system_install_is_linked_again(self, system):
-        root = find_assets().root
-        write(system / "new.xml")
-        os.utime(system, (1, 1))
-        find_assets()
-        assert (root / "data" / "new.xml").exists()
-
-    @pytest.mark.usefixtures("cache")
-    def test_system_install_of_another_version_is_refused(self, tmp_path, monkeypatch):
-        old = make_data(tmp_path / "old", version="1.2")
-        monkeypatch.setattr(find, "SYSTEM_FOLDERS", (old,))
-        with pytest.raises(AssetError, match=r"another version .*supertuxkart\.1\.2"):
+    @pytest.mark.usefixtures("full")
+    def test_incomplete_download_of_pystk2_is_not_used(self):
+        (find.pystk2_cache_folder() / "1.5" / "__downloaded__.txt").unlink()
+        with pytest.raises(AssetError, match=r"download of pystk2 .* is incomplete"):
             find_assets()
-
-    @pytest.mark.usefixtures("cache")
-    def test_finished_download_of_pystk2_is_found(self):
-        root = find.pystk2_cache_folder() / "1.5"
-        data = make_data(root / "data", version="1.5")
-        (data / "ttf" / "Cantarell-Regular.otf").unlink()
-        write(data / "skins" / "classic" / "stkskin.xml")
-        write(root / "__downloaded__.txt")
-        assert find_assets().source == "pystk2 cache"
 
     def test_pack_without_a_track_is_skipped(self, headless):
         (headless / "data" / "tracks" / "alps" / "track.xml").unlink()
-        assert find_assets().source == "system"
+        assert find_assets().source == "pystk2 cache"
 
     def test_survey_reports_the_problem_of_each_place(self, headless):
         (headless / MARKER).write_text("{")
@@ -203,7 +187,7 @@ class TestFinding:
 
 
 class TestInstalling:
-    @pytest.mark.usefixtures("system")
+    @pytest.mark.usefixtures("full")
     def test_builds_the_pack_from_existing_data(self):
         assert install().source == "headless pack"
 
@@ -217,7 +201,7 @@ class TestInstalling:
             install(source="debian")
         assert visible(cache) == []
 
-    @pytest.mark.usefixtures("system", "cache")
+    @pytest.mark.usefixtures("full")
     def test_next_install_removes_the_files_of_a_killed_one(self):
         folder = self.kill_an_install()
         assert (folder / "half").exists()
@@ -225,7 +209,7 @@ class TestInstalling:
         assert not folder.exists()
 
     @pytest.mark.slow
-    @pytest.mark.usefixtures("system")
+    @pytest.mark.usefixtures("full")
     def test_install_waits_for_another_one(self):
         other = self.start_an_install("1")
         notes = []
@@ -235,7 +219,7 @@ class TestInstalling:
         assert other.wait(10) == 0
         assert "waiting" in notes[0]
 
-    @pytest.mark.usefixtures("system")
+    @pytest.mark.usefixtures("full")
     def test_folder_of_another_program_is_not_replaced(self, cache):
         write(cache / "headless" / "thesis.txt")
         with pytest.raises(AssetError, match="did not make"):
@@ -254,9 +238,9 @@ class TestInstalling:
         ):
             pass
 
-    def test_a_full_disk_during_the_installation_names_the_remedy(self, system, monkeypatch):
+    def test_a_full_disk_during_the_installation_names_the_remedy(self, full, monkeypatch):
         def fill(*_):
-            raise OSError(errno.EDQUOT, "Disk quota exceeded", str(system))
+            raise OSError(errno.EDQUOT, "Disk quota exceeded", str(full))
 
         monkeypatch.setattr("stkzoo.engine.assets.installer.build_headless", fill)
         for build in (install, pack):
@@ -280,7 +264,7 @@ class TestInstalling:
             patched.setattr("shutil.rmtree", remove_marker)
             with pytest.raises(KeyboardInterrupt):
                 clean()
-        assert find_assets().source == "system"
+        assert find_assets().source == "pystk2 cache"
         assert pack() == headless
 
     @staticmethod
@@ -305,9 +289,9 @@ def package(tmp_path):
     return make_package(tmp_path / "package")
 
 
-def make_package(folder):
+def make_package(folder, version="1.4"):
     tree = folder / "tree"
-    make_data(tree / "usr" / "share" / "games" / "supertuxkart" / "data")
+    make_data(tree / "usr" / "share" / "games" / "supertuxkart" / "data", version)
     control = (
         "Package: supertuxkart-data\nVersion: 1.4\nArchitecture: all\n"
         "Maintainer: Nobody <nobody@example.org>\nInstalled-Size: 100\nDescription: data\n"
@@ -323,6 +307,21 @@ class TestDebianPackage:
         self.serve(package, tmp_path / "apt", monkeypatch)
         assert install(source="debian").tracks == ("alps", "beach")
         assert visible(cache) == ["full", "headless"]
+
+    @pytest.mark.usefixtures("cache")
+    def test_package_is_completed_for_the_engine(self, package, tmp_path, monkeypatch):
+        self.serve(package, tmp_path / "apt", monkeypatch)
+        install(source="debian")
+        data = find.own_folder("full") / "data"
+        assert (data / "supertuxkart.1.5").is_file()
+        assert (data / "skins" / "classic" / "stkskin.xml").is_file()
+        assert (data / "ttf" / "Cantarell-Regular.otf").read_bytes() == b"a font"
+
+    def test_package_of_another_version_is_refused(self, cache, tmp_path, monkeypatch):
+        self.serve(make_package(tmp_path / "old", "1.2"), tmp_path / "apt", monkeypatch)
+        with pytest.raises(AssetError, match=r"another version .*supertuxkart\.1\.2"):
+            install(source="debian")
+        assert visible(cache) == []
 
     def test_damaged_package_leaves_nothing(self, cache, package, tmp_path, monkeypatch):
         self.serve(package, tmp_path / "apt", monkeypatch)
@@ -357,24 +356,23 @@ class TestDebianPackage:
 
 
 class TestHeadlessPack:
-    def test_has_every_file_name_of_the_full_data(self, headless, system):
+    def test_has_every_file_name_of_the_full_data(self, headless, full):
         names = {str(p.relative_to(headless / "data")) for p in (headless / "data").rglob("*")}
-        full = {str(p.relative_to(system)) for p in system.rglob("*")}
-        assert full <= names
+        assert {str(p.relative_to(full)) for p in full.rglob("*")} <= names
 
     def test_images_become_placeholders_of_their_format(self, headless):
         track = headless / "data" / "tracks" / "alps"
         assert (track / "road.PNG").read_bytes() == PLACEHOLDER_PNG
         assert (track / "sky.jpg").read_bytes() == PLACEHOLDER_JPEG
 
-    @pytest.mark.usefixtures("system")
+    @pytest.mark.usefixtures("full")
     def test_pack_with_scenes_of_another_version_is_built_again(self, headless):
         write_marker(headless, "headless pack", headless=True)
         assert find_assets().scenes != SCENES_VERSION
         assert install().scenes == SCENES_VERSION
 
-    def test_incomplete_full_data_is_refused(self, system, cache):
-        (system / "tracks" / "beach" / "quads.xml").write_bytes(b"<quads>")
+    def test_incomplete_full_data_is_refused(self, full, cache):
+        (full / "tracks" / "beach" / "quads.xml").write_bytes(b"<quads>")
         with pytest.raises(AssetError, match=r"beach/quads\.xml cannot be read"):
             pack()
         assert "headless" not in visible(cache)
@@ -500,12 +498,12 @@ class TestArchive:
 
 
 class TestCommandLine:
-    @pytest.mark.usefixtures("system")
+    @pytest.mark.usefixtures("full")
     def test_status_succeeds_with_data(self, capsys):
         assert main(["assets", "status", "--names"]) == 0
         assert "alps, beach" in capsys.readouterr().out
 
-    @pytest.mark.usefixtures("system")
+    @pytest.mark.usefixtures("full")
     def test_install_says_where_the_data_is(self, capsys):
         assert main(["assets", "install"]) == 0
         assert str(find.own_folder("headless")) in capsys.readouterr().out

@@ -155,7 +155,7 @@ def test_an_invalid_step_limit_is_refused(max_steps):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"mode": "soccer"}, "mode is 'soccer', expected 'normal' or 'time_trial'"),
+        ({"mode": "soccer"}, "unknown mode 'soccer'. Known: normal, time_trial"),
         ({"kart": "tank"}, "unknown kart 'tank'"),
         ({"error_handling": "pray"}, "error_handling is 'pray', expected one of raise, catch"),
         ({"action_timeout": -1}, "action_timeout is -1, expected a number of seconds"),

@@ -335,17 +335,23 @@ def test_a_render_process_that_died_is_an_error_and_the_race_continues():
 def test_a_program_that_dies_ends_its_render_process():
     code = """
 import os, signal, threading, time
+from pathlib import Path
 from stkzoo import race_v0
 options = {"render_mode": "rgb_array", "graphics_config": "hd"}  # half a minute, without a card
 env = race_v0.parallel_env(num_kart=2, track="lighthouse", **options)
 env.reset(seed=1)
+def draws(pid):  # from then on, the kernel tells it when the program ends
+    files = Path(f"/proc/{pid}/fdinfo").glob("*")
+    texts = [file.read_text() for file in files if file.exists()]
+    return any(int(text.split("flags:")[1].split()[0], 8) & os.O_ASYNC for text in texts)
 def die():
     renderer = env.live_race.rendering._renderer
     while not (renderer.backend == "map" or (renderer._game and renderer._game._session.pid)):
         time.sleep(0.1)
     game = renderer._game
     print(game._session.pid if game else "map", flush=True)
-    time.sleep(2)
+    while game and not draws(game._session.pid):
+        time.sleep(0.1)
     os.kill(os.getpid(), signal.SIGKILL)
 threading.Thread(target=die).start()
 while True:

@@ -12,7 +12,6 @@ from stkzoo.engine.assets.find import (
     survey,
 )
 from stkzoo.engine.assets.installer import clean, install, pack
-from stkzoo.engine.assets.overlay import link_without_dial
 from stkzoo.engine.assets.staging import Progress
 from stkzoo.engine.assets.tree import Assets
 
@@ -25,7 +24,6 @@ __all__ = [
     "clean",
     "find_assets",
     "install",
-    "link_without_dial",
     "pack",
     "survey",
 ]

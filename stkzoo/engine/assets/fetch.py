@@ -19,8 +19,7 @@ from typing import Any
 
 from stkzoo._imports import python_command
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
-from stkzoo.engine.assets.overlay import adapt
-from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder
+from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder, link_or_copy
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
 from stkzoo.errors import AssetError, reason
 
@@ -81,6 +80,11 @@ PACKAGE = "supertuxkart-data"
 
 _INSIDE = "usr/share/games/supertuxkart/data"
 
+#: Versions of the data with which races are the same as with the engine's own version.
+_KNOWN_VERSIONS = ("1.4", ENGINE_DATA_VERSION)
+
+_SUBSTITUTE_FONTS = ("wqy-microhei.ttf", "SigmarOne.otf")
+
 
 def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
     """Downloads the package and makes a full tree from it.
@@ -98,7 +102,7 @@ def fetch_debian(target: Path, work: Path, progress: Progress) -> None:
     package = _download(work, progress)
     unpack_package(package, target, progress)
     package.unlink()
-    adapt(target / "data")
+    _adapt(target / "data")
     check_files(target)
     write_marker(target, package.name, headless=False)
 
@@ -176,6 +180,55 @@ def unpack_package(package: Path, target: Path, progress: Progress) -> None:
         if not (whole / _INSIDE).is_dir():
             raise AssetError(f"{package} has no files in {_INSIDE}.")
         (whole / _INSIDE).replace(target / "data")
+
+
+def _adapt(data: Path) -> None:
+    """Changes Debian's data so that the engine accepts it.
+
+    It differs from what the engine needs in three points: the empty file that names the version,
+    the skin ``classic``, and the fonts, which are links to files of other packages. All files that
+    affect a race are identical.
+
+    Args:
+        data: the data folder.
+
+    Raises:
+        AssetError: the data is of another version, or has no skin or no font.
+    """
+    _check_version(data)
+    (data / f"supertuxkart.{ENGINE_DATA_VERSION}").touch()
+    _adapt_skin(data / "skins")
+    _adapt_fonts(data / "ttf")
+
+
+def _check_version(data: Path) -> None:
+    if not any((data / f"supertuxkart.{version}").exists() for version in _KNOWN_VERSIONS):
+        found = sorted(path.name for path in data.glob("supertuxkart.*"))
+        raise AssetError(
+            f"{data} is from another version of the game ({', '.join(found) or 'not marked'}); "
+            f"races need data of {' or '.join(_KNOWN_VERSIONS)}."
+        )
+
+
+def _adapt_skin(skins: Path) -> None:
+    classic = skins / "classic"
+    if classic.exists():
+        return
+    others = sorted(path.name for path in skins.iterdir() if (path / "stkskin.xml").exists())
+    if not others:
+        raise AssetError(f"{skins} has no skin.")
+    classic.symlink_to("peach" if "peach" in others else others[0])
+
+
+def _adapt_fonts(fonts: Path) -> None:
+    usable = [fonts / name for name in _SUBSTITUTE_FONTS if (fonts / name).is_file()]
+    usable += sorted(path for path in fonts.iterdir() if path.is_file())
+    dangling = [path for path in fonts.iterdir() if not path.exists()]
+    if dangling and not usable:
+        raise AssetError(f"{fonts} has no font.")
+    for font in dangling:
+        font.unlink()
+        link_or_copy(usable[0], font)
 
 
 _ARCHIVE = f"SuperTuxKart-{ENGINE_DATA_VERSION}-src.tar.gz"

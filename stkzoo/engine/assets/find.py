@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import platformdirs
 
-from stkzoo.engine.assets.overlay import SYSTEM_FOLDERS, system_overlay
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, Assets, load_assets
 from stkzoo.errors import AssetError, reason
 
@@ -25,28 +24,16 @@ CACHE_VARIABLE = "STKZOO_CACHE"
 
 
 def cache_folder() -> Path:
-    """Returns the folder of stkzoo's cache, which may not exist yet.
-
-    Raises:
-        AssetError: it is relative to the working directory, which is gone.
-    """
-    own = os.environ.get(CACHE_VARIABLE)
-    folder = Path(own).expanduser() if own else Path(platformdirs.user_cache_dir("stkzoo"))
-    try:
-        return folder.absolute()
-    except FileNotFoundError as error:
-        raise AssetError(
-            f"the environment variable {CACHE_VARIABLE} is {own!r}, relative to a working "
-            "directory that is gone. Set it to an absolute path, or change to another folder."
-        ) from error
+    """Returns the folder of stkzoo's cache, which may not exist yet."""
+    folder = os.environ.get(CACHE_VARIABLE) or platformdirs.user_cache_dir("stkzoo")
+    return Path(folder).expanduser().absolute()
 
 
 def own_folder(kind: str) -> Path:
     """Returns the folder in stkzoo's cache for one kind of data.
 
     Args:
-        kind: ``"full"``; ``"headless"`` for the headless pack; or ``"system"`` for the links to a
-            system installation.
+        kind: ``"full"``, or ``"headless"`` for the headless pack.
     """
     return cache_folder() / kind
 
@@ -91,18 +78,18 @@ def survey() -> Iterator[PlaceReport]:
         variable is not set.
     """
     if value := os.environ.get(DATADIR_VARIABLE):
-        yield _look("environment", Path(value), Path.absolute)
+        yield _look("environment", Path(value).absolute())
     yield _look("headless pack", own_folder("headless"))
     yield _look("stkzoo cache", own_folder("full"))
-    yield _look("pystk2 cache", pystk2_cache_folder() / ENGINE_DATA_VERSION, _downloaded)
-    for folder in SYSTEM_FOLDERS:
-        yield _look("system", folder, _overlaid)
+    yield _look("pystk2 cache", pystk2_cache_folder() / ENGINE_DATA_VERSION)
 
 
-def _look(source: str, path: Path, root_of: Callable[[Path], Path] = Path) -> PlaceReport:
-    is_named = source == "environment"
+def _look(source: str, path: Path) -> PlaceReport:
     try:
-        assets = load_assets(root_of(path), source) if is_named or path.is_dir() else None
+        if source == "pystk2 cache" and path.is_dir():
+            _check_download(path)
+        is_named = source == "environment"
+        assets = load_assets(path, source) if is_named or path.is_dir() else None
     except AssetError as error:
         return PlaceReport(source, path, None, str(error))
     except OSError as error:  # such as a home folder that this user cannot search
@@ -110,22 +97,16 @@ def _look(source: str, path: Path, root_of: Callable[[Path], Path] = Path) -> Pl
     return PlaceReport(source, path, assets)
 
 
-def _downloaded(root: Path) -> Path:
+def _check_download(root: Path) -> None:
     if not (root / "__downloaded__.txt").is_file():
         raise AssetError(f"the download of pystk2 in {root} is incomplete.")
-    return root
-
-
-def _overlaid(data: Path) -> Path:
-    return system_overlay(data, own_folder("system"))
 
 
 def find_assets(*, graphics: bool = False) -> Assets:
     """Finds the game's data on this machine, in a few milliseconds.
 
     The places are searched in this order: the folder in ``SUPERTUXKART_DATADIR``, the headless
-    pack in stkzoo's cache, the full data in stkzoo's cache, the cache of ``pystk2``, and a system
-    installation.
+    pack in stkzoo's cache, the full data in stkzoo's cache, and the cache of ``pystk2``.
 
     Args:
         graphics: whether the game must draw. A headless pack cannot.

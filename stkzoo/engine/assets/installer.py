@@ -118,7 +118,7 @@ def clean(*, progress: Progress | None = None) -> list[Path]:
     if not is_there(cache):
         return []
     with lock(cache, progress or Progress()):
-        folders = map(own_folder, ("full", "headless", "system"))
+        folders = map(own_folder, ("full", "headless"))
         ours = [folder for folder in folders if (folder / MARKER).is_file()]
         for folder in ours:
             with fresh_folder(cache, "old") as old:  # a partly removed folder must not be found

@@ -7,7 +7,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from stkzoo._locks import try_lock
@@ -41,9 +41,6 @@ _PREFIX = ".stkzoo-"
 _LOCK = ".stkzoo-lock"
 _LOCK_POLL = 0.2  # [s]
 
-#: Age after which a temporary folder made without the lock counts as abandoned [s].
-_STALE = 600.0
-
 
 @contextmanager
 def lock(cache: Path, progress: Progress) -> Iterator[None]:
@@ -72,7 +69,8 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
             progress.note("another stkzoo uses the same cache: waiting for it to end")
             while not try_lock(descriptor):
                 time.sleep(_LOCK_POLL)
-        _clear_leftovers(cache)
+        for folder in cache.glob(f"{_PREFIX}*-*"):
+            shutil.rmtree(folder, ignore_errors=True)
         yield
     finally:
         os.close(descriptor)
@@ -120,14 +118,6 @@ def publish(staging: Path, target: Path) -> None:
     if target.is_dir():
         target.rmdir()
     staging.rename(target)
-
-
-def _clear_leftovers(cache: Path) -> None:
-    for folder in cache.glob(f"{_PREFIX}*-*"):
-        unlocked = folder.name.startswith(f"{_PREFIX}overlay-")
-        with suppress(FileNotFoundError):
-            if not unlocked or time.time() - folder.stat().st_mtime > _STALE:
-                shutil.rmtree(folder, ignore_errors=True)
 
 
 def link_or_copy(path: Path, goal: Path) -> None:
