@@ -12,8 +12,7 @@ from gymnasium import spaces
 
 from stkzoo._checks import check_whole
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
+from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
@@ -112,22 +111,15 @@ class Discretizer:
 
     def discretize(self, value: Any) -> int:
         """Returns the step nearest to a number (or to an array with one entry)."""
-        return int(self.nearest_steps(np.asarray(value, np.float64).reshape(())))
-
-    def continuous(self, value: int) -> float:
-        """Returns the number of a step."""
-        return float(self.numbers(np.asarray(value, np.float64).reshape(())))
-
-    def nearest_steps(self, numbers: npt.ArrayLike) -> npt.NDArray[np.int64]:
-        """Returns the step nearest to each number, int64 of the same shape."""
-        share = (np.asarray(numbers, np.float64) - self.min_value) / self._width
+        share = (float(np.reshape(value, ())) - self.min_value) / self._width
         nearest = np.floor(share * (self.values - 1) + 0.5)
-        return np.asarray(np.clip(nearest, 0, self.values - 1).astype(np.int64))
+        return int(np.clip(nearest, 0, self.values - 1))
 
-    def numbers(self, steps: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Returns the number of each step, float64 of the same shape."""
-        share = np.asarray(steps, np.float64) / (self.values - 1)
-        return np.asarray(self._width * share + self.min_value)
+    def continuous(self, value: Any) -> Any:
+        """Returns the number of a step as a ``float``, or of each step in an array as float64."""
+        share = np.asarray(value, np.float64) / (self.values - 1)
+        numbers = self._width * share + self.min_value
+        return numbers if np.ndim(numbers) else float(numbers)
 
     @property
     def _width(self) -> float:
@@ -168,7 +160,7 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
             return False
         steps = {}
         for key, discretizer in self._discretizers.items():
-            table = discretizer.numbers(np.arange(discretizer.values)).astype(np.float32)
+            table = discretizer.continuous(np.arange(discretizer.values)).astype(np.float32)
             column = plan.leaves[key][0][3]
             steps[key] = ((0.0, float(discretizer.values - 1), True, column, table),)
         plan.leaves = {**plan.leaves, **steps}
@@ -178,8 +170,8 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
         """Returns the action with steps ``(...)`` converted to numbers ``(..., 1)`` float32."""
         changed = dict(action)
         for key, discretizer in self._discretizers.items():
-            numbers = discretizer.numbers(action[key])
-            changed[key] = numbers.astype(np.float32)[..., None]
+            numbers = discretizer.continuous(action[key])
+            changed[key] = np.asarray(numbers, np.float32)[..., None]
         return changed
 
     def from_discrete(self, action: dict[str, Any]) -> dict[str, Any]:
@@ -193,11 +185,7 @@ class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):
 
     def observed_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Returns the action with numbers converted to steps."""
-        changed = dict(action)
-        for key, discretizer in self._discretizers.items():
-            steps = discretizer.nearest_steps(np.asarray(changed[key])[..., 0])
-            changed[key] = steps if steps.ndim else int(steps)
-        return changed
+        return self.to_discrete(action)
 
 
 def _required(space: spaces.Dict, key: str) -> spaces.Space[Any]:
@@ -250,6 +238,5 @@ class FlattenMultiDiscreteActions(ActionFormWrapper, CompiledWrapper):
         return np.asarray(choices + self._start)
 
     def observed_action(self, action: Any) -> Any:
-        """Returns the number of the choices ``(..., m)``."""
-        numbers = (np.asarray(action) - self._start) @ self._strides
-        return numbers if np.ndim(numbers) else int(numbers)
+        """Returns the number of the choices ``(m,)``."""
+        return int((np.asarray(action) - self._start) @ self._strides)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -14,8 +14,7 @@ from gymnasium import spaces
 
 from stkzoo._checks import check_flag
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
+from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
@@ -71,18 +70,18 @@ class SpaceFlattener:
         self.space = _sole(self.vectors) if len(self.vectors) == 1 else spaces.Dict(self.vectors)
 
     def flatten_parts(self, value: Mapping[str, Any]) -> dict[str, npt.NDArray[Any]]:
-        """Returns the vectors of a value, ``(..., n)`` float32 and ``(..., m)`` int64."""
+        """Returns the vectors of a value, ``(n,)`` float32 and ``(m,)`` int64."""
         return {
             name: _joined(value, parts, self.vectors[name].dtype)
             for name, parts in self.parts.items()
         }
 
     def continuous(self, value: Mapping[str, Any]) -> npt.NDArray[np.float32]:
-        """Returns the continuous vector of a value, ``(..., n)`` float32."""
+        """Returns the continuous vector of a value, ``(n,)`` float32."""
         return self.flatten_parts(value)["continuous"]
 
     def discrete(self, value: Mapping[str, Any]) -> npt.NDArray[np.int64]:
-        """Returns the discrete vector of a value, ``(..., m)`` int64."""
+        """Returns the discrete vector of a value, ``(m,)`` int64."""
         return self.flatten_parts(value)["discrete"]
 
     def flatten(self, value: Mapping[str, Any]) -> Any:
@@ -150,7 +149,7 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
         return True
 
     def observation(self, observation: dict[str, Any]) -> Any:
-        """Returns the observation as vectors, ``(..., n)`` and ``(..., m)``."""
+        """Returns the observation as vectors, ``(n,)`` and ``(m,)``."""
         if not self.flatten_observations:
             return super().observation(dict(observation))
         if not self._has_action:
@@ -215,11 +214,10 @@ class JoinedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         return True
 
     def observation(self, observation: Any) -> Any:
-        """Returns the observation as one vector, ``(..., n + v)``, with any further entries."""
-        choices = np.asarray(observation["discrete"], np.int64) + self._places
-        ones = np.zeros((*choices.shape[:-1], self._count), np.float32)
-        np.put_along_axis(ones, choices, 1.0, axis=-1)
-        joined = np.concatenate([observation["continuous"], ones], axis=-1, dtype=np.float32)
+        """Returns the observation as one vector, ``(n + v,)``, with any further entries."""
+        ones = np.zeros(self._count, np.float32)
+        ones[np.asarray(observation["discrete"], np.int64) + self._places] = 1.0
+        joined = np.concatenate([observation["continuous"], ones], dtype=np.float32)
         if not self._keys:
             return joined
         seen = {**observation, "observation": joined}
@@ -248,16 +246,9 @@ def _joined_choices(parts: Mapping[str, Any]) -> spaces.MultiDiscrete:
     return spaces.MultiDiscrete(counts, dtype=np.int64, start=starts)
 
 
-def _joined(
-    value: Mapping[str, Any], parts: Mapping[str, spaces.Space[Any]], dtype: Any
-) -> npt.NDArray[Any]:
-    """Joins entries ``(..., *shape)`` to ``(..., n)``; a plain number counts as one value."""
-    columns = []
-    for key, part in parts.items():
-        array, shape = np.asarray(value[key], dtype), part.shape or ()
-        lead = array.shape[: max(array.ndim - len(shape), 0)]
-        columns.append(array.reshape(*lead, math.prod(shape)))
-    return np.concatenate(columns, axis=-1)
+def _joined(value: Mapping[str, Any], keys: Iterable[str], dtype: Any) -> npt.NDArray[Any]:
+    """Joins entries to ``(n,)``; a plain number counts as one value."""
+    return np.concatenate([np.ravel(np.asarray(value[key], dtype)) for key in keys])
 
 
 def _entries(array: npt.NDArray[Any], parts: Mapping[str, spaces.Space[Any]]) -> dict[str, Any]:

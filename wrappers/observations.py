@@ -14,8 +14,7 @@ from stkzoo._checks import check_flag, check_whole
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import to_polar
 from stkzoo.mdp.spaces import extras_of
-from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import dict_space
+from stkzoo.views.bases import CompiledWrapper, dict_space
 
 if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
@@ -114,8 +113,8 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
             for key in keys:
                 changed[key], length = _resized(observation[key], self._space[key])
             if self.add_mask:
-                mask = np.zeros(changed[keys[0]].shape[:-1], np.int8)
-                mask[..., :length] = 1
+                mask = np.zeros(self._sizes[group], np.int8)
+                mask[:length] = 1
                 changed[f"{group}_mask"] = mask
         return changed
 
@@ -221,15 +220,8 @@ def _repeated(key: str, space: spaces.Space[Any] | None, size: int) -> spaces.Sp
 
 def _resized(value: Any, space: spaces.Space[Any]) -> tuple[npt.NDArray[Any], int]:
     """Returns a list as an array of the space's size, and the number of real entries."""
-    size, *entry = space.shape or ()
-    rows = np.asarray(value, space.dtype)
-    axis = max(rows.ndim - 1 - len(entry), 0)
-    lead = rows.shape[:axis]
-    length = min(rows.shape[axis], size)
-    kept = (slice(None),) * axis + (slice(length),)
-    if length == size:
-        return rows[kept].copy(), length
-    resized = np.zeros((*lead, size, *entry), space.dtype)
+    resized = np.zeros(space.shape or (), space.dtype)
+    length = min(len(value), len(resized))
     if length:  # an empty list has no vector length
-        resized[kept] = rows[kept]
+        resized[:length] = value[:length]
     return resized, length

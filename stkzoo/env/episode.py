@@ -16,12 +16,11 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.engine.track import decode_track
-from stkzoo.env.endings import EndArrays, Endings, endings_of
 from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import StepScorer, split_batch
-from stkzoo.mdp.events import EVENTS, RaceEvents
+from stkzoo.mdp.events import EVENTS, STREAKS, RaceEvents
 from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
@@ -30,6 +29,9 @@ from stkzoo.wrappers.racing import ground_observer
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
+
+#: Rewards, terminations and truncations, each an array with one number per slot.
+EndArrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
 
 #: Keys of infos whose values are whole numbers, in the order of their rows in a table.
 WHOLE_INFOS = ("position", "lap", "episode/length")
@@ -91,6 +93,7 @@ class Episode:
         track_map: map of the track.
         course: track graph, number of segments in observations, and kart models.
         snapshot: current snapshot.
+        record: rewards, ends and infos of the episode.
     """
 
     def __init__(
@@ -130,7 +133,7 @@ class Episode:
         """Returns an independent copy of the episode at this moment."""
         twin = copy.copy(self)
         shared = {id(reward): reward for reward in self._rewards.values()}
-        twin._record = copy.deepcopy(self._record, shared)
+        twin.record = copy.deepcopy(self.record, shared)
         return twin
 
     def restarted(self, options: RaceOptions, rewards: Mapping[str, Reward]) -> Episode:
@@ -193,25 +196,15 @@ class Episode:
         before, self.snapshot = self.snapshot, snapshot
         self._num_steps += 1
         is_over = self._max_cycles is not None and self._num_steps >= self._max_cycles
-        self._record.score(before, snapshot, seats, is_over, slots, ends)
-
-    @property
-    def ends(self) -> EndArrays:
-        """Arrays for the rewards, terminations and truncations of all agents, for reuse."""
-        return self._record.ends
-
-    @property
-    def info_keys(self) -> tuple[str, ...]:
-        """Keys of every info, in order."""
-        return self._record.info_keys
+        self.record.score(before, snapshot, seats, is_over, slots, ends)
 
     def infos_into(self, seats: Seats, slots: IntArray, table: InfoTable) -> None:
-        """Writes the infos of some agents into a table with :attr:`info_keys`."""
-        self._record.infos_into(self.snapshot, seats, self._num_steps, slots, table)
+        """Writes the infos of some agents into a table with the keys of :attr:`record`."""
+        self.record.infos_into(self.snapshot, seats, self._num_steps, slots, table)
 
     def infos(self, seats: Seats) -> dict[str, dict[str, Any]]:
         """Returns new infos of some agents; see :meth:`EpisodeRecord.infos`."""
-        return self._record.infos(self.snapshot, seats, self._num_steps)
+        return self.record.infos(self.snapshot, seats, self._num_steps)
 
     @property
     def ground(self) -> Ground:
@@ -238,7 +231,7 @@ class Episode:
         events = None
         if options.events or endings is not None:
             events = RaceEvents(self.track_map, self.setup.step_size, len(self.setup.karts))
-        self._record = EpisodeRecord(
+        self.record = EpisodeRecord(
             rewards, self.race.kart_indices, race_length, events, endings, options.events
         )
         self._num_steps = 0
@@ -335,7 +328,7 @@ class EpisodeRecord:
         ``episode/return`` is the return and ``episode/length`` the number of steps. With events,
         ``event/<name>`` and ``episode/event/<name>`` count the events of
         :data:`stkzoo.mdp.events.EVENTS`. With optional ends, ended agents also have ``ended_by``
-        (:class:`~stkzoo.env.endings.Endings`).
+        (:class:`Endings`).
 
         Args:
             snapshot: current snapshot.
@@ -402,6 +395,76 @@ class EpisodeRecord:
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
         self._make_scorer()
+
+
+class Endings:
+    """Ends the episodes of agents that fail, and of all others after the first finish.
+
+    An agent whose kart is stuck, drives in the wrong direction or is off the road for too long is
+    *terminated*: it has failed, and its future reward is zero. Agents that are still racing after
+    the first finish are *truncated*: the race would continue for them.
+
+    Args:
+        options: options of the episode.
+
+    Attributes:
+        reasons: why each ended agent's episode ended: ``"finish"``, ``"off_road"``,
+            ``"wrong_way"``, ``"stuck"``, ``"first_finish"`` or ``"max_cycles"``.
+    """
+
+    def __init__(self, options: RaceOptions) -> None:
+        limits = options.end_off_road, options.end_when_wrong_way, options.end_when_stuck
+        self._limits = [np.inf if limit is None else limit for limit in limits]
+        self._steps_left = options.end_when_first_finishes
+        self.reasons: dict[str, str] = {}
+
+    def end(
+        self,
+        ends: EndArrays,
+        slots: npt.NDArray[np.intp],
+        agents: Sequence[str],
+        after: Snapshot,
+        seconds: npt.NDArray[np.float64],
+    ) -> None:
+        """Adds the ends of a step.
+
+        Args:
+            ends: rewards, terminations and truncations of the step; changed in place.
+            slots: ``(A,)`` slot of each agent.
+            agents: the A agents that were still racing.
+            after: snapshot after the step.
+            seconds: ``(A, 3)`` float64, how long each agent's kart has been in each state of
+                :data:`stkzoo.mdp.events.STREAKS` [s].
+        """
+        _, terminations, truncations = ends
+        is_cut = self._is_cut(after)
+        fails = seconds > np.array(self._limits) - 1e-6  # float sums are inexact
+        for slot, agent, failed in zip(slots.tolist(), agents, fails.tolist(), strict=True):
+            if terminations[slot]:
+                self.reasons[agent] = "finish"
+            elif any(failed):
+                self.reasons[agent] = STREAKS[failed.index(True)]
+                terminations[slot], truncations[slot] = True, False
+            elif is_cut:
+                self.reasons[agent], truncations[slot] = "first_finish", True
+            elif truncations[slot]:
+                self.reasons[agent] = "max_cycles"
+
+    def _is_cut(self, after: Snapshot) -> bool:
+        """Whether the chosen number of steps has passed since the first finish."""
+        if self._steps_left is None or not after.karts["has_finished_race"].any():
+            return False
+        self._steps_left -= 1
+        return self._steps_left < 0
+
+
+def endings_of(options: RaceOptions) -> Endings | None:
+    """Returns the ends that the options request; ``None`` if there are none."""
+    chosen = (
+        *(options.end_off_road, options.end_when_wrong_way, options.end_when_stuck),
+        options.end_when_first_finishes,
+    )
+    return None if chosen == (None,) * 4 else Endings(options)
 
 
 def _is_agent(name: object, agents: Sequence[str]) -> bool:

@@ -19,8 +19,7 @@ from stkzoo.engine.race import RaceStart
 from stkzoo.engine.session import Session
 from stkzoo.engine.setup import RaceSetup
 from stkzoo.env.cameras import RaceCameras
-from stkzoo.env.endings import EndArrays
-from stkzoo.env.episode import Episode
+from stkzoo.env.episode import EndArrays, Episode
 from stkzoo.env.grid import RaceRoster, draw_race
 from stkzoo.env.options import RaceOptions, check_agents, random_stream
 from stkzoo.env.rendering import Rendering
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from stkzoo.drivers import Driver
     from stkzoo.env.opponents import RaceOpponents
     from stkzoo.env.vec.rows import SlotSteps
-    from stkzoo.env.vec.starts import Starts
+    from stkzoo.env.vec.starts import AheadStarts, RepeatedStarts
 
 Controls = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.intp]
@@ -100,7 +99,7 @@ class Race:
         self.episode: Episode | None = None
         self.turn = CallTurn()
         self.new_session, self.session = new_session, new_session()
-        self.starts: Starts | None = None
+        self.starts: AheadStarts | RepeatedStarts | None = None
         self.rendering, self.cameras, self.opponents = rendering, cameras, opponents
         self._rewards, self._assets, self._chains = rewards, assets, chains
         self._num_cameras = num_cameras
@@ -163,17 +162,19 @@ class Race:
                 "change its spaces; make a new environment"
             )
         with self.exchange():
-            if asked.get("scenario") is not None:
-                agents, self.episode = self._from_scenario(asked, options)
-            elif asked.get("state") is not None:
-                agents, self.episode = self._from_state(asked, options)
+            moment = self._asked_moment(asked)
+            if moment is None:
+                agents, self.episode = self.possible_agents, self._drawn(asked, options)
             else:
-                agents, self.episode = list(self.possible_agents), self._drawn(asked, options)
+                agents = [agent for agent in self.possible_agents if agent in moment.agents]
+                is_state = isinstance(moment, RaceState)
+                begin: Any = self._from_state if is_state else self._from_scenario
+                self.episode = begin(moment, options)
             self.agents, self._stepping = [], None  # in case a wrapper fails
         seats = self.episode.seats(agents)
         infos = self.episode.infos(seats)
         result = self._chains.reset(seats, self.episode, infos, seed=seed, options=dict(asked))
-        self.agents = agents
+        self.agents = list(agents)
         self.rendering.reset(self.episode)
         return result
 
@@ -185,11 +186,10 @@ class Race:
             ConfigError: an option is unknown or invalid.
         """
         self.options.of_episode(asked, self._assets.tracks)
-        if asked.get("scenario") is not None:
-            self._drivers_in(self._checked_scenario(asked), copy.deepcopy(self.np_random))
-        elif asked.get("state") is not None:
-            self._checked_state(asked)
-        elif self.opponents is not None:
+        moment = self._asked_moment(asked)
+        if isinstance(moment, Scenario):
+            self._drivers_in(moment, copy.deepcopy(self.np_random))
+        elif moment is None and self.opponents is not None:
             self.opponents.check_difficulty(asked.get("difficulty"))
 
     def next_setup(self, seed: int | None, asked: Mapping[str, Any]) -> RaceSetup | None:
@@ -262,8 +262,8 @@ class Race:
             self._stepping = None
             return {}, {}, {}, {}, {}
         seats = episode.seats(agents)
-        self._advance(episode, seats, seats.order, episode.ends)
-        rewards, terminations, truncations = episode.ends
+        self._advance(episode, seats, seats.order, episode.record.ends)
+        rewards, terminations, truncations = episode.record.ends
         parts = (
             self._chains.observe(seats, episode),
             split_batch(rewards, seats.agents),
@@ -300,7 +300,7 @@ class Race:
         if self.agents:
             seats = episode.seats(self.agents)
             self._chains.observe_into(seats, episode, slots, steps.observations)
-            table = steps.infos.table(episode.info_keys)
+            table = steps.infos.table(episode.record.info_keys)
             episode.infos_into(seats, slots, table)
             table.has[slots] = True
         return slots
@@ -455,21 +455,14 @@ class Race:
                     raise
         return self._new_episode(options, setup, kart_indices, begun, drivers)
 
-    def _from_state(
-        self, asked: Mapping[str, Any], options: RaceOptions
-    ) -> tuple[list[str], Episode]:
-        """Starts an episode at a saved moment; returns its agents too."""
-        state = self._checked_state(asked)
-        moment = state.moment
+    def _from_state(self, state: RaceState, options: RaceOptions) -> Episode:
+        """Starts an episode at a saved moment."""
         state.resume_in(self.session)
-        self._go_on_with_opponents(moment)
-        return list(moment.agents), moment.episode.restarted(options, self._rewards)
+        self._go_on_with_opponents(state.moment)
+        return state.moment.episode.restarted(options, self._rewards)
 
-    def _from_scenario(
-        self, asked: Mapping[str, Any], options: RaceOptions
-    ) -> tuple[list[str], Episode]:
-        """Drives a race to the moment of a scenario; returns the agents of the episode too."""
-        scenario = self._checked_scenario(asked)
+    def _from_scenario(self, scenario: Scenario, options: RaceOptions) -> Episode:
+        """Drives a race to the moment of a scenario."""
         drivers = self._drivers_in(scenario, self.np_random)
         self._end()  # in case the start fails
         begun = scenario.reach(self.session)
@@ -479,7 +472,7 @@ class Race:
         episode = self._new_episode(options, setup, kart_indices, begun, drivers)
         for row in scenario.controls:
             episode.remember(row)
-        return [agent for agent in self.possible_agents if agent in scenario.agents], episode
+        return episode
 
     def _new_episode(
         self,
@@ -533,22 +526,23 @@ class Race:
             )
         return drivers
 
-    def _checked_state(self, asked: Mapping[str, Any]) -> RaceState:
-        state = checked_state(asked["state"])
-        self._check_roster("state", state.moment.roster)
-        check_beside("state", asked, state.agents)
-        return state
-
-    def _checked_scenario(self, asked: Mapping[str, Any]) -> Scenario:
-        scenario = read_scenario(asked["scenario"])
-        self._check_roster("scenario", scenario.roster)
-        check_beside("scenario", asked, scenario.agents)
-        if scenario.setup.track not in self._assets.tracks:
-            raise ConfigError(
-                f"the scenario's track {scenario.setup.track!r} is not here; `stkzoo assets "
-                "status` shows where the game's data comes from"
-            )
-        return scenario
+    def _asked_moment(self, asked: Mapping[str, Any]) -> RaceState | Scenario | None:
+        """Returns the saved state or scenario at which an episode is to start, if any."""
+        moment: RaceState | Scenario
+        if asked.get("scenario") is not None:
+            what, moment = "scenario", read_scenario(asked["scenario"])
+            if moment.setup.track not in self._assets.tracks:
+                raise ConfigError(
+                    f"the scenario's track {moment.setup.track!r} is not here; `stkzoo assets "
+                    "status` shows where the game's data comes from"
+                )
+        elif asked.get("state") is not None:
+            what, moment = "state", checked_state(asked["state"])
+        else:
+            return None
+        self._check_roster(what, moment.roster)
+        check_beside(what, asked, moment.agents)
+        return moment
 
     def _agents_of_ai(self) -> set[str]:
         pairs = zip(self.possible_agents, self.specs, strict=True)

@@ -80,6 +80,11 @@ class RaceState:
         return self.moment.agents
 
     @property
+    def roster(self) -> RaceRoster:
+        """Karts and agents of the race."""
+        return self.moment.roster
+
+    @property
     def snapshot(self) -> Snapshot:
         """Snapshot of all karts at the saved moment."""
         return self.moment.episode.snapshot

@@ -1,11 +1,15 @@
-"""Base classes of wrappers with special support in views."""
+"""Base classes of wrappers, and a check of the spaces that they wrap."""
 
 from __future__ import annotations
 
+import copy
 import inspect
 from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import gymnasium as gym
+from gymnasium import spaces
+
+from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -39,6 +43,28 @@ class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
         """Converts the action, steps the wrapped environment and converts the observation."""
         observation, reward, terminated, truncated, info = self.env.step(self.action(action))
         return self.observation(observation), reward, terminated, truncated, info
+
+
+class ActionFormWrapper(ActionObservationWrapper):
+    """Base class of wrappers that change actions, including the AI's ``action`` in observations."""
+
+    def _change_action_space(self, space: spaces.Space[Any]) -> None:
+        self.action_space = space
+        seen = self.env.observation_space
+        self._has_action = isinstance(seen, spaces.Dict) and "action" in seen.spaces
+        if isinstance(seen, spaces.Dict) and self._has_action:
+            parts = {**copy.deepcopy(seen.spaces), "action": copy.deepcopy(space)}
+            self.observation_space = spaces.Dict(parts)
+
+    def observed_action(self, action: Any) -> Any:
+        """Converts an action of the wrapped environment to one of this wrapper."""
+        raise NotImplementedError
+
+    def observation(self, observation: Any) -> Any:
+        """Returns the observation with the AI's ``action``, if it has one, converted."""
+        if not self._has_action:
+            return observation
+        return {**observation, "action": self.observed_action(observation["action"])}
 
 
 class RecordedWrapper(gym.utils.RecordConstructorArgs):
@@ -94,3 +120,22 @@ class CompiledWrapper(RecordedWrapper):
     def keeps_promise(self) -> bool:
         """Whether the object's own class lists :class:`CompiledWrapper` as a base."""
         return CompiledWrapper in type(self).__bases__
+
+
+def dict_space(space: spaces.Space[Any], what: str, wrapper: str) -> spaces.Dict:
+    """Returns ``space`` if it is a ``Dict``.
+
+    Args:
+        space: the space to check.
+        what: kind of values, such as ``"actions"``, for the message.
+        wrapper: name of the wrapper, for the message.
+
+    Raises:
+        ConfigError: the space is not a ``Dict``.
+    """
+    if not isinstance(space, spaces.Dict):
+        raise ConfigError(
+            f"{wrapper} needs {what} in a Dict space. Put it inside the wrappers that flatten, not "
+            f"around them. Found {space!r:.200}"
+        )
+    return space

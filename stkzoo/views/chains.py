@@ -15,8 +15,15 @@ from stkzoo.errors import AgentException
 from stkzoo.kernel import ActionReader, CarController, new_batch, split_batch
 from stkzoo.mdp.spaces import as_actions
 from stkzoo.views.agent_chain import WrapperMemory
-from stkzoo.views.batches import form_of, write_rows
-from stkzoo.views.plan import ObservationSource, RowObserver, Seats, ViewPlan, is_extra
+from stkzoo.views.plan import (
+    ObservationSource,
+    RowObserver,
+    Seats,
+    ViewPlan,
+    form_of,
+    is_extra,
+    write_rows,
+)
 from stkzoo.views.walker import ChainWalker, Factories, Failures, StepParts
 
 IntArray = npt.NDArray[np.intp]

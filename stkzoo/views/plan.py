@@ -3,6 +3,10 @@
 A :class:`ViewPlan` starts as the ``full`` view. Each wrapper, starting with the innermost, adds
 itself (``compile_into``) until one cannot. The kernel then replaces these wrappers: it makes their
 observations directly from the game's records, and controls directly from their actions.
+
+A *batch* of observations has a row for each of several agents: it is an array; a list of texts; or
+a dict of batches by entry. The kernel's ``new_batch`` makes batches, and its ``split_batch``
+returns their rows.
 """
 
 from __future__ import annotations
@@ -85,7 +89,7 @@ class ObservationSource(Protocol):
 
 
 class RowObserver(Protocol):
-    """Makes the observations of karts as rows of a batch (:mod:`stkzoo.views.batches`)."""
+    """Makes the observations of karts as rows of a batch."""
 
     def observe_into(
         self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
@@ -223,3 +227,37 @@ def _entry(part: Any, column: int) -> Entry:
 def _hashable(entry: Entry) -> Hashable:
     *rest, table = entry
     return (*rest, None if table is None else table.tobytes())
+
+
+# ---------------------------------------------------------------------- batches
+
+
+def form_of(space: spaces.Space[Any]) -> Any:
+    """Returns a batch with one row in the form of a space's values, for ``new_batch``.
+
+    Args:
+        space: a space whose values have a fixed size.
+    """
+    if isinstance(space, spaces.Dict):
+        return {key: form_of(part) for key, part in space.spaces.items()}
+    if isinstance(space, spaces.Text):
+        return [""]
+    return np.empty((1, *(space.shape or ())), space.dtype)
+
+
+def write_rows(batch: Any, rows: IntArray, values: Any) -> None:
+    """Writes values into rows of a batch.
+
+    Args:
+        batch: the batch.
+        rows: rows to write.
+        values: a batch with as many rows, or one value for all of them.
+    """
+    if isinstance(batch, dict):
+        for key, value in values.items():
+            write_rows(batch[key], rows, value)
+    elif isinstance(batch, list):
+        for place, row in enumerate(rows.tolist()):
+            batch[row] = values if isinstance(values, str) else values[place]
+    else:
+        batch[rows] = values

@@ -209,11 +209,10 @@ def observe_full(source, karts, use_ai=False):
     return RecordsObserver(ViewPlan(*spaces, CONTROLS)).observe(source, np.asarray(karts))
 
 
-def full_batch(env):
-    """Returns the agents' observations in the ``full`` view as arrays with a row for each."""
+def full_views(env):
+    """Returns the observations of the racing agents in the ``full`` view."""
     episode = env.live_race.episode
-    seen = observe_full(episode, episode.seats(env.agents).karts)
-    return {key: np.array([one[key] for one in seen]) for key in seen[0]}
+    return observe_full(episode, episode.seats(env.agents).karts)
 
 
 def moment_of(snapshot, track, kart_types, num_paths=None):

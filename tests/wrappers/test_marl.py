@@ -12,7 +12,7 @@ from stkzoo import ActionError, ConfigError, race_v0
 from stkzoo.views import VIEWS
 from stkzoo.wrappers import FlattenerWrapper, JoinedObservations, PolarObservations
 from stkzoo.wrappers.marl import ActionMasks, MessageChannel, PartialObservations, Teams
-from tests.support.generic_env import full_batch
+from tests.support.generic_env import full_views
 
 TEAMS = [["kart_0", 3], ["1", "kart_2"]]
 
@@ -64,7 +64,7 @@ def test_the_mask_is_correct_for_nitro_and_fire_during_a_whole_race():
     with race(agents=1, num_kart=2, view="masked_discrete", max_cycles=600) as env:
         observations, _ = env.reset(seed=2)
         while env.agents:
-            full = {key: rows[0] for key, rows in full_batch(env).items()}
+            (full,) = full_views(env)
             mask = observations["kart_0"]["action_mask"]
             can = {"nitro": full["energy"][0] > 0, "fire": full["powerup_type"] != 0}
             for action in range(0, 1120, 7):
@@ -125,16 +125,16 @@ def test_karts_far_away_or_behind_are_hidden():
         observations, _ = env.reset(seed=1)
         for _ in range(60):
             observations = env.step(some_actions(env))[0]
-        num_hidden, everything = 0, full_batch(env)
+        num_hidden, everything = 0, full_views(env)
         for row, agent in enumerate(("kart_0", "kart_1")):
             for key, others in (("karts_position", ()), ("items_position", ("items_type",))):
-                rows = everything[key][row]
+                rows = np.array(everything[row][key])
                 kept = (np.linalg.norm(rows, axis=1) <= 20) & (rows[:, 2] >= 0)
                 num_hidden += len(rows) - kept.sum()
                 seen = np.array(observations[agent][key]).reshape(-1, 3)
                 np.testing.assert_allclose(seen, rows[kept], rtol=1e-5, atol=1e-5)
                 for other in others:
-                    kinds = everything[other][0][kept].tolist()
+                    kinds = np.array(everything[row][other])[kept].tolist()
                     assert list(observations[agent][other]) == kinds
             assert env.observation_space(agent).contains(observations[agent])
         assert num_hidden > 0

@@ -23,12 +23,14 @@ from stkzoo.wrappers.racing import (
     RacingObservations,
     choices_of_action,
     controls_of_choices,
+    racing_features,
     road_line,
     road_observer,
+    surroundings_of,
 )
 from stkzoo.wrappers.racing.features import MARKS, STEP
 from stkzoo.wrappers.racing.surroundings import NUM_POINTS
-from tests.support.generic_env import full_batch, kart_env
+from tests.support.generic_env import kart_env
 
 
 class OneKart(gym.Env):
@@ -82,7 +84,8 @@ def test_one_kart_a_race_and_a_batch_have_the_same_observations(track, reverse):
         view = RacingObservations(OneKart(env))
         for observations in itertools.islice(moments(env), 0, None, 9):
             alone = np.stack([view.observation(observations[agent]) for agent in env.agents])
-            together = view.observation(full_batch(env))
+            seen = [observations[agent] for agent in env.agents]
+            together = racing_features(*surroundings_of(seen))
             from_above = np.empty((len(env.agents), SIZE), np.float32)
             rows, observer = np.arange(len(env.agents)), road_observer(env.track_map)
             observer.observe_into(env.snapshot, places_of(env), rows, from_above)

@@ -125,17 +125,6 @@ def test_an_observed_ai_action_is_declared_in_the_flattened_action_space(view):
     assert env.observation_space["action"] == env.action_space
 
 
-@pytest.mark.parametrize("use_ai", [False, True])
-@pytest.mark.parametrize("view", VIEWS)
-def test_a_batch_of_observations_equals_its_rows_one_by_one(view, use_ai):
-    env = wrap(kart_env(use_ai), view)
-    batch = random_batch(np.random.default_rng(7), 5, use_ai=use_ai)
-    base_space = kart_observation_space(use_ai)
-    rows = [observe(env, obs) for obs in split(base_space, batch)]
-    for row, single in zip(split(env.observation_space, observe(env, batch)), rows, strict=True):
-        assert_same(row, single)
-
-
 @pytest.mark.parametrize("view", FIXED_SIZE)
 def test_a_batch_of_actions_equals_its_rows_one_by_one(view):
     env = wrap(kart_env(), view)
@@ -154,23 +143,20 @@ def test_a_batch_of_actions_equals_its_rows_one_by_one(view):
 
 
 @pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("count", [1, 3])
-def test_empty_lists_can_be_observed(view, count):
+def test_empty_lists_can_be_observed(view):
     env = wrap(kart_env(), view)
-    batch = random_batch(np.random.default_rng(11), count, items=0, karts=0)
-    for row in split(env.observation_space, observe(env, batch)):
-        assert row in env.observation_space
+    batch = random_batch(np.random.default_rng(11), 3, items=0, karts=0)
     for obs in split(kart_observation_space(), batch):
         assert observe(env, obs) in env.observation_space
 
 
 def test_masks_tell_real_rows_from_padding():
     env = ConstantSizedObservations(kart_env(), add_mask=True)
-    batch = random_batch(np.random.default_rng(12), 2, items=2, karts=0, paths=9)
-    masks = env.observation(batch)
-    assert masks["items_mask"].tolist() == [[1, 1, 0, 0, 0]] * 2
-    assert masks["karts_mask"].tolist() == [[0] * 5] * 2
-    assert masks["paths_mask"].tolist() == [[1] * 5] * 2
+    batch = random_batch(np.random.default_rng(12), 1, items=2, karts=0, paths=9)
+    masks = env.observation(split(kart_observation_space(), batch)[0])
+    assert masks["items_mask"].tolist() == [1, 1, 0, 0, 0]
+    assert masks["karts_mask"].tolist() == [0] * 5
+    assert masks["paths_mask"].tolist() == [1] * 5
 
 
 def test_polar_angles_are_positive_to_the_right_and_above():
@@ -244,8 +230,8 @@ def test_numbers_out_of_bounds_are_clipped(number, step):
 
 @pytest.mark.slow
 @given(
-    npst.arrays(np.float32, (3, 2), elements=st.floats(-1, 1, width=32)),
-    npst.arrays(np.int64, (3, 4), elements=st.integers(0, 1)),
+    npst.arrays(np.float32, (2,), elements=st.floats(-1, 1, width=32)),
+    npst.arrays(np.int64, (4,), elements=st.integers(0, 1)),
 )
 def test_flattening_undoes_unflattening(continuous, discrete):
     space = spaces.Dict(
@@ -271,7 +257,7 @@ def test_every_combination_of_choices_has_its_own_number():
     numbers = np.arange(env.action_space.n)
     choices = env.action(numbers)
     assert len(np.unique(choices, axis=0)) == len(numbers)
-    assert env.observation({"action": choices})["action"].tolist() == numbers.tolist()
+    assert [env.observed_action(row) for row in choices] == numbers.tolist()
 
 
 def test_flattening_only_actions_keeps_the_observation():

@@ -12,8 +12,7 @@ from gymnasium import spaces
 
 from stkzoo._checks import check_flag, check_number, unknown_name
 from stkzoo.errors import ConfigError
-from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
+from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.control.car_action import CarAction
 from stkzoo.wrappers.control.kart import CarParameters
 

@@ -16,8 +16,12 @@ from stkzoo._checks import check_number, unknown_name
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import action_mask
 from stkzoo.mdp.spaces import extras_of
-from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper, RecordedWrapper
-from stkzoo.wrappers.arguments import dict_space
+from stkzoo.views.bases import (
+    ActionObservationWrapper,
+    CompiledWrapper,
+    RecordedWrapper,
+    dict_space,
+)
 from stkzoo.wrappers.flattening import FlattenerWrapper
 from stkzoo.wrappers.observations import MOTION, refuse_polar
 
@@ -74,7 +78,7 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
         return True
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Returns the observation with the mask, ``(..., n)`` int8."""
+        """Returns the observation with the mask, ``(n,)`` int8."""
         numbers, choices = (np.asarray(observation[key]) for key in ("continuous", "discrete"))
         energy = np.ascontiguousarray(numbers[..., self._energy], np.float32)
         powerups = np.ascontiguousarray(choices[..., self._powerup], np.int64)

@@ -136,16 +136,12 @@ def surroundings_of(
     """Returns own state and surroundings of karts from observations in the ``full`` view.
 
     Args:
-        observation: an observation of one kart, a batch, or a list of observations, also from
-            different races.
+        observation: an observation of one kart, or a list of them, also from different races.
         looks: ``(L,)`` distances at which the road is observed [m].
     """
-    if isinstance(observation, Mapping):
-        is_batch = np.ndim(observation["velocity"]) > 1
-        batch = observation if is_batch else {key: [value] for key, value in observation.items()}
-    else:
-        keys = (*_KEYS, *(key for key in _LINE if key in observation[0]))
-        batch = {key: [one[key] for one in observation] for key in keys}
+    seen = [observation] if isinstance(observation, Mapping) else observation
+    keys = (*_KEYS, *(key for key in _LINE if key in seen[0]))
+    batch = {key: [one[key] for one in seen] for key in keys}
     lines, first = traced(*(tuple(batch[key]) for key in _PATHS))
     road = np.empty((len(lines), len(looks), 4), np.float32)
     look_along(lines, STEP, first, np.ascontiguousarray(looks, np.float32), road)

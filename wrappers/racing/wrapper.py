@@ -16,8 +16,7 @@ from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import RacingObserver
 from stkzoo.mdp.spaces import as_actions
-from stkzoo.views.bases import CompiledWrapper
-from stkzoo.wrappers.arguments import ActionFormWrapper, dict_space
+from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_KINDS, OWN_NUMBERS, SIZE
 from stkzoo.wrappers.racing.surroundings import (
@@ -91,9 +90,8 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
         return True
 
     def observation(self, observation: dict[str, Any]) -> Any:
-        """Returns the vector ``(..., SIZE)`` float32, with the AI's action if there is one."""
-        lead = np.shape(observation["velocity"])[:-1]
-        vector = racing_features(*surroundings_of(observation)).reshape(*lead, SIZE)
+        """Returns the vector ``(SIZE,)`` float32, with the AI's action if there is one."""
+        vector = racing_features(*surroundings_of(observation))[0]
         if not self._has_action:
             return vector
         return {"action": observation["action"], "observation": vector}
@@ -111,7 +109,7 @@ class _RacingObserver:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
         if _is_short(source):
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
-            batch[rows] = [racing_features(*surroundings_of(one))[0] for one in seen]
+            batch[rows] = racing_features(*surroundings_of(seen))
         else:
             road_observer(source.track_map).observe_into(source.snapshot, karts, rows, batch)
 

@@ -11,11 +11,10 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.env.endings import EndArrays
-from stkzoo.env.episode import WHOLE_INFOS, InfoTable
+from stkzoo.env.episode import WHOLE_INFOS, EndArrays, InfoTable
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import new_batch
-from stkzoo.views.batches import form_of, write_rows
+from stkzoo.views.plan import form_of, write_rows
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -29,7 +28,7 @@ class SlotSteps:
 
     Attributes:
         observations: next observation of each slot: after the end of a race, the first observation
-            of the next one; for an idle slot, zeros. A batch (:mod:`stkzoo.views.batches`).
+            of the next one; for an idle slot, zeros. A batch (:mod:`stkzoo.views.plan`).
         infos: info of each slot, for the same moment as its observation; empty for idle slots.
         rewards: ``(S,)`` float64, 0 for idle slots.
         terminations: ``(S,)`` bool, whether the slot's agent finished in this step.

@@ -6,7 +6,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -37,28 +37,6 @@ def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> l
     return [own if own is None else check_whole("seed", own, 0) for own in seed]
 
 
-class Starts(Protocol):
-    """Begins the game's races in place of their session."""
-
-    def begin(self, setup: RaceSetup, session: Session) -> tuple[Session, RaceStart]:
-        """Ends a session's race and begins another one.
-
-        Args:
-            setup: setup of the race.
-            session: the session.
-
-        Returns:
-            The session with the race, which replaces the other one, and its start.
-
-        Raises:
-            ConfigError: the setup is invalid.
-            EngineError: the game does not start.
-        """
-
-    def close(self) -> None:
-        """Ends what waits; called when a race is closed."""
-
-
 class AheadStarts:
     """Starts a race's successor in a second process while the race runs.
 
@@ -87,7 +65,19 @@ class AheadStarts:
             self._next = setup, session
 
     def begin(self, setup: RaceSetup, session: Session) -> tuple[Session, RaceStart]:
-        """See :meth:`Starts.begin`; uses the race that was started ahead if its setup matches."""
+        """Ends a session's race and begins another one: the one ahead if its setup matches.
+
+        Args:
+            setup: setup of the race.
+            session: the session.
+
+        Returns:
+            The session with the race, which replaces the other one, and its start.
+
+        Raises:
+            ConfigError: the setup is invalid.
+            EngineError: the game does not start.
+        """
         if self._next is not None and self._next[0] == setup:
             _, ahead = self._next
             try:
@@ -155,7 +145,7 @@ class RepeatedStarts:
         return self._first + int(self._random.integers(self._count))
 
     def begin(self, setup: RaceSetup, session: Session) -> tuple[Session, RaceStart]:
-        """See :meth:`Starts.begin`; copies a start that waits, or starts one that waits."""
+        """As :meth:`AheadStarts.begin`, but copies a start that waits, or starts one that waits."""
         if setup in self._kept:
             self._kept.move_to_end(setup)
             waiting, start = self._kept[setup]

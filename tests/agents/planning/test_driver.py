@@ -31,7 +31,7 @@ from stkzoo.wrappers.racing import (
     ground_observer,
     surroundings_of,
 )
-from tests.support.generic_env import full_batch
+from tests.support.generic_env import full_views
 
 SIDE = np.array([-1, 1, 1], np.float32)
 
@@ -50,7 +50,7 @@ def driven_race(steps, karts=3, track="lighthouse", rules=None, choose=best):
         env.reset(seed=3)
         drivers = PlanDriver(karts, rules)
         for _ in range(steps):
-            own, around = surroundings_of(full_batch(env), ALL_LOOKS)
+            own, around = surroundings_of(full_views(env), ALL_LOOKS)
             if env.snapshot.phase < 2:
                 controls = np.zeros((karts, 7), np.float32)
                 controls[:, 0] = 1
