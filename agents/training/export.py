@@ -206,7 +206,7 @@ def _ensemble_of(sources: Sequence[Path], plans: str | Path) -> tuple[Arrays, Dr
     if any(other != rules[0] for other in rules):
         raise ConfigError(
             "the policies over plans have runs with different plans; use policies of runs with "
-            "the same --plans and --turn-hold, or choose the plans with --plans"
+            "the same --plans, or choose the plans with --plans"
         )
     return join_members(networks, policies), rules[0]
 

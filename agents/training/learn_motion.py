@@ -8,14 +8,14 @@ turns in the next 0.1 s, and how its forward and sideways speeds change. Steps i
 flies, crashes or is rescued are left out. Each step is also learned mirrored.
 
 The folder contains ``motion.safetensors``, which replaces the file in ``agents/planning``. The
-command also prints the errors of one-second forecasts on the validation tracks, which are not used
-for training, and those of forecasts with arcs at constant speed.
+command also prints the errors of its forecasts of a step on the validation tracks, which are not
+used for training.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -28,7 +28,7 @@ from stkzoo._os import make_folder
 from stkzoo.agents.planning import BoolArray, FloatArray
 from stkzoo.agents.planning.driver import PlanDriver, PolicyInput
 from stkzoo.agents.planning.memory import PlanMemory
-from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, RELEASE_TURN, WEIGHTS, MotionState
+from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, WEIGHTS, MotionState
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -56,8 +56,6 @@ _MIRROR = np.where(_ODD, -1, 1).astype(np.float32)
 _OUTPUT_MIRROR = np.array([-1, 1, -1], np.float32)
 #: Error at which the loss becomes linear, in the units of the outputs.
 _LINEAR_FROM = 0.3
-#: Steps of the printed forecasts.
-_FORECAST = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,40 +79,6 @@ class MotionArguments(RunArguments):
     learned_motion: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """Logged steps of the karts of some races, ``(T, A)`` each.
-
-    Attributes:
-        state: state of the karts, with the memory of their drivers after they have acted.
-        nitro: whether they use nitro.
-        heading: direction in the world, positive to the right [rad].
-        place: ``(T, A, 2)`` position in the world [m].
-        lock: turn at full lock [rad/s].
-        is_ordinary: whether a step and the motion before it are ordinary.
-    """
-
-    state: MotionState
-    nitro: FloatArray
-    heading: FloatArray
-    place: FloatArray
-    lock: FloatArray
-    is_ordinary: BoolArray
-
-    def examples(self) -> tuple[FloatArray, FloatArray]:
-        """Returns inputs ``(N, 17)`` and outputs ``(N, 3)`` of ordinary steps."""
-        ordinary = self.is_ordinary
-        kept = ordinary[:-2] & ordinary[1:-1] & ordinary[2:]
-        now, after = self.at(slice(1, -1)), self.at(slice(2, None))
-        inputs = np.concatenate([now.inputs(MOTION_RULES), self.nitro[1:-1, :, None]], axis=-1)
-        outputs = (after.yaw, after.speed - now.speed, after.slide - now.slide)
-        return inputs[kept], np.stack(outputs, axis=-1)[kept]
-
-    def at(self, steps: slice | tuple[int, BoolArray]) -> MotionState:
-        """Returns the state at some steps, or that of some karts at one step."""
-        return MotionState(*(column[steps] for column in self.state))
-
-
 class _Noisy(PlanDriver):
     """A policy that follows the plans with an offset to the steering of each kart."""
 
@@ -127,8 +91,8 @@ class _Noisy(PlanDriver):
 
 def drive(
     tracks: Sequence[str], rounds: int, rules: DriverParameters, seed: int
-) -> Iterator[Drive]:
-    """Drives rounds of races; yields the log of each.
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Drives rounds of races; yields the examples of each, see :func:`_examples`.
 
     Args:
         tracks: tracks, drawn uniformly and in both directions.
@@ -167,7 +131,7 @@ def drive(
                 observations, _, finished, cut, _ = races.step_wait()
                 is_first &= ~(finished | cut)
             karts, controls, memory, active = map(np.array, zip(*rows, strict=True))
-            yield _logged(karts, controls, memory, active, rules.wheel_base)
+            yield _examples(karts, controls, memory, active)
 
 
 def _karts_of(race: Any) -> npt.NDArray[np.void]:
@@ -175,18 +139,22 @@ def _karts_of(race: Any) -> npt.NDArray[np.void]:
     return np.asarray(race.snapshot.karts[list(race.race.kart_indices)])
 
 
-def _logged(
-    karts: npt.NDArray[np.void],
-    controls: FloatArray,
-    memory: FloatArray,
-    active: BoolArray,
-    wheel_base: float,
-) -> Drive:
+def _examples(
+    karts: npt.NDArray[np.void], controls: FloatArray, memory: FloatArray, active: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    """Returns inputs ``(N, 17)`` and outputs ``(N, 3)`` of steps with ordinary motion before them.
+
+    Args:
+        karts: records of the karts, ``(T, A)``.
+        controls: their controls, ``(T, A, 7)``.
+        memory: memory of their drivers after they have acted, ``(T, columns, A)``.
+        active: ``(T, A)``, karts in their first race.
+    """
     remembered = PlanMemory(*memory.swapaxes(0, 1))
     forward = rotation_matrices(karts["rotation"])[..., 2, :]
     heading = np.arctan2(forward[..., 0], forward[..., 2])
     place, velocity = karts["location"][..., ::2], karts["velocity_lc"]
-    speed = velocity[..., 2]
+    speed, slide = velocity[..., 2], velocity[..., 0]
     yaw, gain, way = (np.zeros_like(speed) for _ in range(3))
     yaw[1:] = (np.diff(heading, axis=0) + np.pi) % (2 * np.pi) - np.pi
     gain[1:], way[1:] = np.diff(speed, axis=0), np.abs(np.diff(place, axis=0)).max(axis=-1)
@@ -197,7 +165,7 @@ def _logged(
     is_ordinary &= (np.abs(yaw) < _MOST_TURN) & (np.abs(gain) < _MOST_GAIN) & (way < _MOST_WAY)
     state = MotionState(
         speed=speed,
-        slide=velocity[..., 0],
+        slide=slide,
         yaw=yaw,
         turn=remembered.turn,
         turn_before=before,
@@ -209,9 +177,11 @@ def _logged(
         big_boost=remembered.big_boost_steps,
         brake=controls[..., 2],
     )
-    nitro = controls[..., 5] * (karts["energy"] > 0)
-    lock = speed * np.tan(karts["max_steer_angle"]) / wheel_base
-    return Drive(state, nitro.astype(np.float32), heading, place, lock, is_ordinary)
+    nitro = (controls[..., 5] * (karts["energy"] > 0)).astype(np.float32)
+    inputs = np.concatenate([state.inputs(MOTION_RULES), nitro[..., None]], axis=-1)
+    outputs = np.stack([yaw[1:], np.diff(speed, axis=0), np.diff(slide, axis=0)], axis=-1)
+    kept = is_ordinary[:-2] & is_ordinary[1:-1] & is_ordinary[2:]
+    return inputs[1:-1][kept], outputs[1:][kept]
 
 
 def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> list[FloatArray]:
@@ -259,73 +229,37 @@ def fit(inputs: FloatArray, outputs: FloatArray, arguments: MotionArguments) -> 
     return arrays
 
 
-def misses(log: Drive, layers: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Returns the errors of one-second forecasts, lateral and forward, ``(N, 2)`` [m].
-
-    Returns:
-        Errors of the network, and of arcs at constant speed.
-    """
+def errors_of(layers: Sequence[FloatArray], inputs: FloatArray, outputs: FloatArray) -> FloatArray:
+    """Returns the errors of a network's outputs ``(N, 3)``, in the units of the outputs."""
     pairs = zip(layers[::2], layers[1::2], strict=True)
     network = Mlp(tuple((np.ascontiguousarray(w.T), bias) for w, bias in pairs), False)
-    of_network, of_arcs = [], []
-    for start in range(1, len(log.heading) - _FORECAST, _FORECAST):
-        kept = np.asarray(log.is_ordinary[start - 1 : start + _FORECAST + 1].all(axis=0))
-        sine, cosine = np.sin(log.heading[start, kept]), np.cos(log.heading[start, kept])
-        east, north = (log.place[start + _FORECAST] - log.place[start])[kept].T
-        actual = np.stack([east * cosine - north * sine, east * sine + north * cosine], axis=-1)
-        of_network.append(_by_network(log, start, kept, network) - actual)
-        of_arcs.append(_by_arcs(log, start, kept) - actual)
-    return np.concatenate(of_network), np.concatenate(of_arcs)
-
-
-def _by_network(log: Drive, start: int, kept: BoolArray, network: Mlp) -> FloatArray:
-    own = log.at((start, kept))
-    speed, slide, yaw = own.speed, own.slide, own.yaw
-    angle = aside = ahead = np.zeros_like(speed)
-    found = np.empty((len(speed), 3), np.float32)
-    for step in range(start, start + _FORECAST):
-        own = log.at((step, kept))._replace(speed=speed, slide=slide, yaw=yaw)
-        network.evaluate(own.inputs(MOTION_RULES), found)
-        yaw, gain, slip = found.T.copy()
-        way, side = (speed + gain / 2) * MOTION_RULES.step, (slide + slip / 2) * MOTION_RULES.step
-        middle = angle + yaw / 2
-        aside = aside + way * np.sin(middle) + side * np.cos(middle)
-        ahead = ahead + way * np.cos(middle) - side * np.sin(middle)
-        angle, speed, slide = angle + yaw, speed + gain, slide + slip
-    return np.stack([aside, ahead], axis=-1)
-
-
-def _by_arcs(log: Drive, start: int, kept: BoolArray) -> FloatArray:
-    way, lock = log.state.speed[start, kept] * MOTION_RULES.step, log.lock[start, kept]
-    angle = aside = ahead = np.zeros_like(way)
-    for step in range(start, start + _FORECAST):
-        own = log.at((step, kept))
-        released = np.where(own.release > 0, own.drift_turn * RELEASE_TURN, 0)
-        yaw = (own.turn * lock + released) * MOTION_RULES.step
-        aside, ahead = aside + way * np.sin(angle + yaw / 2), ahead + way * np.cos(angle + yaw / 2)
-        angle = angle + yaw
-    return np.stack([aside, ahead], axis=-1)
+    found = np.empty_like(outputs)
+    network.evaluate(np.ascontiguousarray(inputs[:, :-1]), found)  # plans use no nitro
+    return found - outputs
 
 
 def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:
     """Trains the network, saves it and prints its errors."""
     make_folder(options.output, "network")
     rules = DriverParameters(learned_motion=arguments.learned_motion)
-    logs = []
+    rounds = []
     with ProgressBar(arguments.rounds, unit="rounds") as bar:
-        for log in drive(SPLITS["train_only"], arguments.rounds, rules, arguments.seed):
-            logs.append(log.examples())
-            bar.report(len(logs), f"{sum(len(inputs) for inputs, _ in logs):,} steps")
-    inputs, outputs = (np.concatenate(column) for column in zip(*logs, strict=True))
-    layers = fit(inputs, outputs, arguments)
+        for examples in drive(SPLITS["train_only"], arguments.rounds, rules, arguments.seed):
+            rounds.append(examples)
+            bar.report(len(rounds), f"{sum(len(inputs) for inputs, _ in rounds):,} steps")
+    layers = fit(*_joined(rounds), arguments)
     save_weights(options.output / WEIGHTS.name, dict(zip(LAYERS, layers, strict=True)))
-    tests = list(drive(SPLITS["validation"], 4, rules, arguments.seed + 1))
-    pairs = [misses(log, layers) for log in tests]
-    print("errors of one-second forecasts, lateral and forward [m]:")
-    for name, column in zip(("network", "arcs"), zip(*pairs, strict=True), strict=True):
-        missed = np.concatenate(column)
-        middle, mean = np.median(np.abs(missed), axis=0), np.sqrt((missed**2).mean(axis=0))
-        print(f"  {name}: median {middle.round(2)}, root mean square {mean.round(2)}")
+    unseen = drive(SPLITS["validation"], 4, rules, arguments.seed + 1)
+    errors = errors_of(layers, *_joined(unseen))
+    print("errors of a step: turn [rad], gain of forward and of sideways speed [m/s]:")
+    middle, mean = np.median(np.abs(errors), axis=0), np.sqrt((errors**2).mean(axis=0))
+    print(f"  median {middle.round(4)}, root mean square {mean.round(4)}")
+
+
+def _joined(rounds: Iterable[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Returns the inputs and the outputs of several rounds."""
+    inputs, outputs = zip(*rounds, strict=True)
+    return np.concatenate(inputs), np.concatenate(outputs)
 
 
 def main(words: list[str] | None = None) -> int:

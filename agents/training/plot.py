@@ -8,6 +8,7 @@ wins.
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,49 +29,20 @@ from .common.run_folder import LOG, require_log
 Interval = Sequence[float]
 
 
-#: Panels: title, and labels by name of the figure in the log.
-_PANELS: tuple[tuple[str, dict[str, str]], ...] = (
+#: Panels: title, and names of the figures in the log.
+_PANELS = (
     (
         "Time over the AI's median time",
-        {
-            "alone_finished_ratio": "alone",
-            "selfplay_finished_ratio": "among themselves",
-            "rivals_finished_ratio": "against the AI",
-        },
+        ("alone_finished_ratio", "selfplay_finished_ratio", "rivals_finished_ratio"),
     ),
-    (
-        "Share of karts",
-        {
-            "selfplay_unfinished": "cut short, among themselves",
-            "rivals_unfinished": "cut short, against the AI",
-            "rivals_first": "first, against the AI",
-        },
-    ),
-    ("Reward per step", {"reward": "reward"}),
-    ("Explained variance of the value", {"explained": "explained"}),
-    (
-        "Pace, and karts that finished",
-        {"pace": "pace, of the AI's", "finished": "share of karts that finished"},
-    ),
-    (
-        "Share of opponents beaten",
-        {
-            "beats_past": "past selves",
-            "beats_bots": "the game's bots",
-            "beaten": "past policies",
-            "won": "the frozen driver",
-        },
-    ),
-    ("Return of a race", {"return": "return"}),
-    (
-        "Time over the AI's median time",
-        {
-            "time_ratio": "the driver; the teacher first",
-            "driver_time_ratio": "the driver",
-            "time_ratio_alone": "the network alone",
-        },
-    ),
-    ("Loss [nats]", {"loss": "loss"}),
+    ("Share of karts", ("selfplay_unfinished", "rivals_unfinished", "rivals_first")),
+    ("Reward per step", ("reward",)),
+    ("Explained variance of the value", ("explained",)),
+    ("Pace over the AI's, and share of karts that finished", ("pace", "finished")),
+    ("Share of opponents beaten", ("beaten", "beats_past", "beats_bots", "won")),
+    ("Return of a race", ("return",)),
+    ("Time over the AI's median time", ("time_ratio", "driver_time_ratio", "time_ratio_alone")),
+    ("Loss [nats]", ("loss",)),
 )
 
 
@@ -84,25 +56,16 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     Raises:
         ConfigError: a run has no log, or matplotlib is missing.
     """
-    logs = [(Path(folder).name, read_figures(folder)) for folder in folders]
-    names = {name for _, log in logs for line in log for name in line}
+    logs = {Path(folder).name: read_figures(folder) for folder in folders}
+    names = {name for log in logs.values() for line in log for name in line}
     panels = [panel for panel in _PANELS if names & set(panel[1])]
     rows = max(-(-len(panels) // 2), 1)
     figure = new_figure(10, 2.8 * rows)
     axes = list(figure.subplots(rows, 2, squeeze=False).flat)
     for axis, (title, entries) in zip(axes, panels, strict=False):
         style_axes(axis, title)
-        for run, log in logs:
-            for entry, label in entries.items():
-                found = [line for line in log if line.get(entry) is not None]
-                if found:
-                    whose = f"{label} ({run})" if len(logs) > 1 else label
-                    steps = [_x(line) for line in found]
-                    values = _smooth(np.array([line[entry] for line in found], float))
-                    (curve,) = axis.plot(steps, values, label=whose)
-                    if entry == "time_ratio":
-                        error = 1.96 * np.array([line["error"] for line in found])
-                        _draw_band(axis, curve, steps, values - error, values + error)
+        for entry, (run, log) in itertools.product(entries, logs.items()):
+            _draw_curve(axis, log, entry, f"{entry} ({run})" if len(logs) > 1 else entry)
         unit = "million kart-steps" if "kart_steps" in names else "round"
         axis.set_xlabel(unit, fontsize=8, color=INK)
         axis.grid(alpha=0.3)
@@ -111,6 +74,19 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
     for axis in axes[len(panels) :]:
         axis.remove()
     save_figure(figure, output)
+
+
+def _draw_curve(axis: Any, log: Sequence[Mapping[str, Any]], entry: str, label: str) -> None:
+    """Draws a figure of a log, if it has been measured."""
+    found = [line for line in log if line.get(entry) is not None]
+    if not found:
+        return
+    steps = [_x(line) for line in found]
+    values = _smooth(np.array([line[entry] for line in found], float))
+    (curve,) = axis.plot(steps, values, label=label)
+    if entry == "time_ratio":
+        error = 1.96 * np.array([line["error"] for line in found])
+        _draw_band(axis, curve, steps, values - error, values + error)
 
 
 def _x(line: Mapping[str, Any]) -> float:

@@ -6,9 +6,8 @@ It drives races of four policies and one kart of the game's AI at its highest di
 training tracks or those of ``--track``, with policies and grid positions drawn uniformly. Each race
 is a line of ``matches.jsonl``. To continue, also after a kill, run the same command again, perhaps
 with more ``--matches``. From all finishing orders it computes ratings with intervals
-(``ratings.json``) and a plot of them over kart-steps (``ratings.png``). ``start`` is the plans of
-the first run without learning; for networks without plans, it is the first saved policy of that
-run.
+(``ratings.json``) and a plot of them over kart-steps (``ratings.png``). If the policies of the
+first run choose plans, ``start`` is these plans without learning.
 """
 
 from __future__ import annotations
@@ -26,11 +25,9 @@ import numpy as np
 from stkzoo._arguments import option, positional
 from stkzoo._checks import check_whole
 from stkzoo._locks import locked_folder
-from stkzoo.agents.pretrained.mlp import is_network
 from stkzoo.agents.pretrained.policy import RacingPolicy
-from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation import save_figure
+from stkzoo.evaluation import Rating, save_figure
 
 from .common.arguments import QUICK_TRACKS, track_names
 from .common.command import limit_threads, run_command
@@ -45,15 +42,10 @@ from .common.matches import (
     play_records,
     rate_orders,
 )
-from .common.run_folder import (
-    continue_json_lines,
-    run_parameters,
-    saved_policies,
-    write_json,
-)
+from .common.run_folder import continue_json_lines, saved_policies, write_json
 from .plot import rating_figure
 
-#: Name of the driver from which learning is measured.
+#: Name of the plans without learning.
 START = "start"
 _RATINGS, _MATCHES, _PLOT = "ratings.json", "matches.jsonl", "ratings.png"
 #: Number of races between two writes.
@@ -68,7 +60,7 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
 
     Args:
         runs: folders of the runs.
-        every: minimum number of kart-steps between two policies.
+        every: minimum number of kart-steps between two policies; the first and last are kept.
 
     Raises:
         ConfigError: a folder has no policy, or two runs have the same name.
@@ -76,49 +68,40 @@ def kept_policies(runs: Sequence[Path], every: int) -> dict[str, Path]:
     names = [run.name for run in runs]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ConfigError(f"two runs are called {twice[0]!r}; give the runs other names")
-    kept: list[tuple[str, int, Path]] = []
+    kept: list[Path] = []
     for run in runs:
         files = saved_policies(run)
         if not files:
             raise ConfigError(f"{str(run)!r} has no policy-*.safetensors; is it a run's folder?")
-        last = 0
+        last = -every
         for file in files:
-            steps = _steps_of(file.stem)
-            if steps - last < every and file != files[-1]:
-                continue
-            kept.append((run.name, steps, file))
-            last = steps
-    rounded = {(name, f"{steps / 1e6:.2f}") for name, steps, _ in kept}
+            if _steps_of(file) - last >= every or file == files[-1]:
+                kept.append(file)
+                last = _steps_of(file)
+    rounded = {(file.parent, f"{_steps_of(file) / 1e6:.2f}") for file in kept}
     digits = 2 if len(rounded) == len(kept) else 6
-    return {f"{name} {steps / 1e6:.{digits}f}": file for name, steps, file in kept}
+    return {f"{file.parent.name} {_steps_of(file) / 1e6:.{digits}f}": file for file in kept}
 
 
-def run_drivers(runs: Sequence[Path], files: Mapping[str, Path]) -> dict[str, MatchDriver]:
-    """Returns the drivers of saved policies by name, including ``start``.
+def run_drivers(files: Mapping[str, Path]) -> dict[str, MatchDriver]:
+    """Returns the drivers of saved policies by name, and perhaps ``start``.
 
     Args:
-        runs: folders of the runs.
-        files: policy files by name.
+        files: policy files by name, those of the first run first.
 
     Raises:
         ConfigError: a file is not a policy.
     """
     drivers = {name: match_driver(file) for name, file in files.items()}
-    if first := _start_policy(runs[0]):
-        return drivers | {START: match_driver(first)}
-    rules = run_parameters(min(saved_policies(runs[0])))
+    rules = next(iter(drivers.values())).rules
+    if rules is None:
+        return drivers
     return drivers | {START: plan_match_driver(RacingPolicy.of_plans_alone(), rules)}
 
 
-def _start_policy(run: Path) -> Path | None:
-    """Returns the policy of :data:`START`, a run's first; ``None`` if policies are over plans."""
-    first = min(saved_policies(run))
-    return first if is_network(load_weights(first)) else None
-
-
-def _steps_of(name: str) -> int:
+def _steps_of(policy: Path) -> int:
     """Returns the kart-steps in the name of a saved policy."""
-    return int(re.findall(r"\d+", name)[-1])
+    return int(re.findall(r"\d+", policy.stem)[-1])
 
 
 # ---------------------------------------------------------------------- all against all
@@ -143,28 +126,15 @@ def _rate_runs(
     runs: Sequence[Path], folder: Path, wanted: int, every: int, tracks: Sequence[str]
 ) -> None:
     kept = kept_policies(runs, every)
-    drivers = run_drivers(runs, kept)
+    drivers = run_drivers(kept)
     names = sorted(drivers)
-    first = _start_policy(runs[0])
-    steps = {name: _steps_of(file.stem) for name, file in kept.items()}
-    steps[START] = _steps_of(first.stem) if first else 0
     if len(names) < SEATS:
         raise ConfigError(f"there are {len(names)} policies, expected {SEATS} or more; see --every")
-    file = folder / _MATCHES
-    records = continue_json_lines(file, MatchRecord)
-    for number, record in enumerate(records):
-        track = draw_match(names, number, tracks).track
-        if record.track != track:
-            raise ConfigError(
-                f"{file} has match {number} on {record.track!r}, expected {track!r}; give the "
-                "same --track, or another --output"
-            )
-    if unknown := {name for r in records for name in r.order} - {*names, AI}:
-        raise ConfigError(f"{file} has matches of {min(unknown)[:60]!r}; give another --output")
+    records = _earlier_matches(folder / _MATCHES, names, tracks)
     while len(records) < wanted:
         numbers = range(len(records), min(wanted, len(records) + _AT_ONCE))
         played = play_records([draw_match(names, number, tracks) for number in numbers], drivers)
-        with file.open("a") as out:
+        with (folder / _MATCHES).open("a") as out:
             out.writelines(json.dumps(asdict(record)) + "\n" for record in played)
         records += played
         print(f"{len(records)} of {wanted} races", flush=True)
@@ -174,22 +144,45 @@ def _rate_runs(
         for name, rating in sorted(ratings.items())
     ]
     write_json(folder / _RATINGS, {"matches": len(records), "ratings": rows})
-    intervals = {name: [r.value, *r.interval] for name, r in ratings.items()}
-    rated = sorted((steps[name], name) for name in ratings if name != AI)
-    started = runs[:1] if first else runs  # all runs share plans without learning
-    curves = {
-        run.name: [
-            (at / 1e6, intervals[name])
-            for at, name in rated
-            if (run in started if name == START else kept[name].parent == run)
-        ]
-        for run in runs
-    }
-    levels = {"the AI": ratings[AI].value} if AI in ratings else {}
-    title = f"Saved policies in {len(records)} races against each other"
-    save_figure(rating_figure(curves, levels, title), folder / _PLOT)
+    _draw(kept, ratings, folder / _PLOT, f"Saved policies in {len(records)} races")
     for name, rating in sorted(ratings.items(), key=lambda item: -item[1].value):
         print(f"{rating.value:6.2f} ({rating.low:.2f}..{rating.high:.2f})  {name}")
+
+
+def _earlier_matches(file: Path, names: Sequence[str], tracks: Sequence[str]) -> list[MatchRecord]:
+    """Returns the matches of an interrupted or shorter run of the command.
+
+    Raises:
+        ConfigError: they have other policies or other tracks.
+    """
+    records = continue_json_lines(file, MatchRecord)
+    for number, record in enumerate(records):
+        track = draw_match(names, number, tracks).track
+        unknown = {*record.order} - {*names, AI}
+        if unknown or record.track != track:
+            raise ConfigError(
+                f"{file} has match {number} of {', '.join(record.order)[:60]!r} on "
+                f"{record.track!r}, expected policies of these runs on {track!r}; give the same "
+                "runs and --track, or another --output"
+            )
+    return records
+
+
+def _draw(kept: Mapping[str, Path], ratings: Mapping[str, Rating], file: Path, title: str) -> None:
+    """Draws the ratings of each run's policies over kart-steps."""
+    curves: dict[str, list[tuple[float, list[float]]]] = {}
+    for name, policy in kept.items():
+        curve = curves.setdefault(policy.parent.name, [])
+        if START in ratings and not curve:
+            curve.append((0.0, _ends(ratings[START])))
+        if name in ratings:
+            curve.append((_steps_of(policy) / 1e6, _ends(ratings[name])))
+    levels = {"the AI": ratings[AI].value} if AI in ratings else {}
+    save_figure(rating_figure(curves, levels, title), file)
+
+
+def _ends(rating: Rating) -> list[float]:
+    return [rating.value, *rating.interval]
 
 
 # ---------------------------------------------------------------------- the command
@@ -203,7 +196,7 @@ class RatingOptions:
         runs: folders of runs of any script.
         output: folder for races and ratings.
         matches: total races.
-        every: minimum kart-steps between two policies; the last one is always rated.
+        every: minimum kart-steps between two policies; the first and last are always rated.
         tracks: names of tracks or of splits.
 
     Raises:

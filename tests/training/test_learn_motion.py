@@ -25,9 +25,7 @@ def test_a_short_training_gives_a_network_that_plans_can_use(tmp_path, monkeypat
     motion = (np.array(MOTION_RULES), *layers)
     _planning.weigh_plans(*random_arguments(0, count=2, motion=motion), found)
     assert np.isfinite(found).all()
-    said = capsys.readouterr().out
-    assert "network: median" in said
-    assert "arcs: median" in said
+    assert "median" in capsys.readouterr().out
 
 
 def test_the_gradient_finds_a_known_motion():

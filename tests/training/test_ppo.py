@@ -129,15 +129,17 @@ def test_choices_that_are_not_learned_stay_at_those_of_the_plans(tmp_path):
 
 @pytest.mark.slow
 def test_a_held_offset_is_chosen_once_for_all_its_steps(tmp_path):
-    changes = {"n_steps": 32, "races": ("4x1",), "learns": ("begin", "turn"), "turn_hold": 4}
-    learner = run_of(tmp_path, **changes)
+    plans = tmp_path / "plans.json"
+    plans.write_text('{"turn_hold": 4}')
+    changes = {"n_steps": 32, "races": ("4x1",), "learns": ("begin", "turn"), "plans": str(plans)}
+    learner = run_of(tmp_path / "run", **changes)
     learner.iterate()
     rollout = learner._rollouts[0][0].copy()
     learner.close()
     chosen = rollout["choices"][..., 1].reshape(8, 4, 4)  # from the start of the race
     assert (chosen == chosen[:, :1]).all()
     assert len(np.unique(chosen)) > 1
-    assert run_parameters(tmp_path / "policy.safetensors").turn_hold == 4
+    assert run_parameters(tmp_path / "run" / "policy.safetensors").turn_hold == 4
 
 
 @pytest.mark.parametrize("names", [("steer",), ()])

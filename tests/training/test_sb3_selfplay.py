@@ -23,7 +23,7 @@ from stkzoo.agents.training.ppo.network import RacingNetwork
 from stkzoo.agents.training.ppo.opponents import Matchmaker, draw_opponent
 from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
-from stkzoo.agents.training.sb3.races import SelfPlayVecEnv, make_races
+from stkzoo.agents.training.sb3.races import SelfPlayVecEnv
 from stkzoo.agents.training.sb3.selfplay import (
     SB3Arguments,
     SB3Run,
@@ -136,7 +136,7 @@ def test_past_selves_add_no_training_data(monkeypatch, tmp_path, policy):
     save_driver(tmp_path / "past.safetensors", arrays_of(policy))
     matchmaker = Matchmaker("prioritized", share=1.0)
     matchmaker.add("past")
-    races, curriculum = make_races(Lineup(4, 1, 2), "olivermath"), Curriculum(["olivermath"])
+    races, curriculum = Lineup(4, 1, 2), Curriculum(["olivermath"])
     with closing(SelfPlayVecEnv(races, curriculum, matchmaker, tmp_path, grid_share=0.0)) as envs:
         envs.seed(5)
         envs.reset()
@@ -159,7 +159,7 @@ def test_a_finish_is_a_truncation_for_the_learner(monkeypatch, tmp_path):
     """The learner also gets the final observation and all rewards."""
     near_finish = Start(share=0.97, speed=15.0)
     monkeypatch.setattr(sb3_races, "RandomStart", lambda: near_finish)
-    races, curriculum = make_races(Lineup(1, 0), "lighthouse"), Curriculum(["lighthouse"])
+    races, curriculum = Lineup(1, 0), Curriculum(["lighthouse"])
     with closing(SelfPlayVecEnv(races, curriculum, Matchmaker(), tmp_path, grid_share=0.0)) as envs:
         envs.seed(1)
         envs.reset()

@@ -61,11 +61,11 @@ class MatchDriver:
 
     Attributes:
         take_karts: returns a controller for a number of karts in the GO phase.
-        sees_line: whether the controller needs the racing line.
+        rules: parameters of the plans among which it chooses; ``None`` without plans.
     """
 
     take_karts: Callable[[int], KartController]
-    sees_line: bool = False
+    rules: DriverParameters | None = None
 
 
 # ---------------------------------------------------------------------- drivers
@@ -90,7 +90,7 @@ def plan_match_driver(
 
         return control
 
-    return MatchDriver(take_karts, rules.racing_line)
+    return MatchDriver(take_karts, rules)
 
 
 def network_driver(choose: Callable[[FloatArray], Any], hold: int = 0) -> MatchDriver:
@@ -347,7 +347,8 @@ def play_matches(
         For each match, the finishes of its drivers' karts.
     """
     results: list[list[Finish]] = []
-    starts = _MatchStarts(any(driver.sees_line for driver in drivers.values()))
+    rules = [driver.rules for driver in drivers.values()]
+    starts = _MatchStarts(any(own.racing_line for own in rules if own))
     try:
         for first in range(0, len(matches), side_by_side):
             part = matches[first : first + side_by_side]

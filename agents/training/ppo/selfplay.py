@@ -22,15 +22,13 @@ from __future__ import annotations
 
 import sys
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 from stkzoo import Reward
 from stkzoo._arguments import option
-from stkzoo._checks import check_whole
 from stkzoo._schema import Share
 from stkzoo.agents.planning.driver import CHOICE_NAMES
-from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.errors import ConfigError
 from stkzoo.mdp import rewards
 
@@ -67,8 +65,6 @@ class SelfPlayArguments(RolloutArguments):
             them in the moment of GO.
         max_cycles: steps after which a race is cut short.
         plans: JSON file of plan parameters, such as best.json of tune_plans; empty is the default.
-        turn_hold: steps for which a steering offset holds; with 1, the policy chooses it in every
-            step. None is as in plans.
         kl_coef: coefficient of the KL penalty toward the plans' prior.
         learns: choices to train; the others stay those of the plans. With --init, the others change
             too, because all choices of a policy share its hidden layers.
@@ -86,7 +82,6 @@ class SelfPlayArguments(RolloutArguments):
     num_starts: int = 32
     max_cycles: int = 1200
     plans: str = ""
-    turn_hold: int | None = None
     kl_coef: Coefficient = 5e-3
     learns: tuple[str, ...] = ("begin", "nitro", "fire")
     place_reward: Coefficient = 0.1
@@ -115,7 +110,7 @@ def selfplay_setup(arguments: SelfPlayArguments) -> PPOSetup:
         groups=tuple(_race_group(given, lineup) for lineup in parse_races(given.races)),
         make_network=make,
         read_first=partial(initial_weights, given.init, given.hidden) if given.init else None,
-        plans=_plans(given),
+        plans=plan_parameters(given.plans),
         bootstraps_finish=True,  # so that karts do not slow down before the finish
         matchmaker=Matchmaker(given.opponents, given.pool_size),
     )
@@ -151,14 +146,6 @@ def choice_columns(names: tuple[str, ...]) -> list[int]:
     if unknown or not names:
         raise ConfigError(f"learns is {list(names)}; expected some of {', '.join(CHOICE_NAMES)}")
     return sorted(CHOICE_NAMES.index(name) for name in set(names))
-
-
-def _plans(arguments: SelfPlayArguments) -> DriverParameters:
-    """Returns the parameters of the plans."""
-    plans, hold = plan_parameters(arguments.plans), arguments.turn_hold
-    if hold is None:
-        return plans
-    return replace(plans, turn_hold=check_whole("turn_hold", hold, 1))
 
 
 # ---------------------------------------------------------------------- the command

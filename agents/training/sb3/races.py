@@ -46,24 +46,11 @@ _RECENT = 100
 REWARD = Reward({"meters": rewards.advance, "places": rewards.overtaking}, {"places": 0.3})
 
 
-def make_races(lineup: Lineup, track: str) -> RaceVecEnv:
-    """Returns races of a lineup for :class:`SelfPlayVecEnv`, which chooses the next tracks."""
-    return RaceVecEnv(
-        lineup.races,
-        agents=lineup.learners,
-        num_kart=lineup.learners + lineup.bots,
-        track=track,
-        view="racing",
-        reward=REWARD,
-        prefetch=False,  # the next race depends on the results
-    )
-
-
 class SelfPlayVecEnv(VecEnvWrapper):
     """Self-play races; each race is drawn from the curriculum and by the matchmaker.
 
     Args:
-        venv: the races, from :func:`make_races`.
+        lineup: the races.
         curriculum: determines tracks, directions and difficulties; updated with the results.
         matchmaker: determines the opponents; updated with the results.
         past: folder of the past selves.
@@ -82,7 +69,7 @@ class SelfPlayVecEnv(VecEnvWrapper):
 
     def __init__(
         self,
-        venv: RaceVecEnv,
+        lineup: Lineup,
         curriculum: Curriculum,
         matchmaker: Matchmaker,
         past: Path,
@@ -90,6 +77,15 @@ class SelfPlayVecEnv(VecEnvWrapper):
         grid_share: float = 0.3,
         hold: int = 0,
     ) -> None:
+        venv = RaceVecEnv(
+            lineup.races,
+            agents=lineup.learners,
+            num_kart=lineup.learners + lineup.bots,
+            track=curriculum.tracks[0],
+            view="racing",
+            reward=REWARD,
+            prefetch=False,  # the next race depends on the results
+        )
         super().__init__(venv, spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32))
         self._curriculum, self._matchmaker, self._past = curriculum, matchmaker, past
         self._grid_share = grid_share

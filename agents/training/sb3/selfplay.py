@@ -26,7 +26,6 @@ race`` accepts:
 
 from __future__ import annotations
 
-import importlib
 import sys
 import time
 import warnings
@@ -38,6 +37,9 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.logger import Logger
 
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
@@ -46,6 +48,7 @@ from stkzoo.agents.planning.memory import MEMORY_SIZE
 from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
+from stkzoo.sb3 import ActiveRolloutBuffer
 from stkzoo.wrappers.racing import SIZE
 
 from ..common.arguments import (
@@ -56,7 +59,7 @@ from ..common.arguments import (
     ScriptOptions,
     parse_races,
 )
-from ..common.command import ProgressBar, run_command, training_library
+from ..common.command import ProgressBar, run_command
 from ..common.run_folder import (
     TrainingLog,
     keep_arguments,
@@ -70,10 +73,10 @@ from ..export import export_policy
 from ..ppo.network import FIRST_BIASES
 from ..ppo.opponents import PRIORITIZED, DuelResults, Matchmaker
 from .curriculum import EASY_TO_HARD, Curriculum, CurriculumState
+from .races import SelfPlayVecEnv
 
 #: Arguments that have the same name in Stable-Baselines3's PPO.
 _PPO_NAMES = {entry.name for entry in fields(PPOArguments)} - {"hidden"}
-_EXTRAS = "sb3,train"
 
 
 # ---------------------------------------------------------------------- arguments
@@ -155,13 +158,11 @@ class SB3Run:
         arguments: arguments of the run.
 
     Raises:
-        ConfigError: a library is missing, an argument is invalid, or the folder contains another
-            run or is used by another program.
+        ConfigError: an argument is invalid, or the folder contains another run or is used by
+            another program.
     """
 
     def __init__(self, folder: str | Path, arguments: SB3Arguments) -> None:
-        self._torch = training_library("torch", _EXTRAS)
-        training_library("stable_baselines3", _EXTRAS)
         self.folder, self.arguments = Path(folder), arguments
         with ExitStack() as resources:
             resources.enter_context(locked_folder(self.folder, "run"))
@@ -172,7 +173,14 @@ class SB3Run:
             self._matchmaker = Matchmaker(
                 PRIORITIZED, arguments.pool_size, arguments.snapshot_share
             )
-            self._envs = self._make_races()
+            self._envs = SelfPlayVecEnv(
+                arguments.lineup,
+                self._curriculum,
+                self._matchmaker,
+                self.folder,
+                grid_share=arguments.grid_share,
+                hold=arguments.hold,
+            )
             resources.callback(self._envs.close)
             self._model = self._make_model()
             if checkpoint := load_checkpoint(self.folder, SB3Facts):
@@ -181,7 +189,7 @@ class SB3Run:
             else:
                 if arguments.init:
                     weights = initial_weights(arguments.init, self._model.policy)
-                    tensors = {n: self._torch.from_numpy(array) for n, array in weights.items()}
+                    tensors = {name: torch.from_numpy(array) for name, array in weights.items()}
                     self._model.policy.load_state_dict(tensors)
                 self._keep()
                 self.save_checkpoint()
@@ -234,40 +242,25 @@ class SB3Run:
 
     # ------------------------------------------------------------------ parts
 
-    def _make_races(self) -> Any:
-        races = importlib.import_module("stkzoo.agents.training.sb3.races")
-        arguments = self.arguments
-        return races.SelfPlayVecEnv(
-            races.make_races(arguments.lineup, arguments.tracks[0]),
-            self._curriculum,
-            self._matchmaker,
-            self.folder,
-            grid_share=arguments.grid_share,
-            hold=arguments.hold,
-        )
-
     def _make_model(self) -> Any:
         arguments = self.arguments
-        sb3 = importlib.import_module("stable_baselines3")
-        logger = importlib.import_module("stable_baselines3.common.logger")
-        buffers = importlib.import_module("stkzoo.sb3")
-        self._torch.set_num_threads(1)  # the network is small; leave the cores to the races
+        torch.set_num_threads(1)  # the network is small; leave the cores to the races
         with warnings.catch_warnings():
             # Batches may differ in size: the buffer leaves out idle slots.
             warnings.filterwarnings("ignore", "You have specified a mini-batch size")
-            model = sb3.PPO(
+            model: Any = PPO(
                 "MlpPolicy",
                 self._envs,
-                rollout_buffer_class=buffers.ActiveRolloutBuffer,
+                rollout_buffer_class=ActiveRolloutBuffer,
                 n_steps=arguments.n_steps,
                 policy_kwargs={"net_arch": list(arguments.hidden)},
                 device="cpu",
                 **{name: getattr(arguments, name) for name in _PPO_NAMES},
             )
-        with self._torch.no_grad():
+        with torch.no_grad():
             for choice, bias in FIRST_BIASES.items():
                 model.policy.action_net.bias[choice] += bias
-        model.set_logger(logger.Logger(None, []))
+        model.set_logger(Logger(None, []))
         return model
 
     def _update(self) -> dict[str, float]:
