@@ -18,10 +18,11 @@ from msgspec import Meta
 
 from stkzoo._os import check_writable, write_whole, write_zip
 from stkzoo._reading import Unreadable, read_json, read_zip, reading
-from stkzoo._schema import Count, Place
+from stkzoo._schema import Count, Place, one_of
 from stkzoo.config import NORMAL
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
+from stkzoo.env.grid import RaceInfo
 from stkzoo.env.options import RaceOptions
 from stkzoo.errors import StkzooError
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -148,13 +149,14 @@ def action_of(row: npt.NDArray[np.float32]) -> dict[str, Any]:
 #: Version of the file format. It increases with each change that breaks older readers.
 FORMAT = 1
 
-_TYPE = "stkzoo-replay"
 _ABOUT, _CONTROLS, _DIGESTS = "race.json", "controls.f4", "digests.u1"
 
 #: Maximum size of each member of the zip [bytes].
 _MAX_MEMBER = {_ABOUT: 8 << 20, _CONTROLS: 256 << 20, _DIGESTS: 16 << 20}
 #: Number of steps that are checked at once, to limit the memory for intermediate results.
 _BLOCK = 4096
+#: Lowest value of each control; the highest is 1.
+_LOWEST = np.array([0, -1, 0, 0, 0, 0, 0], np.float32)
 #: Fields that are also options of the environment.
 _SETTINGS = ("track", "reverse", "mode", "laps", "difficulty", "max_paths", "step_size")
 
@@ -169,7 +171,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> None:
     Raises:
         ReplayError: the file cannot be written, or is too large to be read.
     """
-    header = {"type": _TYPE, "format": FORMAT, **replay.to_dict()}
+    header = {"type": "stkzoo-replay", "format": FORMAT, **replay.to_dict()}
     members = {
         _ABOUT: json.dumps(header, indent=1).encode(),
         _CONTROLS: replay.controls.astype("<f4").tobytes(),
@@ -196,7 +198,11 @@ def load_replay(path: str | os.PathLike[str]) -> Replay:
 
 def _replay_of(members: dict[str, bytes]) -> Replay:
     head = read_json(members[_ABOUT], _ReplayHead, _MAX_MEMBER[_ABOUT])
-    _check_version(head)
+    if head.format != FORMAT:
+        raise ReplayError(
+            f"it has format {head.format}, this stkzoo reads format {FORMAT}; use the version of "
+            "stkzoo that wrote it"
+        )
     replay = read_json(members[_ABOUT], Replay, _MAX_MEMBER[_ABOUT])
     count = len(replay.agents)
     controls = _controls(members[_CONTROLS], count)
@@ -217,19 +223,9 @@ def _replay_of(members: dict[str, bytes]) -> Replay:
 class _ReplayHead:
     """What a replay's JSON contains besides its fields."""
 
-    type: str
+    type: Annotated[str, one_of("stkzoo-replay")]
     format: int
-    steps: int = -1
-
-
-def _check_version(head: _ReplayHead) -> None:
-    if head.type != _TYPE:
-        raise Unreadable(f"race.json is not a {_TYPE}")
-    if head.format != FORMAT:
-        raise ReplayError(
-            f"it has format {head.format}, this stkzoo reads format {FORMAT}; use the version of "
-            "stkzoo that wrote it"
-        )
+    steps: Count = 0
 
 
 def _controls(data: bytes, count: int) -> npt.NDArray[np.float32]:
@@ -237,23 +233,16 @@ def _controls(data: bytes, count: int) -> npt.NDArray[np.float32]:
     if len(data) % row:
         raise Unreadable(f"{_CONTROLS} has {len(data)} bytes, expected a multiple of {row}")
     controls = np.frombuffer(data, "<f4").reshape(-1, count, len(CONTROLS))
-    blocks = (controls[start : start + _BLOCK] for start in range(0, len(controls), _BLOCK))
-    if not all(map(_are_valid, blocks)):
-        raise Unreadable(f"{_CONTROLS} has invalid controls")
+    for start in range(0, len(controls), _BLOCK):
+        block = controls[start : start + _BLOCK]
+        buttons = block[..., 2:]
+        is_valid = (block >= _LOWEST) & (block <= 1)  # false for NaN
+        if not (is_valid.all() and np.isin(buttons, (0, 1)).all()):
+            raise Unreadable(f"{_CONTROLS} has invalid controls")
     return controls.astype(np.float32, copy=False)
 
 
-def _are_valid(controls: npt.NDArray[np.float32]) -> bool:
-    low = np.array([0, -1, 0, 0, 0, 0, 0], np.float32)
-    is_button = np.arange(len(CONTROLS)) >= 2
-    good = (controls >= low) & (controls <= 1)  # false for NaN
-    return bool((good & (~is_button | (controls == np.round(controls)))).all())
-
-
 # ---------------------------------------------------------------------- recording
-
-#: Fields of a replay that are copied from the race's description.
-_RACE_FACTS = ("track", "reverse", "mode", "laps", "difficulty", "kart_types")
 
 
 class ReplayWriter(RaceListener):
@@ -270,22 +259,21 @@ class ReplayWriter(RaceListener):
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = check_writable(path, "the replay")
-        self._head: Replay | None = None
-        self._first_digest = b""
-        self._steps: list[tuple[list[list[float]], bytes]] = []  # controls and digest per step
+        self._begin: tuple[RaceProgress, RaceInfo] | None = None
+        self._controls: list[list[list[float]]] = []
+        self._digests: list[bytes] = []
 
     def started(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        self._first_digest, self._steps = next_digest(b"", race.snapshot), []
-        self._head = _head(race)
+        self._begin = race, race.race_info
+        self._controls, self._digests = [], [next_digest(b"", race.snapshot)]
 
     def stepped(self, race: RaceProgress) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         still = [0.0] * len(CONTROLS)
         actions, agents = race.actions, race.env.possible_agents
-        rows = [controls_of(actions[a]) if a in actions else still for a in agents]
-        before = self._steps[-1][1] if self._steps else self._first_digest
-        self._steps.append((rows, next_digest(before, race.snapshot)))
+        self._controls.append([controls_of(actions[a]) if a in actions else still for a in agents])
+        self._digests.append(next_digest(self._digests[-1], race.snapshot))
 
     def closed(self) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
@@ -293,40 +281,30 @@ class ReplayWriter(RaceListener):
 
     def ended(self, result: RaceResult | None) -> None:
         """Writes the file if a race has started and the file is not yet written."""
-        head, self._head = self._head, None
-        if head is None:
+        begin, self._begin = self._begin, None
+        if begin is None:
             return
-        controls, digests = zip(*self._steps, strict=True) if self._steps else ((), ())
-        links = np.frombuffer(b"".join([self._first_digest, *digests]), np.uint8)
-        replay = replace(
-            head,
-            controls=np.array(controls, np.float32).reshape(-1, *head.controls.shape[1:]),
-            digests=links.reshape(-1, DIGEST_SIZE),
-            status=result.status if result else head.status,
+        race, info = begin
+        env = race.env
+        shape = (len(self._controls), len(env.possible_agents), len(CONTROLS))
+        facts = ("track", "reverse", "mode", "laps", "difficulty", "kart_types")
+        replay = Replay(
+            **{name: getattr(info, name) for name in facts},
+            kart=env.specs[0].kart or None,
+            max_paths=env.options.max_paths,
+            step_size=float(env.options.step_size),
+            seed=race.seed,
+            num_tracks=len(env.options.tracks(find_assets().tracks)),
+            engine_seed=info.seed,
+            start_positions=tuple(kart + 1 for kart in info.kart_indices),
+            agents=tuple(
+                ReplayAgent(race.names[agent], race.sources[agent], spec.use_ai)
+                for agent, spec in zip(env.possible_agents, env.specs, strict=True)
+            ),
+            controls=np.array(self._controls, np.float32).reshape(shape),
+            digests=np.frombuffer(b"".join(self._digests), np.uint8).reshape(-1, DIGEST_SIZE),
+            status=result.status if result else "partial",
             result=result,
+            versions=versions_now(),
         )
         save_replay(replay, self.path)
-
-
-def _head(race: RaceProgress) -> Replay:
-    """Returns the replay of a race on the grid, without steps."""
-    env, info = race.env, race.race_info
-    return Replay(
-        **{name: getattr(info, name) for name in _RACE_FACTS},
-        kart=env.specs[0].kart or None,
-        max_paths=env.options.max_paths,
-        step_size=float(env.options.step_size),
-        seed=race.seed,
-        num_tracks=len(env.options.tracks(find_assets().tracks)),
-        engine_seed=info.seed,
-        start_positions=tuple(kart + 1 for kart in info.kart_indices),
-        agents=tuple(
-            ReplayAgent(race.names[agent], race.sources[agent], spec.use_ai)
-            for agent, spec in zip(env.possible_agents, env.specs, strict=True)
-        ),
-        controls=np.empty((0, len(env.possible_agents), len(CONTROLS)), np.float32),
-        digests=np.empty((0, DIGEST_SIZE), np.uint8),
-        status="partial",
-        result=None,
-        versions=versions_now(),
-    )

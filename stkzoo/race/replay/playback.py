@@ -13,7 +13,6 @@ from gymnasium import spaces
 
 from stkzoo._installation import pip_install
 from stkzoo.drivers.driver import Driver
-from stkzoo.engine.assets import find_assets
 from stkzoo.errors import ConfigError
 from stkzoo.race.listeners import ForwardingListener, RaceListener, RaceProgress
 from stkzoo.race.replay.file import Replay, ReplayError, action_of, next_digest
@@ -24,7 +23,7 @@ from stkzoo.render.scene import Ghost
 _DIFFERS = "differs"
 #: Fields of a replay that are also settings of a race.
 _SETTINGS = ("laps", "difficulty", "reverse", "mode", "kart", "seed", "max_paths")
-_RACE_FACTS = (*("track", "reverse", "mode", "laps", "difficulty", "seed", "race_length", "steps"),)
+_RACE_FACTS = "track", "reverse", "mode", "laps", "difficulty", "seed", "race_length", "steps"
 _AGENT_FACTS = ("start_position", "rank", "finish_time", "laps", "distance", "reward")
 
 
@@ -72,13 +71,13 @@ def play_replay(
         any_engine: also accept a replay of another engine version, which may behave differently.
 
     Raises:
-        ReplayError: another engine version recorded the replay, or its track is missing.
+        ReplayError: another engine version recorded the replay.
+        ConfigError: its track or karts are missing.
         AssetError: the game's data is missing.
         EngineError: the game crashed or hung.
         RaceInterrupted: Ctrl-C interrupted the race.
     """
     _check_engine(replay, any_engine)
-    _check_names(replay)
     comparison = _Comparison(replay, to_the_end)
     watching = [_WithRecordedFailures(listener, replay, comparison) for listener in listeners]
     result = run_race(
@@ -91,12 +90,7 @@ def play_replay(
         max_steps=replay.steps + 1,  # the comparison ends the race one step earlier
         action_timeout=None,
     )
-    return Playback(
-        result=comparison.reported(result),
-        steps=comparison.steps,
-        first_difference=comparison.first_difference,
-        result_differences=tuple(comparison.differences(result)),
-    )
+    return comparison.playback(result)
 
 
 def other_versions(replay: Replay) -> str:
@@ -116,20 +110,6 @@ def _check_engine(replay: Replay, any_engine: bool) -> None:
             "installed and may drive differently: "
             f"{pip_install(f'PySuperTuxKart2=={recorded}')}, or "
             "play it anyway with any_engine=True (--any-engine)"
-        )
-
-
-def _check_names(replay: Replay) -> None:
-    known = find_assets().tracks
-    if replay.track not in known:
-        raise ReplayError(
-            f"the replay's track {replay.track!r} is not among the {len(known)} tracks here; "
-            "`stkzoo assets status` shows where the game's data comes from"
-        )
-    if replay.kart and replay.kart not in find_assets().karts:
-        raise ReplayError(
-            f"the replay's kart {replay.kart!r} is not among the karts here; `stkzoo karts` lists "
-            "them"
         )
 
 
@@ -175,30 +155,15 @@ class _Comparison(RaceListener):
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
         self._compare(race)
 
-    def reported(self, result: RaceResult) -> RaceResult:
-        """Returns the recorded result if this race's result equals it, otherwise this result."""
-        recorded = self._recorded()
-        if recorded is None or self.differences(result):
-            return result
-        return replace(recorded, wall_time=result.wall_time)
-
-    def differences(self, result: RaceResult) -> list[str]:
-        """Returns descriptions of the differences between the recorded result and this one."""
-        recorded = self._recorded()
-        if recorded is None:
-            return []
-        then, now = _facts(recorded), _facts(result)
-        return [
-            f"{name} is {now.get(name)}, and {then.get(name)} in the file"
-            for name in sorted(then.keys() | now.keys())
-            if not _is_equal(then.get(name), now.get(name))
-        ]
-
-    def _recorded(self) -> RaceResult | None:
-        """Returns the recorded result if all states of this race equal the recording."""
-        replay = self._replay
-        is_whole = self.steps == replay.steps and not replay.is_partial
-        return replay.result if is_whole and self.first_difference is None else None
+    def playback(self, result: RaceResult) -> Playback:
+        """Returns the outcome of playing, from the result of the race."""
+        recorded, replay = None, self._replay
+        if self.steps == replay.steps and self.first_difference is None and not replay.is_partial:
+            recorded = replay.result
+        differences = () if recorded is None else _differences(recorded, result)
+        if recorded is not None and not differences:
+            result = replace(recorded, wall_time=result.wall_time)
+        return Playback(result, self.steps, self.first_difference, differences)
 
     def _compare(self, race: RaceProgress) -> None:
         replay = self._replay
@@ -215,8 +180,17 @@ class _Comparison(RaceListener):
             race.stop(_DIFFERS)
 
 
+def _differences(recorded: RaceResult, result: RaceResult) -> tuple[str, ...]:
+    """Returns descriptions of the differences in what depends only on the race."""
+    then, now = _facts(recorded), _facts(result)
+    return tuple(
+        f"{name} is {now.get(name)}, and {then.get(name)} in the file"
+        for name in sorted(then.keys() | now.keys())
+        if not _is_equal(then.get(name), now.get(name))
+    )
+
+
 def _facts(result: RaceResult) -> dict[str, Any]:
-    """Returns the part of a result that depends only on the race."""
     facts = {name: getattr(result, name) for name in _RACE_FACTS}
     for row in result.agents:
         facts |= {f"{row.agent}'s {name}": getattr(row, name) for name in _AGENT_FACTS}
@@ -252,7 +226,7 @@ class _WithRecordedFailures(ForwardingListener):
 
     def ended(self, result: RaceResult) -> None:
         """See :class:`~stkzoo.race.listeners.RaceListener`."""
-        super().ended(self._comparison.reported(result))
+        super().ended(self._comparison.playback(result).result)
 
     def _forward(self, call: Callable[..., None], *arguments: Any) -> None:
         now = (self._now(one) if isinstance(one, RaceProgress) else one for one in arguments)

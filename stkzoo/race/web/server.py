@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import logging
+import re
 import secrets
 import socket
 import threading
@@ -12,7 +13,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from urllib.parse import urlsplit
+from typing import Any
 
 from aiohttp import web
 
@@ -63,6 +64,8 @@ _LIFETIME = 10.0
 #: file descriptors are left [s].
 _PAUSE, _LONG_PAUSE = 0.001, 0.1
 
+#: A host and its port in a URL or a ``Host`` header.
+_AUTHORITY = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9._-]+)(:[0-9]{1,5})?")
 _Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
@@ -94,8 +97,9 @@ class RequestGuard:
                 or ``Origin`` is another site.
         """
         host, origin = headers.get("Host", ""), headers.get("Origin")
-        name = _name_of(f"//{host}")
-        if name is None or (name not in ("localhost", self._host) and ip_address_of(name) is None):
+        match = _AUTHORITY.fullmatch(host.lower())
+        name = match["name"].strip("[]") if match else ""
+        if name not in ("localhost", self._host) and ip_address_of(name) is None:
             raise web.HTTPForbidden(text="unknown host name; open the page by its IP address\n")
         # Other programs than browsers send no Origin, and could forge it.
         if origin is not None and origin.lower() != f"http://{host.lower()}":
@@ -115,86 +119,15 @@ def _key_of(host: str, port: int) -> str:  # noqa: ARG001 - the cache key
     return secrets.token_urlsafe(16)
 
 
-def _name_of(url: str) -> str | None:
-    try:
-        parts = urlsplit(url)
-        has_port = parts.port is None or parts.port >= 0
-    except ValueError:
-        return None
-    is_plain = not (parts.username or parts.path or parts.query or parts.fragment)
-    return parts.hostname if is_plain and has_port else None
-
-
-class ConnectionGate:
-    """Accepts connections one by one and closes those that take too long.
-
-    A connection belongs to a visitor until :meth:`promote` makes it a viewer's. At the limit, each
-    new visitor replaces the oldest one.
-
-    Args:
-        listener: listening socket.
-
-    Attributes:
-        most: maximum number of visitors, and of viewers.
-    """
-
-    def __init__(self, listener: socket.socket) -> None:
-        self._listener = listener
-        listener.setblocking(False)
-        self.most = min(_MOST, max(_LEAST, max_descriptors() // _SHARE))
-        self._visitors: dict[asyncio.WriteTransport, None] = {}  # oldest first
-        self._viewers: set[asyncio.BaseTransport] = set()
-
-    async def run(self, make_protocol: Callable[[], asyncio.Protocol]) -> None:
-        """Accepts connections until the task is canceled.
-
-        Args:
-            make_protocol: creates the protocol of each connection.
-        """
-        loop = asyncio.get_running_loop()
-        while True:
-            try:
-                connection, _ = await loop.sock_accept(self._listener)
-            except OSError:  # no file descriptors are left
-                await asyncio.sleep(_LONG_PAUSE)
-                continue
-            if len(self._visitors) >= self.most:
-                self._expire(next(iter(self._visitors)))
-            with suppress(OSError):  # the connection is already closed
-                transport, _ = await loop.connect_accepted_socket(make_protocol, connection)
-                self._add(transport)
-            await asyncio.sleep(_PAUSE)
-
-    def promote(self, transport: asyncio.WriteTransport) -> bool:
-        """Makes a visitor a viewer and returns whether there was room for one."""
-        if len(self._viewers) >= self.most or transport not in self._visitors:
-            return False
-        del self._visitors[transport]
-        self._viewers.add(transport)
-        return True
-
-    def demote(self, transport: asyncio.WriteTransport) -> None:
-        """Makes a leaving viewer a visitor, so that its connection is closed in bounded time."""
-        self._viewers.discard(transport)
-        self._add(transport)
-
-    def _add(self, transport: asyncio.WriteTransport) -> None:
-        self._visitors[transport] = None
-        asyncio.get_running_loop().call_later(_LIFETIME, self._expire, transport)
-
-    def _expire(self, transport: asyncio.WriteTransport) -> None:
-        """Aborts a visitor's connection, even if its response has not been read."""
-        if transport in self._visitors:
-            del self._visitors[transport]
-            transport.abort()
-
-
 class LiveServer:
     """The web server with the page and its viewers. It starts when the object is created.
 
+    It accepts connections one by one. A connection belongs to a visitor, unless a viewer has it. At
+    the limit, each new visitor replaces the oldest one.
+
     Attributes:
         news: content of the page; the race's thread replaces it.
-        num_viewers: current number of viewers.
+        most: maximum number of visitors, and of viewers.
         port: port that the server listens on.
         url: address of the page, including the key for control if one is required.
 
@@ -212,9 +145,9 @@ class LiveServer:
         self._control = control
         self._pages = {f"/{file.name}": _page_of(file) for file in _FILES.iterdir()}
         self._pages["/"] = self._pages["/index.html"]
-        self.num_viewers = 0
         self._listener = _listener(host, port)
-        self._gate = ConnectionGate(self._listener)
+        self.most = min(_MOST, max(_LEAST, max_descriptors() // _SHARE))
+        self._viewers: set[asyncio.WriteTransport] = set()
         self.port: int = self._listener.getsockname()[1]
         self._guard = RequestGuard(host, self.port)
         address, key = _shown(host, self._listener), self._guard.key
@@ -223,6 +156,11 @@ class LiveServer:
         self._loop, self._closing = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="stkzoo-live-page", daemon=True)
         self._thread.start()
+
+    @property
+    def num_viewers(self) -> int:
+        """Current number of viewers."""
+        return len(self._viewers)
 
     def close(self) -> None:
         """Sends the last messages to viewers, then stops; may be called more than once."""
@@ -259,7 +197,7 @@ class LiveServer:
         )
         await runner.setup()
         assert runner.server is not None  # noqa: S101 - since setup
-        accepting = asyncio.ensure_future(self._gate.run(runner.server))
+        accepting = asyncio.ensure_future(self._accept(runner.server))
         try:
             await self._closing.wait()
             deadline = self._loop.time() + _FAREWELL
@@ -269,6 +207,28 @@ class LiveServer:
             accepting.cancel()
             await asyncio.gather(accepting, return_exceptions=True)
             await runner.cleanup()
+
+    async def _accept(self, server: web.Server) -> None:
+        """Accepts connections until the task is canceled."""
+        while True:
+            try:
+                connection, _ = await self._loop.sock_accept(self._listener)
+            except OSError:  # no file descriptors are left
+                await asyncio.sleep(_LONG_PAUSE)
+                continue
+            transports = [handler.transport for handler in server.connections]  # oldest first
+            visitors = [one for one in transports if one not in self._viewers]
+            if len(visitors) >= self.most:
+                self._expire(visitors[0])
+            with suppress(OSError):  # the connection is already closed
+                transport, _ = await self._loop.connect_accepted_socket(server, connection)
+                self._loop.call_later(_LIFETIME, self._expire, transport)
+            await asyncio.sleep(_PAUSE)
+
+    def _expire(self, transport: Any) -> None:
+        """Aborts a visitor's connection, even if its response has not been read."""
+        if transport is not None and transport not in self._viewers:
+            transport.abort()
 
     # ------------------------------------------------------------------ requests
 
@@ -304,26 +264,21 @@ class LiveServer:
             raise web.HTTPBadRequest(text="this address is for WebSockets; the race is at /\n")
         transport = request.transport
         assert isinstance(transport, asyncio.WriteTransport)  # noqa: S101 - of a stream socket
-        if not self._gate.promote(transport):
-            reason = f"{self._gate.most} viewers are connected already; try again later\n"
+        if len(self._viewers) >= self.most:
+            reason = f"{self.most} viewers are connected already; try again later\n"
             raise web.HTTPServiceUnavailable(text=reason)
+        self._viewers.add(transport)
         try:
-            await self._serve_viewer(request, connection)
-        finally:
-            self._gate.demote(transport)
-        return connection
-
-    async def _serve_viewer(self, request: web.Request, connection: web.WebSocketResponse) -> None:
-        await connection.prepare(request)
-        may_steer = self._guard.may_steer(request.query.get("key", ""))
-        viewer = Viewer(
-            connection, lambda: self.news, self._control, self._closing, may_steer=may_steer
-        )
-        self.num_viewers += 1
-        try:
+            await connection.prepare(request)
+            may_steer = self._guard.may_steer(request.query.get("key", ""))
+            viewer = Viewer(
+                connection, lambda: self.news, self._control, self._closing, may_steer=may_steer
+            )
             await viewer.serve()
         finally:
-            self.num_viewers -= 1
+            self._viewers.discard(transport)
+            self._loop.call_later(_LIFETIME, self._expire, transport)
+        return connection
 
 
 def _page_of(file: Path) -> tuple[bytes, str]:
@@ -336,14 +291,15 @@ def _page_of(file: Path) -> tuple[bytes, str]:
 
 def _listener(host: str, port: int) -> socket.socket:
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, _, _, _, address = found[0]
-        return socket.create_server(address[:2], family=family)
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.create_server(address[:2], family=family)
     except (OSError, OverflowError) as error:
         raise ConfigError(
             f"the live page cannot use {host}, port {port}: {reason(error)}; choose another "
             "port (0 takes a free one), or end the program that uses it"
         ) from error
+    listener.setblocking(False)
+    return listener
 
 
 def _shown(host: str, listener: socket.socket) -> str:

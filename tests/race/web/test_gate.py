@@ -68,7 +68,7 @@ def test_a_flood_of_incomplete_requests_does_not_affect_a_race(tmp_path, held):
 
 @pytest.mark.slow
 def test_page_responds_while_others_hold_incomplete_requests(page, held):
-    most = page._server._gate.most
+    most = page._server.most
     connect_all(("127.0.0.1", page.port), 3 * most, HALF_REQUEST, held)
     assert wait_until(lambda: num_open(held) <= most)
     assert page_answers(page.url) is not None
@@ -140,7 +140,7 @@ def test_a_viewer_that_floods_the_page_with_messages_is_disconnected(page):
 
 
 def test_too_many_viewers_are_refused(page, held):
-    page._server._gate.most = 1
+    page._server.most = 1
     held.append(socket.create_connection(("127.0.0.1", page.port), timeout=10))
     held[0].sendall(upgrade_request())
     assert b"101" in held[0].recv(100)
@@ -151,4 +151,4 @@ def test_too_many_viewers_are_refused(page, held):
 
 def test_a_request_without_websocket_is_not_a_viewer(page):
     assert b"this address is for WebSockets" in talk(page, request("/live?version=1"))
-    assert not page._server._gate._viewers
+    assert not page._server._viewers
