@@ -120,10 +120,10 @@ def versions_now() -> dict[str, str]:
 @cache
 def _versions() -> dict[str, str]:
     packages = {"stkzoo": "stkzoo", "pystk2": "PySuperTuxKart2", "numpy": "numpy"}
-    found = {name: version(package) for name, package in packages.items()}
+    versions = {name: version(package) for name, package in packages.items()}
     # Without LIBM (stkzoo.engine.process), some races depend on it.
     libc = " ".join(platform.libc_ver()).strip() or platform.platform(terse=True)
-    return {**found, "python": platform.python_version(), "libc": libc}
+    return {**versions, "python": platform.python_version(), "libc": libc}
 
 
 def shared_protections(

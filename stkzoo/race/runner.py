@@ -95,15 +95,15 @@ def run_race(
     chosen = RaceSettings.changed(settings, changes)
     places = _places(start_positions, len(drivers))
     awaited = _awaited(wait_for, len(drivers))
-    found = [_driver(driver, chosen) for driver in drivers]
-    check_adapter(found, chosen.adapter)
-    chosen = _of_level(chosen, found)
-    _sandbox(chosen, found)  # raises or warns before the race starts
+    entries = [_driver(driver, chosen) for driver in drivers]
+    check_adapter(entries, chosen.adapter)
+    chosen = _of_level(chosen, entries)
+    _sandbox(chosen, entries)  # raises or warns before the race starts
     with ExitStack() as resources:
         for listener in listeners:
             resources.callback(listener.closed)
-        env = resources.enter_context(_env(found, chosen, places, listeners))
-        race = _RaceRun(env, found, awaited, chosen, listeners)
+        env = resources.enter_context(_env(entries, chosen, places, listeners))
+        race = _RaceRun(env, entries, awaited, chosen, listeners)
         for member in race.members.values():
             resources.callback(member.close)
         return race.run()
@@ -210,14 +210,11 @@ class _RaceRun:
         self._drivers = dict(zip(env.possible_agents, drivers, strict=True))
         self._awaited = awaited
         self._rescues = RescueCounter(len(self._drivers))
-        from_files = [agent for agent, driver in self._drivers.items() if driver.is_from_files]
-        cores = {
-            agent: own_cores(number, len(from_files)) for number, agent in enumerate(from_files)
-        }
+        files = [agent for agent, driver in self._drivers.items() if driver.is_from_files]
+        cores = {agent: own_cores(number, len(files)) for number, agent in enumerate(files)}
         self._protections: tuple[str, ...] = ()
         if self._sandbox is not None and not settings.inline:
-            own = ("cores",) if any(cores.values()) else ()
-            self._protections = (*protections(self._sandbox), *own)
+            self._protections = (*protections(self._sandbox), *["cores"] * any(cores.values()))
         self.members = {
             agent: RacingDriver(
                 driver,

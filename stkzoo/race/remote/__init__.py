@@ -14,10 +14,8 @@ from stkzoo.race.remote.drivers import (
 )
 from stkzoo.race.remote.server import RaceServer
 from stkzoo.race.remote.sockets import (
-    DEFAULT_ADDRESS,
     KeyPair,
     ServerKeys,
-    full_address,
     new_key_files,
     new_keys,
     read_public,
@@ -26,14 +24,12 @@ from stkzoo.race.remote.sockets import (
 )
 
 __all__ = [
-    "DEFAULT_ADDRESS",
     "KeyPair",
     "RaceServer",
     "RemoteDriverGroup",
     "ServedAgent",
     "ServerAccess",
     "ServerKeys",
-    "full_address",
     "new_key_files",
     "new_keys",
     "read_public",

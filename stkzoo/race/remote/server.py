@@ -44,7 +44,8 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
     Args:
         drivers: drivers that clients can use; the game's AI is not allowed.
-        address: address to listen on (:func:`~stkzoo.race.remote.full_address`).
+        address: address to listen on such as ``127.0.0.1:5555``, ``*:5555`` or ``ipc:///path``; the
+            port may be ``*`` for any free one.
         limits: resource limits of each agent; a client may request shorter time limits.
         max_sessions: maximum number of clients whose agents run; the server refuses further ones.
         keys: keys of the server and of its clients; ``None`` for no keys.
@@ -125,13 +126,13 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
 
     def close(self) -> None:
         """Ends all sessions and releases the address. Call it in the thread of :meth:`serve`."""
-        for session in self._threads:
-            session.put(None)
+        for thread in self._threads:
+            thread.put(None)
         deadline = time.monotonic() + _GRACE
-        for session in self._threads:
-            session.join(max(0.0, deadline - time.monotonic()))
+        for thread in self._threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
         self._connections.close()
-        if any(session.is_alive() for session in self._threads):
+        if any(thread.is_alive() for thread in self._threads):
             self._socket.close(0)  # a socket must not be closed outside its thread
         else:
             self._context.destroy(0)  # also closes its sockets
@@ -171,7 +172,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         Raises:
             ProtocolError: the server has no such agent, or no place for it.
         """
-        self._threads = {session for session in self._threads if session.is_alive()}
+        self._threads = {thread for thread in self._threads if thread.is_alive()}
         clients = [session.client for session in self._sessions.values()]
         is_full = len({*clients, opening.client}) > self._max_clients
         if is_full or len(self._threads) >= 2 * self._max_clients * protocol.MAX_AGENTS:
@@ -252,7 +253,6 @@ def _offer(driver: Driver) -> protocol.Offer:
 def _checked(drivers: Sequence[Driver]) -> list[Driver]:
     if not drivers:
         raise ConfigError("the server has no agents; name at least one")
-    for driver in drivers:
-        if driver.is_game_ai:
-            raise ConfigError("the game's AI runs in the game; name it on the client")
+    if any(driver.is_game_ai for driver in drivers):
+        raise ConfigError("the game's AI runs in the game; name it on the client")
     return list(drivers)

@@ -171,28 +171,27 @@ def client_socket(
         options["CURVE_SERVERKEY"] = server_key.encode()
         options["CURVE_PUBLICKEY"] = keys.public.encode()
         options["CURVE_SECRETKEY"] = keys.secret.encode()
-    lib, dealer = zmq_module(), _new_socket(context, "DEALER", address, options)
-    monitor: zmq.Socket[Any] = dealer.get_monitor_socket(
+    lib = zmq_module()
+    failures = (
         lib.EVENT_DISCONNECTED
         | lib.EVENT_HANDSHAKE_FAILED_NO_DETAIL
         | lib.EVENT_HANDSHAKE_FAILED_PROTOCOL
         | lib.EVENT_HANDSHAKE_FAILED_AUTH
     )
     try:
+        dealer = _new_socket(context, "DEALER", address, options)
+        monitor: zmq.Socket[Any] = dealer.get_monitor_socket(failures)
         dealer.connect(address)
     except lib.ZMQError as error:
-        dealer.disable_monitor()
-        monitor.close(0)
-        dealer.close(0)
         raise RemoteError(f"cannot connect to {address}: {_why(error)}") from error
     return dealer, monitor
 
 
 def _new_socket(
-    context: zmq.Context[Any], kind: str, address: str, options: dict[str, Any]
+    context: zmq.Context[Any], socket_type: str, address: str, options: dict[str, Any]
 ) -> zmq.Socket[Any]:
     lib = zmq_module()
-    new: zmq.Socket[Any] = context.socket(getattr(lib, kind))
+    new: zmq.Socket[Any] = context.socket(getattr(lib, socket_type))
     for name, value in {**_LIMITS, "IPV6": int("[" in address), **options}.items():
         new.setsockopt(getattr(lib, name), value)
     return new
@@ -410,10 +409,10 @@ def read_publics(sources: Iterable[str | Path]) -> dict[str, str]:
         else:
             files = [path]
         lines = (line for file in files for line in _lines_of(file) if line[0] == "public")
-        found = {key: " ".join(name) for _, key, *name in lines}
-        if not found:
+        named = {key: " ".join(name) for _, key, *name in lines}
+        if not named:
             raise ConfigError(f"no public key in {source}; make one with: stkzoo keys new NAME")
-        keys |= found
+        keys |= named
     return keys
 
 

@@ -56,11 +56,6 @@ class RaceBroadcast:
         self.port, self.url = self._server.port, self._server.url
         self._scene: Scene | None = None
 
-    @property
-    def num_viewers(self) -> int:
-        """Current number of viewers."""
-        return self._server.num_viewers
-
     def begin(
         self,
         scene: Scene,

@@ -128,6 +128,7 @@ class LiveServer:
     Attributes:
         news: content of the page; the race's thread replaces it.
         most: maximum number of visitors, and of viewers.
+        viewers: connections of the viewers.
         port: port that the server listens on.
         url: address of the page, including the key for control if one is required.
 
@@ -147,7 +148,7 @@ class LiveServer:
         self._pages["/"] = self._pages["/index.html"]
         self._listener = _listener(host, port)
         self.most = min(_MOST, max(_LEAST, max_descriptors() // _SHARE))
-        self._viewers: set[asyncio.WriteTransport] = set()
+        self.viewers: set[asyncio.WriteTransport] = set()
         self.port: int = self._listener.getsockname()[1]
         self._guard = RequestGuard(host, self.port)
         address, key = _shown(host, self._listener), self._guard.key
@@ -156,11 +157,6 @@ class LiveServer:
         self._loop, self._closing = asyncio.new_event_loop(), asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="stkzoo-live-page", daemon=True)
         self._thread.start()
-
-    @property
-    def num_viewers(self) -> int:
-        """Current number of viewers."""
-        return len(self._viewers)
 
     def close(self) -> None:
         """Sends the last messages to viewers, then stops; may be called more than once."""
@@ -201,7 +197,7 @@ class LiveServer:
         try:
             await self._closing.wait()
             deadline = self._loop.time() + _FAREWELL
-            while self.num_viewers and self._loop.time() < deadline:
+            while self.viewers and self._loop.time() < deadline:
                 await asyncio.sleep(0.02)
         finally:
             accepting.cancel()
@@ -217,7 +213,7 @@ class LiveServer:
                 await asyncio.sleep(_LONG_PAUSE)
                 continue
             transports = [handler.transport for handler in server.connections]  # oldest first
-            visitors = [one for one in transports if one not in self._viewers]
+            visitors = [one for one in transports if one not in self.viewers]
             if len(visitors) >= self.most:
                 self._expire(visitors[0])
             with suppress(OSError):  # the connection is already closed
@@ -227,7 +223,7 @@ class LiveServer:
 
     def _expire(self, transport: Any) -> None:
         """Aborts a visitor's connection, even if its response has not been read."""
-        if transport is not None and transport not in self._viewers:
+        if transport is not None and transport not in self.viewers:
             transport.abort()
 
     # ------------------------------------------------------------------ requests
@@ -247,8 +243,8 @@ class LiveServer:
         page = self._pages.get(request.path)
         if page is None:
             raise web.HTTPNotFound(text="this page does not exist; the race is at /\n")
-        body, kind = page
-        return web.Response(body=body, content_type=kind, charset="utf-8", headers=_HEADERS)
+        body, content_type = page
+        return web.Response(body=body, content_type=content_type, charset="utf-8", headers=_HEADERS)
 
     async def _live(self, request: web.Request) -> web.StreamResponse:
         if request.query.get("version") != str(PROTOCOL_VERSION):
@@ -264,10 +260,10 @@ class LiveServer:
             raise web.HTTPBadRequest(text="this address is for WebSockets; the race is at /\n")
         transport = request.transport
         assert isinstance(transport, asyncio.WriteTransport)  # noqa: S101 - of a stream socket
-        if len(self._viewers) >= self.most:
+        if len(self.viewers) >= self.most:
             reason = f"{self.most} viewers are connected already; try again later\n"
             raise web.HTTPServiceUnavailable(text=reason)
-        self._viewers.add(transport)
+        self.viewers.add(transport)
         try:
             await connection.prepare(request)
             may_steer = self._guard.may_steer(request.query.get("key", ""))
@@ -276,7 +272,7 @@ class LiveServer:
             )
             await viewer.serve()
         finally:
-            self._viewers.discard(transport)
+            self.viewers.discard(transport)
             self._loop.call_later(_LIFETIME, self._expire, transport)
         return connection
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any, Literal
@@ -14,7 +15,7 @@ from aiohttp import WSCloseCode, WSMsgType, web
 from stkzoo._checks import shortened
 from stkzoo.errors import ConfigError, ProtocolError
 from stkzoo.race.web.control import RaceControl
-from stkzoo.race.web.messages import RaceNews, Text, encoded, plain
+from stkzoo.race.web.messages import RaceNews, encoded, plain
 
 logger = logging.getLogger(__name__)
 
@@ -106,18 +107,8 @@ class Viewer:
             await self._socket.close(code=WSCloseCode.TRY_AGAIN_LATER, drain=False)
 
     async def _put_news(self) -> None:
-        news = self._read_news()
-        for text in self._texts(news):
+        for text in self._texts(self._read_news()):
             await self._put(text)
-        details, seen = news.details.get(self._watched or ""), (self._watched, news.moment)
-        now = asyncio.get_running_loop().time()
-        is_time = now >= self._next_observation or self._closing.is_set()
-        if details is None or not is_time or self._sent.get("observation") == seen:
-            return
-        self._sent["observation"] = seen
-        self._next_observation = now + _OBSERVATION_PAUSE
-        message = {"agent": self._watched, "steps": news.steps, "parts": plain(details)}
-        await self._put(encoded({"type": "observation", **message}))
 
     def _texts(self, news: RaceNews) -> Iterator[str]:
         """Yields the messages that the viewer does not have yet."""
@@ -134,8 +125,14 @@ class Viewer:
             yield self._sent["moment"]()
         if self._is_new("result", news.result):
             yield self._sent["result"]()
+        details, now = news.details.get(self._watched or ""), time.monotonic()
+        is_time = now >= self._next_observation or self._closing.is_set()
+        if details and is_time and self._is_new("observation", (self._watched, news.moment)):
+            self._next_observation = now + _OBSERVATION_PAUSE
+            message = {"agent": self._watched, "steps": news.steps, "parts": plain(details)}
+            yield encoded({"type": "observation", **message})
 
-    def _is_new(self, kind: str, message: Text | dict[str, Any] | None) -> bool:
+    def _is_new(self, kind: str, message: object) -> bool:
         before, self._sent[kind] = self._sent.get(kind), message
         return message is not None and message != before
 
@@ -160,7 +157,7 @@ class Viewer:
                 return
 
     def _count(self) -> None:
-        second = int(asyncio.get_running_loop().time())
+        second = int(time.monotonic())
         self._num_messages = self._num_messages + 1 if second == self._second else 1
         self._second = second
         if self._num_messages > _MOST_MESSAGES:

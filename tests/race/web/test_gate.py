@@ -151,4 +151,4 @@ def test_too_many_viewers_are_refused(page, held):
 
 def test_a_request_without_websocket_is_not_a_viewer(page):
     assert b"this address is for WebSockets" in talk(page, request("/live?version=1"))
-    assert not page._server._viewers
+    assert not page._server.viewers

@@ -263,7 +263,7 @@ def test_a_viewer_that_reads_nothing_delays_nobody_and_is_disconnected(monkeypat
         await one.send("speed", value=None)
         await one.send("run")
         await one.moment(50)
-        while race.page.num_viewers > 1:
+        while len(race.page._server.viewers) > 1:
             await one.next("moment")
 
     with WatchedRace() as race:
@@ -272,7 +272,7 @@ def test_a_viewer_that_reads_nothing_delays_nobody_and_is_disconnected(monkeypat
             sleeper.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             sleeper.sendall(upgrade_request())
             assert sleeper.recv(12) == b"HTTP/1.1 101"
-            assert wait_until(lambda: race.page.num_viewers == 1)
+            assert wait_until(lambda: len(race.page._server.viewers) == 1)
             race.watch(scenario)
 
 
