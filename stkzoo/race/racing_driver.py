@@ -34,8 +34,8 @@ logger = logging.getLogger(__name__)
 class RacingDriver:
     """A driver in one race, across restarts of its instance.
 
-    If the driver fails and ``error_handling`` is ``"raise"``, all methods except :meth:`start` and
-    :meth:`close` raise :class:`~stkzoo.errors.AgentError`. The argument ``step`` of the methods is
+    If the driver fails and ``error_handling`` is ``"raise"``, all methods except :meth:`close`
+    raise :class:`~stkzoo.errors.AgentError`. The argument ``step`` of the methods is
     the number of environment steps so far.
 
     Args:
@@ -69,20 +69,20 @@ class RacingDriver:
         )
         self._request = replace(request, output_label=label, clock=self.clock)
         self._instance: DriverInstance | None = None
-        self._start_error: Exception | None = None
         self._is_ready = self._is_asked = False
         self._restarts = 0
         self._random_actions = copy.deepcopy(request.action_space)
         self._random_actions.seed(request.seed)
 
-    def start(self) -> None:
-        """Starts the driver without waiting until it is ready."""
-        self._is_ready, self._start_error = False, None
+    def start(self, step: int) -> None:
+        """Starts the driver without waiting until it is ready, or retires it if that fails."""
+        assert self._driver.start is not None  # noqa: S101 - not the game's AI
+        self._is_ready = False
         try:
-            assert self._driver.start is not None  # noqa: S101 - not the game's AI
             self._instance = self._driver.start(self._request)
-        except Exception as error:  # noqa: BLE001 - reported in get_ready()
-            self._start_error = error
+        except Exception as error:  # noqa: BLE001 - affects only this driver
+            self._record(error, step, "start")
+            self._retire()
 
     def get_ready(self, step: int) -> None:
         """Waits until the driver is ready, or retires it if the start fails."""
@@ -141,8 +141,7 @@ class RacingDriver:
             instance.close()
 
     def _started(self) -> DriverInstance:
-        if self._instance is None:
-            raise self._start_error or AgentError("it was not started", self.agent)
+        assert self._instance is not None  # noqa: S101 - until it retires
         return self._instance
 
     def _handle(self, error: Exception, step: int) -> None:
@@ -160,7 +159,7 @@ class RacingDriver:
             return
         self._restarts += 1
         self.close()
-        self.start()
+        self.start(step)
 
     def _end_for_time(self, step: int) -> None:
         """Retires a driver that has exhausted its time budget, for all error handlings."""

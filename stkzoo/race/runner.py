@@ -253,7 +253,7 @@ class _RaceRun:
 
     def _start(self) -> None:
         for member in self.members.values():
-            member.start()
+            member.start(0)
         for member in self.members.values():
             member.get_ready(0)
         self._names = {

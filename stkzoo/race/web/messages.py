@@ -78,7 +78,7 @@ def race_message(scene: Scene, sources: Mapping[str, str], seed: int | None) -> 
         "seed": seed,
         "karts": karts,
         "buttons": CONTROLS[_BUTTONS],
-        "powerups": {str(kind.value): _word(kind.name) for kind in PowerupType},
+        "powerups": {str(powerup.value): _word(powerup.name) for powerup in PowerupType},
         "road": {
             "quads": _rounded(road.quads[road.order].reshape(-1, 8)),
             "joints": _rounded(road.joints[road.order]),
@@ -167,8 +167,8 @@ def moment_message(
             "powerup": karts["powerup_type"].tolist(),
         },
         "items": [
-            [*place, kind]
-            for place, kind in zip(
+            [*place, item_type]
+            for place, item_type in zip(
                 _rounded(snapshot.items["location"][:, ::2], 1),
                 snapshot.items["type"].tolist(),
                 strict=True,

@@ -132,8 +132,8 @@ class Viewer:
             message = {"agent": self._watched, "steps": news.steps, "parts": plain(details)}
             yield encoded({"type": "observation", **message})
 
-    def _is_new(self, kind: str, message: object) -> bool:
-        before, self._sent[kind] = self._sent.get(kind), message
+    def _is_new(self, message_type: str, message: object) -> bool:
+        before, self._sent[message_type] = self._sent.get(message_type), message
         return message is not None and message != before
 
     async def _put(self, text: str) -> None:
