@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from queue import SimpleQueue
 
 from stkzoo._logs import RepeatFilter
@@ -26,6 +27,9 @@ from stkzoo.race.remote.protocol import Acted, Open, Opened, Refused
 
 logger = logging.getLogger(__name__)
 logger.addFilter(RepeatFilter())
+
+#: Held while an agent runs in this process, because its modules take the place of other agents'.
+_in_process = threading.Lock()
 
 
 class AgentSession(threading.Thread):
@@ -74,7 +78,8 @@ class AgentSession(threading.Thread):
         finally:
             self._reply(None)
             if self._agent is not None:
-                self._agent.close()
+                with self._turn():
+                    self._agent.close()
 
     def _serve(self) -> None:
         outcome = self._start()
@@ -91,17 +96,27 @@ class AgentSession(threading.Thread):
             self._agent = self._driver.start(self._request)
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
             return Failed.of(error)
-        return start_reply(self._agent)
+        with self._turn():
+            return start_reply(self._agent)
 
     def _act(self, observation: bytes) -> Acted:
         agent = self._agent
         assert agent is not None  # noqa: S101 - it is ready
-        takes_encoded = getattr(agent, "takes_encoded", False)  # another process decodes it
         try:
-            agent.ask(observation if takes_encoded else decode_observation(observation))
-            return Acted(Decided.of(agent.answer()), is_usable=True)
+            with self._turn():
+                agent.ask(observation if self._is_isolated else decode_observation(observation))
+                return Acted(Decided.of(agent.answer()), is_usable=True)
         except Exception as error:  # noqa: BLE001 - an agent may raise anything
             return Acted(Failed.of(error), bool(agent.is_usable))
+
+    @property
+    def _is_isolated(self) -> bool:
+        """Whether another process runs the agent, and decodes its observations."""
+        return getattr(self._agent, "takes_encoded", False)
+
+    def _turn(self) -> AbstractContextManager[object]:
+        """Returns a context in which the agent may run."""
+        return nullcontext() if self._is_isolated else _in_process
 
 
 def _driver_request(opening: Open, limits: DriverLimits) -> DriverRequest:

@@ -73,6 +73,19 @@ def test_one_server_drives_several_agents_in_any_order(tmp_path):
 
 
 @pytest.mark.slow
+def test_inline_agents_of_a_server_have_their_own_modules(tmp_path):
+    """The threads of the server take turns, because a program has one table of modules."""
+    drivers = []
+    for name in ("ada", "bob"):
+        agent = write_agent(tmp_path, name, f"import helper; assert helper.NAME == {name!r}")
+        (tmp_path / name / "helper.py").write_text(f"NAME = {name!r}\n")
+        drivers.append(find_driver(agent, inline=True))
+    with server_thread(drivers) as server, RemoteDriverGroup([server.address]) as group:
+        result = run_race(group.drivers * 3, max_steps=30, **TRACK)
+    assert not result.has_errors
+
+
+@pytest.mark.slow
 def test_servers_can_change_order_between_races(tmp_path):
     one, two = write_agent(tmp_path, "one"), write_agent(tmp_path, "two")
     with server_process(one) as (_, first), server_process(two) as (_, second):
