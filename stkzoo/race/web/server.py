@@ -236,7 +236,7 @@ class LiveServer:
         except web.HTTPException as error:
             error.force_close()
             raise
-        response.force_close()  # one request per connection, so that the gate limits the rate
+        response.force_close()  # one request per connection, so that _accept limits the rate
         return response
 
     async def _page(self, request: web.Request) -> web.StreamResponse:
