@@ -281,7 +281,7 @@ def _show_groups(columns: Sequence[str], rows: Sequence[_Row], sign: str = "") -
     main = [(cells, group) for cells, group in rows if group.by in _MAIN_GROUPS]
     if not any(e is not None and e.low is not None for _, g in main for e in g.clustered.values()):
         return  # too few tracks
-    say("\nThe same means, with intervals over tracks and directions and the AI's times resampled:")
+    say("\nThe same means, with intervals over tracks and directions:")
     clustered = [(cells, replace(group, figures=group.clustered)) for cells, group in main]
     _show_figures(columns, clustered, sign)
 

@@ -15,8 +15,6 @@ import numpy.typing as npt
 CONFIDENCE = 0.95
 #: Number of draws of all bootstraps.
 DRAWS = 2000
-#: Number of resampled values that are in memory together.
-_VALUES_AT_ONCE = 1_000_000
 #: Minimum number of clusters for an interval; fewer do not show how much clusters differ.
 FEWEST_CLUSTERS = 4
 
@@ -94,7 +92,6 @@ def estimate_mean(
 def estimate_clustered(
     totals: npt.NDArray[np.float64],
     counts: npt.NDArray[np.float64],
-    redrawn: npt.NDArray[np.float64] | None = None,
 ) -> Estimate | None:
     """Returns the mean over clusters of values, with a 95% bootstrap interval over clusters.
 
@@ -106,8 +103,6 @@ def estimate_clustered(
     Args:
         totals: sum of the values in each cluster, ``(C,)``.
         counts: number of values in each cluster, ``(C,)``. Clusters without values are left out.
-        redrawn: other ``totals`` for each of the :data:`DRAWS` draws, ``(DRAWS, C)``: the sums with
-            a resampled baseline.
 
     Returns:
         The estimate, without an interval if fewer than :data:`FEWEST_CLUSTERS` clusters have
@@ -116,14 +111,13 @@ def estimate_clustered(
     has_values = counts > 0
     if not has_values.any():
         return None
-    sums = (totals[None] if redrawn is None else redrawn)[:, has_values]
     totals, counts = totals[has_values], counts[has_values]
     mean, clusters = float(totals.sum() / counts.sum()), len(counts)
-    if clusters < FEWEST_CLUSTERS or not np.ptp(sums / counts):
+    if clusters < FEWEST_CLUSTERS or not np.ptp(totals / counts):
         return Estimate(mean, None, None)
     generator = np.random.default_rng(0)
     drawn = generator.multinomial(clusters - 1, np.full(clusters, 1 / clusters), DRAWS)
-    means = (drawn * sums).sum(axis=1) / (drawn @ counts)
+    means = (drawn @ totals) / (drawn @ counts)
     tail = 100 * NormalDist().cdf(-_student_t(clusters - 1))
     low, high = np.percentile(means, (tail, 100 - tail))
     return Estimate(mean, float(low), float(high))
@@ -146,28 +140,6 @@ def _student_t(freedom: int) -> float:
         within = 2 / math.pi * (angle + sine * total) if is_odd else sine * total
         low, high = (angle, high) if within < CONFIDENCE else (low, angle)
     return math.sqrt(freedom) * math.tan(low)
-
-
-def resampled_medians(
-    groups: Sequence[Sequence[float | None]], generator: np.random.Generator
-) -> npt.NDArray[np.float64]:
-    """Returns medians ``(DRAWS,)`` of values, such as the times of all karts in several races.
-
-    The bootstrap resamples whole groups, one less than there are, because the values in a group
-    depend on each other.
-
-    Args:
-        groups: the values of each group, such as one race; all have the same number of values.
-            ``None`` counts as the highest value.
-        generator: the random generator.
-    """
-    values = np.array(groups, float)
-    values = np.where(np.isnan(values), np.nanmax(values), values)
-    rows = generator.integers(len(values), size=(DRAWS, max(len(values) - 1, 1)))
-    parts = np.array_split(rows, -(-rows.size * values.shape[1] // _VALUES_AT_ONCE))
-    return np.concatenate(
-        [np.median(values[part].reshape(len(part), -1), axis=1) for part in parts]
-    )
 
 
 def percentile_interval(draws: npt.ArrayLike) -> npt.NDArray[np.float64]:

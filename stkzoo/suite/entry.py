@@ -165,6 +165,7 @@ class Entry(BenchmarkResult):
 
     kind: ClassVar[str] = "suite-entry"
     origin: ClassVar[str] = f"the {ENTRY_FILE} of `stkzoo suite evaluate`"
+    metrics: ClassVar[tuple[FigureKind, ...]] = (*BenchmarkResult.metrics, _BEATEN)
 
     plan: EntryPlan
     replays: tuple[_Digest, ...] = ()
@@ -178,10 +179,6 @@ class Entry(BenchmarkResult):
     def task(self) -> Task:
         """The task."""
         return find_task(self.plan.task)
-
-    def figure_kinds(self) -> tuple[FigureKind, ...]:
-        """Returns the metrics: those of a benchmark, and the share of beaten rivals."""
-        return (*BenchmarkResult.figure_kinds(self), _BEATEN)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the entry as JSON values."""

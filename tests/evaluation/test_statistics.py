@@ -1,16 +1,9 @@
 """Means with intervals over clusters."""
 
-import math
-
 import numpy as np
 import pytest
 
-from stkzoo.evaluation.statistics import (
-    DRAWS,
-    _student_t,
-    estimate_clustered,
-    resampled_medians,
-)
+from stkzoo.evaluation.statistics import _student_t, estimate_clustered
 
 
 def clusters_of(values):
@@ -41,18 +34,6 @@ def test_few_clusters_give_the_tails_of_students_t(freedom, quantile):
     assert _student_t(freedom) == pytest.approx(quantile, rel=1e-7)
 
 
-def test_a_resampled_baseline_adds_its_error_to_the_interval():
-    values = np.ones((16, 1)) + np.linspace(-1e-6, 1e-6, 16)[:, None]  # all tracks are almost equal
-    noise = np.random.default_rng(3).normal(0, 0.02, (DRAWS, 16))
-    totals, counts = clusters_of(values)
-    exact = estimate_clustered(totals, counts)
-    found = estimate_clustered(totals, counts, values[:, 0] / (1 + noise))
-    assert exact.high - exact.low < 1e-6
-    # A resample draws 15 of the 16 clusters, with replacement.
-    error = 0.02 * math.sqrt((2 - 1 / 16) / 15)
-    assert found.high - found.low == pytest.approx(2 * 2.131 * error, rel=0.08)
-
-
 def test_clusters_without_values_do_not_count():
     totals, counts = clusters_of(np.random.default_rng(4).normal(size=(6, 2)))
     padded = np.append(totals, 0.0), np.append(counts, 0.0)
@@ -64,15 +45,3 @@ def test_clusters_without_values_do_not_count():
 def test_few_or_equal_clusters_give_no_interval(means):
     found = estimate_clustered(np.array(means), np.ones(len(means)))
     assert (found.low, found.high) == (None, None)
-
-
-def test_medians_resample_whole_races():
-    medians = resampled_medians([[1.0] * 3, [5.0] * 3], np.random.default_rng(0))
-    assert medians.shape == (DRAWS,)
-    assert set(medians) == {1.0, 5.0}  # one of two races is drawn
-    assert np.mean(medians == 1.0) == pytest.approx(0.5, abs=0.05)
-
-
-def test_an_unfinished_kart_is_the_slowest():
-    medians = resampled_medians([[1.0, None, None, 2.0, 3.0]] * 2, np.random.default_rng(0))
-    assert set(medians) == {3.0}

@@ -6,10 +6,9 @@ import itertools
 import os
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
 from msgspec import Meta
 
 from stkzoo._checks import check_whole
@@ -24,17 +23,15 @@ from stkzoo.evaluation.batch.plan import (
     check_num_races,
     find_tracks,
 )
-from stkzoo.evaluation.benchmark.ai_times import RaceTimes, load_ai_times
+from stkzoo.evaluation.benchmark.ai_times import load_ai_times
 from stkzoo.evaluation.benchmark.races import (
     FORMS,
     BenchmarkForm,
     BenchmarkRace,
-    FloatArray,
     direction_name,
     make_races,
     steps_within,
 )
-from stkzoo.evaluation.statistics import DRAWS, resampled_medians
 from stkzoo.race.settings import RaceSettings
 
 #: Time limit of a race, as a multiple of the AI's median time or of the human record.
@@ -122,20 +119,16 @@ class BenchmarkPlan(AgentPlan):
         directions: ``False`` for forward, ``True`` for reversed.
         forms: names of race forms (:class:`~stkzoo.evaluation.BenchmarkForm`).
         ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``.
-        ai_races: the finish times behind these medians, as in ``AiTime.races``; empty if they are
-            unknown.
     """
 
     kind: ClassVar[str] = "benchmark-plan"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
-    changeable: ClassVar[tuple[str, ...]] = ("split", "ai_races")
     #: Whether rivals can be drivers of a population.
     has_population: ClassVar[bool] = False
 
     directions: Annotated[tuple[bool, ...], Meta(min_length=1, max_length=2)]
     forms: Annotated[tuple[str, ...], Meta(min_length=1, max_length=400)]
     ai_times: Mapping[str, Mapping[str, Annotated[float, Meta(gt=0, le=1e5)]]]
-    ai_races: Mapping[str, Mapping[str, RaceTimes]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for form in self._forms():
@@ -149,8 +142,6 @@ class BenchmarkPlan(AgentPlan):
         for track, reverse in itertools.product(self.tracks, self.directions):
             if direction_name(reverse) not in self.ai_times.get(track, {}):
                 raise ConfigError(f"ai_times has no {track} ({direction_name(reverse)})")
-        for races in itertools.chain(*(ways.values() for ways in self.ai_races.values())):
-            _check_times(races)
 
     def races(self) -> tuple[BenchmarkRace, ...]:
         """Returns all races of the benchmark."""
@@ -162,34 +153,6 @@ class BenchmarkPlan(AgentPlan):
     def reference_time(self, track: str, reverse: bool) -> float:
         """Returns the AI's median time on a track in a direction [s]."""
         return self.ai_times[track][direction_name(reverse)]
-
-    def redrawn_ai_times(self) -> dict[tuple[str, bool], FloatArray]:
-        """Returns resampled median times of the AI, ``(DRAWS,)`` by track and direction [s].
-
-        Where the finish times are unknown, all draws are the median.
-        """
-        generator, times = np.random.default_rng(0), {}
-        for track, reverse in itertools.product(self.tracks, self.directions):
-            races = self.ai_races.get(track, {}).get(direction_name(reverse), ())
-            times[track, reverse] = (
-                resampled_medians(races, generator)
-                if races
-                else np.full(DRAWS, self.reference_time(track, reverse))
-            )
-        return times
-
-
-def _check_times(races: RaceTimes) -> None:
-    """Checks that races have the same number of karts and that a kart finished.
-
-    Raises:
-        ConfigError: they do not, or none did. No race at all is correct.
-    """
-    sizes = {len(race) for race in races}
-    if len(sizes) > 1:
-        raise ConfigError(f"the races have {sorted(sizes)} karts, expected the same number in each")
-    if races and all(time is None for time in itertools.chain(*races)):
-        raise ConfigError("no kart of the races finished, expected finish times")
 
 
 def benchmark_orders(plan: AgentPlan) -> list[RaceOrder]:
@@ -251,10 +214,6 @@ def plan_benchmark(
             f"forms is {names}, expected different race forms, such as {', '.join(FORMS)}"
         )
     times = load_ai_times(ai_times)
-    measured = {
-        track: {direction_name(way): times.of(track, way, difficulty) for way in directions}
-        for track in tracks
-    }
     return BenchmarkPlan(
         agents=find_agents([agent], chosen),
         split=split if isinstance(split, str) else " ".join(split),
@@ -263,12 +222,10 @@ def plan_benchmark(
         forms=names,
         seeds=seeds,
         ai_times={
-            track: {way: time.median for way, time in of_track.items()}
-            for track, of_track in measured.items()
-        },
-        ai_races={
-            track: {way: time.races for way, time in of_track.items()}
-            for track, of_track in measured.items()
+            track: {
+                direction_name(way): times.of(track, way, difficulty).median for way in directions
+            }
+            for track in tracks
         },
         settings=chosen,
     )

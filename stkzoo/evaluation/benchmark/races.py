@@ -11,17 +11,10 @@ from dataclasses import asdict, dataclass
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo._schema import Count, Place, Positive, one_of
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.statistics import (
-    DRAWS,
-    FEWEST_CLUSTERS,
-    Estimate,
-    estimate_clustered,
-    estimate_mean,
-)
+from stkzoo.evaluation.statistics import Estimate, estimate_clustered, estimate_mean
 from stkzoo.race.result import AgentResult, RaceResult
 
 #: The race forms of the benchmark protocol.
@@ -30,7 +23,6 @@ _FORM = re.compile(r"(P+)(A*|B*)")
 _MAX_KARTS = 20
 _SEED_BYTES = 4
 
-FloatArray = npt.NDArray[np.float64]
 #: Ends of the grid.
 FRONT, BACK = "front", "back"
 _STEP, _COUNTDOWN = 0.1, 20  # step size [s], and number of steps before the race clock starts
@@ -239,17 +231,6 @@ class RaceOutcome(BenchmarkRace):
         ratios = [limit if k.time is None else min(k.time / ai_time, limit) for k in karts]
         return cls(**asdict(race), status=result.status, time_ratio=_mean(ratios), karts=karts)
 
-    def time_ratios(self, ai_times: FloatArray, limit: float) -> FloatArray:
-        """Returns :attr:`time_ratio` for each of several median times of the AI.
-
-        Args:
-            ai_times: the AI's median times ``(N,)`` [s].
-            limit: time limit of the race, as a multiple of the AI's median time.
-        """
-        times = np.array([np.inf if kart.time is None else kart.time for kart in self.karts])
-        ratios: FloatArray = np.minimum(times / ai_times[:, None], limit).mean(axis=1)
-        return ratios
-
     @property
     def errors(self) -> int:
         """Number of failures of the agent."""
@@ -313,14 +294,11 @@ class FigureKind:
         name: name of the metric.
         of: function that returns its value in one race, or ``None`` if it is undefined.
         bounds: lowest and highest possible value, for fractions and counts.
-        redrawn: function that returns its values ``(DRAWS,)`` in one race for resampled median
-            times of the AI; ``None`` if it does not depend on them.
     """
 
     name: str
     of: Callable[[RaceOutcome], float | None]
     bounds: tuple[float, float] | None = None
-    redrawn: Callable[[RaceOutcome], FloatArray] | None = None
 
 
 FIGURES = (
@@ -403,16 +381,12 @@ def _clustered(outcomes: Sequence[RaceOutcome], metric: FigureKind) -> Estimate 
     for outcome in outcomes:
         numbers.setdefault((outcome.track, outcome.reverse), len(numbers))
     totals, counts = np.zeros((2, len(numbers)))
-    has_baseline = metric.redrawn is not None and len(numbers) >= FEWEST_CLUSTERS
-    redrawn = np.zeros((DRAWS, len(numbers))) if has_baseline else None
     for outcome in outcomes:
         value, number = metric.of(outcome), numbers[outcome.track, outcome.reverse]
         if value is not None:
             totals[number] += value
             counts[number] += 1
-            if redrawn is not None and metric.redrawn is not None:
-                redrawn[:, number] += metric.redrawn(outcome)
-    return estimate_clustered(totals, counts, redrawn)
+    return estimate_clustered(totals, counts)
 
 
 def find_group(groups: Sequence[RaceGroup], by: str, name: str) -> RaceGroup:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -26,7 +26,6 @@ from stkzoo.evaluation.benchmark.plan import (
 from stkzoo.evaluation.benchmark.races import (
     FIGURES,
     FigureKind,
-    FloatArray,
     RaceGroup,
     RaceOutcome,
     find_group,
@@ -115,6 +114,7 @@ class BenchmarkResult(AgentBatchResult):
     # docs/schemas/benchmark-result.schema.json
     kind: ClassVar[str] = "benchmark-result"
     origin: ClassVar[str] = "the --output of `stkzoo benchmark`, or its result.json"
+    metrics: ClassVar[tuple[FigureKind, ...]] = FIGURES
 
     plan: BenchmarkPlan
     races: tuple[RaceOutcome, ...]
@@ -122,19 +122,7 @@ class BenchmarkResult(AgentBatchResult):
     @cached_property
     def groups(self) -> tuple[RaceGroup, ...]:
         """The metrics of all races and of groups of races."""
-        return group_races(self.races, self.figure_kinds())
-
-    def figure_kinds(self) -> tuple[FigureKind, ...]:
-        """Returns the metrics, with the time ratio for resampled median times of the AI."""
-        ai_times, limit = self.plan.redrawn_ai_times(), self.plan.limit
-
-        def redrawn(race: RaceOutcome) -> FloatArray:
-            return race.time_ratios(ai_times[race.track, race.reverse], limit)
-
-        return tuple(
-            replace(metric, redrawn=redrawn) if metric.name == "time_ratio" else metric
-            for metric in FIGURES
-        )
+        return group_races(self.races, self.metrics)
 
     def group(self, by: str = "all", name: str = "") -> RaceGroup:
         """Returns the metrics of a group of races.
@@ -361,18 +349,13 @@ def compare(first: BenchmarkResult, second: BenchmarkResult) -> Comparison:
             one, two = metric.of(race), metric.of(others[race.key])
             return None if one is None or two is None else one - two
 
-        def redrawn_difference(race: RaceOutcome) -> FloatArray:
-            assert metric.redrawn is not None  # noqa: S101 - only called if it is not
-            return metric.redrawn(race) - metric.redrawn(others[race.key])
-
         return FigureKind(
             metric.name,
             difference,
             metric.bounds and (-metric.bounds[1], metric.bounds[1]),
-            metric.redrawn and redrawn_difference,
         )
 
-    groups = group_races(shared, [minus(metric) for metric in first.figure_kinds()])
+    groups = group_races(shared, [minus(metric) for metric in first.metrics])
     return Comparison(first.label, second.label, groups)
 
 
