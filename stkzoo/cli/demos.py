@@ -15,17 +15,15 @@ Examples:
   stkzoo demos ai --difficulty 3 --seeds 5 --output ai.safetensors
   stkzoo demos heuristic --rivals ai ai --karts 1 --view flattened_discrete
   stkzoo demos planner --karts 1     plans with the game; slow
-  stkzoo demos my_agent/ --track lighthouse hacienda --check
+  stkzoo demos my_agent/ --track lighthouse hacienda
   stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
 
 exit codes:
-  0 success, 1 a race could not be recorded or differs when driven again, 2
-  invalid command line, 130 interrupted
+  0 success, 1 a race could not be recorded, 2 invalid command line, 130 interrupted
 """
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -41,17 +39,15 @@ from stkzoo.cli._batch import (
     run_batch,
     tracks_option,
 )
-from stkzoo.errors import ConfigError
 from stkzoo.evaluation import (
     Demonstrations,
     DemoPlan,
-    check_demonstrations,
     plan_demonstrations,
     to_minari,
 )
 from stkzoo.evaluation.demonstrations.minari import check_dataset_id
 from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
-from stkzoo.race import RaceSettings, find_driver
+from stkzoo.race import RaceSettings
 
 
 @dataclass
@@ -65,13 +61,9 @@ class DemosArguments:
         first_seed: seed of the first of these races
         karts: number of karts that the driver drives in a race
         rivals: drivers of the other karts
-        substeps: how often to read the AI's controls per step: 1, 2, 3, 4, 6 or 12; more is
-            slower (default: 4; for agents 1)
         output: file of the dataset (default: demos.safetensors); with --format minari, its name
             there (default: supertuxkart/AGENT-v0)
         format: format of the dataset
-        check: drive the first race again with the recorded actions, and compare the observations
-            (not for ai, which has boosts that agents do not get)
     """
 
     agent: str = positional()
@@ -82,16 +74,14 @@ class DemosArguments:
     first_seed: int = 0
     karts: int = 4
     rivals: tuple[str, ...] = option((), metavar="DRIVER")
-    substeps: int | None = None
     output: str | None = option(metavar="FILE", group="output")
     format: str = option("safetensors", choices=("safetensors", "minari"), group="output")
-    check: bool = option(False, group="output")
     batch: BatchArguments = options_of(BatchArguments)
     settings: dict[str, Any] = options_of(RaceSettings, without=DemoPlan.decided, group="each race")
 
 
 def run(arguments: DemosArguments) -> int:
-    """Records demonstrations, and checks them on request."""
+    """Records demonstrations."""
     plan = _plan(arguments)
     name = arguments.output or "demos.safetensors"
     file = Path(name)
@@ -101,31 +91,27 @@ def run(arguments: DemosArguments) -> int:
         # The file is deleted after the import.
         file = Path(f"{name.replace('/', '-')}.minari.safetensors")
     demos, code = run_batch(arguments.batch, partial(run_planned_demonstrations, plan, file))
-    return code if demos is None else _finish(arguments, demos, name, file)
+    if demos is not None:
+        _finish(arguments, demos, name, file)
+    return code
 
 
 def _plan(arguments: DemosArguments) -> DemoPlan:
     check_whole("seeds", arguments.seeds, 1)
     check_whole("first-seed", arguments.first_seed, 0)
-    if arguments.check and find_driver(arguments.agent, inline=True).is_game_ai:
-        raise ConfigError(
-            "--check cannot drive the game's AI again, which has boosts that agents do not get; "
-            "leave it out"
-        )
     return plan_demonstrations(
         arguments.agent,
         view=arguments.view,
         tracks=arguments.tracks,
         karts=arguments.karts,
         rivals=arguments.rivals,
-        substeps=arguments.substeps,
         reverse=reverse_of(arguments.directions),
         seeds=range(arguments.first_seed, arguments.first_seed + arguments.seeds),
         **arguments.settings,
     )
 
 
-def _finish(arguments: DemosArguments, demos: Demonstrations, name: str, file: Path) -> int:
+def _finish(arguments: DemosArguments, demos: Demonstrations, name: str, file: Path) -> None:
     where, how = str(file), f"stkzoo.evaluation.load_demonstrations({str(file)!r})"
     if arguments.format == "minari":
         to_minari(demos, name)
@@ -136,12 +122,3 @@ def _finish(arguments: DemosArguments, demos: Demonstrations, name: str, file: P
         f"{where}: {len(demos)} drives ({finished} finished), {demos.num_steps:,} steps, view "
         f"{demos.view}\nread it with {how}"
     )
-    if not arguments.check:
-        return 0
-    check = check_demonstrations(demos, trust_rivals=True)  # the command names the rivals
-    if check.is_exact:
-        print(f"the first race, driven again, is identical: {check.steps:,} steps")
-        return 0
-    step = check.first_difference
-    print(f"stkzoo: driven again, the first race differs from step {step} on", file=sys.stderr)
-    return 1

@@ -56,9 +56,7 @@ from stkzoo.evaluation.demonstrations.dataset import (
 )
 from stkzoo.evaluation.demonstrations.minari import to_minari
 from stkzoo.evaluation.demonstrations.plan import (
-    DemoCheck,
     DemoPlan,
-    check_demonstrations,
     plan_demonstrations,
     record_demonstrations,
 )
@@ -93,7 +91,6 @@ __all__ = [
     "BenchmarkRace",
     "BenchmarkResult",
     "Comparison",
-    "DemoCheck",
     "DemoEpisode",
     "DemoPlan",
     "DemoRecorder",
@@ -115,7 +112,6 @@ __all__ = [
     "TournamentResult",
     "TrackTrial",
     "check_agent",
-    "check_demonstrations",
     "compare",
     "load_ai_times",
     "load_benchmark",

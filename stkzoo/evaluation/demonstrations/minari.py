@@ -13,8 +13,6 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.demonstrations.dataset import DemoEpisode, Demonstrations
 from stkzoo.evaluation.demonstrations.recorder import DemoView
 
-_HOME = "https://supertuxkart.net"
-
 
 def require_minari() -> Any:
     """Imports ``minari``.
@@ -34,10 +32,9 @@ def check_dataset_id(dataset_id: str) -> None:
     minari = require_minari()
     try:
         minari.dataset.minari_dataset.parse_dataset_id(dataset_id)
-    except ValueError as error:
-        raise _rejected(dataset_id, error) from error
-    except TypeError as error:
-        raise _rejected(dataset_id, "it has no version") from error
+    except (ValueError, TypeError) as error:
+        why = "it has no version" if isinstance(error, TypeError) else error
+        raise _rejected(dataset_id, why) from error
     if dataset_id in minari.list_local_datasets():
         raise _rejected(dataset_id, "it exists already")
 
@@ -71,9 +68,6 @@ def to_minari(demos: Demonstrations, dataset_id: str) -> Any:
     agent = demos.plan["agents"][0]["label"]
     about = {
         "algorithm_name": agent,
-        "author": "stkzoo",
-        "author_email": "nobody@example.org",
-        "code_permalink": _HOME,
         "description": (
             f"Observations and actions of {agent} in SuperTuxKart, in stkzoo's view {demos.view}, "
             f"on {', '.join(demos.plan['tracks'])}."

@@ -1,4 +1,4 @@
-"""The plan of a dataset, which is checked before the first race, its recording, and its check.
+"""The plan of a dataset, which is checked before the first race, and its recording.
 
 During recording, each race is stored in a folder beside the dataset. When all races are recorded,
 they are joined into the dataset, and the folder is removed.
@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
 from msgspec import Meta
 
-from stkzoo._checks import check_whole, shortened
+from stkzoo._checks import check_whole
 from stkzoo._schema import Count
-from stkzoo.drivers.driver import GAME_AI, find_driver
+from stkzoo.drivers.driver import find_driver
 from stkzoo.errors import ConfigError, StkzooError
 from stkzoo.evaluation.batch.agents import BatchAgent, check_level, find_agents
 from stkzoo.evaluation.batch.order import RaceOrder
@@ -34,23 +33,20 @@ from stkzoo.evaluation.batch.plan import (
 )
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions
 from stkzoo.evaluation.demonstrations.dataset import (
-    Columns,
     Demonstrations,
-    is_by_step,
     join,
     load_demonstrations,
     save_demonstrations,
 )
-from stkzoo.evaluation.demonstrations.recorder import Controls, DemoRecorder, DemoView
-from stkzoo.race.replay import recorded_driver
+from stkzoo.evaluation.demonstrations.recorder import DemoRecorder, DemoView
 from stkzoo.race.result import RaceResult
 from stkzoo.race.runner import run_race
 from stkzoo.race.settings import RaceSettings
 
 _ENDING, _PARTS = ".safetensors", ".parts"
-#: Default number of times per step that the AI's controls are read. The AI decides 12 times.
+#: Number of times per step that the AI's controls are read if it drives all karts. It decides 12
+#: times per step, and other drivers once.
 _SUBSTEPS_OF_AI = 4
-_SUBSTEPS = (1, 2, 3, 4, 6, 12)
 _MAX_KARTS = 20
 
 
@@ -164,7 +160,6 @@ def plan_demonstrations(
     seeds: int | Sequence[int] = 1,
     karts: int = 4,
     rivals: Sequence[str] = (),
-    substeps: int | None = None,
     settings: RaceSettings | None = None,
     **changes: Any,
 ) -> DemoPlan:
@@ -181,9 +176,6 @@ def plan_demonstrations(
             start at 0.
         karts: number of karts that the driver drives in each race; all of them are recorded.
         rivals: drivers of the other karts, one for each kart.
-        substeps: number of times per step that the controls of the game's AI are read: 1, 2, 3, 4,
-            6 or 12. The default is 4 if the AI drives all karts, otherwise 1, because other
-            drivers decide once per step.
         settings: settings of every race. The plan itself sets the fields in ``DemoPlan.decided``.
         changes: fields of :class:`~stkzoo.race.RaceSettings` that replace those of
             ``settings``.
@@ -209,7 +201,7 @@ def plan_demonstrations(
         tracks=find_tracks(tracks, chosen),
         directions=check_directions(reverse),
         seeds=_seeds(seeds),
-        substeps=_substeps(substeps, [driver.is_game_ai for driver in drivers]),
+        substeps=_SUBSTEPS_OF_AI if all(driver.is_game_ai for driver in drivers) else 1,
         settings=chosen,
     )
 
@@ -224,20 +216,6 @@ def _seeds(seeds: int | Sequence[int]) -> tuple[int, ...]:
     if not numbers or len(set(numbers)) < len(numbers):
         raise ConfigError(f"seeds is {seeds!r}, expected different whole numbers, or how many")
     return numbers
-
-
-def _substeps(substeps: int | None, are_game_ai: Sequence[bool]) -> int:
-    """Returns the checked number of substeps. Other drivers than the AI only support 1."""
-    if substeps is None:
-        return _SUBSTEPS_OF_AI if all(are_game_ai) else 1
-    if substeps not in _SUBSTEPS:
-        raise ConfigError(f"substeps is {substeps!r}, expected one of {_SUBSTEPS}")
-    if substeps > 1 and not all(are_game_ai):
-        raise ConfigError(
-            f"substeps is {substeps}, but agents decide once in a step; use 1, or let the game's "
-            "AI drive all karts"
-        )
-    return int(substeps)
 
 
 def _join(plan: DemoPlan, _: RaceResults, parts: Path) -> Demonstrations:
@@ -303,105 +281,3 @@ def run_planned_demonstrations(
     demos = DEMONSTRATIONS.run(plan, parts, options)
     shutil.rmtree(parts, ignore_errors=True)
     return demos
-
-
-# ------------------------------------------------------------------ checks
-
-
-@dataclass(frozen=True, slots=True)
-class DemoCheck:
-    """The outcome of the check of one race.
-
-    Attributes:
-        race: number of the race.
-        steps: total number of compared steps of all karts.
-        first_difference: number of the first step after which any kart's observation differs, 0
-            for the observation on the grid; ``None`` if all are bit-identical.
-    """
-
-    race: int
-    steps: int
-    first_difference: int | None
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether all observations are bit-identical."""
-        return self.first_difference is None
-
-
-def check_demonstrations(
-    demos: Demonstrations, race: int = 0, *, trust_rivals: bool = False
-) -> DemoCheck:
-    """Replays the recorded controls of one race in the game, and compares the observations.
-
-    Args:
-        demos: the dataset.
-        race: number of the race in the dataset.
-        trust_rivals: whether to run rivals from files. The dataset names these files, and whether
-            they run in a sandbox, so use this only for a dataset that you trust.
-
-    Raises:
-        ConfigError: there is no such race; a rival comes from files, which are not trusted; or the
-            game's AI drove the race. The AI decides twelve times per step and gets boosts that
-            agents do not get, so its races cannot be replayed.
-    """
-    plan = DemoPlan.from_dict(demos.plan)
-    numbers = [number for number, facts in enumerate(demos.facts) if facts.race == race]
-    orders = demo_orders(plan)
-    if not numbers or race >= len(orders):
-        raise ConfigError(f"the dataset has no race {race}; it has {len(orders)} races")
-    if plan.agent.source in GAME_AI:
-        raise ConfigError(
-            "races of the game's AI cannot be driven again by its actions; check demonstrations of "
-            "another driver"
-        )
-    settings = orders[race].settings
-    if not any(find_driver(rival).is_from_files for rival in plan.rivals):
-        settings = replace(settings, adapter=None)
-    elif not trust_rivals:
-        raise ConfigError(
-            f"the dataset has rivals from files, {shortened(plan.rivals, 200)}, whose code would "
-            "run; if you trust the dataset, use trust_rivals=True"
-        )
-    view = DemoView(plan.view)
-    recorder = DemoRecorder(plan.karts, view, race=race)
-    longest = int(max(demos.lengths[numbers]))
-    drivers = [
-        recorded_driver("recorded", _padded(demos[number].controls, longest)) for number in numbers
-    ]
-    run_race(
-        [*drivers, *plan.rivals],
-        listeners=[recorder],
-        wait_for=range(plan.karts),
-        settings=replace(settings, max_steps=longest),  # the controls last no longer
-    )
-    again = recorder.episodes(demos.plan)
-    firsts = [
-        _first_difference(demos.episode_columns(number), again.episode_columns(index))
-        if again is not None and index < len(again)
-        else 0
-        for index, number in enumerate(numbers)
-    ]
-    steps = sum(int(demos.lengths[number]) for number in numbers)
-    return DemoCheck(race, steps, min((n for n in firsts if n is not None), default=None))
-
-
-def _padded(controls: Controls, steps: int) -> Controls:
-    """Returns controls ``(T, 7)`` with zeros up to a number of steps.
-
-    A kart that differs from the recording may need controls after its recorded finish.
-    """
-    return np.pad(controls, ((0, steps - len(controls)), (0, 0)))
-
-
-def _first_difference(one: Columns, other: Columns) -> int | None:
-    """Returns the index of the first observation in which two episodes differ, or ``None``."""
-    names = [name for name in one if not is_by_step(name)]
-    lengths = len(one[names[0]]), len(other[names[0]])
-    count = min(lengths)
-    differs = np.zeros(count, np.bool_)
-    for name in names:
-        differs |= (one[name][:count] != other[name][:count]).reshape(count, -1).any(axis=1)
-    if differs.any():
-        return int(differs.argmax())
-    return None if lengths[0] == lengths[1] else count
