@@ -140,12 +140,11 @@ class ConductArguments:
 
     Attributes:
         replays: replays, or folders of entries or other batches with replays
-        json: write JSON to stdout: each race with its karts
+        json: write JSON to stdout
     """
 
     replays: tuple[str, ...] = positional(metavar="ENTRY_OR_REPLAY")
     json: bool = False
-    batch: BatchArguments = options_of(BatchArguments)
 
 
 @dataclass
@@ -306,21 +305,18 @@ def _conduct(arguments: ConductArguments) -> int:
     Examples:
       stkzoo race heuristic ai ai --seed 1 --replay race.stkz
       stkzoo suite conduct race.stkz
-      stkzoo suite conduct suite/versus-my_agent --jobs 1
-      stkzoo suite conduct race.stkz --json        each race
+      stkzoo suite conduct suite/versus-my_agent
 
     exit codes:
       0 success, 1 a replay is damaged or not reproducible, 2 invalid command
       line, 130 interrupted
     """
-    races, code = run_replays(arguments.batch, partial(suite.measure_conduct, arguments.replays))
-    if races is None:
-        return code
+    means = suite.measure_conduct(arguments.replays)
     if arguments.json:
-        print(json.dumps([json.loads(race.to_json()) for race in races], indent=2))
+        print(json.dumps([asdict(mean) for mean in means], indent=2))
     else:
-        _show_conduct(races)
-    return code
+        _show_conduct(means)
+    return 0
 
 
 def _report(arguments: SuiteReportArguments) -> int:
@@ -416,7 +412,7 @@ def _show_entry(entry: suite.Entry) -> None:
         )
 
 
-def _show_conduct(races: Sequence[suite.RaceConduct]) -> None:
+def _show_conduct(means: Sequence[suite.Conduct]) -> None:
     """Prints the mean conduct of each driver."""
     rows = [
         (
@@ -427,7 +423,7 @@ def _show_conduct(races: Sequence[suite.RaceConduct]) -> None:
             f"{mean.off_road:.1f}",
             f"{mean.overtakes:.2f}",
         )
-        for mean in suite.mean_conduct(races)
+        for mean in means
     ]
     columns = ("driver", "races", "contacts", "closing [m/s]", "off road [s]", "overtakes")
     show_table(columns, rows, left=("driver",), title="per race")

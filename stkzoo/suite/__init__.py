@@ -9,13 +9,7 @@
 Importing this package registers the tasks: ``gym.make("stkzoo-suite/versus-v1")``.
 """
 
-from stkzoo.suite.conduct import (
-    Conduct,
-    RaceConduct,
-    mean_conduct,
-    measure_conduct,
-    race_conduct,
-)
+from stkzoo.suite.conduct import Conduct, measure_conduct
 from stkzoo.suite.entry import About, Entry, EntryPlan, evaluate, plan_entry
 from stkzoo.suite.population import POPULATION, Member
 from stkzoo.suite.report.document import SuiteReport
@@ -50,7 +44,6 @@ __all__ = [
     "EntryRefused",
     "LearningCurve",
     "Member",
-    "RaceConduct",
     "RaceScore",
     "SplitScores",
     "SuiteReport",
@@ -63,11 +56,9 @@ __all__ = [
     "load_baselines",
     "load_runs",
     "make_report",
-    "mean_conduct",
     "measure_conduct",
     "normalized",
     "plan_entry",
-    "race_conduct",
     "verify_entry",
     "view_of",
     "write_suite_report",

@@ -4,37 +4,28 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Meta
 
-from stkzoo._schema import Seconds, Whole
 from stkzoo.errors import ConfigError
-from stkzoo.evaluation.batch.order import REPLAYS, RaceOrder
-from stkzoo.evaluation.batch.run import RunOptions, run_orders
+from stkzoo.evaluation.batch.order import REPLAYS
 from stkzoo.mdp.events import EVENTS, RaceEvents
-from stkzoo.race.document import Document
 from stkzoo.race.listeners import RaceListener, RaceProgress
-from stkzoo.race.replay import ReplayError, load_replay, play_replay
-from stkzoo.race.settings import RaceSettings
+from stkzoo.race.replay import Replay, ReplayError, load_replay, play_replay
 
 _ENDING = ".stkz"
 _COLUMNS = [EVENTS.index(name) for name in ("kart_contact", "off_road", "overtake")]
-_NonNegative = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True, slots=True)
 class Conduct:
-    """The conduct of a kart in a race, or the means of several karts.
+    """The mean conduct of a driver's karts in recorded races.
 
     Attributes:
         driver: display name of the driver.
-        source: the driver's source.
         races: number of races, once for each kart.
         contacts: contacts with other karts, per race.
         closing: mean speed toward the nearest kart before a contact [m/s]; ``None`` without
@@ -44,83 +35,68 @@ class Conduct:
     """
 
     driver: str
-    source: str
-    races: Whole
-    contacts: _NonNegative
+    races: int
+    contacts: float
     closing: float | None
-    off_road: Seconds
-    overtakes: _NonNegative
-
-    @classmethod
-    def of(cls, driver: str, source: str, races: int, sums: npt.NDArray[np.float64]) -> Conduct:
-        """Returns the conduct of a driver.
-
-        Args:
-            driver: display name of the driver.
-            source: the driver's source.
-            races: number of races.
-            sums: ``(4,)`` float64: contacts, time off the road, overtakes and closing speeds.
-        """
-        contacts, off_road, overtakes, speeds = sums.tolist()
-        mean = round(speeds / contacts, 3) if contacts else None
-        return cls(
-            driver,
-            source,
-            races,
-            round(contacts / races, 3),
-            mean,
-            round(off_road / races, 3),
-            round(overtakes / races, 3),
-        )
-
-    @property
-    def sums(self) -> npt.NDArray[np.float64]:
-        """The sums over races, as for :meth:`of`."""
-        speed = self.contacts * (self.closing or 0.0)
-        return self.races * np.array([self.contacts, self.off_road, self.overtakes, speed])
+    off_road: float
+    overtakes: float
 
 
-@dataclass(frozen=True, slots=True)
-class RaceConduct(Document):
-    """The conduct of all karts in a race.
-
-    Attributes:
-        replay: file of the recorded race.
-        track: name of the track.
-        reverse: whether the track was driven in reverse direction.
-        karts: the karts, in the order of the agents.
-    """
-
-    kind: ClassVar[str] = "race-conduct"
-    version: ClassVar[int] = 3  # 2: each contact had an entry
-    origin: ClassVar[str] = "a race from `stkzoo suite conduct --json`"
-
-    replay: str
-    track: str
-    reverse: bool
-    karts: Annotated[tuple[Conduct, ...], Meta(min_length=1, max_length=256)]
-
-
-def mean_conduct(races: Iterable[RaceConduct]) -> list[Conduct]:
-    """Returns the mean conduct of each driver, in the order in which they occur.
+def measure_conduct(paths: Iterable[str | os.PathLike[str]]) -> list[Conduct]:
+    """Plays recorded races again and measures the conduct of the drivers, in their order there.
 
     Args:
-        races: the races.
+        paths: replays, folders with replays, or folders of batches, such as entries.
+
+    Raises:
+        ConfigError: a folder has no replays.
+        ReplayError: a replay is missing or damaged, or a race cannot be reproduced here.
+        EngineError: the game crashed.
     """
-    karts: dict[tuple[str, str], list[Conduct]] = {}
-    for kart in (kart for race in races for kart in race.karts):
-        karts.setdefault((kart.driver, kart.source), []).append(kart)
-    return [
-        Conduct.of(*driver, len(rows), np.sum([kart.sums for kart in rows], axis=0))
-        for driver, rows in karts.items()
-    ]
+    drivers: dict[tuple[str, str], list[npt.NDArray[np.float64]]] = {}
+    for replay in [load_replay(file) for file in find_replays(paths)]:
+        for agent, sums in zip(replay.agents, event_sums(replay), strict=True):
+            drivers.setdefault((agent.name, agent.source), []).append(sums)
+    return [_mean(name, np.array(rows)) for (name, _), rows in drivers.items()]
+
+
+def _mean(driver: str, rows: npt.NDArray[np.float64]) -> Conduct:
+    contacts, off_road, overtakes, _ = rows.mean(axis=0).round(3).tolist()
+    touches, _, _, speeds = rows.sum(axis=0).tolist()
+    closing = round(speeds / touches, 3) if touches else None
+    return Conduct(driver, len(rows), contacts, closing, off_road, overtakes)
+
+
+def event_sums(replay: Replay) -> npt.NDArray[np.float64]:
+    """Plays a recorded race again and counts the events of its karts.
+
+    Args:
+        replay: the recording.
+
+    Returns:
+        ``(A, 4)`` float64: contacts of each agent, time off the road [s], overtakes, and the sum
+        over contacts of the speed toward the nearest kart [m/s].
+
+    Raises:
+        ReplayError: the race cannot be reproduced here.
+    """
+    counter = _ConductCounter()
+    playback = play_replay(replay, listeners=[counter])
+    if not playback.is_exact:
+        step = playback.first_difference
+        where = "its result" if step is None else f"step {step}"
+        raise ReplayError(
+            f"the race on {replay.track} differs from its recording in {where}, and only exact "
+            "replays show the conduct; `stkzoo replay` shows the difference"
+        )
+    return counter.sums
 
 
 class _ConductCounter(RaceListener):
     """Counts the events of all agents while they race.
 
     Attributes:
-        sums: ``(A, 4)`` float64, as for :meth:`Conduct.of`.
+        sums: ``(A, 4)`` float64, as :func:`event_sums` returns them.
     """
 
     def started(self, race: RaceProgress) -> None:
@@ -155,51 +131,6 @@ def _closing_speeds(karts: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
     return speeds
 
 
-def race_conduct(file: str | os.PathLike[str]) -> RaceConduct:
-    """Plays a recorded race again and measures the conduct of its karts.
-
-    Args:
-        file: the replay.
-
-    Raises:
-        ReplayError: the replay is missing or damaged, or cannot be reproduced here.
-        EngineError: the game crashed.
-    """
-    replay, counter = load_replay(file), _ConductCounter()
-    playback = play_replay(replay, listeners=[counter])
-    if not playback.is_exact:
-        step = playback.first_difference
-        where = "its result" if step is None else f"step {step}"
-        raise ReplayError(
-            f"the race differs from the recording {file} in {where}, and only exact replays show "
-            "the conduct; `stkzoo replay` shows the difference"
-        )
-    karts = (
-        Conduct.of(agent.name, agent.source, 1, sums)
-        for agent, sums in zip(replay.agents, counter.sums, strict=True)
-    )
-    return RaceConduct(str(file), replay.track, replay.reverse, tuple(karts))
-
-
-@dataclass(frozen=True, slots=True)
-class ConductOrder(RaceOrder):
-    """A recorded race to play again.
-
-    Attributes:
-        replay: file of the race.
-    """
-
-    replay: str = ""
-
-    def run(self, folder: Path) -> RaceConduct:
-        """Measures the conduct in a worker process.
-
-        Args:
-            folder: folder to which the file's path is relative.
-        """
-        return race_conduct(folder / self.replay)
-
-
 def find_replays(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     """Returns the replays of entries and other folders, and single replays, each once.
 
@@ -220,35 +151,3 @@ def find_replays(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
             )
         files |= {file.resolve(): file for file in in_path}
     return [*files.values()]
-
-
-def measure_conduct(
-    paths: Iterable[str | os.PathLike[str]],
-    **options: Any,
-) -> list[RaceConduct]:
-    """Measures the conduct of the karts in many recorded races.
-
-    Args:
-        paths: replays and folders of entries; see :func:`find_replays`.
-        **options: ``jobs``, ``race_timeout`` and ``on_race``, as in
-            :class:`~stkzoo.evaluation.RunOptions`.
-
-    Returns:
-        The conduct in each race, in the order of the replays.
-
-    Raises:
-        ConfigError: there are no replays, or an option is invalid.
-        ReplayError: a replay is damaged, or a race cannot be reproduced.
-    """
-    files = find_replays(paths)
-    orders = [
-        ConductOrder(number, (), RaceSettings(), replay=str(file.absolute()))
-        for number, file in enumerate(files)
-    ]
-    races: dict[int, RaceConduct] = {}
-    with closing(run_orders(orders, Path(), RunOptions(**options), RaceConduct)) as outcomes:
-        for order, race, error in outcomes:
-            if race is None:
-                raise ReplayError(f"{files[order.number]}: {error}")
-            races[order.number] = race
-    return [races[number] for number in range(len(files))]
