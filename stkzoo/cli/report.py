@@ -10,7 +10,6 @@ The page is one file. It needs no server, loads no other files and runs no scrip
 Examples:
   stkzoo report league
   stkzoo report league --publish public --title "Racing course 2026"
-  stkzoo report league --films 0 17 42             animate these races
 """
 
 from __future__ import annotations
@@ -30,22 +29,15 @@ class ReportArguments:
         folder: folder of the tournament
         publish: write a page without private details to FOLDER
         title: heading of the page
-        films: races to animate on the map (default: six races of the best agents)
     """
 
     folder: str = positional(metavar="FOLDER")
     publish: str | None = option(metavar="FOLDER")
     title: str = "Tournament"
-    films: tuple[int, ...] = option((), metavar="RACE")
 
 
 def run(arguments: ReportArguments) -> int:
     """Writes the report."""
-    page = write_report(
-        arguments.folder,
-        publish=arguments.publish,
-        title=arguments.title,
-        films=arguments.films or None,
-    )
+    page = write_report(arguments.folder, publish=arguments.publish, title=arguments.title)
     say(f"Wrote {page}, and beside it standings.csv and races.csv")
     return 0

@@ -44,20 +44,6 @@ def require_matplotlib(extra: str = "benchmark", alternative: str = "") -> Any:
     return import_extra("matplotlib.figure", "the plot needs", extra, alternative)
 
 
-def require_plot(is_wanted: bool, extra: str = "benchmark") -> None:
-    """Checks before a batch that its result can be plotted.
-
-    Args:
-        is_wanted: whether it is plotted.
-        extra: see :func:`require_matplotlib`.
-
-    Raises:
-        ConfigError: a plot is wanted, and matplotlib is not installed.
-    """
-    if is_wanted:
-        require_matplotlib(extra, "or leave the plot out (--no-plot)")
-
-
 def new_figure(width: float, height: float) -> Any:
     """Returns an empty ``matplotlib`` figure.
 

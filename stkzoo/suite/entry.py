@@ -19,7 +19,7 @@ from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
 from stkzoo.evaluation.batch.plan import batch_settings
-from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, check_plot, written
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import BenchmarkPlan, benchmark_orders, plan_benchmark
 from stkzoo.evaluation.benchmark.races import FigureKind
 from stkzoo.evaluation.benchmark.result import BenchmarkResult, plot_benchmark, race_outcomes
@@ -280,8 +280,9 @@ ENTRIES = BatchKind(
     EntryPlan,
     entry_orders,
     _entry,
-    written(ENTRY_FILE, plot_benchmark, "entry.png"),
-    check_plot,
+    written(ENTRY_FILE),
+    plot_benchmark,
+    "entry.png",
 )
 
 

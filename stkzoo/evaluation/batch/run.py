@@ -20,7 +20,7 @@ from stkzoo.errors import StkzooError
 from stkzoo.evaluation.batch.order import RACES, RaceOrder, load_orders
 from stkzoo.evaluation.batch.plan import Plan, find_plan, keep_plan
 from stkzoo.evaluation.batch.pool import run_in_parallel
-from stkzoo.evaluation.plotting import require_plot
+from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.race.document import Document
 from stkzoo.race.result import RaceResult
 
@@ -123,17 +123,23 @@ class BatchKind(Generic[Plan, Result]):
         orders: returns all races of a plan.
         summarize: returns the result of the races that have been run, by number. The last argument
             is the folder of the batch.
-        write: writes a result, and what belongs to it, to the folder; its arguments are the result,
-            the results of the races by number, the folder and the options.
-        check: raises an error before the first race if a library is missing.
+        write: writes a result, and what belongs to it except the plot, to the folder; its arguments
+            are the result, the results of the races by number and the folder.
+        plot: plots a result to a file; ``None`` for no plot.
+        plot_name: name of the file of the plot.
+        extra: name of the package's extra that installs matplotlib.
+        check: raises an error before the first race if another library is missing.
         is_partial: whether a part of the races has a result.
     """
 
     plan_type: type[Plan]
     orders: Callable[[Plan], Sequence[RaceOrder]]
     summarize: Callable[[Plan, RaceResults, Path], Result]
-    write: Callable[[Result, RaceResults, Path, RunOptions], object]
-    check: Callable[[RunOptions], object] = lambda _: None
+    write: Callable[[Result, RaceResults, Path], object]
+    plot: Callable[[Result, Path], object] | None = None
+    plot_name: str = ""
+    extra: str = "benchmark"
+    check: Callable[[], object] = lambda: None
     is_partial: bool = True
 
     def run(self, plan: Plan, folder: Path, options: RunOptions) -> Result:
@@ -149,7 +155,10 @@ class BatchKind(Generic[Plan, Result]):
                 another program runs a batch in it; or a library is missing.
             BatchError: some races could not be run; the error has the result of the others.
         """
-        self.check(options)
+        self.check()
+        plot = self.plot if options.plot else None
+        if plot:
+            require_matplotlib(self.extra, "or leave the plot out (--no-plot)")
         with locked_folder(folder, plan.noun):
             make_folder(folder / RACES, plan.noun)
             plan = keep_plan(plan, folder)
@@ -159,7 +168,9 @@ class BatchKind(Generic[Plan, Result]):
             if errors and not self.is_partial:
                 raise BatchError.of(errors, len(orders), None)
             result = self.summarize(plan, results, folder)
-            self.write(result, results, folder, options)
+            self.write(result, results, folder)
+            if plot and results:
+                plot(result, folder / self.plot_name)
             if errors:
                 raise BatchError.of(errors, len(orders), result)
             return result
@@ -179,32 +190,9 @@ class BatchKind(Generic[Plan, Result]):
         return self.summarize(plan, load_orders(self.orders(plan), Path(path)), Path(path))
 
 
-def written(
-    name: str, plot: Callable[[AnyDocument, Path], object] | None = None, plot_name: str = ""
-) -> Callable[[AnyDocument, RaceResults, Path, RunOptions], None]:
-    """Returns the function that writes a result and perhaps its plot, for :class:`BatchKind`.
-
-    Args:
-        name: name of the file of the result.
-        plot: plots a result to a file.
-        plot_name: name of the file of the plot.
-    """
-
-    def write(result: AnyDocument, results: RaceResults, folder: Path, options: RunOptions) -> None:
-        write_text(folder / name, result.to_json() + "\n")
-        if plot and options.plot and results:
-            plot(result, folder / plot_name)
-
-    return write
-
-
-def check_plot(options: RunOptions) -> None:
-    """Checks before the first race that results can be plotted, for :class:`BatchKind`.
-
-    Raises:
-        ConfigError: a plot is wanted, and matplotlib is missing.
-    """
-    require_plot(options.plot)
+def written(name: str) -> Callable[[Document, RaceResults, Path], None]:
+    """Returns the function that writes a result to a file of a name, for :class:`BatchKind`."""
+    return lambda result, _, folder: write_text(folder / name, result.to_json() + "\n")
 
 
 def _run_rest(

@@ -16,7 +16,7 @@ from stkzoo.evaluation.batch.plan import (
     describe_differences,
     result_file,
 )
-from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, check_plot, written
+from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
 from stkzoo.evaluation.benchmark.plan import (
     AgentPlan,
     BenchmarkPlan,
@@ -242,8 +242,9 @@ BENCHMARK = BatchKind(
     BenchmarkPlan,
     benchmark_orders,
     _result,
-    written(RESULT_FILE, plot_benchmark, "benchmark.png"),
-    check_plot,
+    written(RESULT_FILE),
+    plot_benchmark,
+    "benchmark.png",
 )
 
 

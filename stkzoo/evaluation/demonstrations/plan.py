@@ -228,7 +228,7 @@ DEMONSTRATIONS = BatchKind(
     DemoPlan,
     demo_orders,
     _join,
-    lambda demos, _, parts, __: save_demonstrations(demos, parts.with_suffix("")),
+    lambda demos, _, parts: save_demonstrations(demos, parts.with_suffix("")),
     is_partial=False,
 )
 

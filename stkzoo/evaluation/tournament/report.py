@@ -48,7 +48,6 @@ class TournamentReport:
         races: results of its races by number.
         is_public: whether to leave out error messages, tracebacks, addresses, paths and replays.
         title: heading of the page.
-        films: numbers of the races with a film; ``None`` for races of the best agents.
     """
 
     folder: Path
@@ -56,7 +55,6 @@ class TournamentReport:
     races: Mapping[int, RaceResult]
     is_public: bool = False
     title: str = "Tournament"
-    films: Sequence[int] | None = None
     _summaries: dict[int, RaceSummary] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -123,20 +121,14 @@ class TournamentReport:
         )
 
     def _films(self) -> Iterator[tuple[int, str, str, dict[str, str]]]:
-        """Yields the number, the track, the picture and the colors of each race with a film."""
-        for number in self._filmed():
-            if (file := film_file(self.folder, number)).exists():
-                picture = draw_film(MapFilm.load(file), f"film-{number}")
-                yield number, self.races[number].track, *picture
-
-    def _filmed(self) -> Sequence[int]:
-        if self.films is not None:
-            return [number for number in self.films if number in self.races]
+        """Yields number, track, picture and colors of the races of the best agents."""
         value = {row.label: row.rating.value for row in self.result.standings}
         best = sorted(
             self.result.races, key=lambda race: -fmean(value[name] for name in race.order)
         )
-        return [race.number for race in best[:_FILMS]]
+        for race in best[:_FILMS]:
+            if (file := film_file(self.folder, race.number)).exists():
+                yield race.number, race.track, *draw_film(MapFilm.load(file), f"film-{race.number}")
 
     # ------------------------------------------------------------------ parts
 

@@ -16,7 +16,6 @@ from stkzoo.evaluation.batch.agents import NAME_MARK
 from stkzoo.evaluation.batch.order import RaceOrder, load_orders, replay_file
 from stkzoo.evaluation.batch.plan import PLAN_FILE, RESULT_FILE, result_file
 from stkzoo.evaluation.batch.run import BatchKind, RaceResults, RunOptions, written
-from stkzoo.evaluation.plotting import require_plot
 from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.templates import require_jinja2
 from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
@@ -86,16 +85,13 @@ def tournament_orders(plan: TournamentPlan) -> list[TournamentOrder]:
     ]
 
 
-def _check(options: RunOptions) -> None:
+def _check() -> None:
     require_openskill()
     require_jinja2()
-    require_plot(options.plot, "tournament")
 
 
-def _write(
-    result: TournamentResult, results: RaceResults, folder: Path, options: RunOptions
-) -> None:
-    written(RESULT_FILE, plot_tournament, "tournament.png")(result, results, folder, options)
+def _write(result: TournamentResult, results: RaceResults, folder: Path) -> None:
+    written(RESULT_FILE)(result, results, folder)
     if results:
         TournamentReport(folder, result, results).write(folder / REPORT_FILE)
 
@@ -105,6 +101,9 @@ TOURNAMENT = BatchKind(
     tournament_orders,
     lambda plan, results, _: summarize_tournament(plan, results),
     _write,
+    plot_tournament,
+    "tournament.png",
+    "tournament",
     _check,
 )
 
@@ -164,7 +163,6 @@ def write_report(
     *,
     publish: str | os.PathLike[str] | None = None,
     title: str = "Tournament",
-    films: Sequence[int] | None = None,
 ) -> Path:
     """Writes the report of a tournament, which may still be running.
 
@@ -174,7 +172,6 @@ def write_report(
             messages, tracebacks, addresses, paths and replays. With ``None``, the full report is
             written to ``report.html`` and the tables in the tournament's folder.
         title: heading of the page.
-        films: numbers of the races with a film; by default, races of the best agents.
 
     Returns:
         The path of the page.
@@ -188,9 +185,6 @@ def write_report(
     races = load_orders(tournament_orders(plan), home)
     if not races:
         raise ConfigError(f"no race in {home} has ended yet; start or resume the tournament first")
-    for number in films or ():
-        if number not in races:
-            raise ConfigError(f"race {number} has not been run; choose numbers of races.csv")
     page = home / REPORT_FILE if publish is None else Path(publish, "index.html")
     if publish is not None and page.parent.resolve() == home.resolve():
         raise ConfigError(
@@ -199,5 +193,5 @@ def write_report(
         )
     make_folder(page.parent, "report")
     result = summarize_tournament(plan, races)
-    TournamentReport(home, result, races, publish is not None, title, films).write(page)
+    TournamentReport(home, result, races, publish is not None, title).write(page)
     return page
