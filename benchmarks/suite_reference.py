@@ -45,7 +45,6 @@ from stkzoo.suite import (
     evaluate,
     find_task,
 )
-from stkzoo.suite.report.document import RunKey
 from stkzoo.suite.report.results import population_of
 
 #: Tasks with reference results.
@@ -56,6 +55,8 @@ OUTPUT = RESULTS / "suite"
 #: Folders of the evaluations in the folder of a run, by split.
 _EVALUATIONS = {"test": "evaluation-test", "train": "evaluation-train"}
 _MAX_POINTS = 100
+#: Task, algorithm and seed of a run.
+RunKey = tuple[str, str, int]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from stkzoo._checks import check_whole, shortened, unknown_name
 from stkzoo._os import file_digest
-from stkzoo._schema import Count, matching, plain_text
+from stkzoo._schema import Count, matching
 from stkzoo.drivers.driver import GAME_AI, find_driver
 from stkzoo.errors import ConfigError
 from stkzoo.evaluation.batch.order import RaceOrder, replay_file
@@ -28,7 +28,7 @@ from stkzoo.race.replay import ReplayWriter
 from stkzoo.race.result import RaceResult, shared_protections
 from stkzoo.race.settings import RaceSettings
 from stkzoo.suite.population import draw_rivals, population_digests
-from stkzoo.suite.scores import load_baselines, normalized
+from stkzoo.suite.scores import normalized
 from stkzoo.suite.tasks import BEATEN, DIFFICULTY, Task, find_task
 
 #: Name of the file with the scores in the folder of an entry.
@@ -77,17 +77,12 @@ class About:
     kart_steps: Count | None = None
 
     def __post_init__(self) -> None:
-        # A value that the reader of entries refuses or changes would make the entry worthless.
-        for name in ("authors", "description"):
-            text = getattr(self, name)
-            if not isinstance(text, str):
-                raise ConfigError(f"{name} is {shortened(text)}, expected text")
-            if len(text) > _MAX_TEXT:
+        for name, text in (("authors", self.authors), ("description", self.description)):
+            if not isinstance(text, str) or len(text) > _MAX_TEXT:
                 raise ConfigError(
-                    f"{name} has {len(text):,} characters, expected at most {_MAX_TEXT:,}; shorten "
-                    "it, or give the address of a longer text"
+                    f"{name} is {shortened(text)}, expected text of at most {_MAX_TEXT:,} "
+                    "characters, such as the address of a longer text"
                 )
-            object.__setattr__(self, name, plain_text(text))
         if self.kart_steps is not None:
             check_whole("kart_steps", self.kart_steps, 0, _MAX_KART_STEPS)
 
@@ -201,12 +196,9 @@ class Entry(BenchmarkResult):
         ``None`` without races, if the task has no baselines, and on the training tracks, because
         baselines are scores on the test tracks.
         """
-        baselines = load_baselines()
         if self.score is None or self.plan.is_on_training_tracks:
             return None
-        if not baselines.has(self.plan.task):
-            return None
-        return normalized(self.plan.task, self.score.value, baselines)
+        return normalized(self.plan.task, self.score.value)
 
 
 def plan_entry(
@@ -261,13 +253,11 @@ def plan_entry(
 def _check_level(task: Task, agent: str) -> None:
     """Refuses the game's AI at a difficulty of its own, which would change that of the races."""
     driver = find_driver(agent)
-    if driver.difficulty is None or (driver.difficulty == DIFFICULTY and not task.has_population):
-        return
-    needed = "one that depends on the race" if task.has_population else f"difficulty {DIFFICULTY}"
-    raise ConfigError(
-        f"{driver.source!r} requires difficulty {driver.difficulty}, but {task.name} has {needed}; "
-        "name ai, which has the difficulty of each race"
-    )
+    if task.has_population and driver.difficulty is not None:
+        raise ConfigError(
+            f"{driver.source!r} requires difficulty {driver.difficulty}, but that of {task.name} "
+            "depends on the race; name ai, which has the difficulty of each race"
+        )
 
 
 def _entry(plan: EntryPlan, results: RaceResults, folder: Path) -> Entry:

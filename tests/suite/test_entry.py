@@ -49,8 +49,12 @@ def test_an_evaluation_on_the_training_tracks_does_not_continue_as_an_entry():
 @pytest.mark.parametrize(
     ("name", "agent", "message"),
     [
-        ("versus", "ai:1", r"'ai:1' requires difficulty 1, but versus has difficulty 3; name ai"),
-        ("selfplay-5", "ai:3@:Tux", r"'ai:3' requires .* selfplay-5 has one that depends on the"),
+        (
+            "versus",
+            "ai:1",
+            r"'ai:1' requires difficulty 1, but the races have difficulty 3; name ai",
+        ),
+        ("selfplay-5", "ai:3@:Tux", r"'ai:3' requires .* that of selfplay-5 depends on the race"),
     ],
 )
 def test_an_agent_that_changes_the_difficulty_of_the_races_is_refused(name, agent, message):
@@ -68,7 +72,7 @@ def test_the_games_ai_at_the_difficulty_of_the_races_is_an_agent(name, agent):
     [
         ({"kart_steps": -1}, "kart_steps is -1, expected a whole number from 0"),
         ({"kart_steps": 1.5}, "kart_steps is 1.5"),
-        ({"authors": "x" * 2001}, "authors has 2,001 characters, expected at most 2,000"),
+        ({"authors": "x" * 2001}, "authors is 'xxx.*, expected text of at most 2,000 char"),
         ({"description": None}, "description is None, expected text"),
     ],
 )

@@ -13,8 +13,6 @@ from stkzoo.suite.report.statistics import FloatArray
 
 #: Name of the scale of tasks with baselines.
 NORMALIZED = "normalized score"
-#: Task, algorithm and seed of a run.
-RunKey = tuple[str, str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,17 +127,15 @@ class SuiteReport(Document):
         confidence: coverage probability of the intervals.
         draws: number of draws of the bootstraps.
         tasks: the tasks that have runs.
-        missing: task, algorithm and seed of runs that are missing.
         versions: versions of the software that ran, by name.
     """
 
     kind: ClassVar[str] = "suite-report"
-    version: ClassVar[int] = 2  # 1: it also had all tasks together
+    version: ClassVar[int] = 2  # 1: it also had all tasks together, and missing runs
     origin: ClassVar[str] = "the report.json of `stkzoo suite report`"
 
     suite: str
     confidence: float
     draws: int
     tasks: tuple[TaskReport, ...]
-    missing: tuple[RunKey, ...]
     versions: dict[str, tuple[str, ...]]

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stkzoo._os import writing
 from stkzoo.evaluation.plotting import (
     GRAY,
     INK,
@@ -30,8 +29,6 @@ _Row = tuple[str, str, Estimate]
 def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
     """Draws the figures of a report as SVG files.
 
-    Figures that this report does not have are removed: they belong to an earlier one.
-
     Args:
         report: the report.
         folder: folder for the files.
@@ -48,9 +45,6 @@ def draw_figures(report: SuiteReport, folder: Path) -> dict[str, Path]:
         if figure is not None:
             save_figure(figure, folder / f"{name}.svg")
             files[name] = Path(f"{name}.svg")
-        else:
-            with writing(folder / f"{name}.svg"):
-                (folder / f"{name}.svg").unlink(missing_ok=True)
     return files
 
 

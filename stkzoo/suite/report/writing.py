@@ -22,7 +22,6 @@ from stkzoo.suite.report.document import (
     AlgorithmReport,
     Band,
     Improvement,
-    RunKey,
     SuiteReport,
     TaskReport,
 )
@@ -40,7 +39,7 @@ from stkzoo.suite.report.statistics import (
     performance_profile,
 )
 from stkzoo.suite.scores import load_baselines, scale_ends
-from stkzoo.suite.tasks import SUITE, TASKS, TIME_RATIO, can_learn, find_task
+from stkzoo.suite.tasks import SUITE, TASKS, TIME_RATIO, find_task
 
 _NUM_POINTS, _NUM_STEPS = 100, 50
 _SECONDS_PER_HOUR = 3600.0
@@ -66,9 +65,6 @@ _Groups = Mapping[str, Sequence[SuiteRun]]
 def make_report(runs: Sequence[SuiteRun]) -> SuiteReport:
     """Returns the report of training runs.
 
-    Each combination of their tasks, algorithms and seeds without a run is missing, except tasks
-    that an algorithm cannot learn.
-
     Args:
         runs: the runs, as :func:`~stkzoo.suite.report.results.load_runs` returns them.
     """
@@ -83,15 +79,8 @@ def make_report(runs: Sequence[SuiteRun]) -> SuiteReport:
         CONFIDENCE,
         DRAWS,
         tuple(_task_report(task, of_task) for task, of_task in groups.items() if of_task),
-        _missing(runs),
         {name: tuple(sorted(of_name)) for name, of_name in sorted(versions.items())},
     )
-
-
-def _missing(runs: Sequence[SuiteRun]) -> tuple[RunKey, ...]:
-    keys = {(run.task, run.algorithm, run.seed) for run in runs}
-    every = itertools.product(*(sorted(set(values)) for values in zip(*keys, strict=True)))
-    return tuple(key for key in every if key not in keys and can_learn(key[1], find_task(key[0])))
 
 
 def _task_report(name: str, groups: _Groups) -> TaskReport:
