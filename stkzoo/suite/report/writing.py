@@ -17,6 +17,7 @@ from stkzoo.errors import ConfigError
 from stkzoo.evaluation.plotting import require_matplotlib
 from stkzoo.evaluation.statistics import CONFIDENCE, DRAWS
 from stkzoo.evaluation.templates import render, require_jinja2
+from stkzoo.suite.report import statistics
 from stkzoo.suite.report.document import (
     NORMALIZED,
     AlgorithmReport,
@@ -27,17 +28,7 @@ from stkzoo.suite.report.document import (
 )
 from stkzoo.suite.report.figures import draw_figures
 from stkzoo.suite.report.results import DIRECTIONS, LearningCurve, SuiteRun, load_runs
-from stkzoo.suite.report.statistics import (
-    FloatArray,
-    ScoreTable,
-    estimate,
-    estimate_curve,
-    gap,
-    improvement,
-    interquartile_mean,
-    mean,
-    performance_profile,
-)
+from stkzoo.suite.report.statistics import FloatArray, ScoreTable, estimate, estimate_curve
 from stkzoo.suite.scores import load_baselines, scale_ends
 from stkzoo.suite.tasks import SUITE, TASKS, TIME_RATIO, find_task
 
@@ -95,7 +86,7 @@ def _task_report(name: str, groups: _Groups) -> TaskReport:
         next(iter(groups.values()))[0].budget,
         tuple(_algorithm_report(runs, thresholds) for runs in groups.values()),
         tuple(
-            Improvement(one, two, estimate(improvement, tables[one], tables[two]))
+            Improvement(one, two, estimate(statistics.improvement, tables[one], tables[two]))
             for one, two in itertools.combinations(tables, 2)
         ),
     )
@@ -103,14 +94,14 @@ def _task_report(name: str, groups: _Groups) -> TaskReport:
 
 def _algorithm_report(runs: Sequence[SuiteRun], thresholds: FloatArray) -> AlgorithmReport:
     test = _table(runs)
-    profile = estimate_curve(performance_profile(thresholds), test)
+    profile = estimate_curve(statistics.performance_profile(thresholds), test)
     return AlgorithmReport(
         runs[0].algorithm,
         tuple(run.seed for run in runs),
-        estimate(mean, _table(runs, is_raw=True)),
-        estimate(mean, _table(runs, "train", is_raw=True)),
-        estimate(interquartile_mean, test),
-        estimate(gap, _table(runs, "train"), test),
+        estimate(statistics.mean, _table(runs, is_raw=True)),
+        estimate(statistics.mean, _table(runs, "train", is_raw=True)),
+        estimate(statistics.interquartile_mean, test),
+        estimate(statistics.gap, _table(runs, "train"), test),
         Band.of(thresholds, *profile),
         _returns(runs),
         fmean(run.kart_steps for run in runs),
