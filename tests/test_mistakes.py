@@ -146,7 +146,6 @@ EXTRAS = [
     ("race ai --web", "aiohttp", "the live page needs aiohttp"),
     ("race-client --server 127.0.0.1:1", "zmq", "networked races need zmq"),
     ("tournament ai random --output new", "openskill", "ratings need openskill"),
-    ("demos ai --format minari", "minari", "or write --format safetensors"),
 ]
 
 

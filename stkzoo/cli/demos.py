@@ -8,7 +8,7 @@ your own agent (a folder, a zip, a module). The driver itself can use another vi
 are recorded. Each race is stored as soon as it ends. After an interruption, the same command
 resumes.
 
-Read the file with stkzoo.evaluation.load_demonstrations(path), or with numpy.load (no pickles).
+Read the file with stkzoo.evaluation.load_demonstrations(path), or any reader of safetensors.
 
 Examples:
   stkzoo demos heuristic             15 training tracks, in demos.safetensors
@@ -16,10 +16,10 @@ Examples:
   stkzoo demos heuristic --rivals ai ai --karts 1 --view flattened_discrete
   stkzoo demos planner --karts 1     plans with the game; slow
   stkzoo demos my_agent/ --track lighthouse hacienda
-  stkzoo demos heuristic --format minari --output supertuxkart/heuristic-v0
 
 exit codes:
-  0 success, 1 a race could not be recorded, 2 invalid command line, 130 interrupted
+  0 success, 1 a race could not be recorded, 2 invalid command line, 130
+  interrupted
 """
 
 from __future__ import annotations
@@ -34,18 +34,14 @@ from stkzoo._checks import check_whole
 from stkzoo.cli._batch import (
     BatchArguments,
     directions_option,
-    file_name,
     reverse_of,
     run_batch,
     tracks_option,
 )
 from stkzoo.evaluation import (
-    Demonstrations,
     DemoPlan,
     plan_demonstrations,
-    to_minari,
 )
-from stkzoo.evaluation.demonstrations.minari import check_dataset_id
 from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
 from stkzoo.race import RaceSettings
 
@@ -61,9 +57,7 @@ class DemosArguments:
         first_seed: seed of the first of these races
         karts: number of karts that the driver drives in a race
         rivals: drivers of the other karts
-        output: file of the dataset (default: demos.safetensors); with --format minari, its name
-            there (default: supertuxkart/AGENT-v0)
-        format: format of the dataset
+        output: file of the dataset
     """
 
     agent: str = positional()
@@ -74,25 +68,21 @@ class DemosArguments:
     first_seed: int = 0
     karts: int = 4
     rivals: tuple[str, ...] = option((), metavar="DRIVER")
-    output: str | None = option(metavar="FILE", group="output")
-    format: str = option("safetensors", choices=("safetensors", "minari"), group="output")
+    output: Path = option(Path("demos.safetensors"), metavar="FILE")
     batch: BatchArguments = options_of(BatchArguments)
     settings: dict[str, Any] = options_of(RaceSettings, without=DemoPlan.decided, group="each race")
 
 
 def run(arguments: DemosArguments) -> int:
     """Records demonstrations."""
-    plan = _plan(arguments)
-    name = arguments.output or "demos.safetensors"
-    file = Path(name)
-    if arguments.format == "minari":
-        name = arguments.output or f"supertuxkart/{file_name(plan.agent.label)}-v0"
-        check_dataset_id(name)
-        # The file is deleted after the import.
-        file = Path(f"{name.replace('/', '-')}.minari.safetensors")
+    plan, file = _plan(arguments), arguments.output
     demos, code = run_batch(arguments.batch, partial(run_planned_demonstrations, plan, file))
     if demos is not None:
-        _finish(arguments, demos, name, file)
+        finished = sum(facts.finish_time is not None for facts in demos.facts)
+        print(
+            f"{file}: {len(demos)} drives ({finished} finished), {demos.num_steps:,} steps, view "
+            f"{demos.view}\nread it with stkzoo.evaluation.load_demonstrations({str(file)!r})"
+        )
     return code
 
 
@@ -108,17 +98,4 @@ def _plan(arguments: DemosArguments) -> DemoPlan:
         reverse=reverse_of(arguments.directions),
         seeds=range(arguments.first_seed, arguments.first_seed + arguments.seeds),
         **arguments.settings,
-    )
-
-
-def _finish(arguments: DemosArguments, demos: Demonstrations, name: str, file: Path) -> None:
-    where, how = str(file), f"stkzoo.evaluation.load_demonstrations({str(file)!r})"
-    if arguments.format == "minari":
-        to_minari(demos, name)
-        file.unlink()
-        where, how = name, f"minari.load_dataset({name!r})"
-    finished = sum(facts.finish_time is not None for facts in demos.facts)
-    print(
-        f"{where}: {len(demos)} drives ({finished} finished), {demos.num_steps:,} steps, view "
-        f"{demos.view}\nread it with {how}"
     )

@@ -54,7 +54,6 @@ from stkzoo.evaluation.demonstrations.dataset import (
     load_demonstrations,
     save_demonstrations,
 )
-from stkzoo.evaluation.demonstrations.minari import to_minari
 from stkzoo.evaluation.demonstrations.plan import (
     DemoPlan,
     plan_demonstrations,
@@ -140,6 +139,5 @@ __all__ = [
     "save_demonstrations",
     "save_figure",
     "style_axes",
-    "to_minari",
     "write_report",
 ]

@@ -270,7 +270,7 @@ def _name(order: RaceOrder) -> str:
 
 def _check_conditions(entry: Entry, folder: Path) -> None:
     """Checks that an entry has all races of its task, under the conditions of the suite."""
-    plan, problems = entry.plan, []
+    plan = entry.plan
     task = find_task(plan.task)
     if plan.is_on_training_tracks:
         remedy = f"an entry needs `stkzoo suite evaluate {task.name} AGENT` without --split train"
@@ -284,10 +284,11 @@ def _check_conditions(entry: Entry, folder: Path) -> None:
         versions=plan.versions,
         settings=replace(plan.settings, **conditions),
     )
-    for entry_field in fields(plan):
-        actual, needed = getattr(plan, entry_field.name), getattr(expected, entry_field.name)
-        if actual != needed:
-            problems.append(f"{entry_field.name} of the plan is not that of {task.name} in {SUITE}")
+    problems = [
+        f"{entry_field.name} of the plan is not that of {task.name} in {SUITE}"
+        for entry_field in fields(plan)
+        if getattr(plan, entry_field.name) != getattr(expected, entry_field.name)
+    ]
     if not entry.is_complete:
         problems.append(f"it has {len(entry.races)} of {len(expected.races())} races")
     names = {replay_file(folder, race.number).name for race in expected.races()}

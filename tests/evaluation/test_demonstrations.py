@@ -1,6 +1,5 @@
 """Demonstrations: recorded observations and actions."""
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from stkzoo.evaluation import (
     load_demonstrations,
     record_demonstrations,
     save_demonstrations,
-    to_minari,
 )
 from stkzoo.race import run_race
 from stkzoo.race.replay import recorded_driver
@@ -226,49 +224,3 @@ def test_invalid_files_are_refused(driven, tmp_path):
         load_demonstrations(bad)
     with pytest.raises(ConfigError, match="there are no demonstrations"):
         load_demonstrations(tmp_path / "none.safetensors")
-
-
-@pytest.mark.slow
-def test_minari_loads_the_same_data(driven, tmp_path, monkeypatch):
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    minari = pytest.importorskip("minari")
-    _, demos = driven
-    to_minari(demos, "supertuxkart/pursuit-v0")
-    dataset = minari.load_dataset("supertuxkart/pursuit-v0")
-    assert (dataset.total_episodes, dataset.total_steps) == (4, 240)
-    for number, episode in enumerate(dataset.iterate_episodes()):
-        np.testing.assert_array_equal(episode.observations, demos[number].observations)
-        np.testing.assert_array_equal(episode.actions, demos[number].actions)
-        assert episode.truncations[-1]
-        assert not episode.terminations.any()
-    with pytest.raises(ConfigError, match="Minari rejects"):
-        to_minari(demos, "supertuxkart/pursuit-v0")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="the command's own folder")
-def test_the_command_writes_minari(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    monkeypatch.chdir(tmp_path)
-    own = tmp_path / "supertuxkart-pursuit-v0.safetensors"
-    own.write_bytes(b"a file of the user")
-    assert main(["demos", *COMMAND, "--format", "minari"]) == 0
-    assert "supertuxkart/pursuit-v0" in capsys.readouterr().out
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["minari", own.name]
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        pytest.param("supertuxkart/a name-v0", "Malformed dataset ID", id="malformed"),
-        pytest.param("supertuxkart/pursuit", "it has no version", id="no version"),
-        pytest.param("supertuxkart/known-v0", "it exists already", id="in use"),
-    ],
-)
-def test_minaris_ids_are_checked_before_the_races(name, text, tmp_path, monkeypatch, capsys):
-    minari = pytest.importorskip("minari")
-    monkeypatch.setattr(minari, "list_local_datasets", lambda: {"supertuxkart/known-v0": {}})
-    monkeypatch.chdir(tmp_path)
-    assert main(["demos", *COMMAND, "--format", "minari", "--output", name]) == 2
-    assert text in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

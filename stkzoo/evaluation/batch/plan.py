@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, TypeVar
 from msgspec import Meta
 from typing_extensions import Self  # a dependency of gymnasium
 
+from stkzoo._checks import shortened
 from stkzoo._os import write_text
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.options import RaceOptions
@@ -23,8 +24,8 @@ from stkzoo.race.settings import RaceSettings
 
 #: Names of the files of the plan and of the result in a batch's folder.
 PLAN_FILE, RESULT_FILE = "plan.json", "result.json"
-#: Maximum length of a value, and of the items that differ, in an error [characters].
-_MAX_SHOWN, _MAX_ITEMS = 80, 300
+#: Maximum length of a value in an error [characters].
+_MAX_SHOWN = 300
 #: Maximum number of races of a batch.
 MAX_RACES = 100_000
 #: Maximum size of the result file of a batch [bytes].
@@ -132,7 +133,7 @@ def plan_differences(stored: BatchPlan, plan: BatchPlan) -> list[str]:
         if not (changed := before.changed_files(now)):
             continue
         differences.append(
-            f"the files of agent {before.label!r} have changed: {_shown(changed)}"
+            f"the files of agent {before.label!r} have changed: {shortened(changed, _MAX_SHOWN)}"
             if now.files
             else f"agent {before.label!r} is no longer at {before.source}"
         )
@@ -165,25 +166,9 @@ def describe_differences(
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             differences += describe_differences(old, new, f"{prefix}{name} ")
         elif old != new:
-            differences.append(f"{prefix}{name} {_difference(old, new)}")
+            after, earlier = shortened(new, _MAX_SHOWN), shortened(old, _MAX_SHOWN)
+            differences.append(f"{prefix}{name} is {after} and was {earlier}")
     return differences
-
-
-def _difference(old: object, new: object) -> str:
-    """Returns the difference between two values; of long lists, only the items that differ."""
-    is_long = max(len(repr(old)), len(repr(new))) > _MAX_SHOWN
-    if not is_long or not isinstance(old, (list, tuple)) or not isinstance(new, (list, tuple)):
-        return f"is {_shown(new)} and was {_shown(old)}"
-    more = [item for item in new if item not in old]
-    fewer = [item for item in old if item not in new]
-    parts = [f"also has {_shown(more, _MAX_ITEMS)}"] * bool(more)
-    parts += [f"no longer has {_shown(fewer, _MAX_ITEMS)}"] * bool(fewer)
-    return " and ".join(parts) or "has the same items in another order"
-
-
-def _shown(value: object, limit: int = _MAX_SHOWN) -> str:
-    text = repr(value)
-    return text if len(text) <= limit else text[:limit] + "..."
 
 
 # ------------------------------------------------------------------ checks of arguments
