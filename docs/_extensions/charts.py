@@ -6,15 +6,17 @@ python docs/_extensions/charts.py
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import numpy as np
+
 from stkzoo.evaluation.plotting import (
     GRAY,
+    INK,
     PALETTE,
-    draw_shares,
     new_figure,
     save_figure,
     style_axes,
@@ -122,8 +124,30 @@ def crossplay(results: Path, axes: Any) -> None:
     mean = {one: fmean(shares[one, two] for two in names if (one, two) in shares) for one in names}
     names.sort(key=lambda name: -mean[name])
     rows = [[shares.get((one, two)) for two in names] for one in names]
-    draw_shares(axes, rows, [name.removeprefix("pretrained:") for name in names])
+    _draw_shares(axes, rows, [name.removeprefix("pretrained:") for name in names])
     style_axes(axes, "Races in which the row beats the column [%]; best driver first")
+
+
+def _draw_shares(
+    axes: Any, shares: Sequence[Sequence[float | None]], labels: Sequence[str]
+) -> None:
+    """Draws a square matrix of shares in percent, with colors from red (0) to blue (1).
+
+    Args:
+        axes: the ``matplotlib`` axes.
+        shares: share of each row and column, 0 to 1; ``None`` if unknown.
+        labels: labels of the rows and columns.
+    """
+    numbers = np.array([[np.nan if s is None else s for s in row] for row in shares], float)
+    axes.imshow(numbers, cmap="RdBu", vmin=-0.25, vmax=1.25, aspect="auto")
+    for one, row in enumerate(shares):
+        for two, share in enumerate(row):
+            text = "" if one == two else "-" if share is None else f"{100 * share:.0f}"
+            is_dark = share is not None and abs(share - 0.5) > 0.4
+            color = "white" if is_dark else INK
+            axes.text(two, one, text, ha="center", va="center", fontsize=8, color=color)
+    axes.set_xticks(range(len(labels)), labels, rotation=35, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(labels)), labels)
 
 
 #: Drawing function and height [in] of each chart, by name.

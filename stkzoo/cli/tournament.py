@@ -50,10 +50,9 @@ class TournamentArguments:
         races: number of races
         per_race: number of agents in a race (default: 4, or all if there are fewer)
         seed: seed of the schedule and the races
-        output: folder for the races, result.json, tournament.png and report.html
+        output: folder for the races, result.json and report.html
         resume: resume the tournament in FOLDER; agents that you name join it
         json: write only JSON to stdout
-        no_plot: do not draw tournament.png
     """
 
     agents: tuple[str, ...] = positional((), metavar="AGENT")
@@ -64,7 +63,6 @@ class TournamentArguments:
     output: str = option("tournament", metavar="FOLDER", rivals="folder", group="output")
     resume: str | None = option(metavar="FOLDER", rivals="folder", group="output")
     json: bool = option(False, group="output")
-    no_plot: bool = option(False, group="output")
     servers: ServersArguments = options_of(ServersArguments, group="agents of servers")
     batch: BatchArguments = options_of(BatchArguments)
     settings: dict[str, Any] = options_of(

@@ -65,7 +65,6 @@ from stkzoo.evaluation.ratings import Rating, rate, require_openskill
 from stkzoo.evaluation.statistics import Estimate, percentile_interval
 from stkzoo.evaluation.templates import render, require_jinja2
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament
-from stkzoo.evaluation.tournament.report import plot_tournament
 from stkzoo.evaluation.tournament.run import (
     load_tournament,
     resume_tournament,
@@ -126,7 +125,6 @@ __all__ = [
     "plan_tournament",
     "plot_benchmark",
     "plot_time_trial",
-    "plot_tournament",
     "rate",
     "record_demonstrations",
     "render",

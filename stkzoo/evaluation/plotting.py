@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,26 +70,6 @@ def style_axes(axes: Any, title: str | None = None) -> None:
         axes.set_title(title, fontsize=10, color=INK)
 
 
-def draw_shares(axes: Any, shares: Sequence[Sequence[float | None]], labels: Sequence[str]) -> None:
-    """Draws a square matrix of shares in percent, with colors from red (0) to blue (1).
-
-    Args:
-        axes: the ``matplotlib`` axes.
-        shares: share of each row and column, 0 to 1; ``None`` if unknown.
-        labels: labels of the rows and columns.
-    """
-    numbers = np.array([[np.nan if s is None else s for s in row] for row in shares], float)
-    axes.imshow(numbers, cmap="RdBu", vmin=-0.25, vmax=1.25, aspect="auto")
-    for one, row in enumerate(shares):
-        for two, share in enumerate(row):
-            text = "" if one == two else "-" if share is None else f"{100 * share:.0f}"
-            is_dark = share is not None and abs(share - 0.5) > 0.4
-            color = "white" if is_dark else INK
-            axes.text(two, one, text, ha="center", va="center", fontsize=8, color=color)
-    axes.set_xticks(range(len(labels)), labels, rotation=35, ha="right", rotation_mode="anchor")
-    axes.set_yticks(range(len(labels)), labels)
-
-
 def draw_intervals(
     axes: Any,
     estimates: Mapping[float, Estimate],
@@ -123,28 +102,6 @@ def draw_intervals(
         label=f" {label}" if label and label.startswith("_") else label,
     )
     axes.grid(axis="x", alpha=0.3)
-
-
-@contextmanager
-def two_panels(
-    path: str | os.PathLike[str], title: str, width: float, height: float, ratios: Sequence[float]
-) -> Iterator[Any]:
-    """Yields two axes side by side, and writes their figure when the block ends.
-
-    Args:
-        path: the file; its suffix selects the format, such as ``.png`` or ``.svg``.
-        title: title above both axes.
-        width: width of the figure [inches].
-        height: height of the figure [inches].
-        ratios: relative widths of the axes.
-
-    Raises:
-        ConfigError: matplotlib is not installed, or the file cannot be written.
-    """
-    figure = new_figure(width, height)
-    yield figure.subplots(1, 2, width_ratios=ratios)
-    figure.suptitle(title, color=INK, fontsize=11)
-    save_figure(figure, path)
 
 
 def shorten(label: str) -> str:

@@ -126,9 +126,7 @@ def _league(folder: Path) -> None:
     if not (folder / "plan.json").exists():
         return
     command = [sys.executable, "-m", "stkzoo", "tournament", "--resume", str(folder), "--json"]
-    done = subprocess.run(
-        [*command, "--no-plot"], capture_output=True, text=True, timeout=_LIMIT, check=False
-    )
+    done = subprocess.run(command, capture_output=True, text=True, timeout=_LIMIT, check=False)
     assert done.returncode in (0, 3), done.stderr
     assert len(list((folder / "races").glob("*.json"))) == _RACES
     assert not list(folder.rglob("*.part"))
@@ -139,7 +137,7 @@ _LIMITS = ("--track", "olivermath", "--seed", "3", "--action-timeout", "2", "--s
 _RACE = ("-m", "stkzoo", "race", "plain.zip", "heuristic", "ai", "--max-steps", "150", *_LIMITS)
 _KEPT = ("--output", "out/race.json", "--replay", "out/race.stkz")
 _LEAGUE = ("-m", "stkzoo", "tournament", "heuristic", "ai", "plain.zip", "--races", str(_RACES))
-_SHORT = ("--track", "olivermath", "--max-steps", "60", "--no-plot", "--jobs", "2")
+_SHORT = ("--track", "olivermath", "--max-steps", "60", "--jobs", "2")
 _SPAWN = (("STKZOO_START_METHOD", "spawn"),)
 _ALL = ("race", "fork server", "program")
 

@@ -18,7 +18,6 @@ from stkzoo.evaluation import (
     BatchError,
     load_tournament,
     plan_tournament,
-    plot_tournament,
     resume_tournament,
     run_tournament,
 )
@@ -126,18 +125,6 @@ def test_a_finished_tournament_repeats_no_races(small):
     assert stamps == [file.stat().st_mtime_ns for file in sorted((folder / "races").iterdir())]
 
 
-@pytest.mark.slow
-def test_the_plot_is_saved_as_an_image(small, tmp_path):
-    folder, result, _ = small
-    assert (folder / "tournament.png").read_bytes()[:4] == b"\x89PNG"
-    plot_tournament(result, tmp_path / "cup.svg")
-    drawn = (tmp_path / "cup.svg").read_text()
-    assert all(row.label in drawn for row in result.standings)
-    with pytest.raises(ConfigError, match="cannot be written"):
-        plot_tournament(result, tmp_path / "cup.unknown")
-    assert [file.name for file in tmp_path.iterdir()] == ["cup.svg"]
-
-
 # ------------------------------------------------------------------ ratings
 
 
@@ -147,7 +134,7 @@ def test_better_agents_are_rated_better():
     assert all(rating.low < rating.value < rating.high for rating in ratings)
 
 
-@pytest.mark.parametrize("module", ["openskill.models", "matplotlib.figure"])
+@pytest.mark.parametrize("module", ["openskill.models", "jinja2"])
 def test_a_missing_library_is_an_error_before_the_first_race(module, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ConfigError, match=re.escape(install_command("tournament"))):
@@ -176,7 +163,7 @@ def test_no_agent_wins_a_race_in_which_all_agents_failed(tmp_path):
 
 @pytest.mark.slow
 def test_the_command_counts_failures_without_removal_by_race(tmp_path, capsys):
-    words = ["--races", "2", "--max-steps", "10", "--track", "lighthouse", "--no-plot"]
+    words = ["--races", "2", "--max-steps", "10", "--track", "lighthouse"]
     words += ["--error-handling", "catch", "--output", str(tmp_path)]
     bad = write_agent(tmp_path, "bad", act="raise KeyError()")
     assert main(["tournament", "ai", bad, *words]) == 3
@@ -186,7 +173,7 @@ def test_the_command_counts_failures_without_removal_by_race(tmp_path, capsys):
     assert "2 of 2 races of 2 on lighthouse" in shown
     assert "bad failed in 2 of 2 races: KeyError" in shown
     assert "failed in 2 of 2 races: KeyError" in (tmp_path / "report.html").read_text()
-    assert main(["tournament", "--resume", str(tmp_path), "--json", "--no-plot"]) == 3
+    assert main(["tournament", "--resume", str(tmp_path), "--json"]) == 3
     assert json.loads(capsys.readouterr().out)["standings"][0]["label"] == "ai"
 
 
@@ -227,7 +214,7 @@ def test_resuming_a_plan_runs_the_agents_that_it_names(tmp_path):
     folder.mkdir()
     (folder / "plan.json").write_text(plan.to_json())
     assert not mark.exists()
-    resume_tournament(folder, plot=False)
+    resume_tournament(folder)
     assert mark.exists()
 
 
@@ -352,7 +339,7 @@ def test_an_agent_that_changes_between_two_races_is_reported_only_on_resume(tmp_
         resume_tournament(folder)
     shutil.copytree(AGENTS / "plain", agent)
     (agent / "notes.txt").write_text("new files are ignored")
-    assert resume_tournament(folder, plot=False) == result
+    assert resume_tournament(folder) == result
 
 
 def test_a_plan_whose_version_had_another_schedule_is_refused(tmp_path):
@@ -402,7 +389,7 @@ def test_a_damaged_race_file_is_an_error(small, tmp_path):
     with pytest.raises(ConfigError, match="delete it to run the race again"):
         resume_tournament(folder)
     first.unlink()
-    resume_tournament(folder, plot=False)
+    resume_tournament(folder)
     assert (
         RaceResult.load(first).agents[0].distance == RaceResult.from_json(good).agents[0].distance
     )

@@ -51,7 +51,6 @@ def cup(tmp_path_factory):
         per_race=3,
         max_steps=12,
         jobs=2,
-        plot=False,
     )
     write_report(home / "cup", publish=home / "public", title="Course <1>")
     return home

@@ -11,7 +11,7 @@ from stkzoo.race.remote import new_key_files, read_servers
 from tests.support.remote_race import server_process, write_agent
 
 NAME = "<img src=x onerror=alert(1)>"
-RACES = ("--races", "2", "--max-steps", "12", "--track", "lighthouse", "--no-plot", "--jobs", "1")
+RACES = ("--races", "2", "--max-steps", "12", "--track", "lighthouse", "--jobs", "1")
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def course(tmp_path_factory):
         words = ["--servers", str(home / "servers.txt"), "--secret", str(secret)]
         code = main(["tournament", "heuristic", *words, *RACES, "--output", str(folder)])
         first = {file.name: file.read_bytes() for file in (folder / "races").iterdir()}
-        main(["tournament", "--resume", str(folder), "random@:late", "--no-plot", "--jobs", "1"])
+        main(["tournament", "--resume", str(folder), "random@:late", "--jobs", "1"])
     return folder, code, first
 
 

@@ -127,7 +127,6 @@ class BatchKind(Generic[Plan, Result]):
             are the result, the results of the races by number and the folder.
         plot: plots a result to a file; ``None`` for no plot.
         plot_name: name of the file of the plot.
-        extra: name of the package's extra that installs matplotlib.
         check: raises an error before the first race if another library is missing.
         is_partial: whether a part of the races has a result.
     """
@@ -138,7 +137,6 @@ class BatchKind(Generic[Plan, Result]):
     write: Callable[[Result, RaceResults, Path], object]
     plot: Callable[[Result, Path], object] | None = None
     plot_name: str = ""
-    extra: str = "benchmark"
     check: Callable[[], object] = lambda: None
     is_partial: bool = True
 
@@ -158,7 +156,7 @@ class BatchKind(Generic[Plan, Result]):
         self.check()
         plot = self.plot if options.plot else None
         if plot:
-            require_matplotlib(self.extra, "or leave the plot out (--no-plot)")
+            require_matplotlib(alternative="or leave the plot out (--no-plot)")
         with locked_folder(folder, plan.noun):
             make_folder(folder / RACES, plan.noun)
             plan = keep_plan(plan, folder)

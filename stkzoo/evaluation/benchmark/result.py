@@ -33,11 +33,13 @@ from stkzoo.evaluation.benchmark.races import (
 )
 from stkzoo.evaluation.plotting import (
     GRAY,
+    INK,
     PALETTE,
     draw_intervals,
+    new_figure,
+    save_figure,
     shorten,
     style_axes,
-    two_panels,
 )
 from stkzoo.evaluation.statistics import CONFIDENCE
 from stkzoo.race.document import Document
@@ -192,19 +194,22 @@ def plot_benchmark(
     chances = {group.name: group.chance for group in groups if group.by == "form"}
     contests = [("form", name) for name, chance in chances.items() if chance is not None]
     height = 1.9 + len(rows) * (0.2 + 0.12 * len(drawn))
-    with two_panels(path, _title(drawn), 10, height, (3, 2)) as (times, wins):
-        _draw(times, drawn, rows, "time_ratio")
-        times.axvline(1.0, color=GRAY, linewidth=1, linestyle="--", zorder=0)
-        style_axes(times, "Time as a multiple of the AI's; less is better")
-        _draw(wins, drawn, contests, "win_rate", scale=100)
-        for row, (_, name) in enumerate(contests):
-            chance, ends = 100 * (chances[name] or 0.0), [row - 0.35, row + 0.35]
-            wins.plot([chance, chance], ends, color=GRAY, linewidth=2, zorder=0)
-        wins.set_xlim(-3, 103)
-        style_axes(wins, "Races won [%]; the mark is chance")
-        if len(drawn) > 1:
-            handles = times.get_legend_handles_labels()
-            times.figure.legend(*handles, loc="outside lower center", ncols=6)
+    figure = new_figure(10, height)
+    times, wins = figure.subplots(1, 2, width_ratios=(3, 2))
+    _draw(times, drawn, rows, "time_ratio")
+    times.axvline(1.0, color=GRAY, linewidth=1, linestyle="--", zorder=0)
+    style_axes(times, "Time as a multiple of the AI's; less is better")
+    _draw(wins, drawn, contests, "win_rate", scale=100)
+    for row, (_, name) in enumerate(contests):
+        chance, ends = 100 * (chances[name] or 0.0), [row - 0.35, row + 0.35]
+        wins.plot([chance, chance], ends, color=GRAY, linewidth=2, zorder=0)
+    wins.set_xlim(-3, 103)
+    style_axes(wins, "Races won [%]; the mark is chance")
+    if len(drawn) > 1:
+        handles = times.get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=6)
+    figure.suptitle(_title(drawn), color=INK, fontsize=11)
+    save_figure(figure, path)
 
 
 def _draw(

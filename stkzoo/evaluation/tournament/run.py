@@ -20,7 +20,7 @@ from stkzoo.evaluation.ratings import require_openskill
 from stkzoo.evaluation.templates import require_jinja2
 from stkzoo.evaluation.tournament.film import FilmRecorder, film_file
 from stkzoo.evaluation.tournament.plan import TournamentPlan, plan_tournament, resumed_plan
-from stkzoo.evaluation.tournament.report import TournamentReport, plot_tournament
+from stkzoo.evaluation.tournament.report import TournamentReport
 from stkzoo.evaluation.tournament.standings import TournamentResult, summarize_tournament
 from stkzoo.race.remote import ServedAgent, ServerAccess
 from stkzoo.race.replay import ReplayWriter
@@ -101,10 +101,7 @@ TOURNAMENT = BatchKind(
     tournament_orders,
     lambda plan, results, _: summarize_tournament(plan, results),
     _write,
-    plot_tournament,
-    "tournament.png",
-    "tournament",
-    _check,
+    check=_check,
 )
 
 
@@ -118,9 +115,9 @@ def run_tournament(
 
     Args:
         agents: the agents; see :func:`~stkzoo.evaluation.plan_tournament`.
-        output: folder of the tournament. It stores the result of each race, ``result.json``,
-            ``tournament.png`` and the report.
-        options: ``jobs``, ``race_timeout``, ``on_race`` and ``plot``, as in
+        output: folder of the tournament. It stores the result of each race, ``result.json`` and
+            the report.
+        options: ``jobs``, ``race_timeout`` and ``on_race``, as in
             :class:`~stkzoo.evaluation.RunOptions`; all others as for
             :func:`~stkzoo.evaluation.plan_tournament`.
 
