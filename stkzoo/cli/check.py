@@ -1,7 +1,7 @@
 """Check an agent before you submit it.
 
-Loads an agent, lets it drive for a few seconds in its own process, and shows its times, memory
-and size. The last line shows whether a tournament would accept it.
+Loads an agent, lets it drive for a few seconds in its own process, and shows its times and
+memory. The last line shows whether a tournament would accept it.
 
 Examples:
   stkzoo check my_agent          a folder
@@ -79,9 +79,6 @@ def _show(report: AgentReport, track: str, limits: dict[str, Any]) -> None:
     if report.memory is not None:
         limit = f"{limits['agent_memory']} MB" if limits["agent_memory"] else "none"
         say(f"  memory    {report.memory:.0f} MB (limit {limit})")
-    if report.size is not None:
-        files = "1 file" if report.num_files == 1 else f"{report.num_files} files"
-        say(f"  size      {files}, {report.size / 1000:.1f} kB")
     if report.num_clipped:
         say(f"  actions   {report.num_clipped} were outside the action space and were clipped")
     if report.passed:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-import zipfile
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import Any
 
 from stkzoo.drivers.driver import find_driver
 from stkzoo.drivers.failures import printable
-from stkzoo.drivers.files import MAX_BYTES, MAX_FILES, AgentFiles, find_files, is_zip
+from stkzoo.drivers.files import AgentFiles, find_files
 from stkzoo.drivers.instances import Decision, DriverRequest
 from stkzoo.drivers.isolated import IsolatedAgent
 from stkzoo.errors import ConfigError
@@ -35,8 +34,6 @@ class AgentReport:
             failed.
         thinking_time: durations of the agent's decisions; ``None`` if it made none.
         memory: peak memory of the agent's process [MB]; ``None`` if the system does not report it.
-        num_files: number of the agent's files; ``None`` for a module found by its name.
-        size: unpacked size of these files [bytes]; ``None`` for a module found by its name.
     """
 
     agent: str
@@ -50,8 +47,6 @@ class AgentReport:
     load_time: float | None = None
     thinking_time: ActionTime | None = None
     memory: float | None = None
-    num_files: int | None = None
-    size: int | None = None
 
 
 def check_agent(
@@ -95,8 +90,7 @@ def check_agent(
         [measured], track=track, max_steps=max_steps, **{**settings, "error_handling": "retire"}
     )
     (row,) = result.agents
-    num_files, size = _measure(files)
-    reason, trace = _too_large(num_files, size), ""
+    reason = trace = ""
     if row.errors:
         failure = row.errors[0]
         when = "while loading" if failure.kind == "start" else f"at step {failure.step}"
@@ -113,8 +107,6 @@ def check_agent(
         meter.load_time,
         row.action_time,
         meter.memory,
-        num_files,
-        size,
     )
 
 
@@ -147,30 +139,3 @@ class _MeasuredAgent(IsolatedAgent):
         decision = super().answer()
         self._meter.memory = self.peak_memory()
         return decision
-
-
-def _measure(files: AgentFiles) -> tuple[int | None, int | None]:
-    """Returns the number of an agent's files and their unpacked size [bytes], if known."""
-    path = files.path
-    if path is None:
-        return None, None
-    if is_zip(path) and path.is_file():
-        with zipfile.ZipFile(path) as archive:
-            sizes = [entry.file_size for entry in archive.infolist() if not entry.is_dir()]
-    else:
-        paths = path.rglob("*") if path.is_dir() else [path]
-        sizes = [
-            file.stat().st_size
-            for file in map(Path, paths)
-            if file.is_file() and "__pycache__" not in file.parts
-        ]
-    return len(sizes), sum(sizes)
-
-
-def _too_large(num_files: int | None, size: int | None) -> str:
-    """Returns why a zip of these files would be rejected; empty if it would be accepted."""
-    if (num_files or 0) > MAX_FILES:
-        return f"has {num_files} files; at most {MAX_FILES} are allowed in a zip"
-    if (size or 0) > MAX_BYTES:
-        return f"has {(size or 0) >> 20} MB of files; at most {MAX_BYTES >> 20} MB are allowed"
-    return ""

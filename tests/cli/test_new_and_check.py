@@ -62,8 +62,6 @@ def test_check_measures_a_zip(starter, tmp_path, capsys):
     assert report["passed"]
     assert report["reason"] == ""
     assert report["steps"] == 50
-    assert report["num_files"] == 2
-    assert report["size"] == sum(file.stat().st_size for file in starter.iterdir())
     times = report["thinking_time"]
     assert 0 < times["mean"] <= times["max"]
     assert 0 < times["p99"] <= times["max"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
@@ -17,7 +17,7 @@ from stkzoo._os import write_text
 from stkzoo.evaluation.batch.order import replay_file
 from stkzoo.evaluation.templates import render
 from stkzoo.evaluation.tournament.film import MapFilm, draw_film, film_file
-from stkzoo.evaluation.tournament.standings import RaceSummary, Standing, TournamentResult
+from stkzoo.evaluation.tournament.standings import Standing, TournamentResult, races_of
 from stkzoo.race.result import AgentResult, RaceResult
 
 _FILMS = 6
@@ -44,10 +44,6 @@ class TournamentReport:
     races: Mapping[int, RaceResult]
     is_public: bool = False
     title: str = "Tournament"
-    _summaries: dict[int, RaceSummary] = field(init=False, default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self._summaries.update({race.number: race for race in self.result.races})
 
     def write(self, page: Path) -> None:
         """Writes the page, and ``standings.csv`` and ``races.csv`` beside it.
@@ -123,18 +119,15 @@ class TournamentReport:
 
     def placed(self, number: int) -> list[tuple[int, AgentResult]]:
         """Returns the places in a race as in the standings, where failed agents are last."""
-        summary, rows = self._summaries[number], self.races[number].agents
+        summary = next(race for race in self.result.races if race.number == number)
+        rows = self.races[number].agents
         in_order = sorted(rows, key=lambda row: summary.order.index(row.driver))
         return [(summary.place_of(row.driver), row) for row in in_order]
 
     def driven_by(self, label: str) -> list[tuple[int, int, AgentResult]]:
         """Returns the number, the place and the result of each race of an agent."""
-        return [
-            (number, place, row)
-            for number in sorted(self.races)
-            for place, row in self.placed(number)
-            if row.driver == label
-        ]
+        driven = races_of(label, self.result.races, self.races)
+        return [(race.number, place, row) for race, place, row in driven]
 
     def replay(self, number: int) -> str:
         """Returns the path of a race's replay; empty without one, and for the public."""

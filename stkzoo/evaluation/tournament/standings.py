@@ -120,17 +120,12 @@ class Standing:
             races: all races.
             results: results of all races by number.
         """
-        driven = [
-            (race.track, race.place_of(agent.label), row)
-            for race in races
-            for row in results[race.number].agents
-            if row.driver == agent.label
-        ]
+        driven = races_of(agent.label, races, results)
         ranks, rows = [rank for _, rank, _ in driven], [row for *_, row in driven]
         times = [row.finish_time for row in rows if row.finish_time is not None]
         track_ranks: dict[str, list[int]] = defaultdict(list)
-        for track, rank, _ in driven:
-            track_ranks[track].append(rank)
+        for race, rank, _ in driven:
+            track_ranks[race.track].append(rank)
         return cls(
             place=place,
             label=agent.label,
@@ -147,6 +142,24 @@ class Standing:
             reason=_reason(rows),
             failed=sum(row.num_errors > 0 for row in rows),
         )
+
+
+def races_of(
+    label: str, races: Sequence[RaceSummary], results: Mapping[int, RaceResult]
+) -> list[tuple[RaceSummary, int, AgentResult]]:
+    """Returns the summary, the place and the result of each race of an agent.
+
+    Args:
+        label: name of the agent.
+        races: all races.
+        results: results of all races by number.
+    """
+    return [
+        (race, race.place_of(label), row)
+        for race in races
+        for row in results[race.number].agents
+        if row.driver == label
+    ]
 
 
 def _reason(rows: Sequence[AgentResult]) -> str:
