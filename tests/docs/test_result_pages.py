@@ -20,7 +20,7 @@ def test_the_page_of_results_shows_the_tables_of_each_benchmark():
 def test_the_page_of_the_suite_has_its_tables_and_figures():
     (text,) = extension("suite_page").pages().values()
     assert re.search(r"^\| versus \| ippo \| beaten \| 3 \|", text, re.MULTILINE)
-    assert text.count("](../images/suite/") == 5
+    assert text.count("](../images/suite/") == 4
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from stkzoo.suite.report.writing import report_sections
 from stkzoo.suite.scores import scale_ends
 from tests.support.suite_runs import suite_run, write_run
 
-FILES = {"report.json", "report.md", "marl_eval.json", "scores.svg", "profiles.svg", "gap.svg"}
+FILES = {"report.json", "report.md", "marl_eval.json", "scores.svg", "profiles.svg"}
 
 
 def constant(value):

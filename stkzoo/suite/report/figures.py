@@ -1,4 +1,4 @@
-"""Figures of a report: learning curves, scores, profiles, comparisons and gaps."""
+"""Figures of a report: learning curves, scores, profiles and comparisons."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stkzoo.evaluation.plotting import (
     style_axes,
 )
 from stkzoo.evaluation.statistics import Estimate
-from stkzoo.suite.report.document import Band, SuiteReport, TaskReport
+from stkzoo.suite.report.document import Band, SuiteReport
 
 #: Colors that people with any kind of color blindness can tell apart (Okabe and Ito, 2008).
 _COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -76,7 +76,10 @@ def scores(report: SuiteReport) -> Any:
     panels: dict[str, list[_Row]] = {}
     for task in report.tasks:
         title = f"IQM, {task.scale.replace('_', ' ')}; more is better"
-        panels.setdefault(title, []).extend(_rows(task, "iqm"))
+        panels.setdefault(title, []).extend(
+            (f"{task.task}, {result.algorithm}", result.algorithm, result.iqm)
+            for result in task.algorithms
+        )
     return _intervals(panels, _styles(report))
 
 
@@ -89,16 +92,7 @@ def improvement(report: SuiteReport) -> Any:
     ]
     title = "Probability of improvement on a track and direction; the line is chance"
     panels = {title: rows} if rows else {}
-    return _intervals(panels, _styles(report), mark=0.5, limits=(-0.03, 1.03))
-
-
-def gap(report: SuiteReport) -> Any:
-    """Returns the figure of gaps between training and test tracks."""
-    panels: dict[str, list[_Row]] = {}
-    for task in report.tasks:
-        title = f"Training minus test tracks, {task.scale.replace('_', ' ')}"
-        panels.setdefault(title, []).extend(_rows(task, "gap"))
-    return _intervals(panels, _styles(report), mark=0.0)
+    return _intervals(panels, _styles(report), is_probability=True)
 
 
 _FIGURES: Mapping[str, Callable[[SuiteReport], Any]] = {
@@ -106,16 +100,7 @@ _FIGURES: Mapping[str, Callable[[SuiteReport], Any]] = {
     "scores": scores,
     "profiles": profiles,
     "improvement": improvement,
-    "gap": gap,
 }
-
-
-def _rows(task: TaskReport, name: str) -> list[_Row]:
-    """Returns the rows of a task's algorithms with one of their estimates."""
-    return [
-        (f"{task.task}, {result.algorithm}", result.algorithm, getattr(result, name))
-        for result in task.algorithms
-    ]
 
 
 def _styles(report: SuiteReport) -> dict[str, tuple[str, str]]:
@@ -170,8 +155,8 @@ def _curves(
 def _intervals(
     panels: Mapping[str, Sequence[_Row]],
     styles: Mapping[str, tuple[str, str]],
-    mark: float | None = None,
-    limits: tuple[float, float] | None = None,
+    *,
+    is_probability: bool = False,
 ) -> Any:
     """Returns a figure with a panel of intervals for each title; ``None`` without panels."""
     if not panels:
@@ -180,13 +165,12 @@ def _intervals(
     figure = new_figure(7.5, sum(0.8 + _ROW * count for count in counts))
     axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=counts)[:, 0]
     for axis, (title, rows) in zip(axes, panels.items(), strict=True):
-        if mark is not None:
-            axis.axvline(mark, color=GRAY, linewidth=1.2, linestyle="--", zorder=0)
+        if is_probability:
+            axis.axvline(0.5, color=GRAY, linewidth=1.2, linestyle="--", zorder=0)
+            axis.set_xlim(-0.03, 1.03)
         for place, (_, algorithm, estimate) in enumerate(rows):
             draw_intervals(axis, {place: estimate}, color=styles[algorithm][0])
         axis.set_yticks(range(len(rows)), [label for label, _, _ in rows])
         axis.set_ylim(len(rows) - 0.4, -0.6)
-        if limits is not None:
-            axis.set_xlim(*limits)
         style_axes(axis, title)
     return figure

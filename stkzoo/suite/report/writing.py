@@ -44,7 +44,6 @@ CAPTIONS = {
     "bands.",
     "improvement": "Probability that a run of the first algorithm is better than one of the "
     "second on a track and direction, with 95% intervals.",
-    "gap": "Mean score on the training tracks minus that on the test tracks, with 95% intervals.",
 }
 #: The runs of each algorithm in a task, in the order of their seeds.
 _Groups = Mapping[str, Sequence[SuiteRun]]
