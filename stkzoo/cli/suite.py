@@ -25,6 +25,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from stkzoo import suite
 from stkzoo._arguments import option, options_of, positional
 from stkzoo._checks import unknown_name
@@ -311,7 +313,8 @@ def _conduct(arguments: ConductArguments) -> int:
       0 success, 1 a replay is damaged or not reproducible, 2 invalid command
       line, 130 interrupted
     """
-    means = suite.measure_conduct(arguments.replays)
+    with Console(stderr=True).status("The races run again"):
+        means = suite.measure_conduct(arguments.replays)
     if arguments.json:
         print(json.dumps([asdict(mean) for mean in means], indent=2))
     else:
