@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -95,11 +94,13 @@ class AgentCard:
         ensemble_weight: weight of the networks in an ensemble, unchecked;
             :class:`~stkzoo.agents.pretrained.ensemble.EnsemblePolicy` checks it.
         rules: parameters of the plans, unchecked.
+        runs: the training runs, for the cards of ensembles with this driver.
     """
 
     sha256: Annotated[str, matching("[0-9a-f]{64}")]
     ensemble_weight: Any = None
     rules: Any = None
+    runs: list[dict[str, Any]] = field(default_factory=list)
 
 
 def read_card(folder: str | Path) -> AgentCard:
@@ -108,14 +109,11 @@ def read_card(folder: str | Path) -> AgentCard:
     Raises:
         ConfigError: the card is missing or damaged.
     """
-    with reading_card(folder):
-        return load_json(Path(folder) / CARD, AgentCard)
-
-
-def reading_card(folder: str | Path) -> AbstractContextManager[None]:
-    """Explains the errors of a block that reads the card of an agent's folder."""
-    file = str(Path(folder) / CARD)
-    return reading(f"{file!r} is no card of a learned agent", "a card of this version of stkzoo")
+    file = Path(folder) / CARD
+    with reading(
+        f"{str(file)!r} is no card of a learned agent", "a card of this version of stkzoo"
+    ):
+        return load_json(file, AgentCard)
 
 
 def functions_in(file: str) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]:

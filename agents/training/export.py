@@ -20,7 +20,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +30,9 @@ import numpy.typing as npt
 import stkzoo
 from stkzoo._arguments import option, positional
 from stkzoo._os import PART_FILES, make_folder, write_text
-from stkzoo._reading import load_json, reading
+from stkzoo._reading import reading
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_card, read_numbers, reading_card
+from stkzoo.agents.pretrained.driver import CARD, WEIGHTS, read_card, read_numbers
 from stkzoo.agents.pretrained.ensemble import (
     check_ensemble_weight,
     join_members,
@@ -217,18 +217,10 @@ def _network(arrays: Arrays, source: Path) -> Arrays:
     return {name: array for name, array in arrays.items() if _VALUES not in name}
 
 
-@dataclass(frozen=True, slots=True)
-class _CardRuns:
-    """The training runs on a card."""
-
-    runs: list[dict[str, Any]] = field(default_factory=list)
-
-
 def _runs_of(source: Path) -> list[dict[str, Any]]:
     """Returns the training runs of a file of weights, or of an agent by its card."""
     if source.is_dir():
-        with reading_card(source):
-            return load_json(source / CARD, _CardRuns).runs
+        return read_card(source).runs
     if (league := source.parent.parent / LEAGUE).exists():
         return [_run_of_member(league, source.stem)]
     arguments = source.with_name(ARGUMENTS)

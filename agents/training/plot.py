@@ -119,23 +119,6 @@ def _draw_band(axis: Any, curve: Any, steps: Any, lows: Any, highs: Any) -> None
     axis.fill_between(steps, lows, highs, color=curve.get_color(), alpha=0.15, linewidth=0)
 
 
-def _draw_levels(axis: Any, values: Mapping[str, float]) -> None:
-    """Draws labeled horizontal lines; lines at nearly the same height share a label."""
-    room = 0.04 * float(np.ptp([*axis.get_ylim(), *values.values()]))
-    groups: list[list[str]] = []
-    for name in sorted(values, key=lambda name: (values[name], name)):
-        if groups and values[name] - values[groups[-1][0]] < room:
-            groups[-1].append(name)
-        else:
-            groups.append([name])
-    across = axis.get_yaxis_transform()
-    for group in groups:
-        value = float(np.mean([values[name] for name in group]))
-        axis.axhline(value, color=GRAY, linewidth=0.8, linestyle=":")
-        names = ", ".join(sorted(group))
-        axis.annotate(names, (1.0, value), xycoords=across, fontsize=7, color=INK, va="center")
-
-
 def rating_figure(
     curves: Mapping[str, Sequence[tuple[float, Interval]]],
     levels: Mapping[str, float],
@@ -157,7 +140,8 @@ def rating_figure(
         marks = {"marker": "o", "markersize": 3, "gid": f"curve {name}"}
         (curve,) = axis.plot(steps, values, label=name, **marks)
         _draw_band(axis, curve, steps, lows, highs)
-    _draw_levels(axis, levels)
+    for name, style in zip(levels, ("--", ":"), strict=False):
+        axis.axhline(levels[name], color=GRAY, linewidth=0.8, linestyle=style, label=name)
     axis.set_xlabel("million kart-steps", color=INK)
     axis.set_ylabel("rating (Plackett-Luce; bands: 95%)", color=INK)
     axis.grid(alpha=0.3)

@@ -38,7 +38,7 @@ from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.errors import ConfigError
 from stkzoo.tracks import TRAIN_TRACKS
 
-from .common.arguments import QUICK_TRACKS, Natural, RunArguments
+from .common.arguments import QUICK_TRACKS, Natural, RunArguments, ScriptOptions
 from .common.command import limit_threads, run_command, training_library
 from .common.matches import Match, plan_match_driver, play_matches
 from .common.run_folder import LOG, continue_json_lines, keep_arguments, write_json
@@ -114,17 +114,6 @@ def drive_all(
 
 
 @dataclass(frozen=True, slots=True)
-class TuningOptions:
-    """Options of the command.
-
-    Attributes:
-        output: folder of the search.
-    """
-
-    output: Path = option(Path("tuned"), metavar="FOLDER")
-
-
-@dataclass(frozen=True, slots=True)
 class TuningArguments(RunArguments):
     """Arguments of a search.
 
@@ -164,7 +153,7 @@ class Generation:
     told: list[float]
 
 
-def tune(options: TuningOptions, arguments: TuningArguments) -> None:
+def tune(options: ScriptOptions, arguments: TuningArguments) -> None:
     """Starts or continues a search.
 
     Raises:
@@ -220,7 +209,7 @@ def _write_best(
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command; returns its exit code."""
-    kinds, remedy = (TuningOptions, TuningArguments), "the same command continues"
+    kinds, remedy = (ScriptOptions, TuningArguments), "the same command continues"
     return run_command("tune_plans", __doc__, tune, kinds, words, remedy)
 
 

@@ -162,7 +162,7 @@ def test_the_policy_races_and_can_start_self_play(imitated):
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--teacher", "ai"], "cannot be asked"),
+        (["--teacher", "ai"], "ai cannot label what a learner sees"),
         (["--teacher", "planner"], "planner cannot label what a learner sees"),
         (["--teacher", "nobody"], "unknown driver"),
         (["--karts", "0"], "karts is 0"),

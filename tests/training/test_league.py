@@ -75,8 +75,8 @@ def words(folder, until):
 def test_players_take_turns_in_order_of_their_kinds():
     names = [player.name for player in new_players(1, 2, 1)]
     assert names == ["main", "exploiter-a", "exploiter-b", "league-exploiter"]
-    with pytest.raises(ConfigError, match="one main player or more"):
-        new_players(0, 1, 1)
+    with pytest.raises(ConfigError, match="mains is 0, expected a whole number from 1 to 26"):
+        LeagueArguments(mains=0)
 
 
 def draws(kind, pool=(), count=300):

@@ -19,7 +19,7 @@ from stkzoo.agents.training.common.arguments import Lineup, parse_races
 from stkzoo.agents.training.common.run_folder import save_driver
 from stkzoo.agents.training.evaluate import newest_policy
 from stkzoo.agents.training.plot import main as plot_main
-from stkzoo.agents.training.ppo.network import RacingNetwork
+from stkzoo.agents.training.ppo.network import RacingNetwork, racing_weights
 from stkzoo.agents.training.ppo.opponents import Matchmaker, draw_opponent
 from stkzoo.agents.training.sb3 import races as sb3_races
 from stkzoo.agents.training.sb3.curriculum import EASY_TO_HARD, Curriculum, CurriculumState
@@ -28,7 +28,7 @@ from stkzoo.agents.training.sb3.selfplay import (
     SB3Arguments,
     SB3Run,
     arrays_of,
-    initial_weights,
+    initial_state,
     main,
 )
 from stkzoo.errors import ConfigError
@@ -331,20 +331,19 @@ def test_initial_weights_can_lack_the_value_network(tmp_path, policy):
     save_driver(tmp_path / "whole", arrays_of(policy))
     weights = load_weights(tmp_path / "whole")
     own = {name: array + 1 for name, array in weights.items() if "value" not in name}
-    save_weights(tmp_path / "part", own)
-    started = initial_weights(tmp_path / "part", policy)
+    started = initial_state(own, policy)
     assert {*started} == {*policy.state_dict()}
     for name, array in started.items():
-        assert (array == own.get(name, weights[name])).all()
+        assert (array.numpy() == own.get(name, weights[name])).all()
 
 
-def test_incompatible_weights_are_refused(tmp_path, policy):
+def test_incompatible_weights_are_refused(tmp_path):
     save_weights(tmp_path / "other", {"w0": np.zeros((3, 4), np.float32)})
     with pytest.raises(ConfigError, match="MlpPolicy from the 165 numbers"):
-        initial_weights(tmp_path / "other", policy)
+        racing_weights(str(tmp_path / "other"), (16, 16))
     save_driver(tmp_path / "narrow", RacingNetwork((8, 8), seed=0).policy_weights())
     with pytest.raises(ConfigError, match="--hidden"):
-        initial_weights(tmp_path / "narrow", policy)
+        racing_weights(str(tmp_path / "narrow"), (16, 16))
 
 
 # ---------------------------------------------------------------------- runs

@@ -5,16 +5,12 @@ import pytest
 
 from stkzoo.agents.pretrained.weights import save_weights
 from stkzoo.agents.training.common.actors import SharedArray
-from stkzoo.agents.training.ppo.network import RacingNetwork
+from stkzoo.agents.training.ppo.network import RacingNetwork, racing_weights
 from stkzoo.agents.training.ppo.opponents import Matchmaker
 from stkzoo.agents.training.ppo.rollouts import ActorArguments, KartRace, RaceActor
 from stkzoo.agents.training.ppo.run import PPORun, race_figures
 from stkzoo.agents.training.suite.algorithms import TaskArguments, task_setup
-from stkzoo.agents.training.suite.exploit import (
-    ExploiterArguments,
-    exploiter_setup,
-    start_weights,
-)
+from stkzoo.agents.training.suite.exploit import ExploiterArguments, exploiter_setup
 from stkzoo.cli import main
 from stkzoo.errors import ConfigError
 from stkzoo.race import run_race
@@ -224,7 +220,7 @@ def test_an_exploiter_starts_from_an_agent_and_drives_one_kart_against_the_froze
     assert line["kart_steps"] == 2 * 16
     assert figures["won"] == pytest.approx(1 / 3)
     with pytest.raises(ConfigError, match=r"layers of \(16, 8\) units, expected \(8, 16\)"):
-        start_weights(init, (8, 16))
+        racing_weights(init, (8, 16))
 
 
 def test_an_unknown_algorithm_is_refused(capsys):

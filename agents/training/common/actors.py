@@ -105,15 +105,6 @@ class ActorPool:
         self.is_busy = False
         return [self._result(number) for number in range(len(self))]
 
-    def forget(self) -> None:
-        """Waits for the results of a :meth:`send`, if there was one, and discards them.
-
-        Raises:
-            StkzooError: an actor failed.
-        """
-        if self.is_busy:
-            self.receive()
-
     def close(self) -> None:
         """Ends the processes."""
         for connection in self._connections:

@@ -106,13 +106,13 @@ class ProgressBar:
             print(f"{done:>10,.0f}  {text}", flush=True)
 
 
-def training_library(name: str, extra: str = "train") -> Any:
-    """Imports a library of an extra.
+def training_library(name: str) -> Any:
+    """Imports a library of the extra ``train``.
 
     Raises:
         ConfigError: the library is not installed.
     """
-    return import_extra(name, "learning needs", extra)
+    return import_extra(name, "learning needs", "train")
 
 
 def limit_threads() -> None:

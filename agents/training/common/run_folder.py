@@ -9,13 +9,13 @@ from __future__ import annotations
 import importlib
 import io
 import json
-import math
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 
 from stkzoo._locks import LOCK
@@ -276,11 +276,7 @@ def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
 
 def _json_line(line: Mapping[str, Any]) -> str:
     """Returns a line of a log. JSON has no infinite numbers and no NaN; they become null."""
-    finite = {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in line.items()
-    }
-    return json.dumps(finite) + "\n"
+    return msgspec.json.encode(line).decode() + "\n"
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
@@ -350,10 +346,5 @@ class TrainingLog:
         with writing(self._file, "the log"), self._file.open("a") as log:
             log.write(_json_line(line))
         for name, value in line.items():
-            if value is not None:
-                self.add(name, value, int(line["kart_steps"]))
-
-    def add(self, name: str, value: float, kart_steps: int) -> None:
-        """Adds a figure to the TensorBoard files only."""
-        if self._writer is not None:
-            self._writer.add_scalar(name, value, kart_steps)
+            if self._writer is not None and value is not None:
+                self._writer.add_scalar(name, value, int(line["kart_steps"]))

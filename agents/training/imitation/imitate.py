@@ -94,11 +94,8 @@ class TeacherArguments(ImitationArguments):
 
     def __post_init__(self) -> None:
         RunArguments.__post_init__(self)
-        if find_driver(self.teacher, inline=True).is_game_ai and self.rounds:
-            raise ConfigError(
-                "the game's AI cannot be asked what it would do in a kart that it does not drive; "
-                "give --rounds 0 (behavior cloning alone), or another --teacher"
-            )
+        if self.rounds:
+            _check_teacher(self.teacher)
 
 
 def run(
@@ -125,8 +122,6 @@ def run(
             return _demonstrations(arguments, folder, report)
         return Lesson.joined([*_drive(arguments, number, policy, report)])
 
-    if arguments.rounds:
-        _check_teacher(arguments.teacher)
     return run_rounds(arguments, folder, arguments.teacher, drive, report)
 
 
@@ -262,7 +257,8 @@ def _check_teacher(teacher: str) -> None:
     """Checks that the teacher can say what it would do in a kart of the learner.
 
     Raises:
-        ConfigError: it cannot, as the planner, which copies races that it drives.
+        ConfigError: it cannot, as the game's AI, and the planner, which copies races that it
+            drives.
     """
     try:
         _instance(teacher, 0).close()
@@ -276,7 +272,8 @@ def _check_teacher(teacher: str) -> None:
 def _instance(teacher: str, seed: int) -> DriverInstance:
     """Returns an instance of the teacher."""
     start = find_driver(teacher, inline=True).start
-    assert start is not None  # noqa: S101 - checked before
+    if start is None:
+        raise AgentError("the game's AI drives only its own karts")
     instance = start(DriverRequest("kart_0", kart_observation_space(), kart_action_space(), seed))
     instance.ready()
     return instance

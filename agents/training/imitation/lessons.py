@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from stkzoo._arrays import read_arrays, write_arrays
 from stkzoo._locks import locked_folder
 from stkzoo._os import atomic_write
-from stkzoo._reading import Unreadable, reading
+from stkzoo._reading import reading
 from stkzoo._schema import Level
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.agents.pretrained.weights import load_weights
@@ -108,12 +108,9 @@ class Lesson:
             ConfigError: the file is damaged.
         """
         with reading(f"{path} is unreadable", "a round's lessons; delete it to drive it again"):
-            found, _ = read_arrays(path, _MAX_BYTES)
-            for entry in fields(cls):
-                if entry.name not in found:
-                    raise Unreadable(f"it has no {entry.name}")
-            ratios, finished = tuple(found["ratios"].tolist()), int(found["finished"])
-            return cls(found["observations"], found["actions"], ratios, finished)
+            arrays, _ = read_arrays(path, _MAX_BYTES)
+            ratios, finished = tuple(arrays["ratios"].tolist()), int(arrays["finished"])
+            return cls(arrays["observations"], arrays["actions"], ratios, finished)
 
 
 def run_rounds(

@@ -82,9 +82,9 @@ class LeagueArguments(PPOArguments):
     batch_size: BatchSize = 1024
     learning_rate: float = 1e-4
     gae_lambda: Share = 0.85
-    mains: int = 1
-    exploiters: Natural = 1
-    league_exploiters: Natural = 1
+    mains: Annotated[int, Meta(ge=1, le=26)] = 1
+    exploiters: Annotated[int, Meta(ge=0, le=26)] = 1
+    league_exploiters: Annotated[int, Meta(ge=0, le=26)] = 1
     turn: int = 50_000
     matches: int = 8
     patience: int = 4

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from string import ascii_lowercase
 from typing import Annotated
 
 import numpy as np
 
 from stkzoo._schema import Count, matching, one_of
-from stkzoo.errors import ConfigError
 
 from ..common.matches import SEATS, Match, MatchRecord
 from ..ppo.opponents import ITSELF, DuelResults, Matchmaker, Odds, Rival
@@ -94,28 +94,14 @@ class LeagueMember:
 
 
 def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Player]:
-    """Returns new players of each kind, in the order of their turns.
-
-    Raises:
-        ConfigError: there is no main player, or a number is negative.
-    """
-    if mains < 1 or min(exploiters, league_exploiters) < 0:
-        raise ConfigError(
-            f"a league of {mains} main players, {exploiters} exploiters and {league_exploiters} "
-            "league exploiters is invalid; expected one main player or more"
-        )
+    """Returns new players of each kind, at most 26, in the order of their turns."""
     players = []
     counts = ((MAIN, mains), (EXPLOITER, exploiters), (LEAGUE_EXPLOITER, league_exploiters))
     for kind, count in counts:
-        names = [kind] if count == 1 else [f"{kind}-{letter}" for letter in _letters(count)]
+        letters = ascii_lowercase[:count]
+        names = [kind] if count == 1 else [f"{kind}-{letter}" for letter in letters]
         players += [Player(name, kind) for name in names]
     return players
-
-
-def _letters(count: int) -> list[str]:
-    if count > 26:
-        raise ConfigError(f"{count} players of a kind are too many; expected at most 26")
-    return [chr(ord("a") + number) for number in range(count)]
 
 
 class PlayerMatchmaker(Matchmaker):

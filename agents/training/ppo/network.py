@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,6 +13,8 @@ import numpy.typing as npt
 
 from stkzoo.agents.planning import FloatArray
 from stkzoo.agents.planning.driver import HEADS, INPUT_SIZE, mirrored_inputs
+from stkzoo.agents.pretrained.driver import WEIGHTS
+from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import INPUT_CLIP, check_shapes
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.errors import ConfigError
@@ -283,6 +286,28 @@ def _make_layers(torch: Any, sizes: Sequence[int], activation: Any, last_gain: f
         nn.init.zeros_(layer.bias)
         parts += [layer] if is_last else [layer, activation()]
     return nn.Sequential(*parts)
+
+
+def racing_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:
+    """Returns the weights of a policy on the view ``racing``.
+
+    Args:
+        init: file of the policy, or folder of an agent.
+        hidden: units of the hidden layers.
+
+    Raises:
+        ConfigError: the file is unreadable, contains something else, or has other layers.
+    """
+    file = Path(init) / WEIGHTS if Path(init).is_dir() else Path(init)
+    weights = load_weights(file)
+    layers = MlpDriver(weights, f"the weights {str(file)!r}").hidden
+    if layers != tuple(hidden):
+        raise ConfigError(
+            f"the weights {str(file)!r} have hidden layers of {layers} units, expected "
+            f"{tuple(hidden)}; give the --hidden that they were made with, or weights of a "
+            "reference algorithm (stkzoo suite train)"
+        )
+    return weights
 
 
 def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:

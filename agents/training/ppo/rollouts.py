@@ -23,7 +23,7 @@ from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
 from ..common.actors import SharedArray
-from ..common.matches import UNFINISHED, ai_time
+from ..common.matches import ai_time
 from .opponents import Odds, RivalSeats, draw_opponent
 
 Weights = Mapping[str, FloatArray]
@@ -194,11 +194,6 @@ class KartRace:
     reward: float
     position: Place
     ratio: float | None
-
-    @property
-    def counted_ratio(self) -> float:
-        """The time ratio; 3 if the kart did not finish."""
-        return UNFINISHED if self.ratio is None else self.ratio
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,7 @@ from stkzoo.agents.pretrained.weights import save_weights
 from ..common.actors import ActorPool, SharedArray
 from ..common.arguments import RolloutArguments
 from ..common.command import ProgressBar
+from ..common.matches import UNFINISHED
 from ..common.run_folder import (
     ARGUMENTS,
     TrainingLog,
@@ -136,7 +137,8 @@ class PPORun:
         """Starts new races; later random numbers derive from seed and iteration."""
         seed = self.arguments.seed
         self._random = np.random.default_rng([seed, self.iteration])
-        self._actors.forget()
+        if self._actors.is_busy:
+            self._actors.receive()  # a rollout of the races before
         seeds = [([seed, self.iteration, number],) for number in range(len(self._actors))]
         self._actors.call("begin", seeds)
 
@@ -296,7 +298,7 @@ def race_figures(recent: Sequence[KartRace] | deque[KartRace]) -> dict[str, floa
         own = [race for race in recent if race.company == company]
         if own:
             finished = [race.ratio for race in own if race.ratio is not None]
-            means[f"{company}_ratio"] = [race.counted_ratio for race in own]
+            means[f"{company}_ratio"] = [race.ratio or UNFINISHED for race in own]
             means[f"{company}_finished_ratio"] = finished or [0.0]
             means[f"{company}_unfinished"] = [race.ratio is None for race in own]
             if company == "rivals":

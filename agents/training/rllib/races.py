@@ -50,9 +50,7 @@ class RLlibArguments(PPOArguments):
         iterations: total iterations.
         env_runners: processes that run races; 0 runs them in the main process.
         envs_per_runner: parallel races in each env runner.
-        cpus_per_runner: processors that Ray reserves for each env runner.
         address: address of a Ray cluster, or auto; empty starts Ray on this machine.
-        pack: headless pack for nodes without the game's data.
         tracks: names of tracks, or train, train_only, validation, test or all.
         difficulty: difficulty of the game's AI, 0 to 3.
         learners: karts of the policy that learns.
@@ -63,7 +61,6 @@ class RLlibArguments(PPOArguments):
         max_cycles: steps after which a race is truncated.
         train_batch_size: kart-steps of the learner's karts per iteration.
         checkpoint_every: iterations between two checkpoints.
-        sample_timeout: seconds that an iteration waits for env runners.
     """
 
     n_epochs: int = 6
@@ -72,9 +69,7 @@ class RLlibArguments(PPOArguments):
     iterations: int = 200
     env_runners: Natural = 2
     envs_per_runner: int = 1
-    cpus_per_runner: Coefficient = 1.0
     address: str = ""
-    pack: str = ""
     tracks: tuple[str, ...] = option(("train",), flag="--track", metavar="TRACK")
     difficulty: Level = 2
     learners: int = 2
@@ -85,14 +80,9 @@ class RLlibArguments(PPOArguments):
     max_cycles: int = 1500
     train_batch_size: int = 8000
     checkpoint_every: int = 5
-    sample_timeout: float = 600.0
 
     def __post_init__(self) -> None:
         RunArguments.__post_init__(self)
-        if self.pack and not Path(self.pack).is_file():
-            raise ConfigError(
-                f"there is no pack {self.pack!r}; stkzoo assets pack --output writes one"
-            )
         if self.learners + self.frozen + self.bots > 20:
             raise ConfigError("more than 20 karts in a race; give fewer learners, frozen or bots")
         if self.batch_size > self.train_batch_size:

@@ -47,7 +47,7 @@ _POLICY = "policy.safetensors"
 #: Name of a checkpoint, with the number of iterations, and its suffix while it is written.
 _CHECKPOINT, _PART = "checkpoint-{:06}", ".part"
 #: Arguments that may change when a run continues.
-_FREE = ("iterations", "address", "env_runners", "checkpoint_every", "pack", "cpus_per_runner")
+_FREE = ("iterations", "address", "env_runners", "checkpoint_every")
 
 
 def build_config(arguments: RLlibArguments) -> Any:
@@ -70,8 +70,7 @@ def build_config(arguments: RLlibArguments) -> Any:
             add_default_connectors_to_env_to_module_pipeline=False,  # the sampler needs none
             add_default_connectors_to_module_to_env_pipeline=False,
             num_env_runners=arguments.env_runners,
-            num_cpus_per_env_runner=arguments.cpus_per_runner,
-            sample_timeout_s=arguments.sample_timeout,
+            sample_timeout_s=600.0,
         )
         .fault_tolerance(
             restart_failed_env_runners=True,
@@ -145,14 +144,12 @@ def _started(ray: Any, arguments: RLlibArguments) -> Iterator[None]:
     """Connects to a cluster and sends it the pack, or starts Ray on this machine."""
     address = arguments.address
     with tempfile.TemporaryDirectory() as files:
-        if arguments.pack:
-            shutil.copy(arguments.pack, Path(files, PACK))
-        elif address:
+        if address:
             pack(output=Path(files, PACK))
         try:
             ray.init(
                 address=address or "local",
-                runtime_env={"working_dir": files} if arguments.pack or address else {},
+                runtime_env={"working_dir": files} if address else {},
                 log_to_driver=False,
                 include_dashboard=False,
             )

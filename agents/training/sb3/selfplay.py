@@ -44,12 +44,9 @@ from stable_baselines3.common.logger import Logger
 from stkzoo._arguments import option
 from stkzoo._locks import locked_folder
 from stkzoo._schema import Count, Share
-from stkzoo.agents.planning.memory import MEMORY_SIZE
-from stkzoo.agents.pretrained.mlp import HOLD, MlpDriver
-from stkzoo.agents.pretrained.weights import load_weights
+from stkzoo.agents.pretrained.mlp import HOLD
 from stkzoo.errors import ConfigError
 from stkzoo.sb3 import ActiveRolloutBuffer
-from stkzoo.wrappers.racing import SIZE
 
 from ..common.arguments import (
     Coefficient,
@@ -70,7 +67,7 @@ from ..common.run_folder import (
     save_driver,
 )
 from ..export import export_policy
-from ..ppo.network import FIRST_BIASES
+from ..ppo.network import FIRST_BIASES, racing_weights
 from ..ppo.opponents import PRIORITIZED, DuelResults, Matchmaker
 from .curriculum import EASY_TO_HARD, Curriculum, CurriculumState
 from .races import SelfPlayVecEnv
@@ -188,9 +185,9 @@ class SB3Run:
                     self._restore(*checkpoint)
             else:
                 if arguments.init:
-                    weights = initial_weights(arguments.init, self._model.policy)
-                    tensors = {name: torch.from_numpy(array) for name, array in weights.items()}
-                    self._model.policy.load_state_dict(tensors)
+                    weights = racing_weights(arguments.init, arguments.hidden)
+                    policy = self._model.policy
+                    policy.load_state_dict(initial_state(weights, policy))
                 self._keep()
                 self.save_checkpoint()
             self._resources = resources.pop_all()
@@ -340,34 +337,22 @@ def arrays_of(policy: Any) -> dict[str, npt.NDArray[np.float32]]:
     return {name: value.detach().cpu().numpy() for name, value in policy.state_dict().items()}
 
 
-def initial_weights(path: str | Path, policy: Any) -> dict[str, npt.NDArray[np.float32]]:
-    """Returns a state dict for a policy from a file, which may lack the value network.
+def initial_state(weights: dict[str, npt.NDArray[np.float32]], policy: Any) -> dict[str, Any]:
+    """Returns a state dict for a policy from weights, which may lack the value network.
 
-    If the layers in the file take only the view as input, the memory of the action filter initially
-    has no effect.
+    If the layers take only the view as input, the memory of the action filter initially has no
+    effect.
 
     Args:
-        path: a file from ``sb3``, ``imitation`` or ``rllib``.
+        weights: weights from ``sb3``, ``imitation`` or ``rllib``, with the policy's hidden layers.
         policy: the Stable-Baselines3 policy to initialize.
-
-    Raises:
-        ConfigError: the file is unreadable, or contains another network.
     """
-    weights = load_weights(path)
-    MlpDriver(weights, f"the weights {str(path)!r}")
-    weights = {name: array for name, array in weights.items() if name != HOLD}
-    own = arrays_of(policy)
+    state = arrays_of(policy)
     for name, array in weights.items():
-        more = own[name].shape[-1] - array.shape[-1] if name in own and array.ndim == 2 else 0
-        if array.shape[-1] == SIZE and more == MEMORY_SIZE:
-            weights[name] = np.pad(array, ((0, 0), (0, more)))
-    others = [n for n, array in weights.items() if n not in own or own[n].shape != array.shape]
-    if others:
-        raise ConfigError(
-            f"the weights {str(path)!r} are of another network: {', '.join(others)} do not fit "
-            "this one; give the --hidden that they were made with"
-        )
-    return {**own, **weights}
+        more = state[name].shape[-1] - array.shape[-1] if name in state else 0
+        if name != HOLD:
+            state[name] = np.pad(array, ((0, 0), (0, more))) if more else array
+    return {name: torch.from_numpy(array) for name, array in state.items()}
 
 
 # ---------------------------------------------------------------------- the command
