@@ -85,14 +85,14 @@ def newest_policy(source: str) -> str:
 
 def _report(sources: Sequence[str], results: Sequence[Sequence[Sequence[Finish]]]) -> None:
     base = _ratios(results[0])
-    for source, own in zip(sources, results, strict=True):
-        ratios = _ratios(own)
+    for source, races in zip(sources, results, strict=True):
+        ratios = _ratios(races)
         more = ratios - base
         error = more.std() / max(len(more) - 1, 1) ** 0.5
-        ranks = np.array([[finish.rank for finish in ends] for ends in own])
-        unfinished = sum(finish.ratio is None for ends in own for finish in ends)
+        ranks = np.array([[finish.rank for finish in ends] for ends in races])
+        unfinished = sum(finish.ratio is None for ends in races for finish in ends)
         print(
-            f"{source}: {len(own)} races, time ratio {ratios.mean():.4f} "
+            f"{source}: {len(races)} races, time ratio {ratios.mean():.4f} "
             f"({more.mean():+.4f} +- {error:.4f}), won {(ranks == 1).any(axis=1).mean():.0%}, "
             f"rank {ranks.mean():.2f}, unfinished {unfinished}",
             flush=True,

@@ -78,12 +78,11 @@ _CARD = """\
 A learned driver of stkzoo. `stkzoo race pretrained:{name} ai ai ai ai --difficulty 3`
 
 - **Network:** {parameters:,} parameters (`{weights}`, {size:,} bytes, SHA-256 `{sha256}`).
-{runs}
+- **Data:** TO BE WRITTEN; `card.json` has the arguments of the training runs.
 - **Command:** TO BE WRITTEN
 - **Results:** TO BE WRITTEN
 - **Limits:** TO BE WRITTEN
 """
-_RUN = "- **Data:** {kart_steps} kart-steps of self-play; seed {seed}; tracks {tracks}."
 
 Arrays = dict[str, npt.NDArray[np.float32]]
 
@@ -142,9 +141,7 @@ def export_policy(
     write_text(target / "__init__.py", f'"""The learned driver {name}; see ``CARD.md``."""\n')
     write_text(target / "pystk_actor.py", _MODULE.format(name=name, view=view))
     if not (target / "CARD.md").exists():
-        lines = "\n".join(map(_describe, facts["runs"]))
-        card = _CARD.format(**{**facts, "weights": WEIGHTS, "runs": lines})
-        write_text(target / "CARD.md", card)
+        write_text(target / "CARD.md", _CARD.format(**facts, weights=WEIGHTS))
     return target
 
 
@@ -186,12 +183,12 @@ def _ensemble_of(sources: Sequence[Path], plans: str | Path) -> tuple[Arrays, Dr
     rules: list[DriverParameters] = []
     for source in sources:
         if source.is_dir():
-            own = split_members(load_weights(source / WEIGHTS, read_card(source).sha256))
-            if not any(own):
+            members = split_members(load_weights(source / WEIGHTS, read_card(source).sha256))
+            if not any(members):
                 raise ConfigError(f"{str(source)!r} is not an ensemble; name its {WEIGHTS}")
-            networks += own[0]
-            policies += own[1]
-            if own[1]:
+            networks += members[0]
+            policies += members[1]
+            if members[1]:
                 rules.append(read_numbers(source))
             continue
         arrays = load_weights(source)
@@ -238,15 +235,6 @@ def _run_of_member(league: Path, name: str) -> dict[str, Any]:
         steps = {member["name"]: member["kart_steps"] for member in content["members"]}
         history = [{"from": 0, "arguments": content["arguments"]}]
     return {"kart_steps": steps.get(name), "history": history}
-
-
-def _describe(run: dict[str, Any]) -> str:
-    arguments = run["history"][-1]["arguments"] if run["history"] else {}
-    return _RUN.format(
-        kart_steps=f"{run['kart_steps']:,}" if run["kart_steps"] else "unknown",
-        tracks=", ".join(arguments.get("tracks", ["unknown"])),
-        seed=arguments.get("seed", "unknown"),
-    )
 
 
 @dataclass(frozen=True, slots=True)

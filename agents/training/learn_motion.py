@@ -233,9 +233,9 @@ def errors_of(layers: Sequence[FloatArray], inputs: FloatArray, outputs: FloatAr
     """Returns the errors of a network's outputs ``(N, 3)``, in the units of the outputs."""
     pairs = zip(layers[::2], layers[1::2], strict=True)
     network = Mlp(tuple((np.ascontiguousarray(w.T), bias) for w, bias in pairs), False)
-    found = np.empty_like(outputs)
-    network.evaluate(np.ascontiguousarray(inputs[:, :-1]), found)  # plans use no nitro
-    return found - outputs
+    forecasts = np.empty_like(outputs)
+    network.evaluate(np.ascontiguousarray(inputs[:, :-1]), forecasts)  # plans use no nitro
+    return forecasts - outputs
 
 
 def learn_motion(options: ScriptOptions, arguments: MotionArguments) -> None:

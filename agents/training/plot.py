@@ -78,14 +78,14 @@ def plot_runs(folders: Sequence[str | Path], output: str | Path) -> None:
 
 def _draw_curve(axis: Any, log: Sequence[Mapping[str, Any]], entry: str, label: str) -> None:
     """Draws a figure of a log, if it has been measured."""
-    found = [line for line in log if line.get(entry) is not None]
-    if not found:
+    measured = [line for line in log if line.get(entry) is not None]
+    if not measured:
         return
-    steps = [_x(line) for line in found]
-    values = _smooth(np.array([line[entry] for line in found], float))
+    steps = [_x(line) for line in measured]
+    values = _smooth(np.array([line[entry] for line in measured], float))
     (curve,) = axis.plot(steps, values, label=label)
     if entry == "time_ratio":
-        error = 1.96 * np.array([line["error"] for line in found])
+        error = 1.96 * np.array([line["error"] for line in measured])
         _draw_band(axis, curve, steps, values - error, values + error)
 
 

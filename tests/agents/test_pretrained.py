@@ -149,7 +149,6 @@ def test_the_card_records_the_training_runs(tmp_path, capsys):
     assert (run["kart_steps"], run["history"][0]["arguments"]["seed"]) == (123, 5)
     assert card["rules"] == asdict(DriverParameters(margin=2.0))
     text = (tmp_path / "agent" / "CARD.md").read_text()
-    assert "mines" in text
     assert card["sha256"] in text
     assert "stkzoo race" in capsys.readouterr().out
 

@@ -33,7 +33,7 @@ def last_policy(folder):
     return load_weights(max(folder.glob("policy-*.safetensors")))
 
 
-def run_and_kill(main, words, log, lines):
+def run_and_kill(main, words, log, lines, seconds=120):
     """Runs a command in a forked process and kills it when its log has ``lines`` lines."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # the test run has threads
@@ -44,7 +44,7 @@ def run_and_kill(main, words, log, lines):
         finally:
             os._exit(1)  # a command that ends by itself exits with 1
     try:
-        assert wait_until(lambda: log.exists() and log.read_text().count("\n") >= lines, 120)
+        assert wait_until(lambda: log.exists() and log.read_text().count("\n") >= lines, seconds)
     finally:
         os.kill(process, signal.SIGKILL)
         _, status = os.waitpid(process, 0)

@@ -57,13 +57,15 @@ class ActorPool:
     def __init__(self, make: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> None:
         self._processes, self._connections = [], []
         self.is_busy = False
-        for own in arguments:
-            ours, theirs = _context.Pipe()
-            process = _context.Process(target=_serve, args=(theirs, make, own), daemon=True)
+        for actor_arguments in arguments:
+            connection, actor_end = _context.Pipe()
+            process = _context.Process(
+                target=_serve, args=(actor_end, make, actor_arguments), daemon=True
+            )
             process.start()
-            theirs.close()
+            actor_end.close()
             self._processes.append(process)
-            self._connections.append(ours)
+            self._connections.append(connection)
 
     def __len__(self) -> int:
         return len(self._processes)
@@ -91,9 +93,9 @@ class ActorPool:
 
     def send(self, method: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         """Starts a :meth:`call`; :meth:`receive` returns its results."""
-        for connection, own in zip(self._connections, arguments, strict=True):
+        for connection, actor_arguments in zip(self._connections, arguments, strict=True):
             with contextlib.suppress(OSError):  # receive reports the error
-                connection.send((method, own))
+                connection.send((method, actor_arguments))
         self.is_busy = True
 
     def receive(self) -> list[Any]:
@@ -140,8 +142,8 @@ def _serve(connection: Connection, make: Callable[..., Any], arguments: tuple[An
     is_made, actor = _outcome(make, arguments)
     with contextlib.suppress(EOFError, OSError):
         while True:
-            method, own = connection.recv()
-            answer = _outcome(getattr(actor, method), own) if is_made else (False, actor)
+            method, call_arguments = connection.recv()
+            answer = _outcome(getattr(actor, method), call_arguments) if is_made else (False, actor)
             connection.send(answer)
     if is_made:
         actor.close()

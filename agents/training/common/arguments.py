@@ -68,8 +68,8 @@ class RunArguments:
 
 def _check_bounds(name: str, value: Any, hint: Any) -> None:
     """Checks a number against the bounds of its type."""
-    kind, bounds = get_args(hint) or (hint, _DEFAULT_BOUNDS[hint])
-    if kind is int:
+    number_type, bounds = get_args(hint) or (hint, _DEFAULT_BOUNDS[hint])
+    if number_type is int:
         check_whole(name, value, bounds.ge, bounds.le)
     elif bounds.le is not None or bounds.gt is not None:
         check_number(name, value, high=bounds.le)
@@ -178,12 +178,12 @@ def parse_races(texts: Sequence[str]) -> list[Lineup]:
     """
     lineups = []
     for text in texts:
-        if not (found := _RACES.fullmatch(text)):
+        if not (match := _RACES.fullmatch(text)):
             raise ConfigError(
                 f"races {text!r} are invalid; expected for example 4x3 (three races of four "
                 "agents) or 2+2x1 (one race of two agents and two karts of the game's AI)"
             )
-        learners, bots, races = (int(number or 0) for number in found.groups())
+        learners, bots, races = (int(number or 0) for number in match.groups())
         lineups.append(Lineup(learners, bots, races or 1))
     return lineups
 

@@ -13,11 +13,11 @@ from stkzoo.errors import StkzooError
 
 def command_parser(module: str, description: str | None, kinds: Sequence[type]) -> CommandParser:
     """Returns the parser of a command; see :func:`run_command` for the arguments."""
-    own = {"league": "stkzoo league"}
-    prog = own.get(module, f"python -m stkzoo.agents.training.{module}")
+    commands = {"league": "stkzoo league"}
+    prog = commands.get(module, f"python -m stkzoo.agents.training.{module}")
     parser = CommandParser(prog=prog, description=description)
-    for kind in kinds:
-        add_options(parser, kind)
+    for options in kinds:
+        add_options(parser, options)
     return parser
 
 

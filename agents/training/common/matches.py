@@ -279,8 +279,8 @@ class _RunningMatch:
 
     def see(self, seen: dict[str, Any]) -> None:
         """Writes the karts' observations into their rows."""
-        for agent, own in self.observations.items():
-            for key, value in own.items():
+        for agent, observation in self.observations.items():
+            for key, value in observation.items():
                 seen[key][self._rows[agent]] = value
 
     def send(self, controls: FloatArray) -> None:

@@ -83,8 +83,12 @@ def check_resumed(
             f"the run in {str(folder)!r} is from another version of stkzoo, with different "
             "arguments; give another --output (and --init with its newest policy to start from it)"
         )
-    given = json.loads(json.dumps(now))
-    changed = [f"{n} was {before[n]!r}, now {given[n]!r}" for n in given if before[n] != given[n]]
+    arguments = json.loads(json.dumps(now))
+    changed = [
+        f"{n} was {before[n]!r}, now {arguments[n]!r}"
+        for n in arguments
+        if before[n] != arguments[n]
+    ]
     if changed:
         raise ConfigError(
             f"the run in {str(folder)!r} has other arguments: {', '.join(changed)}; give the same, "

@@ -227,12 +227,12 @@ def drive_race(
         instance, action_filter = _instance(teacher, seed), ActionFilter(1, driver.hold)
 
         def act(observation: Any) -> dict[str, Any]:
-            own = view.observe(observation)
+            inputs = view.observe(observation)
             instance.ask(observation)
             answer = np.array(controls_of(instance.answer().action), np.float32)
-            seen.append(own)
+            seen.append(inputs)
             labels.append(view.action(observation, answer))
-            choices = action_filter.drive(own, driver.best)
+            choices = action_filter.drive(inputs, driver.best)
             return action_of(controls_of_choices(choices[None])[0])
 
         return act

@@ -193,8 +193,8 @@ class League:
 
     def table(self) -> list[str]:
         """Returns the lines of a table of ratings, best first."""
-        found = sorted(self._state.ratings.items(), key=lambda item: -item[1][0])
-        return [f"{name:>24}  {r[0]:5.1f} ({r[1]:5.1f} to {r[2]:5.1f})" for name, r in found]
+        ranking = sorted(self._state.ratings.items(), key=lambda item: -item[1][0])
+        return [f"{name:>24}  {r[0]:5.1f} ({r[1]:5.1f} to {r[2]:5.1f})" for name, r in ranking]
 
     # ------------------------------------------------------------------ parts of a turn
 
@@ -206,12 +206,12 @@ class League:
         """
         state, arguments = self._state, self.arguments
         until = player.kart_steps + arguments.turn
-        own = arguments.of_learner(state.players.index(player), player.generation)
+        of_player = arguments.of_learner(state.players.index(player), player.generation)
         matchmaker = PlayerMatchmaker(player, state.members)
-        setup = replace(selfplay_setup(own), matchmaker=matchmaker, past=self._members)
-        if own.init:  # the file may be gone; the league has a copy
+        setup = replace(selfplay_setup(of_player), matchmaker=matchmaker, past=self._members)
+        if of_player.init:  # the file may be gone; the league has a copy
             setup = replace(setup, read_first=partial(load_weights, self._file(START)))
-        with closing(PPORun(self.folder / player.folder, own, setup)) as run:
+        with closing(PPORun(self.folder / player.folder, of_player, setup)) as run:
             if run.kart_steps < until:  # otherwise, interrupted after the checkpoint of this turn
                 matchmaker.reported.clear()
                 with TrainingLog(run.folder, run.iteration) as log:

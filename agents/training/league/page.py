@@ -50,11 +50,6 @@ def page(
     )
 
 
-def _kind(player: str) -> tuple[int, str]:
-    order = ("main", "exploiter", "league")
-    return order.index(player.partition("-")[0]), player
-
-
 def _shown(members: Sequence[LeagueMember], ratings: Mapping[str, Sequence[float]]) -> list[str]:
     """Returns names for the matrix, best first: the start, the AI, and evenly chosen others."""
     newest = {member.player: member.name for member in members if member.player}
@@ -69,12 +64,11 @@ def _shown(members: Sequence[LeagueMember], ratings: Mapping[str, Sequence[float
 
 def _chart(members: Sequence[LeagueMember], ratings: Mapping[str, Sequence[float]]) -> str:
     """Returns an SVG of the ratings over kart-steps in the page's colors."""
-    players = sorted({member.player for member in members} - {""}, key=_kind)
-    curves: dict[str, list[tuple[float, Sequence[float]]]] = {player: [] for player in players}
+    curves: dict[str, list[tuple[float, Sequence[float]]]] = {}
     for member in members:
         if member.player and member.name in ratings:
-            at = member.league_steps / 1e6
-            curves[member.player].append((at, ratings[member.name]))
+            point = member.league_steps / 1e6, ratings[member.name]
+            curves.setdefault(member.player, []).append(point)
     names = {START: "start", AI: "the AI"}
     levels = {shown: ratings[name][0] for name, shown in names.items() if name in ratings}
     text = io.StringIO()

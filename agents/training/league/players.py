@@ -123,13 +123,16 @@ class PlayerMatchmaker(Matchmaker):
         """Returns the probability of each opponent in a new race."""
         if self._kind_of_player == MAIN:
             met = self.prioritized(self._all)
-            return {ITSELF: _SELF_PLAY, **{n: (1 - _SELF_PLAY) * own for n, own in met.items()}}
+            return {
+                ITSELF: _SELF_PLAY,
+                **{n: (1 - _SELF_PLAY) * chance for n, chance in met.items()},
+            }
         if self._kind_of_player != EXPLOITER or not self._mains:
             return self.prioritized(self._all)
         newest = self._mains[-1]
         if self.pool[newest].beaten >= _TOO_STRONG:
             return {newest: 1.0}
-        odds = {name: 0.5 * own for name, own in self.prioritized(self._mains).items()}
+        odds = {name: 0.5 * chance for name, chance in self.prioritized(self._mains).items()}
         return {**odds, newest: odds[newest] + 0.5}
 
     def restore(self, results: DuelResults) -> None:

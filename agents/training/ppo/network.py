@@ -66,8 +66,10 @@ class ActorCritic(ABC):
         torch.manual_seed(seed)
         self.shape, self.kl_coef = shape, kl_coef
         size = shape.inputs + shape.state_size
-        own = getattr(torch.nn, self.activation)
-        self.policy = _make_layers(torch, (shape.inputs, *hidden, sum(shape.choices)), own, 0.01)
+        activation = getattr(torch.nn, self.activation)
+        self.policy = _make_layers(
+            torch, (shape.inputs, *hidden, sum(shape.choices)), activation, 0.01
+        )
         self.value = _make_layers(torch, (size, *hidden, 1), torch.nn.ReLU, 1.0)
         self.mean, self.scale = np.zeros(size, np.float32), np.ones(size, np.float32)
         self.optimizer = torch.optim.Adam(
@@ -105,8 +107,8 @@ class ActorCritic(ABC):
         """Returns the inputs of :meth:`evaluate` for rows of a rollout, as tensors ``(N, ...)``."""
         seen = (critic_inputs(rows) - self.mean) * self.scale
         central = np.clip(seen, -INPUT_CLIP, INPUT_CLIP, dtype=np.float32)
-        own = self.policy_inputs(rows, central)
-        arrays = own, central, rows["prior"].copy(), rows["choices"].copy()
+        inputs = self.policy_inputs(rows, central)
+        arrays = inputs, central, rows["prior"].copy(), rows["choices"].copy()
         return [self.torch.from_numpy(array) for array in arrays]
 
     def evaluate(self, columns: Sequence[Any]) -> tuple[Any, Any, Any, Any]:
@@ -324,11 +326,11 @@ def initial_weights(init: str, hidden: Sequence[int]) -> dict[str, FloatArray]:
     """
     weights = load_weights(init)
     check_shapes(weights, init)
-    found = len(weights["b0"]), len(weights["b1"])
-    if found != tuple(hidden):
+    layers = len(weights["b0"]), len(weights["b1"])
+    if layers != tuple(hidden):
         raise ConfigError(
-            f"the weights {init!r} have layers of {found[0]} and {found[1]} units, "
-            f"expected {tuple(hidden)}; give --hidden {found[0]} {found[1]}"
+            f"the weights {init!r} have layers of {layers[0]} and {layers[1]} units, "
+            f"expected {tuple(hidden)}; give --hidden {layers[0]} {layers[1]}"
         )
     more = INPUT_SIZE - len(weights["mean"])
     return weights | {

@@ -183,6 +183,6 @@ class RivalSeats:
 
     def beaten(self, race: int) -> float | None:
         """Returns the fraction of duels won in a race that is over; ``None`` without duels."""
-        own = self._positions[race, self.is_own[race]]
+        learners = self._positions[race, self.is_own[race]]
         others = self._positions[race, ~self.is_own[race]]
-        return float((own[:, None] < others).mean()) if len(others) and len(own) else None
+        return float((learners[:, None] < others).mean()) if len(others) and len(learners) else None

@@ -167,12 +167,12 @@ def sample(
     drawn = np.empty((len(logits), len(heads)), np.intp)
     log_probability = np.zeros(len(logits), np.float32)
     for column, head in enumerate(heads):
-        own = logits[:, head]
+        head_logits = logits[:, head]
         if column not in columns:
-            drawn[:, column] = own.argmax(axis=1)
+            drawn[:, column] = head_logits.argmax(axis=1)
             continue
-        drawn[:, column] = choice = (own + noise[:, head]).argmax(axis=1)
-        log_probability += own[rows, choice] - log_sum(own)[:, 0]
+        drawn[:, column] = choice = (head_logits + noise[:, head]).argmax(axis=1)
+        log_probability += head_logits[rows, choice] - log_sum(head_logits)[:, 0]
     return drawn, log_probability
 
 
@@ -278,11 +278,11 @@ class RaceActor:
                 part.send(step[part.slots], logits, values)
             for part in self._parts:
                 part.receive(step[part.slots], values)
-        found = [part.result(values) for part in self._parts]
+        results = [part.result(values) for part in self._parts]
         return RolloutResult(
-            np.concatenate([own.last_values for own in found]),
-            [finish for own in found for finish in own.finishes],
-            [duel for own in found for duel in own.duels],
+            np.concatenate([own.last_values for own in results]),
+            [finish for own in results for finish in own.finishes],
+            [duel for own in results for duel in own.duels],
         )
 
     def close(self) -> None:
@@ -346,8 +346,8 @@ class GroupActor:
         shape, own_logits = self._arguments.shape, logits(step)
         choices, log_probability = sample(own_logits, self._random, shape.heads, shape.columns)
         for name, rows in self.seats.rows_by_name().items():
-            own = self._past_policy(name)(step[rows])
-            choices[rows], _ = sample(own, self._chance, shape.heads, shape.columns)
+            rival_logits = self._past_policy(name)(step[rows])
+            choices[rows], _ = sample(rival_logits, self._chance, shape.heads, shape.columns)
         self._racing = self._inner.racing
         self.envs.step_async(choices)
         step["choices"], step["log_probability"] = choices, log_probability  # while the races run
@@ -408,8 +408,8 @@ class GroupActor:
         if self.seats.is_own[race, agent]:
             time = float(last["finish_time"][slot])
             ratio = time / self._ai_times[race] if is_finished else None
-            own = float(self._returns[slot])
-            self._ended.finishes.append(KartRace(self._group.company, own, position, ratio))
+            reward = float(self._returns[slot])
+            self._ended.finishes.append(KartRace(self._group.company, reward, position, ratio))
         self._returns[slot] = 0.0
         if self.seats.end(slot, position):
             beaten = self.seats.beaten(race)

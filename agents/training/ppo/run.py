@@ -152,18 +152,18 @@ class PPORun:
         is_changed = self.iteration == 0 and self.network.prepare(
             np.concatenate([rollout[rollout["active"]] for rollout in rollouts])
         )
-        for duel in (duel for own in driven for duel in own.duels):
+        for duel in (duel for result in driven for duel in result.duels):
             self.matchmaker.update(*duel)
         if not (is_changed or self.is_checkpoint(self.iteration + 1) or self.arguments.on_policy):
             self._drive(self.iteration + 1)
         waited = time.perf_counter()
         ent_coef = anneal(self.network, self.arguments, self.kart_steps, self.iteration)
-        last_values = [own.last_values for own in driven]
+        last_values = [result.last_values for result in driven]
         learned = update(
             self.network, rollouts, last_values, self.arguments, ent_coef, self._random
         )
-        for own in driven:
-            self.recent.extend(own.finishes)
+        for result in driven:
+            self.recent.extend(result.finishes)
         self.iteration += 1
         steps = int(sum(rollout["active"].sum() for rollout in rollouts))
         self.kart_steps += steps
@@ -257,8 +257,8 @@ class PPORun:
             )
             for groups in dealt(setup.groups, min(arguments.actors or cpu_count(), races))
         ]
-        kind = self.network.shape.rollout_type()
-        memories = [SharedArray((2, arguments.n_steps, own.num_slots), kind) for own in shares]
+        row_type = self.network.shape.rollout_type()
+        memories = [SharedArray((2, arguments.n_steps, own.num_slots), row_type) for own in shares]
         self._actors = self._new_actors(list(zip(shares, memories, strict=True)))
         self._rollouts = [memory.array() for memory in memories]
 
@@ -295,13 +295,13 @@ def race_figures(recent: Sequence[KartRace] | deque[KartRace]) -> dict[str, floa
         "won": [race.ratio is not None and race.position == 1 for race in recent],
     }
     for company in ("alone", "selfplay", "rivals"):
-        own = [race for race in recent if race.company == company]
-        if own:
-            finished = [race.ratio for race in own if race.ratio is not None]
-            means[f"{company}_ratio"] = [race.ratio or UNFINISHED for race in own]
+        races = [race for race in recent if race.company == company]
+        if races:
+            finished = [race.ratio for race in races if race.ratio is not None]
+            means[f"{company}_ratio"] = [race.ratio or UNFINISHED for race in races]
             means[f"{company}_finished_ratio"] = finished or [0.0]
-            means[f"{company}_unfinished"] = [race.ratio is None for race in own]
+            means[f"{company}_unfinished"] = [race.ratio is None for race in races]
             if company == "rivals":
-                means["rivals_rank"] = [race.position for race in own]
-                means["rivals_first"] = [race.position == 1 for race in own]
+                means["rivals_rank"] = [race.position for race in races]
+                means["rivals_first"] = [race.position == 1 for race in races]
     return {name: float(np.mean(values)) for name, values in means.items()}

@@ -99,20 +99,21 @@ def selfplay_setup(arguments: SelfPlayArguments) -> PPOSetup:
     Raises:
         ConfigError: an argument is invalid.
     """
-    given = arguments
-    if given.opponents not in OPPONENTS:
+    if arguments.opponents not in OPPONENTS:
         raise ConfigError(
-            f"opponents is {given.opponents!r}, expected one of {', '.join(OPPONENTS)}"
+            f"opponents is {arguments.opponents!r}, expected one of {', '.join(OPPONENTS)}"
         )
-    columns = choice_columns(given.learns)
-    make = partial(PlanNetwork, columns, given.hidden, given.seed, given.kl_coef)
+    columns = choice_columns(arguments.learns)
+    make = partial(PlanNetwork, columns, arguments.hidden, arguments.seed, arguments.kl_coef)
     return PPOSetup(
-        groups=tuple(_race_group(given, lineup) for lineup in parse_races(given.races)),
+        groups=tuple(_race_group(arguments, lineup) for lineup in parse_races(arguments.races)),
         make_network=make,
-        read_first=partial(initial_weights, given.init, given.hidden) if given.init else None,
-        plans=plan_parameters(given.plans),
+        read_first=partial(initial_weights, arguments.init, arguments.hidden)
+        if arguments.init
+        else None,
+        plans=plan_parameters(arguments.plans),
         bootstraps_finish=True,  # so that karts do not slow down before the finish
-        matchmaker=Matchmaker(given.opponents, given.pool_size),
+        matchmaker=Matchmaker(arguments.opponents, arguments.pool_size),
     )
 
 

@@ -101,9 +101,9 @@ def update(
         order = from_numpy(random.permutation(len(seen)))
         for batch in order.split(settings.batch_size):
             if len(batch) > 1:
-                found = _gradient_step(network, [c[batch] for c in data], settings, ent_coef)
-                kl.append(found["kl"])
-                for name, value in found.items():
+                step_figures = _gradient_step(network, [c[batch] for c in data], settings, ent_coef)
+                kl.append(step_figures["kl"])
+                for name, value in step_figures.items():
                     figures.setdefault(name, []).append(value)
         if np.mean(kl) > settings.target_kl:
             break

@@ -117,11 +117,11 @@ class SB3Arguments(PPOArguments):
     keep_every: int = 50_000
 
     def __post_init__(self) -> None:
-        given = self.tracks
+        names = self.tracks
         PPOArguments.__post_init__(self)
         if self.n_steps * self.lineup.learners * self.lineup.races < 2:
             raise ConfigError("n_steps is 1 in a race of one agent, expected 2 or more steps")
-        if given != self.tracks:  # a split, whose tracks are in alphabetical order
+        if names != self.tracks:  # a split, whose tracks are in alphabetical order
             ordered = (track for track in EASY_TO_HARD if track in self.tracks)
             others = (track for track in self.tracks if track not in EASY_TO_HARD)
             object.__setattr__(self, "tracks", (*ordered, *others))

@@ -113,8 +113,8 @@ def task_setup(arguments: TaskArguments, **options: Any) -> PPOSetup:
     opponents, sees_state = _ALGORITHMS.get(name, (NOBODY, False))
     _check_task(task, name)
     races = arguments.num_races or max(_LEARNERS // task.learners, 1)
-    own = {"num_starts": arguments.num_starts, **task.options(), **options}
-    group = ActorRaces(races, own, has_rivals=opponents != NOBODY, teams=task.teams)
+    race_options = {"num_starts": arguments.num_starts, **task.options(), **options}
+    group = ActorRaces(races, race_options, has_rivals=opponents != NOBODY, teams=task.teams)
     state_size = task.state_size if sees_state else 0
     return PPOSetup(
         groups=(group,),
