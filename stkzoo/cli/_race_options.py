@@ -11,7 +11,7 @@ from stkzoo._arguments import changed_options, option, options_of
 from stkzoo._os import check_display
 from stkzoo.errors import ConfigError
 from stkzoo.race import RaceListener, RaceVideo
-from stkzoo.race.replay import ReplayWriter
+from stkzoo.race.replay import ReplayWriter, ghost_of, load_replay
 
 _SPEEDS = {"1": 1.0, "2": 2.0, "4": 4.0, "max": None}
 
@@ -72,6 +72,7 @@ class VideoArguments:
         render_sub_steps: frames per step (usually 0.1 s)
         render_backend: engine draws the game in 3D; map draws it from above, ten times as fast;
             auto uses the game if it can draw here
+        ghost: draw the winner of a replay (.stkz) of the same track on the map
     """
 
     video: str | None = option(metavar="FILE")
@@ -80,6 +81,7 @@ class VideoArguments:
     height: int = option(480, metavar="PIXELS")
     render_sub_steps: int = 3
     render_backend: str = option("auto", choices=("auto", "engine", "map"))
+    ghost: str | None = option(metavar="FILE")
 
 
 @dataclass
@@ -162,6 +164,7 @@ def _video(video: VideoArguments, file: str, races: int) -> RaceListener:
         size=(video.width, video.height),
         sub_steps=video.render_sub_steps,
         backend=video.render_backend,
+        ghost=ghost_of(load_replay(video.ghost)) if video.ghost else None,
     )
 
 

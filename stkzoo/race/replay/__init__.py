@@ -23,6 +23,7 @@ from stkzoo.race.replay.file import (
 )
 from stkzoo.race.replay.playback import (
     Playback,
+    ghost_of,
     other_versions,
     play_replay,
     recorded_driver,
@@ -36,6 +37,7 @@ __all__ = [
     "ReplayWriter",
     "action_of",
     "controls_of",
+    "ghost_of",
     "load_replay",
     "other_versions",
     "play_replay",
