@@ -12,8 +12,6 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from msgspec import Meta
-
 from stkzoo._checks import check_whole
 from stkzoo._schema import Level, Positive, Whole, one_of
 from stkzoo.errors import ConfigError
@@ -31,11 +29,6 @@ _KARTS = 5
 _MAX_SEEDS = 1000
 
 RaceKey = tuple[str, bool, int]
-#: Finish times of the karts of each race [s]; ``None`` for a kart that did not finish.
-RaceTimes = Annotated[
-    tuple[Annotated[tuple[Positive | None, ...], Meta(min_length=1, max_length=20)], ...],
-    Meta(max_length=_MAX_SEEDS),
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +44,6 @@ class AiTime:
         worst: longest finish time [s].
         karts: number of karts.
         finished: number of karts that finished.
-        races: the times of each race; empty in files of older versions.
     """
 
     track: str
@@ -62,22 +54,20 @@ class AiTime:
     worst: Positive
     karts: Whole
     finished: Whole
-    races: RaceTimes = ()
 
     @classmethod
-    def of(cls, key: RaceKey, races: Sequence[Sequence[float | None]]) -> AiTime | None:
+    def of(cls, key: RaceKey, times: Sequence[float | None]) -> AiTime | None:
         """Returns the statistics of finish times.
 
         Args:
             key: track, ``reverse`` and difficulty.
-            races: finish times of the karts of each race [s]; ``None`` for a kart that did not
+            times: finish times of the karts of all races [s]; ``None`` for a kart that did not
                 finish.
 
         Returns:
             The statistics; ``None`` if the median is unknown because too few karts finished.
         """
         track, reverse, difficulty = key
-        times = list(itertools.chain(*races))
         finished = [time for time in times if time is not None]
         median = statistics.median([math.inf if time is None else time for time in times])
         if not math.isfinite(median):
@@ -91,9 +81,6 @@ class AiTime:
             worst=round(max(finished), 3),
             karts=len(times),
             finished=len(finished),
-            races=tuple(
-                tuple(None if time is None else round(time, 3) for time in race) for race in races
-            ),
         )
 
 
@@ -143,10 +130,10 @@ class AiTimes(Document):
     @classmethod
     def from_races(cls, results: Iterable[RaceResult]) -> AiTimes:
         """Returns the times from the results of races in which the AI drove all karts."""
-        times: dict[RaceKey, list[list[float | None]]] = {}
+        times: dict[RaceKey, list[float | None]] = {}
         for result in results:
             of_race = times.setdefault((result.track, result.reverse, result.difficulty), [])
-            of_race.append([row.finish_time for row in result.agents])
+            of_race += [row.finish_time for row in result.agents]
         known = (AiTime.of(race, times[race]) for race in sorted(times))
         return cls(versions_now(), tuple(time for time in known if time is not None))
 

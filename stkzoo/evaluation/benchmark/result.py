@@ -71,12 +71,12 @@ class AgentBatchResult(Document):
 
     def __post_init__(self) -> None:
         planned = {race.number: (*race.key, race.seed) for race in self.plan.races()}
-        kind = self.kind.replace("-", " ")
+        title = self.kind.replace("-", " ")
         for race in self.races:
             actual, expected = (*race.key, race.seed), planned.get(race.number)
             if actual != expected:
                 raise ConfigError(
-                    f"race {race.number} of the {kind} is {actual}, expected {expected}; another "
+                    f"race {race.number} of the {title} is {actual}, expected {expected}; another "
                     "version of stkzoo wrote it"
                 )
 
