@@ -17,25 +17,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import stkzoo.kernel  # noqa: F401 - first, so that a missing extension is the only error
+from stkzoo import errors, names
 from stkzoo._imports import lazy_names
 from stkzoo.config import AgentSpec, RandomStart, Start
 from stkzoo.env.ids import register_ids, register_view, unregister_view
-from stkzoo.errors import (
-    ActionError,
-    AgentError,
-    AgentException,
-    AgentTimeout,
-    ApiOrderError,
-    AssetError,
-    ConfigError,
-    EngineCrashed,
-    EngineError,
-    EngineTimeout,
-    ProtocolError,
-    RemoteError,
-    StkzooError,
-)
-from stkzoo.names import AttachmentType, CameraMode, GroundKind, ItemType, Phase, PowerupType
+from stkzoo.errors import *  # noqa: F403 - all of them are public
+from stkzoo.names import *  # noqa: F403
 from stkzoo.wrappers import (
     ActionObservationWrapper,
     ConstantSizedObservations,
@@ -62,50 +49,33 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "ActionError",
     "ActionObservationWrapper",
-    "AgentError",
-    "AgentException",
     "AgentSpec",
-    "AgentTimeout",
-    "ApiOrderError",
-    "AssetError",
-    "AttachmentType",
-    "CameraMode",
-    "ConfigError",
     "ConstantSizedObservations",
     "DiscreteActionsWrapper",
-    "EngineCrashed",
-    "EngineError",
-    "EngineTimeout",
     "FlattenMultiDiscreteActions",
     "FlattenerWrapper",
-    "GroundKind",
-    "ItemType",
     "MonoAgentWrapperAdapter",
     "OnlyContinuousActionsWrapper",
     "OpponentPool",
-    "Phase",
     "PolarObservations",
-    "PowerupType",
-    "ProtocolError",
     "RaceParallelEnv",
     "RaceState",
     "RaceVectorEnv",
     "RandomStart",
-    "RemoteError",
     "Reward",
     "STKRaceEnv",
     "STKRaceMultiEnv",
     "Scenario",
     "Start",
     "StartCurriculum",
-    "StkzooError",
     "make_stkrace_vec",
     "register_view",
     "unregister_view",
     "views",
 ]
+__all__ += errors.__all__
+__all__ += names.__all__
 
 _HOMES = {
     "stkzoo.drivers": ("OpponentPool",),

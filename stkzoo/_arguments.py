@@ -110,7 +110,7 @@ class CommandParser(argparse.ArgumentParser):
             name = unknown[0].partition("=")[0]
             if name.startswith("-"):
                 known = self._option_string_actions
-                if longer := next((own for own in known if own.startswith(name)), None):
+                if longer := next((flag for flag in known if flag.startswith(name)), None):
                     self.error(f"unknown option {name!r}. Did you mean {longer!r}?")
                 self.error(_unknown("option", name, known))
             self.error(f"unexpected argument {name!r}")

@@ -72,10 +72,7 @@ class AgentSpec:
             raise ConfigError(
                 f"{name} is {value!r}, expected an AgentSpec or a mapping of its fields"
             )
-        known = [field.name for field in fields(cls)]
-        for field in value:
-            if field not in known:
-                raise unknown_name(f"field of {name}", field, known)
+        _check_fields(cls, value, name)
         mode = value.get("camera_mode")
         if isinstance(mode, int) and mode in list(CameraMode):
             value = {**value, "camera_mode": CameraMode(mode)}
@@ -162,12 +159,21 @@ def start_of(values: Mapping[str, object]) -> Start | RandomStart:
     """
     pairs = {name: tuple(pair) for name, pair in values.items() if isinstance(pair, (tuple, list))}
     kind: Any = RandomStart if pairs else Start
-    known = [field.name for field in fields(kind)]
-    for name in values:
-        if name not in known:
-            raise unknown_name("field of a start", name, known)
+    _check_fields(kind, values, "a start")
     start: Start | RandomStart = kind(**{**values, **pairs})
     return start
+
+
+def _check_fields(options: Any, values: Mapping[str, object], noun: str) -> None:
+    """Checks that all keys are fields of a dataclass.
+
+    Raises:
+        ConfigError: a key is none.
+    """
+    known = [field.name for field in fields(options)]
+    for name in values:
+        if name not in known:
+            raise unknown_name(f"field of {noun}", name, known)
 
 
 def check_mode(mode: object) -> None:

@@ -21,7 +21,7 @@ from stkzoo._imports import python_command
 from stkzoo.engine.assets.find import DATADIR_VARIABLE, pystk2_cache_folder
 from stkzoo.engine.assets.staging import Progress, check_space, fresh_folder, link_or_copy
 from stkzoo.engine.assets.tree import ENGINE_DATA_VERSION, check_files, write_marker
-from stkzoo.errors import AssetError, reason
+from stkzoo.errors import AssetError
 
 _LOOK_EVERY = 0.1  # [s]
 
@@ -242,27 +242,18 @@ _PATIENCE = 90.0
 _PROGRAM = "import pystk2; pystk2.init(pystk2.GraphicsConfig.none())"
 
 
-def fetch_upstream(work: Path, progress: Progress) -> Path:
+def fetch_upstream(work: Path, progress: Progress) -> None:
     """Runs the download of ``pystk2`` to its own cache, in a separate process.
 
     Args:
         work: working directory of the process.
         progress: receives progress reports.
 
-    Returns:
-        The root of the downloaded tree.
-
     Raises:
-        AssetError: the download failed, or made no progress for 90 s, or its folder cannot be made.
+        AssetError: the download failed, or made no progress for 90 s.
     """
     cache = pystk2_cache_folder()
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise AssetError(
-            f"pystk2's folder {cache} cannot be made ({reason(error)}). Set XDG_CACHE_HOME to a "
-            "folder of your own."
-        ) from error
+    cache.mkdir(parents=True, exist_ok=True)
     check_space(cache, _NEEDED, "the game's data")
     progress.begin("downloading with pystk2")
     archive = cache / _ARCHIVE
@@ -280,9 +271,7 @@ def fetch_upstream(work: Path, progress: Progress) -> Path:
     except AssetError:
         archive.unlink(missing_ok=True)  # otherwise pystk2 would use the same broken file again
         raise
-    root = cache / ENGINE_DATA_VERSION
-    check_files(root)
-    return root
+    check_files(cache / ENGINE_DATA_VERSION)
 
 
 class _Watch:
@@ -291,17 +280,13 @@ class _Watch:
     def __init__(self, archive: Path, growing: Path, progress: Progress) -> None:
         self._archive, self._growing, self._progress = archive, growing, progress
         self._size, self._since = -1, time.monotonic()
-        self._unpacking = False
 
     def __call__(self) -> None:
-        if self._archive.exists():
-            if not self._unpacking:
-                self._progress.begin("unpacking with pystk2")
-            self._unpacking = True
+        if self._archive.exists():  # pystk2 unpacks it
             return
         size = self._growing.stat().st_size if self._growing.exists() else 0
         if size != self._size:
             self._size, self._since = size, time.monotonic()
             self._progress.reach(size)
-        if not self._unpacking and time.monotonic() - self._since > _PATIENCE:
+        if time.monotonic() - self._since > _PATIENCE:
             raise AssetError(f"the download of pystk2 made no progress for {_PATIENCE:.0f} s.")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,13 +60,7 @@ class PlaceReport:
 
     def measure(self) -> int:
         """Returns the size of the files in the folder [bytes]. This walks the whole folder."""
-        sizes = {}
-        for folder, _, names in os.walk(self.path, followlinks=True):
-            for entry in (Path(folder, name) for name in names):
-                with suppress(FileNotFoundError):
-                    status = entry.stat()
-                    sizes[status.st_dev, status.st_ino] = status.st_size
-        return sum(sizes.values())
+        return sum(file.stat().st_size for file in self.path.rglob("*") if file.is_file())
 
 
 def survey() -> Iterator[PlaceReport]:

@@ -68,11 +68,10 @@ def install(
             _make(own_folder("headless"), lambda tree: read_archive(archive, tree, progress))
     elif os.environ.get(DATADIR_VARIABLE) and not replace:
         progress.note(f"{DATADIR_VARIABLE} names the data; there is nothing to download")
-    else:
-        is_complete = not replace and _is_complete()
-        with contextlib.nullcontext() if is_complete else _changing_the_cache(progress):
-            full = _full_assets(source, replace, progress)
-            _ensure_pack(full, replace, progress)
+    elif replace or not _is_complete():
+        with _changing_the_cache(progress):
+            _ensure_full_data(source, replace, progress)
+            _ensure_pack(replace, progress)
     return find_assets()
 
 
@@ -93,9 +92,9 @@ def pack(
         AssetError: there is no full data, or not enough disk space.
     """
     progress = progress or Progress()
-    is_kept = _source_of_pack(None, replace) is None
-    with contextlib.nullcontext() if is_kept else _changing_the_cache(progress):
-        _ensure_pack(None, replace, progress)
+    if _source_of_pack(replace) is not None:
+        with _changing_the_cache(progress):
+            _ensure_pack(replace, progress)
     if output is None:
         return own_folder("headless")
     write_archive(own_folder("headless"), output, progress)
@@ -117,7 +116,7 @@ def clean(*, progress: Progress | None = None) -> list[Path]:
     cache = cache_folder()
     if not is_there(cache):
         return []
-    with lock(cache, progress or Progress()):
+    with _changing_the_cache(progress or Progress()):
         folders = map(own_folder, ("full", "headless"))
         ours = [folder for folder in folders if (folder / MARKER).is_file()]
         for folder in ours:
@@ -145,25 +144,27 @@ def _changing_the_cache(progress: Progress) -> Iterator[None]:
 
 def _is_complete() -> bool:
     """Returns whether the full data and the headless pack are there, so nothing must change."""
-    try:
-        return _source_of_pack(find_assets(graphics=True), replace=False) is None
-    except AssetError:
-        return False
+    with contextlib.suppress(AssetError):
+        find_assets(graphics=True)
+        return _source_of_pack(replace=False) is None
+    return False
 
 
-def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
+def _ensure_full_data(source: str, replace: bool, progress: Progress) -> None:
     if not replace:
         with contextlib.suppress(AssetError):
-            found = find_assets(graphics=True)
-            progress.note(f"the full data is there: {found.root} ({found.source})")
-            return found
+            find_assets(graphics=True)
+            return
     problems = []
-    for name, fetch in (("debian", _from_debian), ("upstream", _from_upstream)):
+    for name, fetch in (("debian", _fetch_package), ("upstream", fetch_upstream)):
         if source in ("auto", name):
             try:
-                return fetch(progress)
+                with fresh_folder(cache_folder()) as work:
+                    fetch(work, progress)
             except AssetError as error:
                 problems.append(f"{name}: {error}")
+            else:
+                return
     raise AssetError(
         "the game's data could not be downloaded.\n"
         + "\n".join(problems)
@@ -173,15 +174,8 @@ def _full_assets(source: str, replace: bool, progress: Progress) -> Assets:
     )
 
 
-def _from_debian(progress: Progress) -> Assets:
-    with fresh_folder(cache_folder()) as work:
-        _make(own_folder("full"), lambda tree: fetch_debian(tree, work, progress))
-    return load_assets(own_folder("full"), "stkzoo cache")
-
-
-def _from_upstream(progress: Progress) -> Assets:
-    with fresh_folder(cache_folder()) as work:
-        return load_assets(fetch_upstream(work, progress), "pystk2 cache")
+def _fetch_package(work: Path, progress: Progress) -> None:
+    _make(own_folder("full"), lambda tree: fetch_debian(tree, work, progress))
 
 
 def _make(folder: Path, fill: Callable[[Path], object]) -> None:
@@ -197,22 +191,14 @@ def _make(folder: Path, fill: Callable[[Path], object]) -> None:
         publish(tree, folder)
 
 
-def _ensure_pack(full: Assets | None, replace: bool, progress: Progress) -> None:
-    """Builds the headless pack if it is missing, of an older version, or to be replaced.
-
-    Args:
-        full: the full data; by default, :func:`find_assets` finds it.
-        replace: build the pack again in any case.
-        progress: receives progress reports.
-    """
-    root = _source_of_pack(full, replace)
-    if root is None:
-        progress.note(f"the headless pack is there: {own_folder('headless')}")
-    else:
+def _ensure_pack(replace: bool, progress: Progress) -> None:
+    """Builds the headless pack if it is missing, of an older version, or to be replaced."""
+    root = _source_of_pack(replace)
+    if root is not None:
         _make(own_folder("headless"), lambda tree: build_headless(root, tree, progress))
 
 
-def _source_of_pack(full: Assets | None, replace: bool) -> Path | None:
+def _source_of_pack(replace: bool) -> Path | None:
     """Returns the root of the data from which to build the headless pack; ``None`` to keep it.
 
     A pack whose scenes are of another version works, and stays if there is no full data.
@@ -220,19 +206,15 @@ def _source_of_pack(full: Assets | None, replace: bool) -> Path | None:
     Raises:
         AssetError: there is neither a pack nor full data.
     """
-    there = None if replace else _pack_there()
+    there = None
+    if not replace:
+        with contextlib.suppress(AssetError):
+            there = load_assets(own_folder("headless"), "headless pack")
     if there is not None and there.scenes == SCENES_VERSION:
         return None
     try:
-        return (full or find_assets(graphics=True)).root
+        return find_assets(graphics=True).root
     except AssetError:
         if there is None:
             raise
         return None
-
-
-def _pack_there() -> Assets | None:
-    """The headless pack in the cache, if it is usable."""
-    with contextlib.suppress(AssetError):
-        return load_assets(own_folder("headless"), "headless pack")
-    return None

@@ -54,16 +54,10 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
         progress: receives a note if this process must wait.
 
     Raises:
-        AssetError: the cache is not writable.
+        OSError: the cache is not writable.
     """
-    try:
-        cache.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(cache / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
-    except OSError as error:
-        raise AssetError(
-            f"the cache folder {cache} cannot be written ({error}). Set STKZOO_CACHE to a "
-            f"folder of your own."
-        ) from error
+    cache.mkdir(parents=True, exist_ok=True)
+    descriptor = os.open(cache / _LOCK, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         if not try_lock(descriptor):
             progress.note("another stkzoo uses the same cache: waiting for it to end")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 from stkzoo._reading import Unreadable, load_json, read_file
@@ -218,15 +217,5 @@ def load_assets(root: Path, source: str) -> Assets:
     marker = read_marker(root)
     if marker is not None:
         return replace(marker, source=source)
-    data = root / "data"
-    stamps = tuple((data / name).stat().st_mtime_ns for name in ("tracks", "karts"))
-    tracks, karts = _catalog_once(root, stamps)
+    tracks, karts = read_catalog(root)
     return Assets(root, source, False, tracks, karts)
-
-
-@lru_cache(maxsize=16)
-def _catalog_once(
-    root: Path,
-    stamps: tuple[int, ...],  # noqa: ARG001 - part of the cache key
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    return read_catalog(root)
