@@ -105,7 +105,7 @@ class CommandParser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parses a command line. The subcommand reports its unknown arguments as errors."""
-        found, unknown = super().parse_known_args(args, namespace)
+        arguments, unknown = super().parse_known_args(args, namespace)
         if unknown:
             name = unknown[0].partition("=")[0]
             if name.startswith("-"):
@@ -114,7 +114,7 @@ class CommandParser(argparse.ArgumentParser):
                     self.error(f"unknown option {name!r}. Did you mean {longer!r}?")
                 self.error(_unknown("option", name, known))
             self.error(f"unexpected argument {name!r}")
-        return found, unknown
+        return arguments, unknown
 
     def _check_value(self, action: argparse.Action, value: object) -> None:
         if action.choices is not None and value not in action.choices:

@@ -146,11 +146,11 @@ def shortened(value: object, limit: int = 60) -> str:
         value: the value.
         limit: maximum length [characters].
     """
-    kind = type(value).__name__
-    if kind == "ndarray" and getattr(value, "size", 0) > _MAX_SHOWN:
+    type_name = type(value).__name__
+    if type_name == "ndarray" and getattr(value, "size", 0) > _MAX_SHOWN:
         return f"an array of shape {value.shape} and dtype {value.dtype}"  # type: ignore[attr-defined]
     try:
         text = repr(value)
     except Exception:  # noqa: BLE001 - a user's __repr__ can raise any error
-        text = f"({kind}: its __repr__ failed)"
+        text = f"({type_name}: its __repr__ failed)"
     return text if len(text) <= limit else f"{text[: limit - 3]}..."

@@ -83,16 +83,16 @@ def _installed() -> metadata.Distribution | None:
     The one that pip installed comes first. A build also leaves metadata in a checkout, which may
     be out of date.
     """
-    found = list(metadata.distributions(name="stkzoo"))
-    by_pip = (package for package in found if package.read_text("INSTALLER"))
-    return next(by_pip, found[0] if found else None)
+    distributions = list(metadata.distributions(name="stkzoo"))
+    by_pip = (package for package in distributions if package.read_text("INSTALLER"))
+    return next(by_pip, distributions[0] if distributions else None)
 
 
 def _libraries(extra: str) -> list[str]:
     """Returns the requirements of an extra, including those of the extras that it names."""
-    found: dict[str, None] = {}
+    libraries: dict[str, None] = {}
     for requirement in extra_requirements().get(extra, ()):
         inner = re.fullmatch(r"stkzoo\[([\w,-]+)\]", requirement)
         names = [n for e in inner[1].split(",") for n in _libraries(e)] if inner else [requirement]
-        found.update(dict.fromkeys(names))
-    return list(found)
+        libraries.update(dict.fromkeys(names))
+    return list(libraries)

@@ -27,15 +27,15 @@ class RepeatFilter(logging.Filter):
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Returns whether to log a record."""
-        kind, now = (record.name, record.levelno, str(record.msg)[:500]), time.monotonic()
-        end, count = self._kinds.get(kind, (0.0, 0))
+        message, now = (record.name, record.levelno, str(record.msg)[:500]), time.monotonic()
+        end, count = self._kinds.get(message, (0.0, 0))
         if now >= end:
             if len(self._kinds) >= _MAX_KINDS:
                 self._kinds.clear()
-            self._kinds[kind] = (now + self._period, 1)
+            self._kinds[message] = (now + self._period, 1)
             if count > self._most:
                 record.msg = f"{record.getMessage()} ({count - self._most} more were left out)"
                 record.args = None
             return True
-        self._kinds[kind] = (end, count + 1)
+        self._kinds[message] = (end, count + 1)
         return count < self._most

@@ -157,8 +157,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     part = target.with_name(f".{target.name[:50]}.{secrets.token_hex(4)}.part")
     try:
         mode = stat.S_IMODE(target.stat().st_mode) if target.exists() else None
-        given = 0o666 if mode is None else mode & 0o666 | 0o600  # the system applies the umask
-        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, given))
+        granted = 0o666 if mode is None else mode & 0o666 | 0o600  # the system applies the umask
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, granted))
     except OSError as error:  # without the temporary name, which means nothing to users
         raise OSError(error.errno, error.strerror) from error
     try:

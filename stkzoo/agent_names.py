@@ -64,13 +64,13 @@ def by_agent(values: Mapping[object, Value], agents: Iterable[str]) -> dict[str,
         ConfigError: a key does not identify an agent, or two keys identify the same agent.
     """
     agents = list(agents)
-    found: dict[str, Value] = {}
+    by_id: dict[str, Value] = {}
     for name, value in values.items():
         agent = find_agent(name, agents)
-        if agent in found:
+        if agent in by_id:
             raise ConfigError(f"agent {agent!r} is named twice; the second time as {name!r}.")
-        found[agent] = value
-    return found
+        by_id[agent] = value
+    return by_id
 
 
 def require_actions(actions: object, agents: Sequence[str], optional: Collection[str] = ()) -> None:

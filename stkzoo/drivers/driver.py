@@ -336,10 +336,10 @@ def act_together(actors: Sequence[Actor], observations: Sequence[Any]) -> Sequen
     actor: Any = actors[0]
     seen, wanted = actor.observation_space, getattr(actor.policy, "observation_space", None)
     if isinstance(seen, spaces.Dict) and isinstance(wanted, spaces.Box):  # SB3 flat_observations
-        flat: list[Any] = [spaces.flatten(seen, own) for own in observations]
+        flat: list[Any] = [spaces.flatten(seen, observation) for observation in observations]
         batch: Any = np.stack(flat).astype(wanted.dtype)
     elif isinstance(seen, spaces.Dict):
-        batch = {key: np.stack([own[key] for own in observations]) for key in seen.spaces}
+        batch = {key: np.stack([entry[key] for entry in observations]) for key in seen.spaces}
     else:
         batch = np.stack(observations)
     actions, _ = actor.policy.predict(batch, deterministic=True)

@@ -112,8 +112,8 @@ def declared(files: AgentFiles, name: str) -> object:
             text = stream.read(_MAX_CHARACTERS)
     except (ConfigError, OSError):
         return ""  # reported when the agent is loaded
-    found = re.search(_ASSIGNMENT.format(name=name), text, re.MULTILINE)
-    return _literal(text[found.end() :][:_MAX_LITERAL]) if found else ""
+    assignment = re.search(_ASSIGNMENT.format(name=name), text, re.MULTILINE)
+    return _literal(text[assignment.end() :][:_MAX_LITERAL]) if assignment else ""
 
 
 def _literal(text: str) -> object:
@@ -321,8 +321,8 @@ def _check(member: zipfile.ZipInfo) -> None:
             f"{member.filename!r} has backslashes between folders, expected slashes, as "
             "`python -m zipfile -c` writes them"
         )
-    kind = stat.S_IFMT(member.external_attr >> 16)
-    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+    file_type = stat.S_IFMT(member.external_attr >> 16)
+    if file_type not in (0, stat.S_IFREG, stat.S_IFDIR):
         raise Unreadable(f"{member.filename!r} is a link or a device, not a file")
     if member.file_size > max(_SMALL, MAX_RATIO * member.compress_size):
         raise Unreadable(f"{member.filename!r} would grow to {member.file_size} bytes")

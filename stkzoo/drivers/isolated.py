@@ -213,15 +213,15 @@ class IsolatedAgent:
     def _spawn(
         self, shell: Enclosure
     ) -> tuple[ReplyChannel, socket.socket, subprocess.Popen[bytes]]:
-        ours, theirs = socket.socketpair()
+        ours, other_end = socket.socketpair()
         self._resources.callback(ours.close)
         life, end = socket.socketpair()
         self._resources.callback(life.close)
         path = json.dumps(search_path())
-        with theirs, end:
-            command = [*shell.command, *python_command(_CODE, path, str(theirs.fileno()))]
+        with other_end, end:
+            command = [*shell.command, *python_command(_CODE, path, str(other_end.fileno()))]
             if _HAS_KEEPER:
-                arguments = map(str, (os.getpid(), theirs.fileno(), self._memory))
+                arguments = map(str, (os.getpid(), other_end.fileno(), self._memory))
                 cores = ",".join(map(str, self._request.cores))
                 command = [sys.executable, "-I", "-S", keeper.__file__, *arguments, cores, *command]
             process = subprocess.Popen(  # noqa: S603 - our own interpreter on our own code
@@ -229,7 +229,7 @@ class IsolatedAgent:
                 stdin=end.fileno() if _HAS_KEEPER else subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                pass_fds=[theirs.fileno()],
+                pass_fds=[other_end.fileno()],
                 start_new_session=True,
                 env={**shell.environment, **ONE_THREAD, "PYTHONHASHSEED": "0"},
             )

@@ -118,19 +118,19 @@ def _end_all() -> None:
 
 def _excess(memory: int) -> str:
     """Returns which limit the agent's processes exceed, or an empty string."""
-    found = _processes()
-    if len(found) > _MAX_PROCESSES:
+    processes = _processes()
+    if len(processes) > _MAX_PROCESSES:
         return f"started more than {_MAX_PROCESSES} processes"
     if not memory:
         return ""
-    files = [*itertools.islice(_open_files(found), _MAX_FILES + 1)]
+    files = [*itertools.islice(_open_files(processes), _MAX_FILES + 1)]
     if len(files) > _MAX_FILES:
         return f"opened more than {_MAX_FILES} files with all its processes"
     in_files = _files_in_memory(files)
-    resident = _total(found, in_files, "status", "Rss")
+    resident = _total(processes, in_files, "status", "Rss")
     if resident <= memory:
         return ""
-    shares = _in_time(lambda: _total(found, in_files, "smaps_rollup", "Pss_"), resident)
+    shares = _in_time(lambda: _total(processes, in_files, "smaps_rollup", "Pss_"), resident)
     is_excess = (shares or resident) > memory
     return f"used more than {memory >> 20} MB with all its processes" if is_excess else ""
 
@@ -168,11 +168,11 @@ def _total(processes: Sequence[int], in_files: int, file: str, kind: str) -> int
         file: file in ``/proc/PROCESS`` with the memory.
         kind: ``"Rss"`` counts shared memory once per process, ``"Pss_"`` once.
     """
-    own, shared, tables = (
+    private, shared, tables = (
         sum(memory_of(process, source, (name,)) for process in processes)
         for source, name in ((file, f"{kind}Anon:"), (file, f"{kind}Shmem:"), ("status", "VmPTE:"))
     )
-    return own and own + tables + max(shared, in_files)
+    return private and private + tables + max(shared, in_files)
 
 
 def _open_files(processes: Sequence[int]) -> Iterator[str]:
@@ -202,12 +202,12 @@ def descendants(process: int) -> Iterator[int]:
 
 def _children(process: int) -> list[int]:
     """Returns the first children of each thread; reading thousands would take too long."""
-    found: list[int] = []
+    children: list[int] = []
     with contextlib.suppress(OSError):
         for thread in os.listdir(f"/proc/{process}/task"):
             with open(f"/proc/{process}/task/{thread}/children", "rb", 0) as file:
-                found += map(int, file.read(_MAX_CHILDREN_TEXT).split(b" ")[:-1])
-    return found
+                children += map(int, file.read(_MAX_CHILDREN_TEXT).split(b" ")[:-1])
+    return children
 
 
 def memory_of(process: int, file: str, names: tuple[str, ...]) -> int:

@@ -80,13 +80,13 @@ class OpponentPool:
             )
         if isinstance(opponents, Mapping) and weights is None:
             weights = list(opponents.values())
-        given = list(opponents)
-        chosen = [1.0] * len(given) if weights is None else list(weights)
-        if len(chosen) != len(given):
+        entries = list(opponents)
+        chosen = [1.0] * len(entries) if weights is None else list(weights)
+        if len(chosen) != len(entries):
             raise ConfigError(
-                f"{len(chosen)} weights for {len(given)} opponents; give one for each"
+                f"{len(chosen)} weights for {len(entries)} opponents; give one for each"
             )
-        for opponent, weight in zip(given, chosen, strict=True):
+        for opponent, weight in zip(entries, chosen, strict=True):
             self.add(opponent, weight=weight)
 
     def add(
@@ -156,7 +156,7 @@ class OpponentPool:
         }
         if not sum(weights.values()):
             which = "" if difficulty is None else f" at difficulty {difficulty}"
-            kind = _KINDS[is_game_ai]
-            raise ConfigError(f"the pool has no opponents{which}{kind}; add() one before the race")
+            noun = _KINDS[is_game_ai]
+            raise ConfigError(f"the pool has no opponents{which}{noun}; add() one before the race")
         shares = np.array(list(weights.values())) / sum(weights.values())
         return self._drivers[list(weights)[int(random.choice(len(shares), p=shares))]]

@@ -94,9 +94,9 @@ def enclose(
     kind = sandbox_kind(mode)
     if kind == NONE:
         return Enclosure()
-    own = _agent_paths(files, place)
-    paths = [*_SYSTEM, *_python_paths(own), *own, *([adapter] if adapter else [])]
-    changed = own if adapter else []  # an adapter's prepare_module_dir may change them
+    agent_paths = _agent_paths(files, place)
+    paths = [*_SYSTEM, *_python_paths(agent_paths), *agent_paths, *([adapter] if adapter else [])]
+    changed = agent_paths if adapter else []  # an adapter's prepare_module_dir may change them
     home = "/tmp"  # noqa: S108 - inside the sandbox
     if kind == LANDLOCK:
         home = str(resources.enter_context(TemporaryFolder("sandbox")).path)
@@ -229,9 +229,9 @@ def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
     if files.path is None:
         top = files.source.partition(".")[0]
         spec = installed_module(top)
-        found = [*(spec.submodule_search_locations or [spec.origin or ""])] if spec else []
+        folders = [*(spec.submodule_search_locations or [spec.origin or ""])] if spec else []
         return [
-            os.path.abspath(path) for path in (*found, top, f"{top}.py") if os.path.exists(path)
+            os.path.abspath(path) for path in (*folders, top, f"{top}.py") if os.path.exists(path)
         ]
     if is_zip(files.path) and files.path.is_file():
         return [str(unpacked_folder(place))]
@@ -240,7 +240,7 @@ def _agent_paths(files: AgentFiles, place: AgentPlace) -> list[str]:
     return [str(files.path)]
 
 
-def _python_paths(own: Sequence[str]) -> Iterator[str]:
+def _python_paths(agent_paths: Sequence[str]) -> Iterator[str]:
     """Yields the paths of Python, installed packages and stkzoo, but no parent of the agent."""
     yield from (sys.prefix, sys.base_prefix, sys.exec_prefix, str(_PACKAGE))
     packages = {path for path in sys.path if INSTALLED & {*Path(path).parts}}
@@ -255,7 +255,7 @@ def _python_paths(own: Sequence[str]) -> Iterator[str]:
             lines = map(str.strip, file.read_text(errors="replace").splitlines())
             named = (line for line in lines if line and not line.startswith(_NO_PATH))
             linked |= {os.path.realpath(os.path.join(folder, line)) for line in named}
-    private = [*own, str(_PACKAGE)]
+    private = [*agent_paths, str(_PACKAGE)]
     yield from sorted(
         path for path in linked if not any(Path(one).is_relative_to(path) for one in private)
     )

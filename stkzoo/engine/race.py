@@ -110,17 +110,17 @@ def _graphics_config(pystk2: Any, graphics: str) -> Any:
 
 
 def _check_numbers(pystk2: Any) -> None:
-    for ours, theirs in (
+    for enumeration, engine_type in (
         (PowerupType, pystk2.Powerup.Type),
         (AttachmentType, pystk2.Attachment.Type),
         (ItemType, pystk2.Item.Type),
     ):
-        expected = {kind.name: kind.value for kind in ours}
-        found = {name: kind.value for name, kind in theirs.__members__.items()}
-        if found != expected:
+        expected = {member.name: member.value for member in enumeration}
+        numbers = {name: member.value for name, member in engine_type.__members__.items()}
+        if numbers != expected:
             raise EngineError(
-                f"this PySuperTuxKart2 numbers its {ours.__name__} as {found}, stkzoo knows "
-                f"{expected}; {_REMEDY}"
+                f"this PySuperTuxKart2 numbers its {enumeration.__name__} as {numbers}, stkzoo "
+                f"knows {expected}; {_REMEDY}"
             )
 
 

@@ -182,7 +182,7 @@ class RenderSession(ProcessSession):
         self._timeouts[wire.DRAW] = self._timeout
         kinds: tuple[type[Any], ...] = np.uint8, np.float32, np.float32
         parts = zip(blocks, kinds, json.loads(shapes), strict=True)
-        return Footage(*(np.frombuffer(data, kind).reshape(shape) for data, kind, shape in parts))
+        return Footage(*(np.frombuffer(data, dtype).reshape(shape) for data, dtype, shape in parts))
 
     def _request(self, kind: bytes, *data: bytes) -> list[bytes]:
         with self._turn.of("render"):

@@ -46,8 +46,8 @@ def pair() -> tuple[socket.socket, socket.socket]:
     (Linux). Its ends block, whatever :func:`socket.setdefaulttimeout` says: an engine process
     expects this of the end that it gets.
     """
-    kind = socket.SOCK_SEQPACKET if sys.platform == "linux" else socket.SOCK_STREAM
-    ends = socket.socketpair(socket.AF_UNIX, kind)
+    socket_type = socket.SOCK_SEQPACKET if sys.platform == "linux" else socket.SOCK_STREAM
+    ends = socket.socketpair(socket.AF_UNIX, socket_type)
     for end in ends:
         end.setblocking(True)
     return ends

@@ -73,13 +73,13 @@ def find_ffmpeg() -> str:
 
         return cast("str", imageio_ffmpeg.get_ffmpeg_exe())
     except (ImportError, RuntimeError):  # RuntimeError: ffmpeg exists but does not run
-        found = shutil.which("ffmpeg")
-        if found is None:
+        system_ffmpeg = shutil.which("ffmpeg")
+        if system_ffmpeg is None:
             raise ConfigError(
                 "videos need ffmpeg, which is not installed or does not run: "
                 + install_command("record")
             ) from None
-        return found
+        return system_ffmpeg
 
 
 class VideoWriter:
@@ -152,8 +152,8 @@ class VideoWriter:
 
     def _start(self, height: int, width: int) -> None:
         self._shape = height, width
-        kind = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}")
-        source = (*kind, "-r", f"{self._fps:g}", "-i", "-")
+        layout = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}")
+        source = (*layout, "-r", f"{self._fps:g}", "-i", "-")
         command = (find_ffmpeg(), "-y", "-hide_banner", "-loglevel", "error", *source, "-an")
         with contextlib.ExitStack() as resources:
             part = resources.enter_context(write_whole(self.path, "the video", VideoError))

@@ -149,10 +149,10 @@ class MapView:
 
     def _draw_items(self, draw: Any, snapshot: Snapshot) -> None:
         places = self._pixels(snapshot.items["location"][:, ::2])
-        for place, kind in zip(places, snapshot.items["type"].tolist(), strict=True):
-            color, radius = _ITEMS.get(kind, ("#ffffff", 1.0))
+        for place, item_type in zip(places, snapshot.items["type"].tolist(), strict=True):
+            color, radius = _ITEMS.get(item_type, ("#ffffff", 1.0))
             size = max(radius * self._scale, 1.6 * _FINE)
-            if kind == 0:
+            if item_type == 0:
                 x, y = place
                 draw.rectangle([x - size, y - size, x + size, y + size], fill=rgb(color))
             else:

@@ -67,12 +67,12 @@ def _font_file(text: str) -> str:
 @lru_cache(maxsize=1)
 def _installed(files: tuple[str, ...]) -> tuple[str, ...]:
     """Returns the installed ones of font files. For each other one, Pillow searches all folders."""
-    found: list[str] = []
+    installed: list[str] = []
     for file in files:
         with suppress(OSError):  # not installed
             _font(file, _TRIAL_SIZE)
-            found.append(file)
-    return tuple(found)
+            installed.append(file)
+    return tuple(installed)
 
 
 @lru_cache(maxsize=64)

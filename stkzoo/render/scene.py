@@ -62,10 +62,10 @@ class Scene:
 
 
 def _name(scene: Scene, kart: int, agent: int | None) -> str:
-    given = scene.setup.karts[kart].name
+    chosen_name = scene.setup.karts[kart].name
     if agent is None:
-        return given or "the game"
-    return given or f"kart_{agent}"
+        return chosen_name or "the game"
+    return chosen_name or f"kart_{agent}"
 
 
 @dataclass(frozen=True, eq=False)

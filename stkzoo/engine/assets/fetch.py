@@ -150,11 +150,11 @@ def _download(work: Path, progress: Progress) -> Path:
     progress.begin(f"downloading {PACKAGE} {record['Version']}", size)
     words = ["apt-get", *options, "-o", "APT::Sandbox::User=root", "download", PACKAGE]
     _apt(*words, folder=work, watch=lambda: progress.reach(_size_of_packages(work)))
-    found = sorted(work.glob("*.deb"))
-    if len(found) != 1 or found[0].stat().st_size != size:
+    packages = sorted(work.glob("*.deb"))
+    if len(packages) != 1 or packages[0].stat().st_size != size:
         raise AssetError(f"`{' '.join(words)}` downloaded no complete package.")
     progress.reach(size)
-    return found[0]
+    return packages[0]
 
 
 def _size_of_packages(work: Path) -> int:
@@ -203,9 +203,9 @@ def _adapt(data: Path) -> None:
 
 def _check_version(data: Path) -> None:
     if not any((data / f"supertuxkart.{version}").exists() for version in _KNOWN_VERSIONS):
-        found = sorted(path.name for path in data.glob("supertuxkart.*"))
+        versions = sorted(path.name for path in data.glob("supertuxkart.*"))
         raise AssetError(
-            f"{data} is from another version of the game ({', '.join(found) or 'not marked'}); "
+            f"{data} is from another version of the game ({', '.join(versions) or 'not marked'}); "
             f"races need data of {' or '.join(_KNOWN_VERSIONS)}."
         )
 

@@ -47,13 +47,13 @@ class _MeshReader:
         self.data, self.at = data, 0
 
     def take(self, layout: str) -> tuple[int, ...]:
-        found = struct.unpack_from("<" + layout, self.data, self.at)
+        values = struct.unpack_from("<" + layout, self.data, self.at)
         self.at += struct.calcsize("<" + layout)
-        return found
+        return values
 
     def count(self) -> int:
-        (found,) = self.take("H")
-        return found
+        (number,) = self.take("H")
+        return number
 
     def text(self) -> str:
         (length,) = self.take("B")
@@ -61,9 +61,9 @@ class _MeshReader:
         return self.data[self.at - length : self.at].decode("latin-1")
 
     def array(self, kind: str, count: int) -> npt.NDArray[np.generic]:
-        found = np.frombuffer(self.data, kind, count, self.at)
-        self.at += found.nbytes
-        return found
+        values = np.frombuffer(self.data, kind, count, self.at)
+        self.at += values.nbytes
+        return values
 
 
 def read_mesh(path: str | Path) -> list[Part]:

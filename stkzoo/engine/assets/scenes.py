@@ -275,8 +275,8 @@ class _SceneThinner:
         whole = node.whole if node else _read(folder)
         if name not in self._met:
             self._met.add(name)
-            for group, found in _levels(whole).items():
-                self._levels[group] += found
+            for group, levels in _levels(whole).items():
+                self._levels[group] += levels
         for entry in whole:
             if entry.tag == "library":
                 self._load(entry.get("name", ""))

@@ -105,13 +105,13 @@ class Ground:
 
     def _lay(self, faces: Faces, corners: FloatArray, flat: IntArray) -> None:
         """Adds the faces that karts can drive on to the columns."""
-        near, found, at_heights = self._near, [], []
+        near, pairs, at_heights = self._near, [], []
         for who, rows, columns in near.pairs(corners, flat, 0.0):
             heights = _heights(corners[who], near.middles(rows, columns))
             is_kept = near.is_level(rows, columns, heights)
-            found.append(np.stack([who, rows * near.shape[1] + columns])[:, is_kept])
+            pairs.append(np.stack([who, rows * near.shape[1] + columns])[:, is_kept])
             at_heights.append(heights[is_kept])
-        (who, cell), height = np.concatenate(found, axis=1), np.concatenate(at_heights)
+        (who, cell), height = np.concatenate(pairs, axis=1), np.concatenate(at_heights)
         order = np.lexsort((-height, cell))
         who, cell, height = who[order], cell[order], height[order]
         is_hidden = np.zeros(len(cell), bool)
@@ -167,8 +167,8 @@ class _Near:
         self._highest = np.full(self.shape, -np.inf)
         cells = np.arange(-int(_REACH / _CELL), int(_REACH / _CELL) + 1)
         disc = np.argwhere(cells[:, None] ** 2 + cells**2 <= (_REACH / _CELL) ** 2) + cells[0]
-        own = ((flat - self._corner) / _CELL).astype(np.intp)
-        for spot, height in zip(own, line[:, 1], strict=True):
+        line_cells = ((flat - self._corner) / _CELL).astype(np.intp)
+        for spot, height in zip(line_cells, line[:, 1], strict=True):
             rows, columns = (spot + disc).T
             self._lowest[rows, columns] = np.minimum(self._lowest[rows, columns], height)
             self._highest[rows, columns] = np.maximum(self._highest[rows, columns], height)
@@ -264,15 +264,15 @@ def _crosses(
     """Returns whether faces ``(P, 3, 3)`` cross the columns ``(P, 2)`` at heights ``(P,)`` [m]."""
     middle = np.stack([middles[:, 0], heights, middles[:, 1]], axis=1)
     gap = ((corners[:, 0] - middle) * normals).sum(1)
-    found = np.zeros(len(corners), bool)
+    crosses = np.zeros(len(corners), bool)
     for x, z in _ACROSS:
         way = np.array([x, 0.0, z]) * (_CELL / 2)
         slope = normals @ way
         who = np.flatnonzero(np.abs(gap) <= np.abs(slope))
         who = who[slope[who] != 0]
         meets = middle[who] + (gap[who] / slope[who])[:, None] * way
-        found[who] |= _is_in(corners[who], normals[who], meets)
-    return found
+        crosses[who] |= _is_in(corners[who], normals[who], meets)
+    return crosses
 
 
 def _is_in(corners: FloatArray, normals: FloatArray, spots: FloatArray) -> BoolArray:

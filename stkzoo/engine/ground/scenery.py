@@ -116,8 +116,8 @@ class _SceneReader:
         folder = self._data / "library" / entry.get("name", "")
         if entry.find("curve") is None and (folder / "node.xml").exists():
             node = parse_xml(folder / "node.xml")
-            own = materials | _materials(folder / "materials.xml")
-            self.walk(node, folder, place @ _matrix(entry), own, node)
+            known = materials | _materials(folder / "materials.xml")
+            self.walk(node, folder, place @ _matrix(entry), known, node)
 
     def _add(self, file: Path, place: FloatArray, materials: _Materials) -> None:
         if file not in self._meshes:
