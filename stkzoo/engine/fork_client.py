@@ -64,13 +64,14 @@ class ForkServerClient(SpawnedProcess):
 
     Attributes:
         root: folder of the game's data.
+        lock: held while a reply of the fork server is due.
     """
 
     def __init__(self, root: Path) -> None:
         super().__init__(root, "fork_server")
         self.root = root
         self.connection.settimeout(_END_TIMEOUT)
-        self._lock = threading.Lock()
+        self.lock = threading.Lock()
 
     def fork(self) -> RaceProcess:
         """Returns a new child of the fork server that has not run a race yet.
@@ -125,33 +126,6 @@ class ForkServerClient(SpawnedProcess):
             on_failure.pop_all()
         return _ForkedProcess(ours, int(frames[0]), log, self)
 
-    def end_child(self, pid: int) -> int | None:
-        """Ends a child if it is still running.
-
-        Args:
-            pid: process id of the child.
-
-        Returns:
-            The wait status of the child; ``None`` if the fork server could not report it.
-        """
-        asked = str(pid).encode()
-        with contextlib.suppress(EOFError, OSError), self._lock:
-            wire.send(self.connection, wire.END, asked)
-            replied = b""
-            while replied != asked:  # a reply to an interrupted request may come first
-                _, (replied, status) = wire.receive(self.connection)
-            return int(status)
-        return None
-
-    def drop_child(self, pid: int) -> None:
-        """Ends a child without waiting for it.
-
-        Args:
-            pid: process id of the child.
-        """
-        with contextlib.suppress(OSError):
-            wire.send(self.connection, wire.DROP, str(pid).encode())
-
     def _drop(self) -> None:
         """Ends the fork server and all its children, even those that are stopped."""
         if self._process.poll() is None:
@@ -165,11 +139,18 @@ class _ForkedProcess(RaceProcess):
 
     def end(self) -> str:
         self.connection.close()
-        status = self.fork_server.end_child(self.pid)
-        return "was lost" if status is None else describe_end(os.waitstatus_to_exitcode(status))
+        asked, control = str(self.pid).encode(), self.fork_server.connection
+        with contextlib.suppress(EOFError, OSError), self.fork_server.lock:
+            wire.send(control, wire.END, asked)
+            replied = b""
+            while replied != asked:  # a reply to an interrupted request may come first
+                _, (replied, status) = wire.receive(control)
+            return describe_end(os.waitstatus_to_exitcode(int(status)))
+        return "was lost"
 
     def _drop(self) -> None:
-        self.fork_server.drop_child(self.pid)
+        with contextlib.suppress(OSError):
+            wire.send(self.fork_server.connection, wire.DROP, str(self.pid).encode())
 
     def fork(self) -> RaceProcess:
         return self.fork_server.fork_from(self.connection, self.connection.gettimeout())

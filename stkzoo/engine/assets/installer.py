@@ -101,11 +101,8 @@ def pack(
     return output
 
 
-def clean(*, progress: Progress | None = None) -> list[Path]:
+def clean() -> list[Path]:
     """Removes the data that stkzoo made from its cache, and nothing else.
-
-    Args:
-        progress: receives progress reports.
 
     Returns:
         The removed folders.
@@ -116,7 +113,7 @@ def clean(*, progress: Progress | None = None) -> list[Path]:
     cache = cache_folder()
     if not is_there(cache):
         return []
-    with _changing_the_cache(progress or Progress()):
+    with _changing_the_cache(Progress()):
         folders = map(own_folder, ("full", "headless"))
         ours = [folder for folder in folders if (folder / MARKER).is_file()]
         for folder in ours:
