@@ -39,6 +39,12 @@ _NO_FOLDER = (errno.ENOENT, errno.EACCES, errno.EROFS)
 #: Arguments of ``personality``, from Linux's ``sys/personality.h``.
 _ADDR_NO_RANDOMIZE, _CURRENT_PERSONALITY = 0x0040000, 0xFFFFFFFF
 
+#: Error text for races that cannot be saved or copied.
+NO_COPIES = (
+    "a race's state can be saved and copied only where races are forked: on Linux, with "
+    "use_subprocess=True, and with STKZOO_START_METHOD not set to spawn"
+)
+
 #: Functions of the C library with the same results in all its versions (``stkzoo/kernel/libm.c``).
 #: Only Linux has the file.
 LIBM = Path(__file__).with_name("_libm" + EXTENSION_SUFFIXES[0])
@@ -138,10 +144,7 @@ class RaceProcess:
             EOFError: the process has ended.
             TimeoutError: the clone did not answer within the connection's timeout.
         """
-        raise EngineError(
-            "a race's state can be saved and copied only where races are forked: on Linux, "
-            "without a window, and with STKZOO_START_METHOD not set to spawn"
-        )
+        raise EngineError(NO_COPIES)
 
 
 #: Remedy in the error text when a process ended while it loaded the game's data.

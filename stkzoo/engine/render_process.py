@@ -90,17 +90,26 @@ class MirroredRace:
         self._due = max(self._due + seconds, now)
         time.sleep(min(self._due - now, seconds))
 
-    def pictures(self) -> npt.NDArray[np.uint8]:
-        """Returns the image of each camera: ``(C, H, W, 3)`` uint8."""
-        return np.array([camera.image for camera in self._race.render_data], np.uint8)
+    def draw(self, request: bytes, poses: bytes) -> list[bytes]:
+        """Returns the reply to a :data:`~stkzoo.engine.wire.DRAW` request.
 
-    def depths(self) -> npt.NDArray[np.float32]:
-        """Returns the depth buffer of each camera: ``(C, H, W)`` float32, 0 near and 1 far."""
-        return np.array([camera.depth for camera in self._race.render_data], np.float32)
-
-    def locations(self) -> npt.NDArray[np.float32]:
-        """Returns the locations of the drawn karts: ``(K, 3)`` float32 [m]."""
-        return np.array([kart.location for kart in self._world.karts], np.float32)
+        Args:
+            request: options as JSON.
+            poses: bytes of the poses, as in :meth:`follow`.
+        """
+        wishes = json.loads(request)
+        moments = np.frombuffer(poses, np.float32).reshape(-1, len(self._coast), _POSE_SIZE)
+        self.follow(moments, wishes["seconds"], in_real_time=wishes["in_real_time"])
+        cameras = self._race.render_data
+        images = [camera.image for camera in cameras] if wishes["images"] else ()
+        depths = [camera.depth for camera in cameras] if wishes["depths"] else ()
+        arrays = (
+            np.array(images, np.uint8),
+            np.array(depths, np.float32),
+            np.array([kart.location for kart in self._world.karts], np.float32),
+        )
+        shapes = json.dumps([array.shape for array in arrays])
+        return [shapes.encode(), *(array.tobytes() for array in arrays)]
 
     def stop(self) -> None:
         """Ends the race. Do not call any other method afterwards."""
@@ -130,27 +139,8 @@ class _RenderServer(RequestServer):
         return []
 
     def _advance(self, *frames: bytes) -> Sequence[bytes]:
-        return _draw(self._race, *frames)
-
-
-def _draw(race: MirroredRace, request: bytes, poses: bytes) -> list[bytes]:
-    """Returns the reply to a :data:`~stkzoo.engine.wire.DRAW` request.
-
-    Args:
-        race: the race to draw.
-        request: options as JSON.
-        poses: bytes of the poses.
-    """
-    wishes = json.loads(request)
-    moments = np.frombuffer(poses, np.float32).reshape(-1, len(race.locations()), _POSE_SIZE)
-    race.follow(moments, wishes["seconds"], in_real_time=wishes["in_real_time"])
-    arrays = (
-        race.pictures() if wishes["images"] else np.empty((0, 0, 0, 3), np.uint8),
-        race.depths() if wishes["depths"] else np.empty((0, 0, 0), np.float32),
-        race.locations(),
-    )
-    shapes = json.dumps([array.shape for array in arrays])
-    return [shapes.encode(), *(array.tobytes() for array in arrays)]
+        reply: list[bytes] = self._race.draw(*frames)
+        return reply
 
 
 @contextlib.contextmanager

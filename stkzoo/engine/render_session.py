@@ -40,9 +40,9 @@ class Footage:
     """The camera images of one moment.
 
     Attributes:
-        images: ``(C, H, W, 3)`` uint8, one image per camera; ``C`` is 0 if none was requested.
-        depths: ``(C, H, W)`` float32, the raw depth buffer: 0 is near and 1 is far; ``C`` is 0 if
-            none was requested.
+        images: ``(C, H, W, 3)`` uint8, one image per camera; empty if none was requested.
+        depths: ``(C, H, W)`` float32, the raw depth buffer: 0 is near and 1 is far; empty if none
+            was requested.
         locations: ``(K, 3)`` float32: locations of the drawn karts [m].
     """
 

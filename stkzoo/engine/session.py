@@ -17,6 +17,7 @@ from stkzoo._temporary import TemporaryFolder
 from stkzoo.engine import wire
 from stkzoo.engine.fork_client import start_race_process
 from stkzoo.engine.process import (
+    NO_COPIES,
     START_TIMEOUT,
     RaceProcess,
     engine_environment,
@@ -31,13 +32,6 @@ from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ApiOrderError, EngineCrashed, EngineError, EngineTimeout
 
 Controls = npt.NDArray[np.float32]
-
-
-#: Error text for a race in this process, which cannot be saved or copied.
-_NO_COPIES = (
-    "a race's state can be saved and copied only while it runs in a separate process; leave "
-    "use_subprocess at True"
-)
 
 
 class Session(ABC):
@@ -89,7 +83,7 @@ class Session(ABC):
         Raises:
             EngineError: races cannot be copied here, or the game's process failed.
         """
-        raise EngineError(_NO_COPIES)
+        raise EngineError(NO_COPIES)
 
     def resume(self, other: Session) -> None:  # noqa: ARG002 - the interface
         """Ends this session's race and continues with a copy of another session's race.
@@ -100,7 +94,7 @@ class Session(ABC):
         Raises:
             EngineError: as for :meth:`branch`; this session keeps its race.
         """
-        raise EngineError(_NO_COPIES)
+        raise EngineError(NO_COPIES)
 
     @abstractmethod
     def close(self) -> None:
@@ -263,7 +257,7 @@ class WorkerSession(ProcessSession, Session):
     def resume(self, other: Session) -> None:
         """See :meth:`Session.resume`."""
         if not isinstance(other, WorkerSession):
-            raise EngineError(_NO_COPIES)
+            raise EngineError(NO_COPIES)
         process = other._fork()
         self.close()
         self._process = process
