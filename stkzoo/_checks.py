@@ -93,33 +93,33 @@ def check_flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def unknown_name(kind: str, name: object, known: Iterable[str]) -> ConfigError:
+def unknown_name(noun: str, name: object, known: Iterable[str]) -> ConfigError:
     """Returns the error for an unknown name. It suggests the nearest valid name or lists all.
 
     Args:
-        kind: what the name identifies, such as ``"track"``.
+        noun: what the name identifies, such as ``"track"``.
         name: the unknown name.
         known: the valid names.
     """
     known = sorted(known)
     near = difflib.get_close_matches(str(name), known, n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    text = f"unknown {kind} {shortened(name)}.{hint}"
+    text = f"unknown {noun} {shortened(name)}.{hint}"
     names = f"Known: {', '.join(known)}."
     if len(text) + len(names) < MAX_LINE:
         return ConfigError(f"{text} {names}")
     return ConfigError(text if hint else f"{text} Choose a name from the list:\n{names}")
 
 
-def check_arguments(kind: Kind) -> Kind:
+def check_arguments(checked_class: Kind) -> Kind:
     """Class decorator that raises a ``ConfigError`` with a suggestion for an unknown keyword.
 
     If the class has an argument ``num_kart``, its constructor also accepts ``num_karts``.
 
     Args:
-        kind: the class.
+        checked_class: the class.
     """
-    make: Any = kind.__init__  # type: ignore[misc]
+    make: Any = checked_class.__init__  # type: ignore[misc]
     known = list(inspect.signature(make).parameters)[1:]
 
     @functools.wraps(make)
@@ -133,8 +133,8 @@ def check_arguments(kind: Kind) -> Kind:
                 raise unknown_name("argument", name, known)
         make(self, *values, **keywords)
 
-    kind.__init__ = checked  # type: ignore[misc]
-    return kind
+    checked_class.__init__ = checked  # type: ignore[misc]
+    return checked_class
 
 
 def shortened(value: object, limit: int = 60) -> str:

@@ -146,7 +146,7 @@ def _decoded(data: bytes) -> str:
         raise Unreadable(f"byte {error.start} is not UTF-8 text") from None
 
 
-def read_json(text: str | bytes, kind: type[T], max_bytes: int = MAX_BYTES) -> T:
+def read_json(text: str | bytes, schema: type[T], max_bytes: int = MAX_BYTES) -> T:
     """Returns the value of a JSON text.
 
     Objects become dataclasses. Entries that are not fields are ignored, because later versions may
@@ -154,7 +154,7 @@ def read_json(text: str | bytes, kind: type[T], max_bytes: int = MAX_BYTES) -> T
 
     Args:
         text: the text, or its UTF-8 bytes.
-        kind: type of the value, such as a dataclass whose annotations contain bounds.
+        schema: type of the value, such as a dataclass whose annotations contain bounds.
         max_bytes: maximum length of the text [characters].
 
     Raises:
@@ -165,25 +165,25 @@ def read_json(text: str | bytes, kind: type[T], max_bytes: int = MAX_BYTES) -> T
     if len(text) > max_bytes:
         raise Unreadable(f"it has {len(text):,} characters, expected at most {max_bytes:,}")
     try:
-        return msgspec.json.decode(plain_json(text), type=kind)
+        return msgspec.json.decode(plain_json(text), type=schema)
     except RecursionError:
         raise Unreadable("it is nested too deep") from None
     except msgspec.DecodeError as error:
         raise Unreadable(str(error)) from None
 
 
-def load_json(path: str | os.PathLike[str], kind: type[T], max_bytes: int = MAX_BYTES) -> T:
+def load_json(path: str | os.PathLike[str], schema: type[T], max_bytes: int = MAX_BYTES) -> T:
     """Returns the value of a JSON file; see :func:`read_file` and :func:`read_json`.
 
     Args:
         path: the file.
-        kind: type of the value.
+        schema: type of the value.
         max_bytes: maximum size [bytes].
     """
-    return read_json(read_file(path, max_bytes), kind, max_bytes)
+    return read_json(read_file(path, max_bytes), schema, max_bytes)
 
 
-def read_lines(path: str | os.PathLike[str], kind: type[T], max_bytes: int = 64 << 20) -> list[T]:
+def read_lines(path: str | os.PathLike[str], schema: type[T], max_bytes: int = 64 << 20) -> list[T]:
     """Returns the values of the lines of a file of JSON lines.
 
     A last line without a line feed is left out: a power failure or a full disk can leave a part of
@@ -191,7 +191,7 @@ def read_lines(path: str | os.PathLike[str], kind: type[T], max_bytes: int = 64 
 
     Args:
         path: the file.
-        kind: type of the values.
+        schema: type of the values.
         max_bytes: maximum size [bytes].
 
     Raises:
@@ -199,12 +199,12 @@ def read_lines(path: str | os.PathLike[str], kind: type[T], max_bytes: int = 64 
         OSError: the file is missing or cannot be read.
     """
     *lines, _ = read_file(path, max_bytes).split(b"\n")
-    return [_read_line(number, line, kind) for number, line in enumerate(lines, 1)]
+    return [_read_line(number, line, schema) for number, line in enumerate(lines, 1)]
 
 
-def _read_line(number: int, line: bytes, kind: type[T]) -> T:
+def _read_line(number: int, line: bytes, schema: type[T]) -> T:
     try:
-        return read_json(line, kind)
+        return read_json(line, schema)
     except Unreadable as error:
         raise Unreadable(f"in line {number}: {error}") from None
 

@@ -33,8 +33,8 @@ class TemporaryFolder:
         path: the folder.
     """
 
-    def __init__(self, kind: str) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix=f"{kind}-", dir=_program_folder()))
+    def __init__(self, purpose: str) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix=f"{purpose}-", dir=_program_folder()))
 
     def __enter__(self) -> TemporaryFolder:
         return self

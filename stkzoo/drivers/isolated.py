@@ -203,10 +203,10 @@ class IsolatedAgent:
         except ProtocolError as problem:
             self._fail(f"its process sent an invalid message: {problem}")
 
-    def _fail(self, message: str, kind: type[AgentError] = AgentError) -> NoReturn:
+    def _fail(self, message: str, error_type: type[AgentError] = AgentError) -> NoReturn:
         seconds = self._channel.seconds
         self._end()
-        raise kind(message, self._agent, self._output.text(), seconds)
+        raise error_type(message, self._agent, self._output.text(), seconds)
 
     # ------------------------------------------------------------------ the process
 

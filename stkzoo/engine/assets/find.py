@@ -28,13 +28,13 @@ def cache_folder() -> Path:
     return Path(folder).expanduser().absolute()
 
 
-def own_folder(kind: str) -> Path:
+def own_folder(name: str) -> Path:
     """Returns the folder in stkzoo's cache for one kind of data.
 
     Args:
-        kind: ``"full"``, or ``"headless"`` for the headless pack.
+        name: ``"full"``, or ``"headless"`` for the headless pack.
     """
-    return cache_folder() / kind
+    return cache_folder() / name
 
 
 def pystk2_cache_folder() -> Path:

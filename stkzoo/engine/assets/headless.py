@@ -63,10 +63,10 @@ def build_headless(source: Path, target: Path, progress: Progress) -> None:
     done = 0
     for path, size in files:
         goal = target / "data" / path.relative_to(source / "data")
-        kind = _kind(path)
+        media = _kind(path)
         goal.parent.mkdir(parents=True, exist_ok=True)
-        link_or_copy(placeholders.get(kind, path), goal)
-        if kind == "keep":
+        link_or_copy(placeholders.get(media, path), goal)
+        if media == "keep":
             done += size
             progress.reach(done)
     for file in placeholders.values():
@@ -85,9 +85,9 @@ def _placeholders(root: Path, files: list[Path]) -> dict[str, Path]:
     if sounds:
         smallest = min(sounds, key=lambda path: (path.stat().st_size, path.name))
         contents["sound"] = smallest.read_bytes()
-    placeholders = {kind: root / f".{kind}" for kind in contents}
-    for kind, content in contents.items():
-        placeholders[kind].write_bytes(content)
+    placeholders = {media: root / f".{media}" for media in contents}
+    for media, content in contents.items():
+        placeholders[media].write_bytes(content)
     return placeholders
 
 

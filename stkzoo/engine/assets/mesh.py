@@ -60,8 +60,8 @@ class _MeshReader:
         self.at += length
         return self.data[self.at - length : self.at].decode("latin-1")
 
-    def array(self, kind: str, count: int) -> npt.NDArray[np.generic]:
-        values = np.frombuffer(self.data, kind, count, self.at)
+    def array(self, dtype: str, count: int) -> npt.NDArray[np.generic]:
+        values = np.frombuffer(self.data, dtype, count, self.at)
         self.at += values.nbytes
         return values
 

@@ -177,16 +177,16 @@ class _Library:
         """Whether it is only seen or heard."""
         if self.is_named(entry, in_library=in_library):
             return False
-        kind = entry.get("type", "")
+        type_name = entry.get("type", "")
         if entry.tag in _SEEN:
             return True
         if entry.tag != "object":
             return False
-        if kind == "billboard":
+        if type_name == "billboard":
             return True
-        if kind == "sfx-emitter":  # one with a trigger is a check of the track
+        if type_name == "sfx-emitter":  # one with a trigger is a check of the track
             return not _is(entry, "play-when-near")
-        if kind in _NO_MODEL or _is(entry, "driveable") or _is(entry, "soccer_ball"):
+        if type_name in _NO_MODEL or _is(entry, "driveable") or _is(entry, "soccer_ball"):
             return False
         has_body = entry.get("interaction", "static") not in _WITHOUT_BODY
         return not has_body and bool(self._models[_model(entry)] or entry.get("lod_group"))

@@ -71,17 +71,17 @@ def lock(cache: Path, progress: Progress) -> Iterator[None]:
 
 
 @contextmanager
-def fresh_folder(parent: Path, kind: str = "staging") -> Iterator[Path]:
+def fresh_folder(parent: Path, purpose: str = "staging") -> Iterator[Path]:
     """Creates a temporary folder and removes it at the end, unless :func:`publish` moved it.
 
     The folder's name marks it as unfinished.
 
     Args:
         parent: the folder in which to create it.
-        kind: part of its name.
+        purpose: part of its name.
     """
     parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{kind}-", dir=parent))
+    folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{purpose}-", dir=parent))
     folder.chmod(0o755)
     try:
         yield folder
