@@ -12,6 +12,9 @@ from stkzoo._schema import Share, matching, one_of
 from stkzoo.config import NORMAL, RACE_MODES, Start
 from stkzoo.names import CameraMode
 
+#: Maximum number of karts with a camera; the game can split its screen into so many parts.
+MAX_CAMERAS = 8
+
 _FOLDER = matching(r"[^/\\\0]*")
 
 
@@ -60,7 +63,7 @@ class RaceSetup:
     difficulty: int = 2
     seed: int = 0
     step_size: float = 0.1
-    num_cameras: Annotated[int, Meta(ge=0, le=8)] = 0
+    num_cameras: Annotated[int, Meta(ge=0, le=MAX_CAMERAS)] = 0
     starts: tuple[Start, ...] = ()
     mode: Annotated[str, one_of(*RACE_MODES)] = NORMAL
 

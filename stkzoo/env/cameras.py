@@ -8,9 +8,9 @@ from typing import Any
 
 import gymnasium as gym
 
+from stkzoo.engine.setup import MAX_CAMERAS
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
-from stkzoo.env.options import MAX_CAMERAS
 from stkzoo.env.rendering import scene_of
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.names import CameraMode

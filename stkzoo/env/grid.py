@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stkzoo.config import NORMAL, AgentSpec
-from stkzoo.engine.setup import KartSetup, RaceSetup
-from stkzoo.env.options import MAX_CAMERAS, RaceOptions, camera_mode
+from stkzoo.engine.setup import MAX_CAMERAS, KartSetup, RaceSetup
+from stkzoo.env.options import RaceOptions, camera_mode
 from stkzoo.env.starts import draw_starts
 from stkzoo.names import CameraMode
 

@@ -33,8 +33,6 @@ _OPTIONAL = ("max_paths", "max_cycles", "end_when_first_finishes")
 _SECONDS = ("end_when_stuck", "end_when_wrong_way", "end_off_road")
 #: Options of an episode that may start in the middle of a race.
 OF_AN_EPISODE = (*_OPTIONAL, *_SECONDS, "events")
-#: Maximum number of views into which the game splits its window.
-MAX_CAMERAS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,11 +19,12 @@ from stkzoo.config import NORMAL, AgentSpec
 from stkzoo.engine.assets import Assets, find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.engine.session import LocalSession, Session, WorkerSession
+from stkzoo.engine.setup import MAX_CAMERAS
 from stkzoo.engine.snapshot import CONTROLS
 from stkzoo.env.cameras import RaceCameras
 from stkzoo.env.episode import rewards_of_agents
 from stkzoo.env.front import RaceFront
-from stkzoo.env.options import MAX_CAMERAS, RaceOptions, check_agents, random_stream
+from stkzoo.env.options import RaceOptions, check_agents, random_stream
 from stkzoo.env.race import Race
 from stkzoo.env.rendering import RENDER_MODES, Rendering, available_modes, frame_rate
 from stkzoo.errors import ConfigError

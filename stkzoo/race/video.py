@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo._checks import check_number, check_whole
+from stkzoo.engine.setup import MAX_CAMERAS
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import ConfigError, EngineError
 from stkzoo.race.listeners import RaceListener, RaceProgress
@@ -34,7 +35,7 @@ logger = logging.getLogger(__name__)
 
 Picture = npt.NDArray[np.uint8]
 
-_MOST_CAMERAS, _USUAL_CAMERAS = 8, 4
+_USUAL_CAMERAS = 4
 _MOST_SUB_STEPS = 60
 _MOST_CARD_SECONDS = 3600
 
@@ -75,7 +76,7 @@ class RaceFilm:
         ghost: Ghost | None = None,
     ) -> None:
         if cameras is not None:
-            check_whole("cameras", cameras, 1, _MOST_CAMERAS)
+            check_whole("cameras", cameras, 1, MAX_CAMERAS)
         check_whole("sub_steps", sub_steps, 1, _MOST_SUB_STEPS)
         check_number("card_seconds", card_seconds, 0, _MOST_CARD_SECONDS, unit="seconds")
         if ghost and backend == "engine":

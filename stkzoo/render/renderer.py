@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo.engine.setup import MAX_CAMERAS
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.errors import AssetError, ConfigError, EngineError
 from stkzoo.names import CameraMode
@@ -197,8 +198,5 @@ def camera_karts(scene: Scene) -> list[int]:
     for kart, mode in modes.items():
         if mode == CameraMode.AUTO and len(chosen) < scene.setup.num_cameras:
             chosen.append(kart)
-    shown = [kart for kart in modes if kart in chosen][:_MOST_CAMERAS]
+    shown = [kart for kart in modes if kart in chosen][:MAX_CAMERAS]
     return shown or list(scene.kart_indices[:1])
-
-
-_MOST_CAMERAS = 8
