@@ -12,7 +12,6 @@ from stkzoo.agents.training.imitation import imitate, lessons
 from stkzoo.agents.training.imitation.imitate import TeacherArguments, drive_race, main, run
 from stkzoo.agents.training.imitation.network import fit, held_out, mirrored
 from stkzoo.agents.training.ppo.network import RacingNetwork
-from stkzoo.evaluation import record_demonstrations
 from stkzoo.race import run_race
 from stkzoo.wrappers.racing import CHOICES, SIZE
 
@@ -166,33 +165,11 @@ def test_the_policy_races_and_can_start_self_play(imitated):
         (["--teacher", "planner"], "planner cannot label what a learner sees"),
         (["--teacher", "nobody"], "unknown driver"),
         (["--karts", "0"], "karts is 0"),
-        (["--demos", "none.safetensors"], "there are no demonstrations"),
     ],
 )
 def test_invalid_arguments_are_reported(words, text, tmp_path, capsys):
     assert main(["--output", str(tmp_path / "run"), *words]) == 1
     assert text in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"view": "simple"}, "recorded in the view 'simple', expected racing"),
-        (
-            {"view": "racing", "difficulty": 2},
-            "at difficulty 2, expected 3; give --difficulty 2, or",
-        ),
-    ],
-)
-def test_demonstrations_of_another_view_or_difficulty_are_refused(
-    options, message, tmp_path, capsys
-):
-    file = tmp_path / "d.safetensors"
-    fixed = {"tracks": "lighthouse", "karts": 1, "max_steps": 3, "jobs": 1}
-    record_demonstrations("pursuit", output=file, **fixed, **options)
-    assert main(["--output", str(tmp_path / "run"), "--demos", str(file)]) == 1
-    assert message in capsys.readouterr().err
 
 
 def test_the_games_ai_can_be_cloned_without_rounds_of_labels():

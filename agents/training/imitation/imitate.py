@@ -1,16 +1,14 @@
 r"""Imitates a driver: behavior cloning, followed by DAgger.
 
     python -m stkzoo.agents.training.imitation.imitate --output runs/imitate
-    python -m stkzoo.agents.training.imitation.imitate --output runs/ai --demos ai.safetensors \
-        --rounds 0 --difficulty 2
+    python -m stkzoo.agents.training.imitation.imitate --output runs/ai --teacher ai --rounds 0
     python -m stkzoo.agents.training.sb3.selfplay --output runs/play \
         --init runs/imitate/policy.safetensors
 
-First, a network learns the teacher's actions from demonstrations (from `stkzoo demos`, or recorded
-by this script): behavior cloning. Its errors lead it to states that the teacher never visited.
-Therefore, in each round of DAgger (Ross, Gordon and Bagnell, 2011) the learner drives, the teacher
-labels these states with its own action, and the network learns from all data so far. The last round
-only evaluates the result.
+First, a network learns the teacher's actions from its races: behavior cloning. Its errors lead it
+to states that the teacher never visited. Therefore, in each round of DAgger (Ross, Gordon and
+Bagnell, 2011) the learner drives, the teacher labels these states with its own action, and the
+network learns from all data so far. The last round only evaluates the result.
 
 The learner sees the view ``racing`` and is an ``MlpPolicy`` of Stable-Baselines3 with two tanh
 layers. The folder contains ``policy.safetensors`` (its state dict), ``agent`` (to race: `stkzoo
@@ -40,13 +38,7 @@ from stkzoo._os import cpu_count
 from stkzoo.agents.pretrained.action_filter import ActionFilter
 from stkzoo.agents.pretrained.mlp import load_driver
 from stkzoo.errors import AgentError, ConfigError, StkzooError
-from stkzoo.evaluation import (
-    Demonstrations,
-    DemoPlan,
-    DemoView,
-    load_demonstrations,
-    record_demonstrations,
-)
+from stkzoo.evaluation import DemoView, record_demonstrations
 from stkzoo.mdp import kart_action_space, kart_observation_space
 from stkzoo.race import Driver, DriverInstance, DriverRequest, find_driver, run_race
 from stkzoo.race.replay import action_of, controls_of
@@ -71,7 +63,6 @@ class TeacherArguments(ImitationArguments):
 
     Attributes:
         teacher: driver to imitate: a driver of stkzoo, or a path.
-        demos: demonstration file of stkzoo demos to learn from first; empty records one.
         rounds: rounds of DAgger; 0 is behavior cloning only.
         tracks: names of tracks or of splits, such as train_only.
         races: races on each track per round.
@@ -86,7 +77,6 @@ class TeacherArguments(ImitationArguments):
     n_epochs_last: int = 20
     learning_rate: float = 1e-3
     teacher: str = "heuristic"
-    demos: str = ""
     tracks: tuple[str, ...] = option(QUICK_TRACKS, flag="--track", metavar="TRACK")
     races: int = 1
     karts: int = 3
@@ -126,44 +116,24 @@ def run(
 
 
 def _demonstrations(arguments: TeacherArguments, folder: Path, report: Report) -> Lesson:
-    """Returns the lesson from a file of demonstrations, or from newly recorded ones."""
+    """Returns the lesson from recorded demonstrations of the teacher."""
     first = 1000 * arguments.seed
-    if arguments.demos:
-        demos = _given_demonstrations(arguments)
-    else:
-        demos = record_demonstrations(
-            arguments.teacher,
-            output=folder / "demos.safetensors",
-            tracks=arguments.tracks,
-            seeds=range(first, first + arguments.races),
-            karts=arguments.karts,
-            difficulty=arguments.difficulty,
-            jobs=arguments.jobs or None,
-            on_race=lambda progress: report("the teacher drives", progress.done, progress.total),
-        )
+    demos = record_demonstrations(
+        arguments.teacher,
+        output=folder / "demos.safetensors",
+        tracks=arguments.tracks,
+        seeds=range(first, first + arguments.races),
+        karts=arguments.karts,
+        difficulty=arguments.difficulty,
+        jobs=arguments.jobs or None,
+        on_race=lambda progress: report("the teacher drives", progress.done, progress.total),
+    )
     ratios = tuple(
         time_ratio(kart.finish_time, kart.track, kart.reverse, arguments.difficulty)
         for kart in demos.facts
     )
     finished = sum(kart.finish_time is not None for kart in demos.facts)
     return Lesson(*demos.pairs(), ratios, finished)
-
-
-def _given_demonstrations(arguments: TeacherArguments) -> Demonstrations:
-    demos = load_demonstrations(arguments.demos)
-    if demos.view != "racing":
-        raise ConfigError(
-            f"{arguments.demos} was recorded in the view {demos.view!r}, expected racing; "
-            "record it with stkzoo demos --view racing"
-        )
-    difficulty = DemoPlan.from_dict(demos.plan).settings.difficulty
-    if difficulty != arguments.difficulty:
-        raise ConfigError(
-            f"{arguments.demos} was recorded at difficulty {difficulty}, expected "
-            f"{arguments.difficulty}; give --difficulty {difficulty}, or record it with stkzoo "
-            f"demos --difficulty {arguments.difficulty}"
-        )
-    return demos
 
 
 def _drive(

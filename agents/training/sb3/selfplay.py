@@ -141,7 +141,6 @@ class SB3Facts:
 
     kart_steps: Count
     iteration: Count
-    rounds: Count
     curriculum: CurriculumState
     duels: DuelResults
     recent: list[dict[str, float]]
@@ -165,7 +164,7 @@ class SB3Run:
             resources.enter_context(locked_folder(self.folder, "run"))
             remedy = " (with --init to start from this run's weights)"
             keep_arguments(self.folder, arguments, remedy=remedy)
-            self.kart_steps = self.iteration = self.rounds = 0
+            self.kart_steps = self.iteration = 0
             self._curriculum = Curriculum(arguments.tracks, arguments.pass_at)
             self._matchmaker = Matchmaker(
                 PRIORITIZED, arguments.pool_size, arguments.snapshot_share
@@ -203,11 +202,11 @@ class SB3Run:
         arguments, model = self.arguments, self._model
         before = self.kart_steps
         model.set_env(self._envs, force_reset=True)
-        (seed,) = np.random.SeedSequence([arguments.seed, self.rounds]).generate_state(1)
+        number = self.iteration // arguments.updates
+        (seed,) = np.random.SeedSequence([arguments.seed, number]).generate_state(1)
         model.set_random_seed(int(seed))
         for _ in range(arguments.updates):
             report(self._update())
-        self.rounds += 1
         if self.kart_steps // arguments.keep_every > before // arguments.keep_every:
             self._matchmaker.add(self._keep())
         self.save_checkpoint()
@@ -217,7 +216,6 @@ class SB3Run:
         facts = {
             "kart_steps": self.kart_steps,
             "iteration": self.iteration,
-            "rounds": self.rounds,
             "curriculum": self._curriculum.state(),
             "duels": self._matchmaker.state(),
             "recent": list(self._envs.recent),
@@ -318,7 +316,6 @@ class SB3Run:
 
     def _restore(self, facts: SB3Facts, state: dict[str, Any]) -> None:
         self.kart_steps, self.iteration = facts.kart_steps, facts.iteration
-        self.rounds = facts.rounds
         self._curriculum.restore(facts.curriculum)
         self._matchmaker.restore(facts.duels)
         self._envs.recent.extend(facts.recent)
