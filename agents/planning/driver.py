@@ -18,6 +18,7 @@ from stkzoo import Phase
 from stkzoo.wrappers.racing import (
     LOOKS,
     MIRROR,
+    OWN_PLACES,
     SIZE,
     Surroundings,
     racing_features,
@@ -25,13 +26,11 @@ from stkzoo.wrappers.racing import (
 )
 
 from . import BoolArray, FloatArray, IntArray
-from ._planning import present_plans
-from .memory import MEMORY_MIRROR, MEMORY_NAMES, DriverMemory
+from .memory import LINE_MARKS, MEMORY_MIRROR, MEMORY_NAMES, RIVALS, DriverMemory
 from .motion import DRIFT_TURN
 from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANEUVERS
-from .road import LINE_MARKS, RIVALS_MIRROR, RivalTracker
-from .worth import OwnState, PlanOptions, plan_rules, weigh
+from .worth import PlanOptions, plan_rules, weigh
 
 #: Steering offsets from the plan [fraction of full lock].
 OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
@@ -44,17 +43,12 @@ HEADS = tuple(slice(int(e) - n, int(e)) for e, n in zip(_ENDS, CHOICES, strict=T
 
 _TURN = CHOICE_NAMES.index("turn")
 
+#: Columns of the own state: the forward speed [m/s] and the skid factor.
+_SPEED, _SKEED = OWN_PLACES["velocity"].start + 2, OWN_PLACES["skeed_factor"].start
+
 #: Distances at which the road is observed [m].
 ALL_LOOKS = np.concatenate([LOOKS, LINE_MARKS])
 
-#: Logits of the prior: of the offsets, and of a button that the rules release or press.
-_LOGITS = (
-    np.array([-5.5, -4.5, -3.5, 0.0, -3.5, -4.5, -5.5], np.float32),
-    np.array([[2.0, -2.0], [-2.0, 2.0]], np.float32),
-)
-
-#: Logits of offsets that hold for several steps; smaller differences, so that training tries them.
-_HELD_LOGITS = np.array([-4.5, -3.0, -2.0, 0.0, -2.0, -3.0, -4.5], np.float32)
 #: Logit of an offset other than the held one.
 _NOT_HELD = np.float32(-1e3)
 
@@ -66,13 +60,14 @@ START_STEER = 0.3
 
 _OPTION_SIGNS = np.array([1, 1, -1, 1], np.float32)
 _ROAD_SIGNS = np.array([-1, -1, 1], np.float32)
+_RIVAL_SIGNS = np.tile(np.array([1, 1, -1, 1, -1], np.float32), RIVALS)
 #: Signs of the held offset and of its remaining time.
 _HOLD_SIGNS = np.array([-1, 1], np.float32)
 _OPTIONS_AT = SIZE + len(MEMORY_MIRROR)
 _PLAN_TURNS = _OPTIONS_AT + 4 * np.arange(MANEUVERS) + 2
 _DRIFT_TIME = SIZE + MEMORY_NAMES.index("drift time [3 s]")
 #: Number of inputs of a policy whose offsets do not hold; the held offset and its time follow.
-INPUT_SIZE_WITHOUT_HOLD = _OPTIONS_AT + 4 * MANEUVERS + len(_ROAD_SIGNS) + len(RIVALS_MIRROR)
+INPUT_SIZE_WITHOUT_HOLD = _OPTIONS_AT + 4 * MANEUVERS + len(_ROAD_SIGNS) + len(_RIVAL_SIGNS)
 INPUT_SIZE = INPUT_SIZE_WITHOUT_HOLD + len(_HOLD_SIGNS)
 
 
@@ -82,7 +77,7 @@ def _mirror() -> tuple[IntArray, FloatArray]:
     left, right = (_OPTIONS_AT + 4 * drift + np.arange(4) for drift in (DRIFT_LEFT, DRIFT_RIGHT))
     order[left], order[right] = right, left
     options = np.tile(_OPTION_SIGNS, MANEUVERS)
-    signs = [MIRROR, MEMORY_MIRROR, options, _ROAD_SIGNS, RIVALS_MIRROR, _HOLD_SIGNS]
+    signs = [MIRROR, MEMORY_MIRROR, options, _ROAD_SIGNS, _RIVAL_SIGNS, _HOLD_SIGNS]
     return order, np.concatenate(signs)
 
 
@@ -152,9 +147,7 @@ class PlanDriver:
         parameters = rules or DriverParameters()
         self._rules = plan_rules(parameters)
         self._holds_turns = parameters.turn_hold > 1
-        self._logits = (_HELD_LOGITS if self._holds_turns else _LOGITS[0], _LOGITS[1])
         self.memory = DriverMemory(count, parameters)
-        self._tracker = RivalTracker(count)
         self._options: PlanOptions | None = None
 
     def drive(
@@ -195,77 +188,52 @@ class PlanDriver:
             driver = active[0] if len(active) == 1 else PlanDriver._joined(active)
             looks = LINE_MARKS if choose is None else ALL_LOOKS
             seen = surroundings_of([observations[number] for number in racing], looks)
-            chosen = likeliest(driver.plan(*seen)) if choose is None else choose(driver.look(*seen))
+            chosen = likeliest(driver.plan(seen)) if choose is None else choose(driver.look(seen))
             controls[racing], _ = driver.act(chosen)
             if len(active) > 1:
                 for row, one in enumerate(active):
                     one.memory.take(driver.memory, slice(row, row + 1))
-                    one._tracker.take(driver._tracker, slice(row, row + 1))
         return list(map(action_of, controls))
 
     @classmethod
     def _joined(cls, drivers: Sequence[PlanDriver]) -> PlanDriver:
         joined = cls(0, drivers[0]._rules.parameters)
         joined.memory = DriverMemory.joined([driver.memory for driver in drivers])
-        joined._tracker = RivalTracker.joined([driver._tracker for driver in drivers])
         return joined
 
-    def look(self, kart: Mapping[str, Any], around: Surroundings) -> PolicyInput:
+    def look(self, around: Surroundings) -> PolicyInput:
         """Advances the state by one step and returns the policy's input.
 
         Args:
-            kart: own state of the karts, in batch form.
-            around: their surroundings, with the road at :data:`ALL_LOOKS`.
+            around: surroundings of the karts, with the road at :data:`ALL_LOOKS`.
         """
-        self._pass_step(kart)
-        seen = self.view(kart, around)
+        self._pass_step(around)
+        seen = self.view(around)
         self.memory.look_around(self.options.beyond)
         return seen
 
-    def view(self, kart: Mapping[str, Any], around: Surroundings) -> PolicyInput:
+    def view(self, around: Surroundings) -> PolicyInput:
         """Returns the policy's input without advancing the state."""
         inputs = np.empty((len(around.road), INPUT_SIZE), np.float32)
-        racing_features(kart, around, inputs)
+        racing_features(around, inputs)
         self.memory.write(inputs, SIZE)
-        return PolicyInput(inputs, self._weigh(kart, around, inputs))
+        return PolicyInput(inputs, self._weigh(around, inputs))
 
-    def plan(self, kart: Mapping[str, Any], around: Surroundings) -> FloatArray:
+    def plan(self, around: Surroundings) -> FloatArray:
         """Advances the state by one step and returns the prior, ``(A, sum(CHOICES))``."""
-        self._pass_step(kart)
-        prior = self._weigh(kart, around, np.empty((0, 0), np.float32))
+        self._pass_step(around)
+        prior = self._weigh(around, np.empty((0, 0), np.float32))
         self.memory.look_around(self.options.beyond)
         return prior
 
-    def _pass_step(self, kart: Mapping[str, Any]) -> None:
-        speed = np.asarray(kart["velocity"][:, 2], np.float32)
-        self.memory.look(speed, np.reshape(kart["skeed_factor"], -1))
-        self._tracker.look()
+    def _pass_step(self, around: Surroundings) -> None:
+        self.memory.look(around.own[:, _SPEED], around.own[:, _SKEED])
 
-    def _weigh(
-        self, kart: Mapping[str, Any], around: Surroundings, inputs: FloatArray
-    ) -> FloatArray:
+    def _weigh(self, around: Surroundings, inputs: FloatArray) -> FloatArray:
         """Weighs the plans, writes a policy's inputs, if any, and returns the prior."""
-        state, memory, rules = OwnState.of(kart), self.memory.rows, self._rules
-        numbers = rules.parameters
-        is_watching = len(inputs) or numbers.bump_cost or numbers.learned_motion
-        tracker = self._tracker if is_watching else None
-        angle = np.asarray(kart["max_steer_angle"], np.float32)
-        self._options = options = weigh(rules, memory, state, angle, around, tracker)
-        prior = np.empty((len(angle), sum(CHOICES)), np.float32)
-        present_plans(
-            rules.view,
-            self._logits,
-            memory,
-            state,
-            options.best,
-            options.scene,
-            options.rivals,
-            prior,
-            inputs,
-            _OPTIONS_AT,
-        )
-        self._hold(prior, inputs)
-        return prior
+        self._options = options = weigh(self._rules, self.memory, around, inputs, _OPTIONS_AT)
+        self._hold(options.prior, inputs)
+        return options.prior
 
     def _hold(self, prior: FloatArray, inputs: FloatArray) -> None:
         """Makes a held offset the only choice; writes it and its time to the inputs, if any."""
@@ -282,7 +250,6 @@ class PlanDriver:
     def forget(self, rows: IntArray) -> None:
         """Resets some karts."""
         self.memory.forget(rows)
-        self._tracker.forget(rows)
 
     @property
     def options(self) -> PlanOptions:

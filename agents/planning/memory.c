@@ -4,12 +4,8 @@
 
 #include <math.h>
 
-/* Indices of `rules`. */
-enum {
-    STEP, CRASH_DROP, CAUTION_TIME, STUCK_SPEED, STUCK_TIME, CRAWL_SPEED, FREE_TIME, NITRO_TIME,
-    LONG_AGO, DRIFT_SHOWS, RELEASE_TIME, BOOST_TIME, BIG_BOOST_TIME, NUM_RULES
-};
-
+#define LONG_AGO 40.0f   /* upper limit of elapsed times [steps]: stkzoo.agents.planning.memory */
+#define DRIFT_SHOWS 4.0f /* a skid factor of 1 after this many steps ends the drift [steps] */
 enum { NUMBERS = 12 };
 
 /* Returns the address of a kart's number in a row of the memory. */
@@ -18,33 +14,29 @@ static float *at(Floats memory, npy_intp count, int row, npy_intp kart)
     return memory.data + row * count + kart;
 }
 
-static int fits_rules(Doubles rules, Floats memory, npy_intp count)
+/* Converts a time [s] to the nearest number of steps. */
+static float steps_of(double time)
 {
-    if (rules.size == NUM_RULES && memory.size == MEMORY_SIZE * count) return 1;
-    refuse("the memory does not fit its rules or its karts");
-    return 0;
+    return (float)rint(time / STEP);
 }
 
 /* age_memory(rules, memory, speed, skeed_factor): advances the memory of A karts by one step.
 
-   rules: (13,) in the order of the enum above; times are in steps, except STEP and FREE_TIME [s].
+   rules: (50,) in the order of Rules.
    memory: (22, A) in the order of stkzoo.agents.planning.memory.PlanMemory.
    speed: (A,) forward speed [m/s].
    skeed_factor: (A,) skid factor. */
 PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    Doubles rules;
+    const Rules *rules;
     Floats memory, speeds, skeeds;
-    if (!PyArg_ParseTuple(args, "O&O&O&O&", as_doubles, &rules, as_written_floats, &memory,
+    if (!PyArg_ParseTuple(args, "O&O&O&O&", as_rules, &rules, as_written_floats, &memory,
                           as_floats, &speeds, as_floats, &skeeds)) {
         return NULL;
     }
     const npy_intp count = speeds.size;
-    if (!fits_rules(rules, memory, count)) return NULL;
-    if (skeeds.size != count) {
-        return PyErr_Format(PyExc_ValueError, "there must be %zd skid factors", count);
-    }
-    const double *rule = rules.data;
+    const npy_intp sizes[][2] = {{memory.size, MEMORY_SIZE * count}, {skeeds.size, count}};
+    if (ARE_SIZES(sizes) < 0) return NULL;
     for (npy_intp i = 0; i < count; i++) {
         for (int row = HOLD_STEPS; row <= RESCUE_STEPS; row++) {
             float *clock = at(memory, count, row, i);
@@ -53,23 +45,23 @@ PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
         const float speed = speeds.data[i], pace = fabsf(speed);
         const float gain = speed - *at(memory, count, SPEED, i);
         *at(memory, count, GAIN, i) = gain, *at(memory, count, SPEED, i) = speed;
-        if (gain < -(float)rule[CRASH_DROP]) {
-            *at(memory, count, CAUTION_STEPS, i) = (float)rule[CAUTION_TIME];
+        if (gain < -(float)rules->crash_drop) {
+            *at(memory, count, CAUTION_STEPS, i) = steps_of(rules->caution_time);
         }
         const int is_free = *at(memory, count, RESCUE_STEPS, i) == 0;
-        const int is_still = pace < (float)rule[STUCK_SPEED] && is_free;
-        const int crawls = pace < (float)rule[CRAWL_SPEED] && is_free;
+        const int is_still = pace < (float)rules->stuck_speed && is_free;
+        const int crawls = pace < (float)rules->crawl_speed && is_free;
         float *still = at(memory, count, STILL_STEPS, i), *free = at(memory, count, FREE_STEPS, i);
         float *crawl = at(memory, count, CRAWL_STEPS, i), *fire = at(memory, count, SINCE_FIRE, i);
         *still = is_still ? *still + 1 : 0;
         *crawl = crawls ? *crawl + 1 : 0;
         *free = is_still ? 0 : *free + 1;
-        if (*free * (float)rule[STEP] > (float)rule[FREE_TIME]) {
+        if (*free * (float)STEP > (float)rules->free_time) {
             *at(memory, count, REVERSES, i) = 0;
         }
-        *fire = *fire + 1 < (float)rule[LONG_AGO] ? *fire + 1 : (float)rule[LONG_AGO];
+        *fire = *fire + 1 < LONG_AGO ? *fire + 1 : LONG_AGO;
         float *drift = at(memory, count, DRIFT_COUNT, i);
-        if (*drift >= (float)rule[DRIFT_SHOWS] && skeeds.data[i] <= 1.0f) {
+        if (*drift >= DRIFT_SHOWS && skeeds.data[i] <= 1.0f) {
             *at(memory, count, DRIFT_SIDE, i) = *drift = 0;
         }
     }
@@ -80,21 +72,20 @@ PyObject *age_memory(PyObject *Py_UNUSED(module), PyObject *args)
    column `first` of `out`, (A, F); 12 columns are written. */
 PyObject *write_memory(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    Doubles rules;
+    const Rules *rules;
     Floats memory, out;
     npy_intp first;
-    if (!PyArg_ParseTuple(args, "O&O&O&n", as_doubles, &rules, as_floats, &memory,
+    if (!PyArg_ParseTuple(args, "O&O&O&n", as_rules, &rules, as_floats, &memory,
                           as_written_floats, &out, &first)) {
         return NULL;
     }
     const npy_intp count = memory.size / MEMORY_SIZE, width = count ? out.size / count : 0;
-    if (!fits_rules(rules, memory, count)) return NULL;
-    if (out.size != width * count || first < 0 || (count && first > width - NUMBERS)) {
+    if (memory.size != MEMORY_SIZE * count || out.size != width * count || first < 0 ||
+        (count && first > width - NUMBERS)) {
         return PyErr_Format(PyExc_ValueError, "a row is too short for %d numbers", NUMBERS);
     }
-    const double *rule = rules.data;
-    const float nitro_time = (float)(rule[NITRO_TIME] > 1 ? rule[NITRO_TIME] : 1);
-    const float caution_time = (float)(rule[CAUTION_TIME] > 1 ? rule[CAUTION_TIME] : 1);
+    const float nitro_time = fmaxf(steps_of(rules->nitro_wait), 1);
+    const float caution_time = fmaxf(steps_of(rules->caution_time), 1);
     for (npy_intp i = 0; i < count; i++) {
         float *number = out.data + width * i + first;
         const float side = *at(memory, count, DRIFT_SIDE, i);
@@ -105,14 +96,14 @@ PyObject *write_memory(PyObject *Py_UNUSED(module), PyObject *args)
         *number++ = *at(memory, count, DRIFT_TURN, i) * (float)(side != 0);
         *number++ = drift * side;
         *number++ = drift;
-        *number++ = *at(memory, count, RELEASE_LEFT, i) / (float)rule[RELEASE_TIME];
-        *number++ = *at(memory, count, BOOST_STEPS, i) / (float)rule[BOOST_TIME];
-        *number++ = *at(memory, count, BIG_BOOST_STEPS, i) / (float)rule[BIG_BOOST_TIME];
+        *number++ = *at(memory, count, RELEASE_LEFT, i) / RELEASE_STEPS;
+        *number++ = *at(memory, count, BOOST_STEPS, i) / SMALL_LASTS;
+        *number++ = *at(memory, count, BIG_BOOST_STEPS, i) / BIG_LASTS;
         *number++ = *at(memory, count, NITRO_STEPS, i) / nitro_time;
         *number++ = *at(memory, count, CAUTION_STEPS, i) / caution_time;
-        *number++ = *at(memory, count, STILL_STEPS, i) / (float)rule[STUCK_TIME];
+        *number++ = *at(memory, count, STILL_STEPS, i) / steps_of(rules->stuck_time);
         *number++ = gain < -2.0f ? -2.0f : gain > 2.0f ? 2.0f : gain;
-        *number++ = *at(memory, count, SINCE_FIRE, i) / (float)rule[LONG_AGO];
+        *number++ = *at(memory, count, SINCE_FIRE, i) / LONG_AGO;
     }
     Py_RETURN_NONE;
 }

@@ -12,12 +12,21 @@ import numpy as np
 from . import BoolArray, FloatArray, IntArray
 from ._planning import age_memory, write_memory
 from .motion import BOOST_LASTS, BOOST_STEPS, DRIFT_APART, RELEASE_STEPS, RESCUE_STEPS, STEP
-from .parameters import DriverParameters
+from .parameters import DriverParameters, rule_numbers
 
-#: If the skid factor is still 1 after this many steps, the engine has ended the drift.
-_DRIFT_SHOWS = 4
 #: Upper limit of elapsed times [steps].
 _LONG_AGO = 40.0
+
+#: Number of marks along the road, starting at the kart, and their spacing [m].
+MARK_COUNT, MARK_SPACING = 36, 3.0
+LINE_MARKS = (MARK_SPACING * np.arange(MARK_COUNT + 1)).astype(np.float32)
+#: Number of nearest karts to track.
+RIVALS = 4
+#: A moment at which nothing was observed: positions of the nearest karts, right and ahead,
+#: ``(RIVALS, 2)`` [m]; velocity of the observing kart, right and ahead, ``(2,)`` [m/s]; directions
+#: of the road ahead, ``(MARK_COUNT,)`` [rad].
+_NO_MOMENT = np.zeros(2 * RIVALS + 2 + MARK_COUNT, np.float32)
+_NO_MOMENT[: 2 * RIVALS] = 1e3
 
 #: Entries of :meth:`DriverMemory.numbers`, and their signs in a mirrored race.
 _SIGNS = {
@@ -115,32 +124,21 @@ class DriverMemory:
 
     Attributes:
         rows: ``(22, A)`` float32, in the order of :class:`PlanMemory`.
+        moments: ``(A, 2, 46)`` float32, observations in the step before and in this one, from which
+            the extension computes the speeds of other karts: positions of the four nearest karts,
+            velocity of the kart, and directions of the road ahead.
     """
 
     def __init__(self, count: int, rules: DriverParameters) -> None:
         self._rules = rules
-        self._nitro_steps, caution_steps, self._stuck_steps = (
-            round(time / STEP) for time in (rules.nitro_wait, rules.caution_time, rules.stuck_time)
-        )
-        self._numbers = np.array(
-            [
-                STEP,
-                rules.crash_drop,
-                caution_steps,
-                rules.stuck_speed,
-                self._stuck_steps,
-                rules.crawl_speed,
-                rules.free_time,
-                self._nitro_steps,
-                _LONG_AGO,
-                _DRIFT_SHOWS,
-                RELEASE_STEPS,
-                *BOOST_LASTS,
-            ]
+        self._numbers = rule_numbers(rules)
+        self._nitro_steps, self._stuck_steps = (
+            round(time / STEP) for time in (rules.nitro_wait, rules.stuck_time)
         )
         self.rows = np.zeros((len(PlanMemory._fields), count), np.float32)
         self._of = PlanMemory(*self.rows)
         self._of.since_fire[:] = _LONG_AGO
+        self.moments = np.tile(_NO_MOMENT, (count, 2, 1))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -152,11 +150,13 @@ class DriverMemory:
         joined = copy.copy(memories[0])
         joined.rows = np.concatenate([memory.rows for memory in memories], axis=1)
         joined._of = PlanMemory(*joined.rows)
+        joined.moments = np.concatenate([memory.moments for memory in memories])
         return joined
 
     def take(self, joined: DriverMemory, rows: slice) -> None:
         """Copies the state of some karts from a joint memory."""
         self.rows[:] = joined.rows[:, rows]
+        self.moments[:] = joined.moments[rows]
 
     def look(self, speed: FloatArray, skeed_factor: FloatArray) -> None:
         """Advances the memory by one step.
@@ -169,6 +169,7 @@ class DriverMemory:
             np.ascontiguousarray(numbers, np.float32) for numbers in (speed, skeed_factor)
         )
         age_memory(self._numbers, self.rows, speed, skeed_factor)
+        self.moments[:, 0] = self.moments[:, 1]
 
     def look_around(self, beyond: FloatArray) -> None:
         """Completes the step once the road is known.
@@ -267,3 +268,4 @@ class DriverMemory:
         """Resets some karts."""
         self.rows[:, rows] = 0
         self._of.since_fire[rows] = _LONG_AGO
+        self.moments[rows] = _NO_MOMENT

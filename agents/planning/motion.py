@@ -41,9 +41,6 @@ RELEASE_STEPS = 7
 #: Turning rate after a drift, per fraction of full lock at its end [rad/s].
 RELEASE_TURN = 1.25 / 0.7
 
-#: Lag of the wheels behind the steering, as a fraction of a step.
-STEERING_LAG = 0.33
-
 #: Maximum steps of a rescue, during which the kart reports the speed that it had before.
 RESCUE_STEPS = 14
 
@@ -52,28 +49,6 @@ BRAKING = 22.0
 
 #: Duration of braking in plans that brake [s].
 BRAKE_TIME = 0.3
-
-
-class MotionRules(NamedTuple):
-    """Parameters of the network that models the karts' motion. Times are in its steps.
-
-    Attributes:
-        step: length of a step [s].
-        small_drift: duration of a drift that earns the small boost.
-        big_drift: duration of a drift that earns the big boost.
-        small_lasts: duration of the small boost.
-        big_lasts: duration of the big boost.
-        release_lasts: longest time for which a kart keeps turning after a drift.
-        brake_lasts: duration of braking in a plan that brakes.
-    """
-
-    step: float
-    small_drift: float
-    big_drift: float
-    small_lasts: float
-    big_lasts: float
-    release_lasts: float
-    brake_lasts: float
 
 
 class MotionState(NamedTuple):
@@ -107,12 +82,12 @@ class MotionState(NamedTuple):
     big_boost: FloatArray
     brake: FloatArray
 
-    def inputs(self, rules: MotionRules) -> FloatArray:
+    def inputs(self) -> FloatArray:
         """Returns the inputs of the network, ``(..., 16)``."""
         columns = (
-            *self._replace(steps=np.minimum(self.steps, rules.big_drift)),
+            *self._replace(steps=np.minimum(self.steps, BOOST_STEPS[1])),
             self.side / (1.0 + self.steps),
-            self.steps >= rules.small_drift,
+            self.steps >= BOOST_STEPS[0],
             self.turn * self.side,
             np.where(self.release > 0, self.turn, 0),
         )
@@ -122,19 +97,14 @@ class MotionState(NamedTuple):
 #: The network's weights: ``w0``, ``b0``, ``w1``, ``b1``, ``w2`` and ``b2``.
 WEIGHTS = Path(__file__).with_name("motion.safetensors")
 
-#: Times that the network knows.
-MOTION_RULES = MotionRules(
-    STEP, *BOOST_STEPS, *BOOST_LASTS, RELEASE_STEPS, round(BRAKE_TIME / STEP)
-)
-
 #: Names of the network's layers, in order: matrices ``(outputs, inputs)`` and biases.
 LAYERS = ("w0", "b0", "w1", "b1", "w2", "b2")
 
 
 @lru_cache(maxsize=1)
 def learned_motion() -> tuple[npt.NDArray[Any], ...]:
-    """Returns the argument ``motion`` of ``weigh_plans``."""
+    """Returns the layers of the network, for ``plan_karts``."""
     from stkzoo.agents.pretrained.weights import load_weights  # only plans with the network need it
 
     weights = load_weights(WEIGHTS)
-    return np.array(MOTION_RULES), *(weights[name] for name in LAYERS)
+    return tuple(weights[name] for name in LAYERS)

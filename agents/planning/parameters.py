@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 from msgspec import Meta
 
 from stkzoo._reading import Unreadable
@@ -140,3 +142,8 @@ class DriverParameters:
             if abs(value) > _LARGEST:
                 raise Unreadable(f"{name} is {value}, expected at most {_LARGEST:,.0f}")
         return parameters
+
+
+def rule_numbers(parameters: DriverParameters) -> npt.NDArray[np.float64]:
+    """Returns the parameters in the form that the extension expects, ``(50,)`` float64."""
+    return np.array(astuple(parameters), np.float64)

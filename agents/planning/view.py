@@ -25,6 +25,7 @@ from stkzoo.views import View
 from stkzoo.wrappers import CompiledWrapper
 from stkzoo.wrappers.racing import (
     ABSENT,
+    OWN_SIZE,
     Surroundings,
     road_observer,
     surroundings_of,
@@ -42,24 +43,15 @@ from .driver import (
     mirrored_inputs,
     mirrored_prior,
 )
+from .memory import LINE_MARKS
 from .parameters import DriverParameters
-from .road import LINE_MARKS
 
 if TYPE_CHECKING:
     from stkzoo.views import ViewPlan
 
 #: Number of the nearest karts and items that a kart observes.
 _KARTS, _ITEMS = 24, 64
-_NUMBERS = {
-    "velocity": 3,
-    "max_steer_angle": 1,
-    "skeed_factor": 1,
-    "energy": 1,
-    "attachment_time_left": 1,
-    "shield_time": 1,
-}
-_AROUND = ("road", "karts", "items", "item_types")
-_KINDS = ("jumping", "powerup_type", "powerup_count", "attachment")
+_AROUND = ("own", "road", "karts", "items", "item_types")
 _FULL_THROTTLE = np.eye(1, 7, dtype=np.float32)
 
 OBSERVATION_SPACE = spaces.Dict(
@@ -106,7 +98,7 @@ class PlanView:
         if self._waits.any():  # nothing before GO matters
             self.driver.forget(np.flatnonzero(self._waits))
         self._waits = np.asarray(seen["phase"]) < Phase.GO_PHASE
-        policy_input = (self.driver.look if advances else self.driver.view)(seen, around_of(seen))
+        policy_input = (self.driver.look if advances else self.driver.view)(around_of(seen))
         if not self._is_mirrored.any():
             return {"inputs": policy_input.inputs, "prior": policy_input.prior}
         rows = self._is_mirrored[:, None]
@@ -161,8 +153,8 @@ class PlanSurroundings(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
 
     def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Returns the kart's own state and surroundings."""
-        kart, around = surroundings_of(observation, ALL_LOOKS)
-        return {key: array[0] for key, array in _row(kart, around, observation["phase"]).items()}
+        around = surroundings_of(observation, ALL_LOOKS)
+        return {key: array[0] for key, array in _row(around, observation["phase"]).items()}
 
 
 class _SurroundingsObserver:
@@ -179,29 +171,26 @@ class _SurroundingsObserver:
             for key, array in self._seen(source, karts).items():
                 batch[key][rows] = array
             return
-        arrays = {key: array[part] for key, array in batch.items()}
-        arrays["phase"][:] = snapshot.phase
-        out = arrays, tuple(arrays[key] for key in _AROUND)
+        batch["phase"][part] = snapshot.phase
+        out = tuple(batch[key][part] for key in _AROUND)
         road_observer(source.track_map).look_into(snapshot, karts, ALL_LOOKS, out)
 
     def _seen(self, source: Any, karts: IntArray) -> dict[str, Any]:
         snapshot = source.snapshot
-        kart, around = road_observer(source.track_map).surroundings(snapshot, karts, ALL_LOOKS)
-        seen = _row(kart, around, np.full(len(karts), snapshot.phase))
+        around = road_observer(source.track_map).surroundings(snapshot, karts, ALL_LOOKS)
+        seen = _row(around, np.full(len(karts), snapshot.phase))
         if self._sees_line:
             ahead = source.ground_ahead(karts)
             seen["line"] = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
         return seen
 
 
-def _row(kart: Mapping[str, Any], around: Surroundings, phase: Any) -> dict[str, Any]:
+def _row(around: Surroundings, phase: Any) -> dict[str, Any]:
     """Returns observations of A karts with arrays of the sizes in their space."""
-    count = len(around.road)
     nearest = _nearest(around.items, _ITEMS)
-    seen = {key: np.reshape(kart[key], (count, width)) for key, width in _NUMBERS.items()}
-    seen |= {key: np.reshape(kart[key], count) for key in _KINDS}
-    seen |= {
-        "phase": np.reshape(phase, count),
+    seen = {
+        "own": around.own,
+        "phase": np.reshape(phase, len(around.own)),
         "road": around.road,
         "karts": _fitted(around.karts, _nearest(around.karts, _KARTS), _KARTS, np.inf),
         "items": _fitted(around.items, nearest, _ITEMS, 0.0),
@@ -233,12 +222,12 @@ def _surroundings_space(sees_line: bool) -> spaces.Dict:
     def numbers(*shape: int) -> spaces.Box:
         return spaces.Box(-np.inf, np.inf, shape, np.float32)
 
-    kinds = spaces.Box(ABSENT, np.iinfo(np.int32).max, (), np.int64)
-    parts: dict[str, spaces.Space[Any]] = {key: numbers(size) for key, size in _NUMBERS.items()}
-    parts |= dict.fromkeys((*_KINDS, "phase"), kinds)
-    parts |= {"road": numbers(len(ALL_LOOKS), 4), "karts": numbers(_KARTS, 3)}
-    parts |= {"items": numbers(_ITEMS, 3)}
-    parts |= {"item_types": spaces.Box(ABSENT, np.iinfo(np.int32).max, (_ITEMS,), np.int64)}
+    def kinds(*shape: int) -> spaces.Box:
+        return spaces.Box(ABSENT, np.iinfo(np.int32).max, shape, np.int64)
+
+    parts: dict[str, spaces.Space[Any]]
+    parts = {"own": numbers(OWN_SIZE), "phase": kinds(), "road": numbers(len(ALL_LOOKS), 4)}
+    parts |= {"karts": numbers(_KARTS, 3), "items": numbers(_ITEMS, 3), "item_types": kinds(_ITEMS)}
     return spaces.Dict(parts | ({"line": numbers(len(LINE_MARKS), 5)} if sees_line else {}))
 
 
@@ -250,8 +239,7 @@ def surroundings_view(sees_line: bool) -> View:
 
 def around_of(seen: Mapping[str, Any]) -> Surroundings:
     """Returns the surroundings in observations of :class:`PlanSurroundings`, in rows."""
-    road, karts, items, item_types = (seen[key] for key in _AROUND)
-    return Surroundings(road, karts, items, item_types, seen.get("line"))
+    return Surroundings(*(seen[key] for key in _AROUND), line=seen.get("line"))
 
 
 class PlanChoices(gym.Wrapper[Any, Any, Any, Any]):

@@ -1,4 +1,4 @@
-/* Computes the inputs of plans, and a policy's inputs from the weighed plans.
+/* Computes how karts are on the road, in the forms that plans need.
 
    The NumPy version in tests/oracle/plan_viewer.py matches bit for bit where NumPy uses fused
    multiply-adds. */
@@ -7,41 +7,29 @@
 #include "planning.h"
 #include "vectors.h"
 
-enum {
-    MANEUVERS = 4, BRAKE = 1, OFFSETS = 7, KART_SIZE = 16, TURN_MARKS = 9, MOST_MARKS = 64,
-    MOST_NEAR = 16
-};
-/* Columns of the road's line after the point: distances to the left and to the right edge [m]. */
-enum { TO_LEFT = 3, TO_RIGHT, LINE_SIZE };
-/* Number of rows of the road in the arguments of weigh_plans. */
-enum { ROAD_ROWS = 4 };
+/* Number of marks that measure a kart's rotation. */
+enum { TURN_MARKS = 9 };
 static const double PI = 3.14159265358979323846;
 
-/* Indices of `rules`, which apply to all karts. */
-enum {
-    MARK_SPACING, SLOWEST, AIM_DISTANCE, AIM_TIME, WHEEL_BASE, DRIFT_SPEED, BRAKE_SPEED, MARGIN,
-    CAUTION_ROOM, GREATEST_ROOM, STRAIGHT_TIME, ITEM_RADIUS, BAD_ITEM_RADIUS, NEAREST, FARTHEST,
-    LEVEL, BEYOND, REACH, FASTEST, NOWHERE, STEP, MOST_TURNED, RELEASE_STEPS, LONGEST_DRIFT,
-    SWITCH, SWITCH_REACH, DANGER, NITRO_SPEED, NITRO_TURN, STRAIGHT_AIM, STRAIGHT_ANGLE,
-    FIRE_EVERY, WORTH_SCALE, NEVER, NUM_RULES
-};
-
-/* Columns of the scene: where a kart is on the road, and whether firing is useful. */
-enum { ANGLE, OFFSET, ASIDE, STRAIGHTNESS, IS_USEFUL, SCENE_SIZE };
-
-/* The karts' own state: entries of the full view in batch form. */
-typedef struct {
-    Floats velocity, energy;
-    Wholes jumping, powerup, powerups;
-} Own;
+#define SLOWEST 5.0f             /* minimum assumed speed of karts [m/s] */
+#define LEAST_LOCK 0.02f         /* minimum assumed angle of the wheels at full lock [rad] */
+#define NEAREST 1.0              /* items nearer than this are too close to steer for [m] */
+#define FARTHEST 60.0            /* items farther than this are ignored [m] */
+#define BEYOND 1.0f              /* also items farther beyond the edge of the road [m] */
+#define LEVEL 4.0f               /* items and karts farther above or below are on another level [m] */
+#define REACH 25.0f              /* maximum distance of karts [m] */
+#define FASTEST 50.0f            /* a match of karts that implies a higher speed is rejected [m/s] */
+#define MOST_TURNED 0.6          /* a larger rotation is due to a change of the road [rad] */
+static const float NOWHERE = 1e3f; /* position of a missing kart: stkzoo.agents.planning.road [m] */
+enum { SWITCH = 6 };             /* stkzoo.PowerupType */
 
 /* The road ahead of a kart, at the marks. */
 typedef struct {
-    npy_intp marks;
-    const float *line; /* (marks + 1, LINE_SIZE) */
-    float *headings, curvature[MOST_MARKS];
-    float x[MOST_MARKS], y[MOST_MARKS], z[MOST_MARKS], squares[MOST_MARKS];
-    float apart[MOST_MARKS];
+    const float *line; /* (MARKS + 1, size): points, distances to the left and to the right edge [m] */
+    npy_intp size;     /* of a point; with 4 numbers, the last one is the distance to both edges */
+    float headings[MARKS], curvature[MARKS];
+    float x[MARKS], y[MARKS], z[MARKS], squares[MARKS];
+    float apart[MARKS];
     float offset, angle;
 } Road;
 
@@ -50,38 +38,25 @@ typedef struct {
     float across, above, to_left, to_right, sine, cosine;
 } Place;
 
-typedef struct {
-    const double *rules;
-    npy_intp count, marks, num_karts, num_items, num_rivals, num_kept, num_types;
-    Own own;
-    Floats worths, memory, line, headings, tangents, karts, items;
-    Wholes types;
-    Floats spots_before, velocity_before, headings_before, spots, velocity;
-    Indices rows;
-    Floats out_karts, out_road, out_scene;
-    Doubles out_items, out_rivals;
-} Survey;
-
 /* The smaller and the larger of two numbers; y if one of them is NaN. */
 FORCE_INLINE float least_of(float x, float y) { return x < y ? x : y; }
 FORCE_INLINE float most_of(float x, float y) { return x > y ? x : y; }
 
-/* Returns the number of marks within a distance, clamped to `least` and `most`. Clamps before the
-   cast, because casting NaN or a number out of range is undefined. */
-FORCE_INLINE npy_intp marks_within(double distance, double spacing, npy_intp least, npy_intp most)
+/* Returns the whole part of a number, clamped to `least` and `most`. Clamps before the cast, because
+   casting NaN or a number out of range is undefined. */
+FORCE_INLINE npy_intp whole_within(double marks, npy_intp least, npy_intp most)
 {
-    const double marks = distance / spacing;
     return marks >= (double)most ? most : marks > (double)least ? (npy_intp)marks : least;
 }
 
 /* ---------------------------------------------------------------- the road */
 
 /* Removes jumps of a full turn from headings, as numpy.unwrap does. */
-static void unwrap(float *headings, npy_intp marks)
+static void unwrap(float *headings)
 {
     const float full = (float)(2 * PI), half = (float)PI;
     float shift = 0, last = headings[0];
-    for (npy_intp i = 1; i < marks; i++) {
+    for (int i = 1; i < MARKS; i++) {
         const float turn = headings[i] - last;
         float wrapped = fmodf(turn + half, full);
         if (wrapped < 0) wrapped += full;
@@ -93,23 +68,34 @@ static void unwrap(float *headings, npy_intp marks)
     }
 }
 
-FORCE_INLINE void read_road(Road *road, const double *rules)
+static float to_left(const Road *road, npy_intp mark)
 {
-    const npy_intp marks = road->marks;
+    return road->line[road->size * mark + 3];
+}
+
+static float to_right(const Road *road, npy_intp mark)
+{
+    return road->line[road->size * (mark + 1) - 1];
+}
+
+FORCE_INLINE void read_road(Road *road)
+{
     float *headings = road->headings, *curvature = road->curvature;
     int jumps = 0;
-    for (npy_intp i = 1; i < marks; i++) {
-        jumps |= fabsf(headings[i] - headings[i - 1]) >= (float)PI;
+    for (int i = 0; i < MARKS; i++) {
+        const float *point = road->line + road->size * i, *next = point + road->size;
+        headings[i] = atan2f(next[0] - point[0], next[2] - point[2]);
+        jumps |= i && fabsf(headings[i] - headings[i - 1]) >= (float)PI;
     }
-    if (jumps) unwrap(headings, marks);
-    for (npy_intp i = 0; i < marks; i++) {
-        const float *point = road->line + LINE_SIZE * i;
+    if (jumps) unwrap(headings);
+    for (int i = 0; i < MARKS; i++) {
+        const float *point = road->line + road->size * i;
         const float x = point[0], y = point[1], z = point[2];
         road->x[i] = x, road->y[i] = y, road->z[i] = z;
         road->squares[i] = x * x + y * y + z * z;
-        float bend = i + 1 < marks ? headings[i + 1] - headings[i] : 0;
-        if (i && i + 1 < marks) bend = (bend + (headings[i] - headings[i - 1])) / 2;
-        curvature[i] = bend / (float)rules[MARK_SPACING];
+        float bend = i + 1 < MARKS ? headings[i + 1] - headings[i] : 0;
+        if (i && i + 1 < MARKS) bend = (bend + (headings[i] - headings[i - 1])) / 2;
+        curvature[i] = bend / (float)MARK_SPACING;
     }
     float sine, cosine;
     sine_and_cosine(headings[0], &sine, &cosine);
@@ -118,26 +104,24 @@ FORCE_INLINE void read_road(Road *road, const double *rules)
 }
 
 /* Returns the position of a spot relative to the road. */
-FORCE_INLINE Place place_of(Road *road, const double *rules, const float *spot)
+FORCE_INLINE Place place_of(Road *road, const float *spot)
 {
-    const npy_intp marks = road->marks;
     const float x = spot[0], y = spot[1], z = spot[2];
-    for (npy_intp i = 0; i < marks; i++) {
+    for (int i = 0; i < MARKS; i++) {
         const float product = fmaf(z, road->z[i], fmaf(y, road->y[i], x * road->x[i]));
         road->apart[i] = road->squares[i] - 2.0f * product;
     }
-    npy_intp nearest = 0;
-    for (npy_intp i = 1; i < marks; i++) {
+    int nearest = 0;
+    for (int i = 1; i < MARKS; i++) {
         if (road->apart[i] < road->apart[nearest]) nearest = i;
     }
     const float right = x - road->x[nearest], ahead = z - road->z[nearest];
     Place place = {.above = y - road->y[nearest]};
     sine_and_cosine(road->headings[nearest], &place.sine, &place.cosine);
-    place.along = (double)nearest * rules[MARK_SPACING] + right * place.sine + ahead * place.cosine;
+    place.along = (double)nearest * MARK_SPACING + right * place.sine + ahead * place.cosine;
     place.across = right * place.cosine - ahead * place.sine;
-    const npy_intp mark = marks_within(place.along, rules[MARK_SPACING], 0, marks - 1);
-    const float *point = road->line + LINE_SIZE * mark;
-    place.to_left = point[TO_LEFT], place.to_right = point[TO_RIGHT];
+    const npy_intp mark = whole_within(place.along / MARK_SPACING, 0, MARKS - 1);
+    place.to_left = to_left(road, mark), place.to_right = to_right(road, mark);
     return place;
 }
 
@@ -145,22 +129,15 @@ FORCE_INLINE Place place_of(Road *road, const double *rules, const float *spot)
    Subtracts from 0, because a kart in the middle of a road without width is at 0, not at -0. */
 FORCE_INLINE float aside_of(const Road *road)
 {
-    const float right = road->offset - road->line[TO_RIGHT];
-    const float left = 0.0f - road->offset - road->line[TO_LEFT];
+    const float right = road->offset - to_right(road, 0);
+    const float left = 0.0f - road->offset - to_left(road, 0);
     return right > left || right != right ? right : left;
 }
 
-/* Returns the largest offset of a kart from the middle of the road to one side [m]. */
-FORCE_INLINE float room_of(const double *rules, float to_edge, float widest)
-{
-    return least_of(most_of(to_edge - (float)rules[MARGIN], 0.3f), widest);
-}
-
 /* Returns the largest turn of the road within a distance [rad]. */
-FORCE_INLINE float straightness_of(const Road *road, const double *rules, float distance)
+FORCE_INLINE float straightness_of(const Road *road, float distance)
 {
-    const npy_intp count =
-        marks_within(distance / (float)rules[MARK_SPACING], 1.0, 1, road->marks);
+    const npy_intp count = whole_within(distance / (float)MARK_SPACING, 1, MARKS);
     float most = 0;
     for (npy_intp i = 1; i < count; i++) {
         most = most_of(most, fabsf(road->headings[i] - road->headings[0]));
@@ -170,65 +147,48 @@ FORCE_INLINE float straightness_of(const Road *road, const double *rules, float 
 
 /* ---------------------------------------------------------------- nearby items */
 
-/* Inserts an object among the nearest, behind those with an equal key. Returns the new count, at
-   most `limit`. */
-FORCE_INLINE npy_intp add_near(Near *nearest, npy_intp count, npy_intp limit, const Near *one)
-{
-    npy_intp at = count;
-    while (at > 0 && one->key < nearest[at - 1].key) at--;
-    if (at >= limit) return count;
-    if (count < limit) count++;
-    for (npy_intp i = count - 1; i > at; i--) nearest[i] = nearest[i - 1];
-    nearest[at] = *one;
-    return count;
-}
-
 /* Writes the relevant items ahead, nearest first, and whether the kart should fire. */
-FORCE_INLINE void survey_items(const Survey *s, npy_intp kart, Road *road)
+FORCE_INLINE void survey_items(const Survey *s, npy_intp kart, const OwnState *own, Road *road,
+                               Situation *out)
 {
-    const double *rules = s->rules;
-    const float *spots = s->items.data + 3 * s->num_items * kart;
-    const npy_int64 *types = s->types.data + s->num_items * kart;
-    const int has_powerup = s->own.powerup.data[kart] != 0;
-    const float *worths = s->worths.data + (has_powerup ? s->num_types : 0);
-    const float reach = (float)((rules[FARTHEST] + 5.0) * (rules[FARTHEST] + 5.0));
-    const float switch_reach = (float)(rules[SWITCH_REACH] * rules[SWITCH_REACH]);
-    Near nearest[MOST_NEAR];
+    const Rules *rules = s->rules;
+    const npy_intp num_items = s->around.num_items;
+    const float *spots = s->around.items.data + 3 * num_items * kart;
+    const npy_int64 *types = s->around.types.data + num_items * kart;
+    const float *worths = s->worths.data + (own->powerup_type != 0 ? s->num_types : 0);
+    const float reach = (float)((FARTHEST + 5.0) * (FARTHEST + 5.0));
+    const float switch_reach = (float)(rules->switch_reach * rules->switch_reach);
+    Near nearest[ITEMS];
     npy_intp count = 0;
     int is_close = 0;
-    for (npy_intp i = 0; i < s->num_items; i++) {
+    for (npy_intp i = 0; i < num_items; i++) {
         const float *spot = spots + 3 * i;
         if (!(spot[2] > 0)) continue;
         const Near one = {.key = dot(spot, spot), .which = (int)i};
         is_close |= one.key < switch_reach && types[i] >= 0;
         const int is_known = types[i] >= 0 && types[i] < s->num_types;
         if (!is_known || worths[types[i]] == 0 || !(one.key < reach)) continue;
-        count = add_near(nearest, count, s->num_kept, &one);
+        count = insert(nearest, count, ITEMS, &one);
     }
-    double *out = s->out_items.data + 4 * s->num_kept * kart;
-    memset(out, 0, (size_t)(4 * s->num_kept) * sizeof *out);
-    for (npy_intp i = 0; i < count; i++, out += 4) {
+    for (npy_intp i = 0; i < count; i++) {
         const int which = nearest[i].which;
         const float worth = worths[types[which]];
-        const Place place = place_of(road, rules, spots + 3 * which);
-        const int is_kept = place.along > rules[NEAREST] && place.along < rules[FARTHEST] &&
-                            fabsf(place.above) < (float)rules[LEVEL] &&
-                            place.across < place.to_right + (float)rules[BEYOND] &&
-                            -place.across < place.to_left + (float)rules[BEYOND];
-        out[0] = place.along, out[1] = place.across, out[2] = is_kept ? worth : 0;
-        out[3] = (float)rules[worth > 0 ? ITEM_RADIUS : BAD_ITEM_RADIUS];
+        const Place place = place_of(road, spots + 3 * which);
+        const int is_kept = place.along > NEAREST && place.along < FARTHEST &&
+                            fabsf(place.above) < LEVEL && place.across < place.to_right + BEYOND &&
+                            -place.across < place.to_left + BEYOND;
+        const float radius = (float)(worth > 0 ? rules->item_radius : rules->bad_item_radius);
+        out->items[i] = (RoadItem){place.along, place.across, is_kept ? worth : 0, radius};
     }
-    const int spoils = s->own.powerup.data[kart] == (npy_int64)rules[SWITCH] && is_close;
-    s->out_scene.data[SCENE_SIZE * kart + IS_USEFUL] =
-        s->own.powerups.data[kart] > 0 && !spoils;
+    out->is_useful = own->powerup_count > 0 && !(own->powerup_type == SWITCH && is_close);
 }
 
 /* ---------------------------------------------------------------- the nearest karts */
 
 /* Returns how far a kart has turned to the right since the previous step [rad]. */
-FORCE_INLINE float turned_since(const double *rules, const Road *road, const float *before, float way)
+FORCE_INLINE float turned_since(const Road *road, const float *before, float way)
 {
-    const float marks = way / (float)rules[MARK_SPACING];
+    const float marks = way / (float)MARK_SPACING;
     const double first = marks > 0 ? least_of(marks, 1.0f) : 0;
     double turns[TURN_MARKS];
     for (int i = 0; i < TURN_MARKS; i++) {
@@ -244,13 +204,13 @@ FORCE_INLINE float turned_since(const double *rules, const Road *road, const flo
     double turned = fmod(turns[TURN_MARKS / 2] + PI, 2 * PI);
     if (turned < 0) turned += 2 * PI;
     turned -= PI;
-    return fabs(turned) < rules[MOST_TURNED] ? (float)turned : 0;
+    return fabs(turned) < MOST_TURNED ? (float)turned : 0;
 }
 
 /* Positions in two arrays. If the coordinates of a point were adjacent, GCC 12 would rotate it with
    fused operations even with -ffp-contract=off, which changes the last bits. */
 typedef struct {
-    float right[MOST_NEAR], ahead[MOST_NEAR];
+    float right[RIVALS], ahead[RIVALS];
 } Spots;
 
 FORCE_INLINE void turn_right(Spots *spots, npy_intp i, float sine, float cosine)
@@ -262,20 +222,17 @@ FORCE_INLINE void turn_right(Spots *spots, npy_intp i, float sine, float cosine)
 
 /* Writes the karts' previous positions in the observing kart's current frame. Returns how far the
    observing kart has turned to the right since the previous step [rad]. */
-FORCE_INLINE float move_spots(const Survey *s, npy_intp kart, const Road *road,
-                              const float *velocity, Spots *stayed)
+FORCE_INLINE float move_spots(const Moment *before, const Road *road, const float *velocity,
+                              Spots *stayed)
 {
-    const float *before = s->velocity_before.data + 2 * kart, half_step = (float)(s->rules[STEP] / 2);
-    const float *spots = s->spots_before.data + 2 * s->num_rivals * kart;
-    const float right = (velocity[0] + before[0]) * half_step;
-    const float ahead = (velocity[1] + before[1]) * half_step;
-    const float *headings = s->headings_before.data + s->marks * kart;
-    const float way = sqrtf(right * right + ahead * ahead);
-    const float turned = turned_since(s->rules, road, headings, way);
+    const float half_step = (float)(STEP / 2);
+    const float right = (velocity[0] + before->velocity[0]) * half_step;
+    const float ahead = (velocity[1] + before->velocity[1]) * half_step;
+    const float turned = turned_since(road, before->headings, sqrtf(right * right + ahead * ahead));
     float sine, cosine;
     sine_and_cosine(turned * 0.5f, &sine, &cosine);
-    for (npy_intp i = 0; i < s->num_rivals; i++) {
-        stayed->right[i] = spots[2 * i], stayed->ahead[i] = spots[2 * i + 1];
+    for (int i = 0; i < RIVALS; i++) {
+        stayed->right[i] = before->spots[i][0], stayed->ahead[i] = before->spots[i][1];
         turn_right(stayed, i, sine, cosine);
         stayed->right[i] -= right, stayed->ahead[i] -= ahead;
         turn_right(stayed, i, sine, cosine);
@@ -284,51 +241,52 @@ FORCE_INLINE float move_spots(const Survey *s, npy_intp kart, const Road *road,
 }
 
 /* Writes the nearest karts, with velocities from the changes of their positions since the previous
-   step. Returns how far the observing kart has turned to the right since then [rad]. */
-FORCE_INLINE float survey_rivals(const Survey *s, npy_intp kart, Road *road)
+   step. Returns how far the observing kart has turned to the right since then [rad].
+
+   Observations have no velocities of other karts. The observing kart's own motion is known: its
+   velocity, and its rotation from the apparent rotation of the road. Once this is subtracted, other
+   karts move little in a step, so each is matched with the nearest previous position. */
+FORCE_INLINE float survey_rivals(const Survey *s, npy_intp kart, const OwnState *own, Road *road,
+                                 RoadRival *out)
 {
-    const double *rules = s->rules;
-    const npy_intp num_rivals = s->num_rivals;
-    const float *own = s->own.velocity.data + 3 * kart;
-    float *velocity = s->velocity.data + 2 * kart, *spots = s->spots.data + 2 * num_rivals * kart;
-    velocity[0] = own[0], velocity[1] = own[2];
+    Moment *now = &s->moments[kart][1];
+    float *velocity = now->velocity;
+    velocity[0] = own->velocity[0], velocity[1] = own->velocity[2];
+    memcpy(now->headings, road->headings, sizeof now->headings);
     const float pace = sqrtf(velocity[0] * velocity[0] + velocity[1] * velocity[1]);
-    Near nearest[MOST_NEAR];
+    Near nearest[RIVALS];
     npy_intp count = 0;
-    for (npy_intp i = 0; i < s->num_karts; i++) {
-        const float *spot = s->karts.data + 3 * (s->num_karts * kart + i);
+    for (npy_intp i = 0; i < s->around.num_karts; i++) {
+        const float *spot = s->around.karts.data + 3 * (s->around.num_karts * kart + i);
         Near one = {.key = dot(spot, spot), .place = {spot[0], spot[1], spot[2]}};
-        if (!(one.key < (float)(rules[REACH] * rules[REACH]))) continue;
-        count = add_near(nearest, count, num_rivals, &one);
+        if (one.key < REACH * REACH) count = insert(nearest, count, RIVALS, &one);
     }
     Spots stayed;
-    const float turned = move_spots(s, kart, road, velocity, &stayed);
-    double *out = s->out_rivals.data + 5 * num_rivals * kart;
-    memset(out, 0, (size_t)(5 * num_rivals) * sizeof *out);
-    for (npy_intp i = 0; i < num_rivals; i++, out += 5) {
-        spots[2 * i] = spots[2 * i + 1] = (float)rules[NOWHERE];
+    const float turned = move_spots(&s->moments[kart][0], road, velocity, &stayed);
+    for (int i = 0; i < RIVALS; i++, out++) {
+        now->spots[i][0] = now->spots[i][1] = NOWHERE;
         if (i >= count) continue;
-        const Place place = place_of(road, rules, nearest[i].place);
-        if (!(fabsf(place.above) < (float)rules[LEVEL])) continue;
-        const float right = spots[2 * i] = nearest[i].place[0];
-        const float ahead = spots[2 * i + 1] = nearest[i].place[2];
+        const Place place = place_of(road, nearest[i].place);
+        if (!(fabsf(place.above) < LEVEL)) continue;
+        const float right = now->spots[i][0] = nearest[i].place[0];
+        const float ahead = now->spots[i][1] = nearest[i].place[2];
         float moved[2] = {0}, least = 0;
-        for (npy_intp k = 0; k < num_rivals; k++) {
-            const float x = (right - stayed.right[k]) / (float)rules[STEP];
-            const float z = (ahead - stayed.ahead[k]) / (float)rules[STEP];
+        for (int k = 0; k < RIVALS; k++) {
+            const float x = (right - stayed.right[k]) / (float)STEP;
+            const float z = (ahead - stayed.ahead[k]) / (float)STEP;
             const float strangeness = fabsf(x - velocity[0]) + fabsf(z - velocity[1]);
             if (k && !(strangeness < least)) continue;
             least = strangeness, moved[0] = x, moved[1] = z;
         }
-        out[0] = 1, out[1] = place.along, out[2] = place.across;
-        if (!(sqrtf(moved[0] * moved[0] + moved[1] * moved[1]) < (float)rules[FASTEST])) continue;
-        out[3] = moved[0] * place.sine + moved[1] * place.cosine - pace;
-        out[4] = moved[0] * place.cosine - moved[1] * place.sine;
+        *out = (RoadRival){1, place.along, place.across, 0, 0};
+        if (!(sqrtf(moved[0] * moved[0] + moved[1] * moved[1]) < FASTEST)) continue;
+        out->gain = moved[0] * place.sine + moved[1] * place.cosine - pace;
+        out->drift = moved[0] * place.cosine - moved[1] * place.sine;
     }
     return turned;
 }
 
-/* ---------------------------------------------------------------- inputs of plans */
+/* ---------------------------------------------------------------- the situation of a kart */
 
 FORCE_INLINE float remembered(const Survey *s, int name, npy_intp kart)
 {
@@ -338,326 +296,69 @@ FORCE_INLINE float remembered(const Survey *s, int name, npy_intp kart)
 /* Returns the index of the kart's state in the table of plans. */
 FORCE_INLINE npy_intp state_of(const Survey *s, npy_intp kart)
 {
-    const double *rules = s->rules;
-    const npy_intp most = (npy_intp)rules[LONGEST_DRIFT], release = (npy_intp)rules[RELEASE_STEPS];
     const float side = remembered(s, DRIFT_SIDE, kart);
-    if (side == 0) return marks_within(remembered(s, RELEASE_LEFT, kart), 1.0, 0, release);
-    return release + 1 + (side > 0 ? most + 1 : 0) +
-           marks_within(remembered(s, DRIFT_COUNT, kart), 1.0, 0, most);
+    if (side == 0) return whole_within(remembered(s, RELEASE_LEFT, kart), 0, RELEASE_STEPS);
+    return RELEASE_STEPS + 1 + (side > 0 ? BIG_DRIFT + 1 : 0) +
+           whole_within(remembered(s, DRIFT_COUNT, kart), 0, BIG_DRIFT);
 }
 
-FORCE_INLINE void survey_kart(const Survey *s, npy_intp kart)
+/* Returns the tangent of an angle from -1 to 1 rad, with the same bits on every system. This is
+   Lambert's continued fraction, which has an error below 1e-13 with eight terms. */
+FORCE_INLINE float tangent(double x)
 {
-    const double *rules = s->rules;
-    const npy_intp marks = s->marks;
-    Road road = {.marks = marks, .line = s->line.data + LINE_SIZE * (marks + 1) * kart,
-                 .headings = s->headings.data + marks * kart};
-    read_road(&road, rules);
-    const float turned = s->num_rivals ? survey_rivals(s, kart, &road) : 0;
-    survey_items(s, kart, &road);
+    double fraction = 15.0;
+    for (int odd = 13; odd > 0; odd -= 2) fraction = odd - x * x / fraction;
+    return (float)(x / fraction);
+}
 
-    const float speed = s->own.velocity.data[3 * kart + 2];
-    const float assumed = most_of(speed, (float)rules[SLOWEST]);
-    const float reach = (float)rules[AIM_DISTANCE] + (float)rules[AIM_TIME] * assumed;
-    const int is_jumping = s->own.jumping.data[kart] > 0;
-    const float numbers[] = {
-        assumed,
-        assumed * s->tangents.data[kart] / (float)rules[WHEEL_BASE],
-        reach,
-        remembered(s, TURN, kart),
-        remembered(s, DRIFT_TURN, kart),
-        road.offset,
-        road.angle,
-        remembered(s, BOOST_STEPS, kart),
-        remembered(s, BIG_BOOST_STEPS, kart),
-        speed > (float)rules[DRIFT_SPEED] && !is_jumping && remembered(s, HOP_STEPS, kart) == 0,
-        speed > (float)rules[BRAKE_SPEED],
-        s->own.velocity.data[3 * kart],
-        turned,
-        remembered(s, DRIFT_SIDE, kart),
-        remembered(s, DRIFT_COUNT, kart),
-        remembered(s, RELEASE_LEFT, kart),
-    };
-    memcpy(s->out_karts.data + KART_SIZE * kart, numbers, sizeof numbers);
-    s->rows.data[kart] = state_of(s, kart);
-
-    const int is_cautious = remembered(s, CAUTION_STEPS, kart) > 0;
-    const float widest = (float)rules[is_cautious ? CAUTION_ROOM : GREATEST_ROOM];
-    const npy_intp ahead = marks_within(reach / (float)rules[MARK_SPACING], 1.0, 1, marks - 1);
-    const float aside = 0.5f * reach * reach;
-    float *bends = s->out_road.data + ROAD_ROWS * marks * kart;
-    float *lefts = bends + marks, *rights = lefts + marks;
-    for (npy_intp i = 0; i < marks; i++) {
+/* Writes the road at the marks in the form that plans need. */
+FORCE_INLINE void write_marks(const Road *road, const Rules *rules, int is_cautious, Situation *out)
+{
+    const float widest = (float)(is_cautious ? rules->caution_room : rules->greatest_room);
+    const float margin = (float)rules->margin, aside = 0.5f * out->reach * out->reach;
+    const npy_intp ahead = whole_within(out->reach / (float)MARK_SPACING, 1, MARKS - 1);
+    for (npy_intp i = 0; i < MARKS; i++) {
         const npy_intp there = i + ahead;
-        const float turn = there < marks ? road.headings[there] - road.headings[i] : 0;
-        bends[i] = (float)(turn / ((double)ahead * rules[MARK_SPACING]) * aside);
-        const float *point = road.line + LINE_SIZE * i;
-        lefts[i] = room_of(rules, point[TO_LEFT], widest);
-        rights[i] = room_of(rules, point[TO_RIGHT], widest);
+        const float turn = there < MARKS ? road->headings[there] - road->headings[i] : 0;
+        out->bends[i] = (float)(turn / ((double)ahead * MARK_SPACING) * aside);
+        out->lefts[i] = least_of(most_of(to_left(road, i) - margin, 0.3f), widest);
+        out->rights[i] = least_of(most_of(to_right(road, i) - margin, 0.3f), widest);
     }
-    memcpy(rights + marks, road.curvature, (size_t)marks * sizeof(float));
-
-    float *scene = s->out_scene.data + SCENE_SIZE * kart;
-    scene[ANGLE] = road.angle, scene[OFFSET] = road.offset;
-    scene[ASIDE] = aside_of(&road);
-    scene[STRAIGHTNESS] = straightness_of(&road, rules, (float)rules[STRAIGHT_TIME] * speed);
+    memcpy(out->curves, road->curvature, sizeof out->curves);
 }
 
 FOR_ALL_PROCESSORS
-static void survey_all(const Survey *s)
+void survey_kart(const Survey *s, npy_intp kart, Situation *out)
 {
-    for (npy_intp kart = 0; kart < s->count; kart++) survey_kart(s, kart);
-}
-
-/* ---------------------------------------------------------------- the arguments */
-
-static int are_sizes(const npy_intp (*sizes)[2], size_t count)
-{
-    for (size_t i = 0; i < count; i++) {
-        if (sizes[i][0] != sizes[i][1]) return refuse("the arrays of the karts do not fit together");
-    }
-    return 0;
-}
-
-#define ARE_SIZES(SIZES) are_sizes(SIZES, sizeof SIZES / sizeof *SIZES)
-
-static int read_own(PyObject *tuple, Own *own)
-{
-    return PyArg_ParseTuple(tuple, "O&O&O&O&O&", as_floats, &own->velocity, as_floats, &own->energy,
-                            as_wholes, &own->jumping, as_wholes, &own->powerup, as_wholes,
-                            &own->powerups);
-}
-
-static int is_own(const Own *own, npy_intp count)
-{
-    const npy_intp sizes[][2] = {
-        {own->velocity.size, 3 * count}, {own->energy.size, count}, {own->jumping.size, count},
-        {own->powerup.size, count},      {own->powerups.size, count},
+    const Rules *rules = s->rules;
+    const OwnState *own = (const OwnState *)s->around.own.data + kart;
+    Road road = {.line = s->line + s->line_step * kart, .size = s->line_size};
+    read_road(&road);
+    const float speed = own->velocity[2], assumed = most_of(speed, SLOWEST);
+    const float lock = tangent(most_of(own->max_steer_angle, LEAST_LOCK));
+    const int is_jumping = own->jumping > 0;
+    *out = (Situation){
+        .state = state_of(s, kart),
+        .speed = assumed,
+        .lock = assumed * lock / (float)rules->wheel_base,
+        .reach = (float)rules->aim_distance + (float)rules->aim_time * assumed,
+        .turn = remembered(s, TURN, kart),
+        .drift_turn = remembered(s, DRIFT_TURN, kart),
+        .offset = road.offset,
+        .angle = road.angle,
+        .boost_steps = remembered(s, BOOST_STEPS, kart),
+        .big_boost_steps = remembered(s, BIG_BOOST_STEPS, kart),
+        .may_drift = speed > (float)rules->drift_speed && !is_jumping &&
+                     remembered(s, HOP_STEPS, kart) == 0,
+        .may_brake = speed > (float)rules->brake_speed,
+        .slide = own->velocity[0],
+        .drift_side = remembered(s, DRIFT_SIDE, kart),
+        .drift_steps = remembered(s, DRIFT_COUNT, kart),
+        .release_steps = remembered(s, RELEASE_LEFT, kart),
+        .beyond = aside_of(&road),
+        .straightness = straightness_of(&road, (float)rules->straight_time * speed),
     };
-    return ARE_SIZES(sizes);
-}
-
-static int survey_fits(Survey *s, Doubles rules)
-{
-    const npy_intp count = s->count = s->rows.size;
-    if (!count) return 0;
-    s->rules = rules.data;
-    s->marks = s->headings.size / count;
-    s->num_karts = s->karts.size / (3 * count), s->num_items = s->items.size / (3 * count);
-    s->num_rivals = s->out_rivals.size / (5 * count), s->num_kept = s->out_items.size / (4 * count);
-    s->num_types = s->worths.size / 2;
-    const npy_intp rivals = s->num_rivals, marks = s->marks;
-    const npy_intp sizes[][2] = {
-        {rules.size, NUM_RULES},
-        {s->worths.size, 2 * s->num_types},
-        {s->memory.size, MEMORY_SIZE * count},
-        {s->line.size, LINE_SIZE * (marks + 1) * count},
-        {s->headings.size, marks * count},
-        {s->tangents.size, count},
-        {s->karts.size, 3 * s->num_karts * count},
-        {s->items.size, 3 * s->num_items * count},
-        {s->types.size, s->num_items * count},
-        {s->out_karts.size, KART_SIZE * count},
-        {s->out_road.size, ROAD_ROWS * marks * count},
-        {s->out_items.size, 4 * s->num_kept * count},
-        {s->out_rivals.size, 5 * rivals * count},
-        {s->out_scene.size, SCENE_SIZE * count},
-        {s->spots_before.size, rivals ? 2 * rivals * count : s->spots_before.size},
-        {s->velocity_before.size, rivals ? 2 * count : s->velocity_before.size},
-        {s->headings_before.size, rivals ? marks * count : s->headings_before.size},
-        {s->spots.size, rivals ? 2 * rivals * count : s->spots.size},
-        {s->velocity.size, rivals ? 2 * count : s->velocity.size},
-    };
-    if (ARE_SIZES(sizes) < 0 || is_own(&s->own, count) < 0) return -1;
-    if (marks <= TURN_MARKS + 1 || marks > MOST_MARKS || rivals > MOST_NEAR ||
-        s->num_kept > MOST_NEAR) {
-        return refuse("too few or too many marks, items or rivals");
-    }
-    const double release = rules.data[RELEASE_STEPS], longest = rules.data[LONGEST_DRIFT];
-    if (!(release >= 0 && release < 1e6 && longest >= 0 && longest < 1e6 &&
-          rules.data[MARK_SPACING] > 0 && fabs(rules.data[SWITCH]) < 1e6)) {
-        return refuse("a rule is out of bounds");
-    }
-    return 0;
-}
-
-/* survey_road(rules, worths, memory, own, around, before, now, out): writes the arguments of
-   weigh_plans for A karts, and where the karts are.
-
-   rules: (34,) in the order of the enum above.
-   worths: (2, types) worth of item types for karts without and with a powerup [m].
-   memory: (22, A) in the order of stkzoo.agents.planning.memory.PlanMemory.
-   own: entries of the full view in batch form: velocity (A, 3) and energy (A,) float32; jumping,
-       powerup_type and powerup_count (A,) int64.
-   around: the road at M marks, 12 or more, with distances to its left and to its right edge,
-       (A, M + 1, 5) [m]; directions of the road (A, M) [rad], which are unwrapped in place; tangents
-       of the karts' largest steering angles (A,); positions in the kart's frame of other karts
-       (A, K, 3) [m], not finite if missing, and of items (A, N, 3) [m]; types of the items (A, N).
-   before: observations of the previous step: positions of the nearest karts, right and ahead
-       (A, R, 2) [m]; velocity of the observing kart (A, 2) [m/s]; directions of the road (A, M).
-   now: the same positions and velocities of this step, which are written.
-   out: arrays to write: the arguments rows, karts, road, items (A, I, 4) and rivals (A, R, 5) of
-       weigh_plans; with R = 0, other karts are ignored. The last one, (A, 5), is the scene: angle to
-       the road [rad], offset from its middle [m], distance beyond the nearer edge [m], the largest
-       turn of the road in the near future [rad], and whether firing is useful.
-
-   Observations have no velocities of other karts. The observing kart's own motion is known: its
-   velocity, and its rotation from the apparent rotation of the road. Once this is subtracted, other
-   karts move little in a step, so each is matched with the nearest previous position. */
-PyObject *survey_road(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    Survey s;
-    PyObject *own, *around, *before, *now, *out;
-    Doubles rules;
-    if (!PyArg_ParseTuple(args, "O&O&O&O!O!O!O!O!", as_doubles, &rules, as_floats, &s.worths,
-                          as_floats, &s.memory, &PyTuple_Type, &own, &PyTuple_Type, &around,
-                          &PyTuple_Type, &before, &PyTuple_Type, &now, &PyTuple_Type, &out) ||
-        !read_own(own, &s.own) ||
-        !PyArg_ParseTuple(around, "O&O&O&O&O&O&", as_floats, &s.line, as_written_floats,
-                          &s.headings, as_floats, &s.tangents, as_floats, &s.karts, as_floats,
-                          &s.items, as_wholes, &s.types) ||
-        !PyArg_ParseTuple(before, "O&O&O&", as_floats, &s.spots_before, as_floats,
-                          &s.velocity_before, as_floats, &s.headings_before) ||
-        !PyArg_ParseTuple(now, "O&O&", as_written_floats, &s.spots, as_written_floats,
-                          &s.velocity) ||
-        !PyArg_ParseTuple(out, "O&O&O&O&O&O&", as_written_indices, &s.rows, as_written_floats,
-                          &s.out_karts, as_written_floats, &s.out_road, as_written_doubles,
-                          &s.out_items, as_written_doubles, &s.out_rivals, as_written_floats,
-                          &s.out_scene) ||
-        survey_fits(&s, rules) < 0) {
-        return NULL;
-    }
-    survey_all(&s);
-    Py_RETURN_NONE;
-}
-
-/* ---------------------------------------------------------------- inputs of a policy */
-
-typedef struct {
-    const double *rules;
-    npy_intp count, num_rivals, width, first;
-    Own own;
-    Floats memory, offset_logits, button_logits, best, scene, prior, inputs;
-    Doubles rivals;
-} Presentation;
-
-static npy_intp best_of(const float *worth)
-{
-    npy_intp best = 0;
-    for (npy_intp i = 1; i < MANEUVERS; i++) {
-        if (worth[i] > worth[best]) best = i;
-    }
-    return best;
-}
-
-/* Writes the logits of the rules. */
-static void put_prior(const Presentation *p, npy_intp kart)
-{
-    const double *rules = p->rules;
-    const npy_intp all = MANEUVERS * p->count;
-    const float *worth = p->best.data + MANEUVERS * kart, *scene = p->scene.data + SCENE_SIZE * kart;
-    const npy_intp best = best_of(worth);
-    const float turn = worth[all + best], danger = worth[2 * all + best];
-    const int is_safe = danger < (float)rules[DANGER] && best != BRAKE;
-    const int is_straight = fabsf(scene[ANGLE]) < (float)rules[STRAIGHT_AIM] &&
-                            scene[STRAIGHTNESS] < (float)rules[STRAIGHT_ANGLE];
-    const int wanted[] = {
-        is_safe && p->memory.data[NITRO_STEPS * p->count + kart] == 0 &&
-            p->own.velocity.data[3 * kart + 2] > (float)rules[NITRO_SPEED] &&
-            fabsf(turn) < (float)rules[NITRO_TURN] && p->own.energy.data[kart] > 0 &&
-            !(p->own.jumping.data[kart] > 0),
-        is_safe && is_straight && scene[IS_USEFUL] != 0 &&
-            p->memory.data[SINCE_FIRE * p->count + kart] >= (float)rules[FIRE_EVERY],
-    };
-    float *out = p->prior.data + (MANEUVERS + OFFSETS + 4) * kart;
-    for (int i = 0; i < MANEUVERS; i++) {
-        *out++ = most_of((float)rules[NEVER], (float)rules[WORTH_SCALE] * (worth[i] - worth[best]));
-    }
-    for (int i = 0; i < OFFSETS; i++) *out++ = p->offset_logits.data[i];
-    for (int button = 0; button < 2; button++) {
-        for (int i = 0; i < 2; i++) *out++ = p->button_logits.data[2 * wanted[button] + i];
-    }
-}
-
-/* Writes a policy's inputs from the plans and the nearest karts. */
-static void put_inputs(const Presentation *p, npy_intp kart)
-{
-    const npy_intp all = MANEUVERS * p->count;
-    const float *worth = p->best.data + MANEUVERS * kart, *scene = p->scene.data + SCENE_SIZE * kart;
-    const float most = worth[best_of(worth)];
-    const float hopeless = (float)(p->rules[NEVER] / p->rules[WORTH_SCALE] * 10);
-    float *out = p->inputs.data + p->width * kart + p->first;
-    for (int i = 0; i < MANEUVERS; i++) {
-        const float behind = worth[i] - most;
-        *out++ = behind > hopeless;
-        *out++ = most_of(-2.0f, behind / 10.0f);
-        *out++ = worth[all + i];
-        *out++ = least_of(2.0f, worth[2 * all + i] / 10.0f);
-    }
-    *out++ = scene[ANGLE], *out++ = scene[OFFSET] / 10.0f, *out++ = scene[STRAIGHTNESS];
-    const double *rival = p->rivals.data + 5 * p->num_rivals * kart;
-    for (npy_intp i = 0; i < p->num_rivals; i++, rival += 5) {
-        *out++ = (float)rival[0];
-        *out++ = (float)(rival[1] / 10.0);
-        *out++ = rival[0] != 0 ? ((float)rival[2] - scene[OFFSET]) / 3.0f : 0;
-        *out++ = (float)rival[3] / 5.0f;
-        *out++ = (float)rival[4] / 3.0f;
-    }
-}
-
-static int presentation_fits(Presentation *p, Doubles rules)
-{
-    const npy_intp count = p->count = p->scene.size / SCENE_SIZE;
-    if (!count) return 0;
-    p->rules = rules.data;
-    p->num_rivals = p->rivals.size / (5 * count), p->width = p->inputs.size / count;
-    const npy_intp own_width = 4 * MANEUVERS + 3 + 5 * p->num_rivals;
-    const npy_intp sizes[][2] = {
-        {rules.size, NUM_RULES},
-        {p->memory.size, MEMORY_SIZE * count},
-        {p->offset_logits.size, OFFSETS},
-        {p->button_logits.size, 4},
-        {p->best.size, 3 * MANEUVERS * count},
-        {p->scene.size, SCENE_SIZE * count},
-        {p->rivals.size, 5 * p->num_rivals * count},
-        {p->prior.size, (MANEUVERS + OFFSETS + 4) * count},
-        {p->inputs.size, p->width * count},
-    };
-    if (ARE_SIZES(sizes) < 0 || is_own(&p->own, count) < 0) return -1;
-    if (p->width && (p->first < 0 || p->first > p->width || p->width - p->first < own_width)) {
-        return refuse("a row of the inputs is too short");
-    }
-    return 0;
-}
-
-/* present_plans(rules, logits, memory, own, best, scene, rivals, prior, inputs, first): writes the
-   logits of the rules, and a policy's inputs from the plans and the nearest karts.
-
-   rules, memory, own, scene, rivals: see survey_road.
-   logits: (7,) logits of the offsets, and (2, 2) logits of a button, first if the rules do not press
-       it, then if they do.
-   best: argument `out` of weigh_plans.
-   prior: (A, 15) logits of the rules, which are written.
-   inputs: (A, F); 19 columns, and 5 for each rival, are written. With F = 0, none are written.
-   first: index of the first of these columns. */
-PyObject *present_plans(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    Presentation p;
-    PyObject *logits, *own;
-    Doubles rules;
-    if (!PyArg_ParseTuple(args, "O&O!O&O!O&O&O&O&O&n", as_doubles, &rules, &PyTuple_Type, &logits,
-                          as_floats, &p.memory, &PyTuple_Type, &own, as_floats, &p.best, as_floats,
-                          &p.scene, as_doubles, &p.rivals, as_written_floats, &p.prior,
-                          as_written_floats, &p.inputs, &p.first) ||
-        !PyArg_ParseTuple(logits, "O&O&", as_floats, &p.offset_logits, as_floats,
-                          &p.button_logits) ||
-        !read_own(own, &p.own) ||
-        presentation_fits(&p, rules) < 0) {
-        return NULL;
-    }
-    for (npy_intp kart = 0; kart < p.count; kart++) {
-        put_prior(&p, kart);
-        if (p.width) put_inputs(&p, kart);
-    }
-    Py_RETURN_NONE;
+    if (s->moments) out->yaw = survey_rivals(s, kart, own, &road, out->rivals);
+    survey_items(s, kart, own, &road, out);
+    write_marks(&road, rules, remembered(s, CAUTION_STEPS, kart) > 0, out);
 }

@@ -17,7 +17,7 @@
 #define NO_OVERLAP
 #endif
 
-enum { MANEUVERS = 4, BRAKE = 1, ITEM_LANES = 2, ROAD_ROWS = 4 };
+enum { ITEM_LANES = 2 };
 static const float NEVER = -1e4f;
 /* Largest turn per step [rad] and lowest speed [m/s] of plans simulated by the network. */
 static const float MOST_YAW = 0.4f, LEAST_SPEED = 2.0f;
@@ -33,19 +33,15 @@ typedef struct {
     Flags needs_drift;
 } Table;
 
-/* Indices of `rules`, which apply to all karts. */
-enum {
-    RELEASE_TURN, STEERING_LAG, MARK_SPACING, OVER_COST, LATE_TIME, LATE_COST, ANGLE_COST,
-    SMALL_BOOST_LASTS, BIG_BOOST_LASTS, BOOST_WORTH, BIG_BOOST_WORTH, BOOST_WAIT_COST, BLUR,
-    BUMP_COST, BUMP_WIDTH, LENGTH, BESIDE, HARMLESS, CROSSING, NUM_RULES
-};
-
-/* A row of the argument `karts`. */
-typedef struct {
-    float speed, lock, reach, turn, drift_turn, offset, angle, boost_steps, big_boost_steps;
-    float may_drift, may_brake, slide, yaw, drift_side, drift_steps, release_steps;
-} PlanKart;
-enum { KART_SIZE = sizeof(PlanKart) / sizeof(float) };
+/* Turning rate after a drift [rad/s per fraction of full lock], and the lag of the wheels behind
+   the steering [fraction of a step]: stkzoo.agents.planning.motion. */
+#define RELEASE_TURN (1.25 / 0.7)
+#define STEERING_LAG 0.33
+#define BLUR 0.5     /* a miss by this much more than the radius earns nothing [m] */
+#define LENGTH 1.8   /* distance between the centers of colliding karts [m] */
+#define BESIDE 0.5   /* a rival less far ahead is beside the kart [m] */
+#define HARMLESS 1.0 /* a lower approach speed is harmless [m/s] */
+#define CROSSING 0.5 /* rivals are assumed to keep their speed across the road for this time [s] */
 
 /* Rectified linear units, which let NaN pass. They use a mask, because in C compilers reject ?: for
    vectors. */
@@ -75,32 +71,19 @@ typedef struct {
     npy_intp units[LAYERS + 1];
 } Network;
 
-/* Indices of the network's rules, in the order of stkzoo.agents.planning.motion.MotionRules. */
-enum {
-    MOTION_STEP, SMALL_DRIFT, BIG_DRIFT, SMALL_LASTS, BIG_LASTS, RELEASE_LASTS, BRAKE_LASTS,
-    NUM_MOTION_RULES
-};
-
 /* States of the plans that the network simulates, (C,) each. */
 typedef struct {
     float *speed, *slide, *yaw, *side, *steps, *release, *boost, *big_boost, *turn;
     float *seen, *hidden[2], *next; /* (units, C) */
 } Motion;
 
-typedef struct {
-    double along, across, worth, radius;
-} RoadItem;
-
-typedef struct {
-    double is_there, along, across, gain, drift;
-} RoadRival;
-
 /* The simulated plans of one kart: (T, C) for stages by plans, (C,) for plans. */
-typedef struct {
-    const Table *table;
-    npy_intp states, stages, plans, marks;
+struct Forecast {
+    const Rules *rules;
+    Table table;
+    Network network;
+    npy_intp stages, plans;
     npy_intp row; /* index of the first plan of the kart's state in arrays (S, C) */
-    const double *rules;
     float *along, *across;                    /* (T, C) */
     float *lefts, *rights;                    /* (T, C) room at the ends of the stages */
     float *angle, *last_turn, *turns, *extra; /* (C,) */
@@ -109,13 +92,11 @@ typedef struct {
     float *lefts_now, *rights_now;            /* (C,) room at these marks */
     npy_int32 *places;                        /* (C,) marks */
     float *ends;                              /* (T,) of the stages [s] */
-    const Network *network;
-    const double *motion_rules;
     npy_intp driven; /* number of simulated plans, counted from the first */
     npy_intp stride; /* number of plans, rounded up to whole blocks */
     float *along_now, *across_now; /* (C,) */
     Motion motion;
-} Forecast;
+};
 
 /* Returns the mark at a distance. Clamps before the cast, because casting NaN or a number out of
    range is undefined. */
@@ -127,17 +108,17 @@ FORCE_INLINE npy_int32 mark_at(float along, float per_mark, float last_mark)
 }
 
 /* Simulates one stage of all plans, from the end of the previous stage. */
-FORCE_INLINE void drive_stage(const Forecast *f, const PlanKart *kart, npy_intp stage,
+FORCE_INLINE void drive_stage(const Forecast *f, const Situation *kart, npy_intp stage,
                                const int is_first)
 {
-    const Table *t = f->table;
+    const Table *t = &f->table;
     const npy_intp plans = f->plans, at = stage * plans, in_table = f->row * f->stages + at;
     const float span = t->spans.data[stage], lock = kart->lock, reach = kart->reach;
     const float pull = 2.0f / (reach * reach * lock), rate = lock * span;
-    const float release_rate = (float)f->rules[RELEASE_TURN] / lock;
-    const float lag = (float)f->rules[STEERING_LAG], own_turn = kart->turn;
-    const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
-    const float last_mark = (float)(f->marks - 1), own_speed = kart->speed;
+    const float release_rate = (float)RELEASE_TURN / lock;
+    const float lag = (float)STEERING_LAG, own_turn = kart->turn;
+    const float per_mark = (float)(1.0 / MARK_SPACING);
+    const float last_mark = (float)(MARKS - 1), own_speed = kart->speed;
     const float own_offset = kart->offset;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table;
@@ -191,12 +172,12 @@ FORCE_INLINE void drive_stage(const Forecast *f, const PlanKart *kart, npy_intp 
 
 /* Looks up the road at the marks of all plans. This is a separate loop, because compilers do not
    vectorize table lookups. */
-static void look_up(const Forecast *f, const float *road, float *lefts, float *rights)
+static void look_up(const Forecast *f, const Situation *kart, float *lefts, float *rights)
 {
     for (npy_intp i = 0; i < f->driven; i++) {
-        const float *mark = road + f->places[i];
-        f->bends[i] = mark[0], f->curves[i] = mark[3 * f->marks];
-        lefts[i] = mark[f->marks], rights[i] = mark[2 * f->marks];
+        const npy_int32 mark = f->places[i];
+        f->bends[i] = kart->bends[mark], f->curves[i] = kart->curves[mark];
+        lefts[i] = kart->lefts[mark], rights[i] = kart->rights[mark];
     }
 }
 
@@ -226,7 +207,7 @@ FORCE_INLINE void sum_units(const float *matrix, const float *bias, npy_intp inp
 /* Computes the outputs of the network for all simulated plans. */
 FORCE_INLINE void infer(const Forecast *f)
 {
-    const Network *network = f->network;
+    const Network *network = &f->network;
     const Motion *m = &f->motion;
     const float *ins[LAYERS] = {m->seen, m->hidden[0], m->hidden[1]};
     float *outs[LAYERS] = {m->hidden[0], m->hidden[1], m->next};
@@ -249,21 +230,19 @@ FORCE_INLINE void infer(const Forecast *f)
 }
 
 /* Updates what the driver would remember of each plan, then writes the network's inputs. */
-FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp stage,
+FORCE_INLINE void look_at_step(const Forecast *f, const Situation *kart, npy_intp stage,
                                npy_intp step)
 {
-    const Table *t = f->table;
+    const Table *t = &f->table;
     const Motion *m = &f->motion;
-    const double *rules = f->motion_rules;
     const npy_intp in_table = f->row * f->stages + stage * f->plans, stride = f->stride;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table, *lanes = t->lanes.data + in_table;
     const npy_intp *maneuvers = t->maneuvers.data + f->row;
     const float pull = 2.0f / (kart->reach * kart->reach * kart->lock), reach = kart->reach;
-    const float small = (float)rules[SMALL_DRIFT], big = (float)rules[BIG_DRIFT];
-    const float small_lasts = (float)rules[SMALL_LASTS], big_lasts = (float)rules[BIG_LASTS];
-    const float most_release = (float)rules[RELEASE_LASTS], aged = step ? 1.0f : 0;
-    const float braking = (double)step < rules[BRAKE_LASTS] ? 1.0f : 0;
+    const float small = SMALL_DRIFT, big = BIG_DRIFT;
+    const float small_lasts = SMALL_LASTS, big_lasts = BIG_LASTS, most_release = RELEASE_STEPS;
+    const float aged = step ? 1.0f : 0, braking = step < BRAKE_STEPS ? 1.0f : 0;
     const float *across = f->across_now, *angles = f->angle, *extra = f->extra;
     const float *bends = f->bends, *speeds = m->speed;
     const float *lefts = f->lefts_now, *rights = f->rights_now;
@@ -323,9 +302,9 @@ FORCE_INLINE void look_at_step(const Forecast *f, const PlanKart *kart, npy_intp
 FORCE_INLINE void move_plans(const Forecast *f)
 {
     const Motion *m = &f->motion;
-    const float half = (float)(0.5 * f->motion_rules[MOTION_STEP]);
-    const float per_mark = (float)(1.0 / f->rules[MARK_SPACING]);
-    const float last_mark = (float)(f->marks - 1);
+    const float half = (float)(0.5 * STEP);
+    const float per_mark = (float)(1.0 / MARK_SPACING);
+    const float last_mark = (float)(MARKS - 1);
     const float most_yaw = MOST_YAW, least_speed = LEAST_SPEED;
     const float *next_yaws = m->next + NEXT_YAW * f->stride;
     const float *more_speeds = m->next + MORE_SPEED * f->stride;
@@ -360,7 +339,7 @@ FORCE_INLINE void move_plans(const Forecast *f)
 
 /* Simulates all stages of all plans with the network, step by step. */
 FOR_ALL_PROCESSORS
-static void drive_by_network(const Forecast *f, const PlanKart *kart, const float *road)
+static void drive_by_network(const Forecast *f, const Situation *kart)
 {
     const Motion *m = &f->motion;
     const npy_intp driven = f->driven;
@@ -372,15 +351,15 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
         m->release[i] = kart->release_steps, m->turn[i] = kart->turn;
         m->boost[i] = kart->boost_steps, m->big_boost[i] = kart->big_boost_steps;
     }
-    look_up(f, road, f->lefts_now, f->rights_now);
+    look_up(f, kart, f->lefts_now, f->rights_now);
     npy_intp step = 0;
     for (npy_intp stage = 0; stage < f->stages; stage++) {
-        const float end = f->ends[stage] - (float)(0.5 * f->motion_rules[MOTION_STEP]);
-        for (; (float)step * (float)f->motion_rules[MOTION_STEP] < end; step++) {
+        const float end = f->ends[stage] - (float)(0.5 * STEP);
+        for (; (float)step * (float)STEP < end; step++) {
             look_at_step(f, kart, stage, step);
             infer(f);
             move_plans(f);
-            look_up(f, road, f->lefts_now, f->rights_now);
+            look_up(f, kart, f->lefts_now, f->rights_now);
         }
         memcpy(f->along + stage * f->plans, f->along_now, size);
         memcpy(f->across + stage * f->plans, f->across_now, size);
@@ -391,13 +370,13 @@ static void drive_by_network(const Forecast *f, const PlanKart *kart, const floa
 
 /* Simulates all stages of all plans with arcs. */
 FOR_ALL_PROCESSORS
-static void drive_arcs(const Forecast *f, const PlanKart *kart, const float *road)
+static void drive_arcs(const Forecast *f, const Situation *kart)
 {
-    look_up(f, road, f->lefts_now, f->rights_now);
+    look_up(f, kart, f->lefts_now, f->rights_now);
     for (npy_intp stage = 0; stage < f->stages; stage++) {
         if (stage) drive_stage(f, kart, stage, 0);
         else drive_stage(f, kart, stage, 1);
-        look_up(f, road, f->lefts + stage * f->plans, f->rights + stage * f->plans);
+        look_up(f, kart, f->lefts + stage * f->plans, f->rights + stage * f->plans);
     }
 }
 
@@ -410,42 +389,41 @@ FORCE_INLINE float beyond_edge(float across, float left, float right)
 
 /* Computes the cost of each plan beyond the edge of the road [m]. */
 FOR_ALL_PROCESSORS
-static void weigh_danger(const Forecast *f, const PlanKart *kart)
+static void weigh_danger(const Forecast *f, const Situation *kart)
 {
     const npy_intp plans = f->plans, last = (f->stages - 1) * plans;
-    const double *rules = f->rules;
-    const float late_way = kart->speed * (float)rules[LATE_TIME];
+    const float late_way = kart->speed * (float)f->rules->late_time;
     for (npy_intp i = 0; i < plans; i++) f->danger[i] = 0;
     for (npy_intp stage = 0; stage < f->stages; stage++) {
         const float *across = f->across + stage * plans;
         const float *lefts = f->lefts + stage * plans, *rights = f->rights + stage * plans;
         for (npy_intp i = 0; i < plans; i++) {
             const float over = beyond_edge(across[i], lefts[i], rights[i]);
-            f->danger[i] = fmaf(f->table->spans.data[stage], over < 0 ? 0 : over, f->danger[i]);
+            f->danger[i] = fmaf(f->table.spans.data[stage], over < 0 ? 0 : over, f->danger[i]);
         }
     }
     for (npy_intp i = 0; i < plans; i++) {
         const float out = f->across[last + i] + f->angle[i] * late_way;
         const float late = beyond_edge(out, f->lefts[last + i], f->rights[last + i]);
-        f->danger[i] = f->danger[i] * (float)rules[OVER_COST] +
-                       (float)rules[LATE_COST] * (late < 0 ? 0 : late);
+        f->danger[i] = f->danger[i] * (float)f->rules->over_cost +
+                       (float)f->rules->late_cost * (late < 0 ? 0 : late);
     }
 }
 
 /* Returns the gain of a plan from the boost of its drift [m]. The gain is smaller while an earlier
    boost of the same kind lasts. */
-static float boost_of(const Forecast *f, const PlanKart *kart, npy_intp i)
+static float boost_of(const Forecast *f, const Situation *kart, npy_intp i)
 {
-    const npy_intp boost = f->table->boosts.data[f->row + i];
+    const npy_intp boost = f->table.boosts.data[f->row + i];
     if (boost < 0) return 0;
-    const double *rules = f->rules;
+    const Rules *rules = f->rules;
     const int is_big = boost == 1;
-    const float lasts = (float)rules[is_big ? BIG_BOOST_LASTS : SMALL_BOOST_LASTS];
-    const float wait = f->table->boost_steps.data[f->row + i];
+    const float lasts = is_big ? BIG_LASTS : SMALL_LASTS;
+    const float wait = f->table.boost_steps.data[f->row + i];
     const float fresh = 1.0f - ((is_big ? kart->big_boost_steps : kart->boost_steps) - wait) / lasts;
     const float worth = (fresh < 1.0f ? fresh : 1.0f) *
-                            (float)rules[is_big ? BIG_BOOST_WORTH : BOOST_WORTH] -
-                        (float)rules[BOOST_WAIT_COST] * wait;
+                            (float)(is_big ? rules->big_boost_worth : rules->boost_worth) -
+                        (float)(rules->boost_wait_cost * STEP) * wait;
     return worth > 0 ? worth : 0;
 }
 
@@ -468,44 +446,42 @@ static void add_item(const Forecast *f, const RoadItem *item)
         const double share =
             share_of((item->along - f->along[before]) / (way > 1e-3f ? way : 1e-3f));
         const double miss = fabs(start + (end - start) * share - item->across);
-        const double hit = share_of((item->radius - miss) / f->rules[BLUR] + 1.0);
+        const double hit = share_of((item->radius - miss) / BLUR + 1.0);
         f->gain[i] = (float)(f->gain[i] + item->worth * hit);
     }
 }
 
 /* Adds the cost of running into a slower kart ahead to `gain` [m]. The caller subtracts it. */
-static void add_rival(const Forecast *f, const PlanKart *kart, const RoadRival *rival)
+static void add_rival(const Forecast *f, const Situation *kart, const RoadRival *rival)
 {
-    const double *rules = f->rules;
     const float *ends = f->ends;
-    const float closing = -(float)rival->gain, length = (float)rules[LENGTH];
+    const float closing = -(float)rival->gain;
     const npy_intp last = f->stages - 1;
-    if (!rival->is_there || !(rival->along > rules[BESIDE]) || !(closing > (float)rules[HARMLESS]) ||
-        !(rival->along < (double)(closing * ends[last] + length))) {
+    if (!rival->is_there || !(rival->along > BESIDE) || !(closing > (float)HARMLESS) ||
+        !(rival->along < (double)(closing * ends[last] + (float)LENGTH))) {
         return;
     }
     const float pace = kart->speed - closing, drift = (float)rival->drift;
     for (npy_intp i = 0; i < f->plans; i++) {
         for (npy_intp stage = 0; stage <= last; stage++) {
             const npy_intp at = stage * f->plans + i;
-            if (!(rival->along + pace * ends[stage] - f->along[at] < rules[LENGTH])) continue;
-            const float crossing = (float)rules[CROSSING];
-            const float time = ends[stage] < crossing ? ends[stage] : crossing;
+            if (!(rival->along + pace * ends[stage] - f->along[at] < LENGTH)) continue;
+            const float time = ends[stage] < (float)CROSSING ? ends[stage] : (float)CROSSING;
             const float gap = fabsf(f->across[at] - ((float)rival->across + drift * time));
-            const float hit = ((float)rules[BUMP_WIDTH] - gap) / (float)rules[BLUR];
-            f->gain[i] += (float)rules[BUMP_COST] * closing * (hit < 0 ? 0 : hit > 1 ? 1 : hit);
+            const float hit = ((float)f->rules->bump_width - gap) / (float)BLUR;
+            f->gain[i] += (float)f->rules->bump_cost * closing * (hit < 0 ? 0 : hit > 1 ? 1 : hit);
             break;
         }
     }
 }
 
 /* Sets the lateral target of plans for items: the offset of the next good items [m]. */
-static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp num_items)
+static void set_item_lanes(const Forecast *f, const RoadItem *items)
 {
-    const npy_intp *item = f->table->items.data + f->row;
+    const npy_intp *item = f->table.items.data + f->row;
     float lanes[ITEM_LANES] = {0};
     int count = 0;
-    for (npy_intp i = 0; i < num_items && count < ITEM_LANES; i++) {
+    for (npy_intp i = 0; i < ITEMS && count < ITEM_LANES; i++) {
         if (items[i].worth > 0) lanes[count++] = (float)items[i].across;
     }
     for (npy_intp i = 0; i < f->plans; i++) {
@@ -514,77 +490,77 @@ static void set_item_lanes(const Forecast *f, const RoadItem *items, npy_intp nu
 }
 
 /* Returns whether a plan exists and the kart may follow it. */
-FORCE_INLINE int has_plan(const Forecast *f, const PlanKart *kart, npy_intp i)
+FORCE_INLINE int has_plan(const Forecast *f, const Situation *kart, npy_intp i)
 {
-    const npy_intp maneuver = f->table->maneuvers.data[f->row + i];
-    return maneuver >= 0 && (kart->may_drift || !f->table->needs_drift.data[f->row + i]) &&
+    const npy_intp maneuver = f->table.maneuvers.data[f->row + i];
+    return maneuver >= 0 && (kart->may_drift || !f->table.needs_drift.data[f->row + i]) &&
            (kart->may_brake || maneuver != BRAKE);
 }
 
-static void find_best(const Forecast *f, const PlanKart *kart, npy_intp num_karts, float *out)
+static void find_best(const Forecast *f, const Situation *kart, Best out)
 {
-    const npy_intp *maneuvers = f->table->maneuvers.data + f->row;
-    float *worth = out, *turn = worth + MANEUVERS * num_karts;
-    float *danger = turn + MANEUVERS * num_karts;
+    const npy_intp *maneuvers = f->table.maneuvers.data + f->row;
     for (int m = 0; m < MANEUVERS; m++) {
         npy_intp best = -1;
         for (npy_intp i = 0; i < f->plans; i++) {
             if (maneuvers[i] != m || !has_plan(f, kart, i)) continue;
             if (best < 0 || f->worth[i] > f->worth[best]) best = i;
         }
-        worth[m] = best < 0 ? NEVER : f->worth[best];
-        turn[m] = best < 0 ? 0 : f->turns[best];
-        danger[m] = best < 0 ? 0 : f->danger[best];
+        out[WORTH][m] = best < 0 ? NEVER : f->worth[best];
+        out[BEST_TURN][m] = best < 0 ? 0 : f->turns[best];
+        out[BEST_DANGER][m] = best < 0 ? 0 : f->danger[best];
     }
 }
 
 /* Returns the number of plans up to the last one that the kart may follow. */
-static npy_intp plans_of(const Forecast *f, const PlanKart *kart)
+static npy_intp plans_of(const Forecast *f, const Situation *kart)
 {
     npy_intp plans = f->plans;
     while (plans && !has_plan(f, kart, plans - 1)) plans--;
     return plans;
 }
 
-/* Simulates and weighs the plans of one kart. */
-static void weigh(Forecast *f, const PlanKart *kart, const float *road, const RoadItem *items,
-                  npy_intp num_items, const RoadRival *rivals, npy_intp num_rivals)
+void weigh(Forecast *f, const Situation *kart, Best best)
 {
     const npy_intp plans = f->plans;
-    const int has_network = f->network->units[0] > 0;
+    const int has_network = f->network.units[0] > 0;
+    f->row = kart->state * plans;
     f->driven = has_network ? plans_of(f, kart) : plans;
-    set_item_lanes(f, items, num_items);
+    set_item_lanes(f, kart->items);
     for (npy_intp i = 0; i < plans; i++) {
         f->angle[i] = kart->angle;
         f->last_turn[i] = kart->drift_turn;
         f->places[i] = 0;
     }
-    if (has_network) drive_by_network(f, kart, road);
-    else drive_arcs(f, kart, road);
+    if (has_network) drive_by_network(f, kart);
+    else drive_arcs(f, kart);
     weigh_danger(f, kart);
     const float *along = f->along + (f->stages - 1) * plans;
-    const float angle_cost = (float)f->rules[ANGLE_COST];
+    const float angle_cost = (float)f->rules->angle_cost;
     for (npy_intp i = 0; i < plans; i++) {
         f->worth[i] = along[i] - f->danger[i] - angle_cost * f->angle[i] * f->angle[i] +
                       boost_of(f, kart, i);
         f->gain[i] = 0;
     }
-    for (npy_intp i = 0; i < num_items; i++) {
-        if (items[i].worth != 0) add_item(f, items + i);
+    for (npy_intp i = 0; i < ITEMS; i++) {
+        if (kart->items[i].worth != 0) add_item(f, kart->items + i);
     }
     for (npy_intp i = 0; i < plans; i++) {
         f->worth[i] += f->gain[i];
         f->gain[i] = 0;
     }
-    if (f->rules[BUMP_COST] == 0) return;
-    for (npy_intp i = 0; i < num_rivals; i++) add_rival(f, kart, rivals + i);
-    for (npy_intp i = 0; i < plans; i++) f->worth[i] -= f->gain[i];
+    if (f->rules->bump_cost != 0) {
+        for (npy_intp i = 0; i < RIVALS; i++) add_rival(f, kart, kart->rivals + i);
+        for (npy_intp i = 0; i < plans; i++) f->worth[i] -= f->gain[i];
+    }
+    find_best(f, kart, best);
 }
 
 /* ---------------------------------------------------------------- the arguments */
 
-static int read_table(PyObject *tuple, Table *t, Forecast *f)
+static int read_table(PyObject *tuple, Forecast *f)
 {
+    Table *t = &f->table;
     if (!PyArg_ParseTuple(tuple, "O&O&O&O&O&O&O&O&O&O&O&O&", as_floats, &t->spans, as_floats,
                           &t->least, as_floats, &t->most, as_floats, &t->drifts, as_floats,
                           &t->releases, as_floats, &t->slower, as_floats, &t->lanes, as_indices,
@@ -592,17 +568,15 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
                           as_floats, &t->boost_steps, as_flags, &t->needs_drift)) {
         return -1;
     }
-    PyArrayObject *items = (PyArrayObject *)PyTuple_GET_ITEM(tuple, 7);
-    if (PyArray_NDIM(items) != 2) return refuse("items must be states by plans");
-    f->table = t;
-    f->states = PyArray_DIM(items, 0), f->plans = PyArray_DIM(items, 1);
-    f->stages = t->spans.size;
-    const npy_intp one = t->items.size, all = one * f->stages;
-    const int fits = f->stages > 0 && t->least.size == all && t->most.size == all &&
-                     t->drifts.size == all && t->releases.size == all && t->slower.size == all &&
-                     t->lanes.size == all && t->maneuvers.size == one && t->boosts.size == one &&
-                     t->boost_steps.size == one && t->needs_drift.size == one;
-    if (!fits) return refuse("the arrays of the table do not fit together");
+    f->plans = t->items.size / NUM_STATES, f->stages = t->spans.size;
+    const npy_intp one = NUM_STATES * f->plans, all = one * f->stages;
+    const npy_intp sizes[][2] = {
+        {t->items.size, one}, {t->least.size, all}, {t->most.size, all}, {t->drifts.size, all},
+        {t->releases.size, all}, {t->slower.size, all}, {t->lanes.size, all},
+        {t->maneuvers.size, one}, {t->boosts.size, one}, {t->boost_steps.size, one},
+        {t->needs_drift.size, one},
+    };
+    if (ARE_SIZES(sizes) < 0 || !f->stages) return refuse("there are no stages");
     float end = 0;
     for (npy_intp i = 0; i < f->stages; i++) {
         const float span = t->spans.data[i];
@@ -614,15 +588,15 @@ static int read_table(PyObject *tuple, Table *t, Forecast *f)
     return 0;
 }
 
-/* Reads the network and its rules. An empty tuple means that there is no network. */
-static int read_motion(PyObject *tuple, Network *network, Doubles *rules)
+/* Reads the layers of the network. An empty tuple means that there is no network. */
+static int read_network(PyObject *tuple, Network *network)
 {
     *network = (Network){.units = {0}};
     if (!PyTuple_GET_SIZE(tuple)) return 0;
     Floats *matrices = network->matrices, *biases = network->biases;
-    if (!PyArg_ParseTuple(tuple, "O&O&O&O&O&O&O&", as_doubles, rules, as_floats, &matrices[0],
-                          as_floats, &biases[0], as_floats, &matrices[1], as_floats, &biases[1],
-                          as_floats, &matrices[2], as_floats, &biases[2])) {
+    if (!PyArg_ParseTuple(tuple, "O&O&O&O&O&O&", as_floats, &matrices[0], as_floats, &biases[0],
+                          as_floats, &matrices[1], as_floats, &biases[1], as_floats, &matrices[2],
+                          as_floats, &biases[2])) {
         return -1;
     }
     network->units[0] = NUM_SEEN;
@@ -632,19 +606,16 @@ static int read_motion(PyObject *tuple, Network *network, Doubles *rules)
             return refuse("the layers of the network do not fit together");
         }
     }
-    if (network->units[LAYERS] != NUM_NEXT) {
-        return refuse("the network has the wrong number of outputs");
-    }
-    const int fits = rules->size == NUM_MOTION_RULES && rules->data[MOTION_STEP] >= 0.01;
-    return fits ? 0 : refuse("the rules of the network are wrong");
+    return network->units[LAYERS] == NUM_NEXT ? 0 : refuse("the network has the wrong outputs");
 }
 
-/* Allocates the arrays of a forecast in one block, which the caller frees. Returns NULL with an
-   exception set on failure. The arrays are zeroed, because plans that are not simulated are weighed
-   too, though never chosen. */
-static void *make_room(Forecast *f)
+/* Allocates a forecast and its arrays in one block. The arrays are zeroed, because plans that are
+   not simulated are weighed too, though never chosen. */
+Forecast *new_forecast(const Rules *rules, PyObject *table, PyObject *motion)
 {
-    const npy_intp *units = f->network->units;
+    Forecast read = {.rules = rules}, *f = &read;
+    if (read_table(table, f) < 0 || read_network(motion, &f->network) < 0) return NULL;
+    const npy_intp *units = f->network.units;
     const size_t plans = (size_t)((f->plans + BLOCK - 1) / BLOCK * BLOCK);
     const size_t all = (size_t)f->plans * (size_t)f->stages;
     const size_t num_units = (size_t)(units[0] + units[1] + units[2] + units[3]);
@@ -656,96 +627,22 @@ static void *make_room(Forecast *f)
         &m->steps,     &m->release,    &m->boost,   &m->big_boost, &m->turn,
     };
     const size_t num_columns = sizeof columns / sizeof *columns;
-    float *block = PyMem_Calloc(4 * all + (num_columns + 1 + num_units) * plans + (size_t)f->stages,
-                                sizeof *block);
-    if (!block) return PyErr_NoMemory();
+    const size_t floats = 4 * all + (num_columns + 1 + num_units) * plans + (size_t)f->stages;
+    Forecast *block = PyMem_Calloc(1, sizeof *block + floats * sizeof(float));
+    if (!block) {
+        PyErr_NoMemory();
+        return NULL;
+    }
     f->stride = (npy_intp)plans;
-    f->along = block, f->across = f->along + all;
+    f->along = (float *)(block + 1), f->across = f->along + all;
     f->lefts = f->across + all, f->rights = f->lefts + all;
     float *next = f->rights + all;
     for (size_t i = 0; i < num_columns; i++, next += plans) *columns[i] = next;
     float **layers[] = {&m->seen, &m->hidden[0], &m->hidden[1], &m->next};
     for (int n = 0; n <= LAYERS; n++) *layers[n] = next, next += (size_t)units[n] * plans;
     f->places = (npy_int32 *)next, f->ends = next + plans;
-    const float *spans = f->table->spans.data;
+    const float *spans = f->table.spans.data;
     for (npy_intp i = 0; i < f->stages; i++) f->ends[i] = spans[i] + (i ? f->ends[i - 1] : 0);
+    *block = *f;
     return block;
-}
-
-/* weigh_plans(table, rules, motion, rows, karts, road, items, rivals, out): writes the best plan of
-   each maneuver for A karts.
-
-   A kart steers toward a point of its lane ahead, within the turning limits of its plan. The lanes
-   from -1 to 0 share the room to the left, those from 0 to 1 the room to the right.
-
-   table: the plans of all states, in the order of stkzoo.agents.planning.plans.PlanTable.
-   rules: (19,) in the order of the enum above.
-   motion: empty for karts that drive arcs at constant speed. Otherwise (7,) float64 in the order of
-       stkzoo.agents.planning.motion.MotionRules, and three layers of a network, (outputs, inputs)
-       and (outputs,) each, with rectified linear units between them. The network maps
-       MotionState.inputs to the turn to the right in a step [rad] and the changes of forward speed
-       and speed to the right [m/s].
-   rows: (A,) states of the karts.
-   karts: (A, 16) in the order of PlanKart: speed [m/s]; turn at full lock [rad/s]; distance at which
-       the kart aims [m]; turn in the last step, and in the last step of a drift [fraction of full
-       lock]; offset from the middle of the road [m] and angle to the road [rad]; remaining time of a
-       small and of a big boost [steps]; whether the kart may drift, and whether it may brake; speed
-       to the right [m/s] and turn in the last step [rad]; side of a drift and its duration [steps];
-       remaining time of the turn after a drift [steps].
-   road: (A, 4, M) at the marks: lateral displacement by the road's bend within the distance at which
-       the kart aims [m], largest offsets of karts from the middle to the left and to the right [m],
-       and curvature [1/m].
-   items: (A, I, 4), nearest first: distance along the road, offset from its middle, worth and radius
-       [m].
-   rivals: (A, R, 5): whether there is another kart, its distance along the road and its offset from
-       the middle [m], its speed along the road relative to the observing kart, and its speed across
-       the road [m/s].
-   out: (3, A, 4), which is written, for the best plan that begins with each maneuver: its worth [m],
-       its current turn [fraction of full lock], and its cost beyond the edge of the road [m]. */
-PyObject *weigh_plans(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    PyObject *tuple, *motion;
-    Table table;
-    Network network;
-    Forecast forecast;
-    Doubles rules, motion_rules = {0}, item_numbers, rival_numbers;
-    Indices rows;
-    Floats kart_numbers, road, out;
-    if (!PyArg_ParseTuple(args, "O!O&O!O&O&O&O&O&O&", &PyTuple_Type, &tuple, as_doubles, &rules,
-                          &PyTuple_Type, &motion, as_indices, &rows, as_floats, &kart_numbers,
-                          as_floats, &road, as_doubles, &item_numbers, as_doubles, &rival_numbers,
-                          as_written_floats, &out) ||
-        read_table(tuple, &table, &forecast) < 0 ||
-        read_motion(motion, &network, &motion_rules) < 0) {
-        return NULL;
-    }
-    const npy_intp count = rows.size;
-    if (!count) Py_RETURN_NONE;
-    const npy_intp num_items = item_numbers.size / (4 * count);
-    const npy_intp num_rivals = rival_numbers.size / (5 * count);
-    forecast.marks = road.size / (ROAD_ROWS * count);
-    if (rules.size != NUM_RULES || kart_numbers.size != KART_SIZE * count ||
-        road.size != ROAD_ROWS * count * forecast.marks || forecast.marks < 1 ||
-        item_numbers.size != 4 * count * num_items ||
-        rival_numbers.size != 5 * count * num_rivals || out.size != 3 * MANEUVERS * count) {
-        return PyErr_Format(PyExc_ValueError, "the arrays of %zd karts do not fit together", count);
-    }
-    if (!are_below(rows, forecast.states)) {
-        return PyErr_Format(PyExc_IndexError, "a state index is out of range");
-    }
-    const PlanKart *karts = (const PlanKart *)kart_numbers.data;
-    const RoadItem *items = (const RoadItem *)item_numbers.data;
-    const RoadRival *rivals = (const RoadRival *)rival_numbers.data;
-    forecast.rules = rules.data;
-    forecast.network = &network, forecast.motion_rules = motion_rules.data;
-    void *block = make_room(&forecast);
-    if (!block) return NULL;
-    for (npy_intp i = 0; i < count; i++) {
-        forecast.row = rows.data[i] * forecast.plans;
-        weigh(&forecast, karts + i, road.data + ROAD_ROWS * forecast.marks * i,
-              items + num_items * i, num_items, rivals + num_rivals * i, num_rivals);
-        find_best(&forecast, karts + i, count, out.data + MANEUVERS * i);
-    }
-    PyMem_Free(block);
-    Py_RETURN_NONE;
 }

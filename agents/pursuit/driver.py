@@ -85,7 +85,7 @@ class PursuitDriver:
         speed = min(max(float(observation["velocity"][2]), 0.0), _MAX_SPEED)
         aim = rules.aim_distance + rules.aim_time * speed
         curve = np.arange(0.0, 12.0 + 1.2 * speed, _APART)
-        _, around = surroundings_of(observation, np.array([aim, *curve], np.float32))
+        around = surroundings_of(observation, np.array([aim, *curve], np.float32))
         points = around.road[0, :, :3].astype(np.float64)
         x, _, z = points[0].tolist()
         distance = max(math.hypot(x, z), 1.0)

@@ -28,7 +28,7 @@ from stkzoo._os import make_folder
 from stkzoo.agents.planning import BoolArray, FloatArray
 from stkzoo.agents.planning.driver import PlanDriver, PolicyInput
 from stkzoo.agents.planning.memory import PlanMemory
-from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES, WEIGHTS, MotionState
+from stkzoo.agents.planning.motion import LAYERS, WEIGHTS, MotionState
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanVectorEnv
 from stkzoo.agents.pretrained.policy import RacingPolicy
@@ -178,7 +178,7 @@ def _examples(
         brake=controls[..., 2],
     )
     nitro = (controls[..., 5] * (karts["energy"] > 0)).astype(np.float32)
-    inputs = np.concatenate([state.inputs(MOTION_RULES), nitro[..., None]], axis=-1)
+    inputs = np.concatenate([state.inputs(), nitro[..., None]], axis=-1)
     outputs = np.stack([yaw[1:], np.diff(speed, axis=0), np.diff(slide, axis=0)], axis=-1)
     kept = is_ordinary[:-2] & is_ordinary[1:-1] & is_ordinary[2:]
     return inputs[1:-1][kept], outputs[1:][kept]

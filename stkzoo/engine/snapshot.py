@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import layouts, not_built
+from stkzoo.kernel import RECORD_SIZES, not_built
 
 #: Names of a kart's controls, in the order of the last axis of control arrays.
 CONTROLS = ("acceleration", "steer", "brake", "drift", "fire", "nitro", "rescue")
@@ -72,13 +72,7 @@ ITEM_DTYPE = np.dtype([("location", "f4", 3), ("size", "f4"), ("type", "i4"), ("
 _HEADER = struct.Struct("=ffiiii")
 
 
-_OFFSETS = [
-    (f"{record}.{name}", offset)
-    for record, dtype in (("Header", HEADER_DTYPE), ("Kart", KART_DTYPE), ("Item", ITEM_DTYPE))
-    for name, (_, offset, *_) in (dtype.fields or {}).items()
-]
-
-if layouts() != _OFFSETS:
+if tuple(dtype.itemsize for dtype in (HEADER_DTYPE, KART_DTYPE, ITEM_DTYPE)) != RECORD_SIZES:
     raise not_built("its snapshots have another layout")
 
 

@@ -25,6 +25,7 @@ def not_built(reason: object) -> ImportError:
 
 try:
     from stkzoo.kernel._kernel import (
+        RECORD_SIZES,
         ActionReader,
         CarController,
         EventCounter,
@@ -34,9 +35,7 @@ try:
         RacingObserver,
         StepScorer,
         TrackGraph,
-        action_mask,
         join_rows,
-        layouts,
         look_along,
         new_batch,
         reward_term,
@@ -49,6 +48,7 @@ except ImportError as error:
     raise not_built(error) from None
 
 __all__ = [
+    "RECORD_SIZES",
     "ActionReader",
     "CarController",
     "EventCounter",
@@ -58,9 +58,7 @@ __all__ = [
     "RacingObserver",
     "StepScorer",
     "TrackGraph",
-    "action_mask",
     "join_rows",
-    "layouts",
     "look_along",
     "new_batch",
     "not_built",

@@ -5,6 +5,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+#: Sizes of the records of a snapshot, to compare with the dtypes: header, kart and item [bytes].
+RECORD_SIZES: tuple[int, int, int]
+
 class GameStepper:
     """Steps a race of the engine, and reads its state.
 
@@ -152,13 +155,13 @@ class KartObserver:
         """
 
 class RacingObserver:
-    """Makes the observations of the ``racing`` view on some tracks.
+    """Makes the observations of the ``racing`` view on a road.
 
-    The arguments after the roads are :data:`stkzoo.wrappers.racing.features.KERNEL_TABLES`.
+    The arguments after the road are :data:`stkzoo.wrappers.racing.features.KERNEL_TABLES`.
 
     Args:
-        roads: arrays of each track: ``lines``, ``starts`` and ``along`` of its
-            :class:`~stkzoo.wrappers.racing.RoadTable`.
+        road: ``lines``, ``starts`` and ``along`` of a :class:`~stkzoo.wrappers.racing.RoadTable`;
+            an empty tuple if only :meth:`write` is called.
         tables: tables of the view.
         counts: sizes of the view's parts.
         lengths: distances of the view [m].
@@ -166,7 +169,7 @@ class RacingObserver:
 
     def __new__(
         cls,
-        roads: tuple[tuple[npt.NDArray[np.float32], ...], ...],
+        road: tuple[npt.NDArray[np.float32], ...],
         tables: tuple[npt.NDArray[np.float32], npt.NDArray[np.int8], npt.NDArray[np.int8]],
         counts: tuple[int, int, int, int, int, int],
         lengths: tuple[float, float, float, float, float, float],
@@ -174,7 +177,6 @@ class RacingObserver:
     def observe(
         self,
         data: bytes,
-        road: int,
         who: npt.NDArray[np.intp],
         rows: npt.NDArray[np.intp],
         out: npt.NDArray[np.float32],
@@ -183,7 +185,6 @@ class RacingObserver:
 
         Args:
             data: bytes of a snapshot.
-            road: index of its track.
             who: ``(n,)`` indices of karts.
             rows: ``(n,)`` row of each kart.
             out: ``(N, SIZE)``, which is written.
@@ -191,40 +192,24 @@ class RacingObserver:
     def look(
         self,
         data: bytes,
-        road: int,
         who: npt.NDArray[np.intp],
         looks: npt.NDArray[np.float32],
-        numbers: tuple[npt.NDArray[np.float32], ...],
-        kinds: tuple[npt.NDArray[np.int64], ...],
         around: tuple[npt.NDArray[Any], ...],
     ) -> None:
-        """Writes the own state and the surroundings of each kart of ``who``.
+        """Writes the surroundings of each kart of ``who``.
 
         Args:
             data: bytes of a snapshot.
-            road: index of its track.
             who: ``(n,)`` indices of karts.
             looks: ``(L,)`` distances at which the road is observed [m].
-            numbers: see :meth:`write`.
-            kinds: see :meth:`write`.
-            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at least as
-                many karts and items as the race has.
+            around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at
+                least as many karts and items as the race has.
         """
-    def write(
-        self,
-        numbers: tuple[npt.NDArray[Any], ...],
-        kinds: tuple[npt.NDArray[Any], ...],
-        around: tuple[npt.NDArray[Any], ...],
-        out: npt.NDArray[np.float32],
-    ) -> None:
+    def write(self, around: tuple[npt.NDArray[Any], ...], out: npt.NDArray[np.float32]) -> None:
         """Writes the view of karts with given surroundings.
 
         Args:
-            numbers: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_NUMBERS`:
-                the first ``(n, 3)``, the others ``(n, 1)``.
-            kinds: own state in the order of :data:`~stkzoo.wrappers.racing.features.OWN_KINDS`,
-                ``(n,)`` each.
-            around: the arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
+            around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
             out: ``(n, F)``; the first ``SIZE`` columns are written.
         """
 
@@ -450,17 +435,6 @@ def reward_term(
     name: str, before: bytes, after: bytes, race_length: float
 ) -> npt.NDArray[np.float64]:
     """Returns the value of a term for each kart, ``(K,)`` float64."""
-
-def layouts() -> list[tuple[str, int]]:
-    """Returns the name and byte offset of each record field, to compare with the dtypes."""
-
-def action_mask(
-    nitro: npt.NDArray[np.bool_],
-    fire: npt.NDArray[np.bool_],
-    energy: npt.NDArray[np.float32],
-    powerup_types: npt.NDArray[np.int64],
-) -> npt.NDArray[np.int8]:
-    """Returns the masks of A karts, ``(A, n)`` int8: 1 for actions that have an effect."""
 
 def to_polar(points: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Converts positions ``(..., 3)`` [m] to two angles [rad] and a distance [m]."""

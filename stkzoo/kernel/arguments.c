@@ -51,6 +51,36 @@ int are_below(Indices indices, npy_intp limit)
     return 1;
 }
 
+int are_sizes(const npy_intp (*pairs)[2], size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        if (pairs[i][0] != pairs[i][1]) return refuse("the arrays do not fit together");
+    }
+    return 0;
+}
+
+int read_around(PyObject *tuple, int is_written, Around *around)
+{
+    int (*const floats)(PyObject *, void *) = is_written ? as_written_floats : as_floats;
+    int (*const wholes)(PyObject *, void *) = is_written ? as_written_wholes : as_wholes;
+    if (!PyArg_ParseTuple(tuple, "O&O&O&O&O&", floats, &around->own, floats, &around->road, floats,
+                          &around->karts, floats, &around->items, wholes, &around->types)) {
+        return -1;
+    }
+    const npy_intp count = around->count = around->own.size / OWN_SIZE, divisor = count ? count : 1;
+    around->num_looks = around->road.size / (LINE_SIZE * divisor);
+    around->num_karts = around->karts.size / (3 * divisor);
+    around->num_items = around->types.size / divisor;
+    const npy_intp sizes[][2] = {
+        {around->own.size, OWN_SIZE * count},
+        {around->road.size, LINE_SIZE * around->num_looks * count},
+        {around->karts.size, 3 * around->num_karts * count},
+        {around->items.size, 3 * around->num_items * count},
+        {around->types.size, around->num_items * count},
+    };
+    return ARE_SIZES(sizes);
+}
+
 int refuse(const char *message)
 {
     if (!PyErr_Occurred()) PyErr_SetString(PyExc_ValueError, message);

@@ -39,6 +39,28 @@ int as_written_flags(PyObject *object, void *flags);
 /* Returns whether all indices are at least 0 and below a limit. */
 int are_below(Indices indices, npy_intp limit);
 
+/* Own state of a kart: stkzoo.wrappers.racing.features.OWN. */
+typedef struct {
+    float velocity[3], max_steer_angle, skeed_factor, energy, attachment_time_left, shield_time;
+    float jumping, powerup_type, powerup_count, attachment;
+} OwnState;
+
+enum { OWN_SIZE = sizeof(OwnState) / sizeof(float), LINE_SIZE = 4 };
+
+/* The first arrays of stkzoo.wrappers.racing.Surroundings, which have a row for each kart. */
+typedef struct {
+    Floats own, road, karts, items; /* (A, OWN_SIZE), (A, L, LINE_SIZE), (A, K, 3), (A, N, 3) */
+    Wholes types;                   /* (A, N) */
+    npy_intp count, num_looks, num_karts, num_items;
+} Around;
+
+/* Reads the arrays from a tuple; returns -1 with an exception set on failure. */
+int read_around(PyObject *tuple, int is_written, Around *around);
+
+/* Returns 0 if the numbers of each pair are equal, otherwise -1 with a ValueError set. */
+#define ARE_SIZES(PAIRS) are_sizes(PAIRS, sizeof PAIRS / sizeof *PAIRS)
+int are_sizes(const npy_intp (*pairs)[2], size_t count);
+
 /* Sets a ValueError, unless an exception is set already; always returns -1. */
 int refuse(const char *message);
 

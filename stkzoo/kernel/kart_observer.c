@@ -101,6 +101,7 @@ typedef struct {
     npy_intp num_continuous, num_discrete; /* sizes of a flat observer's vectors */
     Indices joined;                        /* one-hot length of each choice; empty if not joined */
     npy_intp num_ones;                     /* sum of these lengths */
+    npy_int64 *joined_choices;             /* room for the choices of one kart, if joined */
     Flags nitro, fire;                     /* actions that need nitro, a powerup; empty: no mask */
     PyObject *numbers, *choices, *mask;    /* names of a flat observer's arrays; NULL if none */
 } KartObserver;
@@ -386,147 +387,128 @@ static PyObject *as_dict(KartObserver *observer, const Scene *scene)
     return dict;
 }
 
-static void write_flat(const KartObserver *observer, const Scene *scene, float *numbers,
-                       npy_int64 *choices)
-{
-    for (int i = 0; i < observer->num_entries; i++) {
-        const Key *key = observer->entries[i].key;
-        const npy_intp rows = scene->rows[key->group];
-        if (key->kind == CHOICE) {
-            write_choices(scene, key, choices);
-            choices += rows;
-        } else {
-            write_numbers(scene, key, numbers);
-            numbers += rows * key->width;
-        }
-    }
-}
-
 /* Writes 0 for actions without effect, else 1: actions that press nitro with an empty tank, and
    actions that fire without a powerup. */
-static void write_action_mask(Flags nitro, Flags fire, float energy, npy_int64 powerup_type,
-                              npy_int8 *out)
+static void write_action_mask(const KartObserver *observer, const Kart *kart, npy_int8 *out)
 {
-    const int no_nitro = !(energy > 0), no_powerup = powerup_type == 0;
-    for (npy_intp i = 0; i < nitro.size; i++) {
-        out[i] = !((no_nitro && nitro.data[i]) || (no_powerup && fire.data[i]));
+    const npy_bool *nitro = observer->nitro.data, *fire = observer->fire.data;
+    const int no_nitro = !(kart->energy > 0), no_powerup = kart->powerup_type == 0;
+    for (npy_intp i = 0; i < observer->nitro.size; i++) {
+        out[i] = !((no_nitro && nitro[i]) || (no_powerup && fire[i]));
     }
 }
 
-/* One-hot encodes the choices. Returns -1 with an exception set if one is out of range. */
-static int write_ones(Indices joined, const npy_int64 *choices, float *ones)
+/* One-hot encodes the choices of a flat view. Returns -1 with an exception set if one is out of
+   range. */
+static int write_ones(const KartObserver *observer, float *ones)
 {
+    const Indices joined = observer->joined;
     for (npy_intp i = 0; i < joined.size; ones += joined.data[i++]) {
-        if (choices[i] < 0 || choices[i] >= joined.data[i]) {
+        const npy_int64 choice = observer->joined_choices[i];
+        if (choice < 0 || choice >= joined.data[i]) {
             PyErr_Format(PyExc_IndexError, "choice %zd is out of its range", i);
             return -1;
         }
-        for (npy_intp value = 0; value < joined.data[i]; value++) ones[value] = value == choices[i];
+        for (npy_intp value = 0; value < joined.data[i]; value++) ones[value] = value == choice;
     }
     return 0;
-}
-
-/* Writes the vectors of a flat view: the numbers, followed by the one-hot choices if they are
-   joined; the choices; and the action mask, if there is one. */
-static int write_vectors(const KartObserver *observer, const Scene *scene, float *numbers,
-                         npy_int64 *choices, npy_int8 *mask)
-{
-    write_flat(observer, scene, numbers, choices);
-    if (observer->nitro.data) {
-        const Kart *me = scene->me;
-        write_action_mask(observer->nitro, observer->fire, me->energy, me->powerup_type, mask);
-    }
-    if (!observer->joined.data) return 0;
-    return write_ones(observer->joined, choices, numbers + observer->num_continuous);
 }
 
 /* ---------------------------------------------------------------- rows of a batch */
 
-/* Returns the data of the batch's array `name`, or of the batch itself if `name` is NULL. Returns
-   NULL with an exception set if the converter rejects the array, if it does not have `width`
-   numbers per slot, or if it does not have all of `rows`. */
-static void *column_of(PyObject *batch, PyObject *name, int (*converter)(PyObject *, void *),
-                       npy_intp width, Indices rows)
+/* Where values are written: the address in the first row, and the distance between rows [bytes]. */
+typedef struct {
+    char *first;
+    npy_intp step;
+} Column;
+
+enum { ALL_NUMBERS = NUM_KEYS, ACTION_MASK, NUM_COLUMNS }; /* after the columns of the entries */
+
+static void *at_row(const Column *column, npy_intp row)
 {
+    return column->first + column->step * row;
+}
+
+/* Finds the batch's array `name`, or the batch itself if `name` is NULL. Returns -1 with an exception
+   set if it is of another type, if it does not have `width` numbers per slot, or if it does not have
+   all of `rows`. */
+static int find_column(PyObject *batch, PyObject *name, int kind, npy_intp width, Indices rows,
+                       Column *column)
+{
+    static const struct { int (*converter)(PyObject *, void *); npy_intp size; } TYPES[] = {
+        [NUMBER] = {as_written_floats, sizeof(float)},
+        [CHOICE] = {as_written_wholes, sizeof(npy_int64)},
+        [MASK] = {as_written_bytes, sizeof(npy_int8)},
+    };
     struct { void *data; npy_intp size; } numbers; /* the layout of Floats, Wholes and Bytes */
     if (name && !PyDict_Check(batch)) {
-        return PyErr_Format(PyExc_TypeError, "a batch of this view must be a dict of arrays");
+        PyErr_SetString(PyExc_TypeError, "a batch of this view must be a dict of arrays");
+        return -1;
     }
     PyObject *array = name ? PyDict_GetItemWithError(batch, name) : batch;
-    if (!array) return PyErr_Format(PyExc_ValueError, "the batch has no %U", name);
-    if (!converter(array, &numbers)) return NULL;
+    if (!array) PyErr_Format(PyExc_ValueError, "the batch has no %U", name);
+    if (!array || !TYPES[kind].converter(array, &numbers)) return -1;
     const int has_slots = PyArray_NDIM((PyArrayObject *)array) > 0;
     const npy_intp count = has_slots ? PyArray_DIM((PyArrayObject *)array, 0) : 0;
     if (numbers.size != count * width) {
-        return PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %V", name,
-                            "numbers");
+        PyErr_Format(PyExc_ValueError, "the batch has the wrong number of %V", name, "numbers");
+        return -1;
     }
     if (!are_below(rows, count)) {
-        return PyErr_Format(PyExc_IndexError, "a row index is out of range");
+        PyErr_SetString(PyExc_IndexError, "a row index is out of range");
+        return -1;
     }
-    static char nothing; /* a valid address for arrays without numbers */
-    return numbers.data ? numbers.data : &nothing;
+    *column = (Column){numbers.data, width * TYPES[kind].size};
+    return 0;
 }
 
-/* Writes the observations of a flat view into rows of a batch. */
-static int flat_into(const KartObserver *observer, Scene *scene, Indices who, Indices rows,
-                     PyObject *batch)
+/* Finds the columns of a flat view: the entries follow each other in the vectors of numbers and of
+   choices. Choices to be one-hot encoded go to a vector of the observer's own. */
+static int find_vectors(const KartObserver *observer, const Scene *scene, Indices rows,
+                        PyObject *batch, Column *columns)
 {
-    const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
-    const npy_intp width = observer->num_continuous + observer->num_ones;
-    const npy_intp num_choices = observer->num_discrete, num_marks = observer->nitro.size;
-    npy_int64 *own = is_joined ? PyMem_Calloc((size_t)num_choices, sizeof *own) : NULL;
-    npy_int8 *marks = NULL;
-    float *numbers = column_of(batch, observer->numbers, as_written_floats, width, rows);
-    npy_int64 *choices = own;
-    if (is_joined && !own) PyErr_NoMemory();
-    else if (numbers && !is_joined) {
-        choices = column_of(batch, observer->choices, as_written_wholes, num_choices, rows);
+    Column numbers, choices = {(char *)observer->joined_choices, 0};
+    if (find_column(batch, observer->numbers, NUMBER, observer->num_continuous + observer->num_ones,
+                    rows, &numbers) < 0 ||
+        (!observer->joined.data && find_column(batch, observer->choices, CHOICE,
+                                               observer->num_discrete, rows, &choices) < 0) ||
+        (observer->nitro.data && find_column(batch, observer->mask, MASK, observer->nitro.size, rows,
+                                             columns + ACTION_MASK) < 0)) {
+        return -1;
     }
-    if (has_mask && numbers && choices) {
-        marks = column_of(batch, observer->mask, as_written_bytes, num_marks, rows);
-    }
-    int status = numbers && choices && (marks || !has_mask) ? 0 : -1;
-    for (npy_intp i = 0; !status && i < who.size; i++) {
-        const npy_intp row = rows.data[i];
-        status = look(observer, scene, who.data[i]);
-        if (status) break;
-        status = write_vectors(observer, scene, numbers + row * width,
-                               is_joined ? own : choices + row * num_choices,
-                               has_mask ? marks + row * num_marks : NULL);
-    }
-    PyMem_Free(own);
-    return status;
-}
-
-/* Finds the data of each entry's array in a batch of a dict view; NULL for names. Returns -1 with
-   an exception set on failure. */
-static int find_columns(KartObserver *observer, const Scene *scene, Indices rows, PyObject *batch,
-                        void **columns)
-{
+    columns[ALL_NUMBERS] = numbers;
     for (int i = 0; i < observer->num_entries; i++) {
         const Key *key = observer->entries[i].key;
-        columns[i] = NULL;
-        if (key->kind == NAME) continue;
-        columns[i] = column_of(batch, observer->entries[i].name,
-                               key->kind == CHOICE ? as_written_wholes
-                               : key->kind == MASK ? as_written_bytes
-                                                   : as_written_floats,
-                               scene->rows[key->group] * key->width, rows);
-        if (!columns[i]) return -1;
+        const npy_intp count = scene->rows[key->group] * key->width;
+        columns[i] = key->kind == CHOICE ? choices : numbers;
+        if (key->kind == CHOICE) choices.first += count * (npy_intp)sizeof(npy_int64);
+        else numbers.first += count * (npy_intp)sizeof(float);
     }
     return 0;
 }
 
-static void write_entry(const Scene *scene, const Key *key, void *column, npy_intp row)
+/* Finds the columns of a dict view, in which names have none. */
+static int find_arrays(const KartObserver *observer, const Scene *scene, Indices rows,
+                       PyObject *batch, Column *columns)
 {
-    const npy_intp place = row * scene->rows[key->group] * key->width;
-    switch (key->kind) {
-    case NAME: return;
-    case CHOICE: write_choices(scene, key, (npy_int64 *)column + place); return;
-    case MASK: write_mask(scene, key, (npy_int8 *)column + place); return;
-    default: write_numbers(scene, key, (float *)column + place);
+    if (!PyDict_Check(batch)) return refuse("a batch of this view must be a dict of arrays");
+    for (int i = 0; i < observer->num_entries; i++) {
+        const Entry *entry = observer->entries + i;
+        const Key *key = entry->key;
+        if (key->kind != NAME && find_column(batch, entry->name, key->kind,
+                                             scene->rows[key->group] * key->width, rows,
+                                             columns + i) < 0) {
+            return -1;
+        }
     }
+    return 0;
+}
+
+static void write_entry(const Scene *scene, const Key *key, int is_flat, void *out)
+{
+    if (key->kind == CHOICE) write_choices(scene, key, out);
+    else if (key->kind == MASK && !is_flat) write_mask(scene, key, out);
+    else write_numbers(scene, key, out);
 }
 
 /* Writes the names into lists of a batch. Call this after writing the numbers, because replacing a
@@ -548,20 +530,29 @@ static int names_into(const KartObserver *observer, const Scene *scene, Indices 
     return status;
 }
 
-/* Writes the observations of a dict view into rows of a batch. */
-static int dicts_into(KartObserver *observer, Scene *scene, Indices who, Indices rows,
+/* Writes the observations of a view of fixed size into rows of a batch. */
+static int write_rows(const KartObserver *observer, Scene *scene, Indices who, Indices rows,
                       PyObject *batch)
 {
-    void *columns[NUM_KEYS];
-    if (!PyDict_Check(batch)) return refuse("a batch of this view must be a dict of arrays");
-    if (find_columns(observer, scene, rows, batch, columns) < 0) return -1;
+    Column columns[NUM_COLUMNS];
+    const int is_flat = observer->is_flat;
+    if ((is_flat ? find_vectors : find_arrays)(observer, scene, rows, batch, columns) < 0) return -1;
     for (npy_intp i = 0; i < who.size; i++) {
+        const npy_intp row = rows.data[i];
         if (look(observer, scene, who.data[i]) < 0) return -1;
         for (int n = 0; n < observer->num_entries; n++) {
-            write_entry(scene, observer->entries[n].key, columns[n], rows.data[i]);
+            const Key *key = observer->entries[n].key;
+            if (key->kind != NAME) write_entry(scene, key, is_flat, at_row(columns + n, row));
+        }
+        if (observer->nitro.data) {
+            write_action_mask(observer, scene->me, at_row(columns + ACTION_MASK, row));
+        }
+        if (observer->joined.data) {
+            float *numbers = at_row(columns + ALL_NUMBERS, row);
+            if (write_ones(observer, numbers + observer->num_continuous) < 0) return -1;
         }
     }
-    return names_into(observer, scene, who, rows, batch);
+    return is_flat ? 0 : names_into(observer, scene, who, rows, batch);
 }
 
 /* ---------------------------------------------------------------- entries of other environments */
@@ -579,29 +570,6 @@ PyObject *to_polar(PyObject *Py_UNUSED(module), PyObject *points)
     float *out = polar ? PyArray_DATA(polar) : NULL;
     for (npy_intp i = 0; out && i < numbers.size; i += 3) make_polar(out + i);
     return (PyObject *)polar;
-}
-
-/* action_mask(nitro, fire, energy, powerup_types): returns the masks of A karts, (A, n) int8. */
-PyObject *action_mask(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    Flags nitro, fire;
-    Floats energy;
-    Wholes types;
-    if (!PyArg_ParseTuple(args, "O&O&O&O&", as_flags, &nitro, as_flags, &fire, as_floats, &energy,
-                          as_wholes, &types)) {
-        return NULL;
-    }
-    if (fire.size != nitro.size || types.size != energy.size) {
-        return PyErr_Format(PyExc_ValueError, "the arrays do not fit together");
-    }
-    npy_intp shape[2] = {energy.size, nitro.size};
-    void *data;
-    PyObject *masks = new_array(2, shape, NPY_INT8, &data);
-    for (npy_intp i = 0; masks && i < energy.size; i++) {
-        write_action_mask(nitro, fire, energy.data[i], types.data[i],
-                          (npy_int8 *)data + i * nitro.size);
-    }
-    return masks;
 }
 
 /* ---------------------------------------------------------------- the type */
@@ -674,8 +642,7 @@ static PyObject *observer_observe_into(PyObject *self, PyObject *args)
         return PyErr_Format(PyExc_ValueError, "%zd karts for %zd rows", who.size, rows.size);
     }
     if (set_scene(observer, &scene) < 0) return NULL;
-    const int status = observer->is_flat ? flat_into(observer, &scene, who, rows, batch)
-                                         : dicts_into(observer, &scene, who, rows, batch);
+    const int status = write_rows(observer, &scene, who, rows, batch);
     PyMem_Free(scene.nearest[ITEMS]);
     return status < 0 ? NULL : Py_NewRef(Py_None);
 }
@@ -689,6 +656,7 @@ static int add_entry(KartObserver *observer, PyObject *name)
         PyErr_Format(PyExc_ValueError, "there is no entry named %S", name);
         return -1;
     }
+    if (observer->is_flat && key->kind == NAME) return refuse("a flat view has no names");
     PyObject *pool = keep(observer, PyList_New(0));
     if (!pool) return -1;
     const npy_intp rows = key->group == OWN ? 1 : observer->sizes[key->group];
@@ -723,6 +691,8 @@ static int set_extras(KartObserver *observer, PyObject *joined, PyObject *nitro,
         return refuse("a mask must be part of a flat view and as long as nitro");
     }
     const int is_joined = observer->joined.data != NULL, has_mask = observer->nitro.data != NULL;
+    observer->joined_choices = room_for(observer, observer->joined.size, sizeof(npy_int64));
+    if (!observer->joined_choices) return -1;
     PyObject *list = Py_BuildValue("[ssss]", "continuous", "discrete", "observation", "action_mask");
     if (!keep(observer, list)) return -1;
     observer->numbers = !is_joined ? PyList_GET_ITEM(list, 0) : PyList_GET_ITEM(list, 2);

@@ -10,8 +10,8 @@
 
 /* ---------------------------------------------------------------- snapshots */
 
-/* HEADER_DTYPE, KART_DTYPE and ITEM_DTYPE of stkzoo.engine.snapshot, which compares the layouts
-   when it is imported. */
+/* HEADER_DTYPE, KART_DTYPE and ITEM_DTYPE of stkzoo.engine.snapshot, which compares the sizes when
+   it is imported. */
 typedef struct {
     float time, aux_ticks;
     npy_int32 phase, num_kart, num_items, running;
@@ -92,7 +92,6 @@ void free_object(PyObject *self);
         .tp_new = PREFIX##_new, .tp_dealloc = free_object, .tp_methods = PREFIX##_methods,        \
     };
 
-PyObject *action_mask(PyObject *module, PyObject *args);
 PyObject *join_rows(PyObject *module, PyObject *rows);
 PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *new_batch(PyObject *module, PyObject *args);

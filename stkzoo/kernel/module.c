@@ -3,7 +3,6 @@
 #define STKZOO_EXTENSION
 #include "kernel.h"
 
-#include <stddef.h>
 #include <string.h>
 
 /* ---------------------------------------------------------------- snapshots */
@@ -66,40 +65,8 @@ void free_object(PyObject *self)
 
 /* ---------------------------------------------------------------- the module */
 
-#define AT(TYPE, FIELD) {#TYPE "." #FIELD, offsetof(TYPE, FIELD)}
-
-/* layouts(): returns the name and byte offset of each record field, to compare with the dtypes. */
-static PyObject *layouts(PyObject *Py_UNUSED(module), PyObject *Py_UNUSED(none))
-{
-    static const struct {
-        const char *name;
-        size_t offset;
-    } FIELDS[] = {
-        AT(Header, time), AT(Header, aux_ticks), AT(Header, phase), AT(Header, num_kart),
-        AT(Header, num_items), AT(Header, running), AT(Kart, location), AT(Kart, rotation),
-        AT(Kart, front), AT(Kart, velocity), AT(Kart, velocity_lc), AT(Kart, angular_velocity),
-        AT(Kart, size), AT(Kart, speed), AT(Kart, max_steer_angle), AT(Kart, wheel_base),
-        AT(Kart, energy), AT(Kart, skeed_factor), AT(Kart, shield_time),
-        AT(Kart, attachment_time_left), AT(Kart, distance_down_track), AT(Kart, overall_distance),
-        AT(Kart, finish_time), AT(Kart, lap_time), AT(Kart, node), AT(Kart, position),
-        AT(Kart, finished_laps), AT(Kart, powerup_type), AT(Kart, powerup_num),
-        AT(Kart, attachment_type), AT(Kart, has_finished_race), AT(Kart, race_result),
-        AT(Kart, jumping), AT(Kart, is_on_road), AT(Kart, control), AT(Item, location),
-        AT(Item, size), AT(Item, type), AT(Item, id),
-    };
-    PyObject *all = PyList_New(0);
-    for (size_t i = 0; all && i < sizeof FIELDS / sizeof *FIELDS; i++) {
-        PyObject *field = Py_BuildValue("sn", FIELDS[i].name, (Py_ssize_t)FIELDS[i].offset);
-        if (!field || PyList_Append(all, field) < 0) Py_CLEAR(all);
-        Py_XDECREF(field);
-    }
-    return all;
-}
-
 static PyMethodDef methods[] = {
-    {"action_mask", action_mask, METH_VARARGS, "Returns masks of the actions with an effect."},
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
-    {"layouts", layouts, METH_NOARGS, "Returns the byte offsets of record fields."},
     {"look_along", look_along, METH_VARARGS, "Writes points at distances ahead of karts."},
     {"new_batch", new_batch, METH_VARARGS, "Returns a batch without content."},
     {"reward_term", reward_term, METH_VARARGS, "Returns a reward term of all karts."},
@@ -126,6 +93,9 @@ PyMODINIT_FUNC PyInit__kernel(void)
     };
     import_array();
     PyObject *kernel = PyModule_Create(&module);
+    PyObject *sizes = Py_BuildValue("(nnn)", sizeof(Header), sizeof(Kart), sizeof(Item));
+    if (kernel && PyModule_AddObjectRef(kernel, "RECORD_SIZES", sizes) < 0) Py_CLEAR(kernel);
+    Py_XDECREF(sizes);
     for (size_t i = 0; kernel && i < sizeof TYPES / sizeof *TYPES; i++) {
         if (PyModule_AddType(kernel, TYPES[i]) < 0) Py_CLEAR(kernel);
     }

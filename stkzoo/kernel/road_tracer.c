@@ -2,7 +2,7 @@
 
 #include "geometry.h"
 
-enum { LINE = 4, MOST_SEGMENTS = 128, MOST_POINTS = 2 * MOST_SEGMENTS + 1 };
+enum { MOST_SEGMENTS = 128, MOST_POINTS = 2 * MOST_SEGMENTS + 1 };
 
 /* Indices of `rules`. */
 enum { POINT_SPACING, TOUCHING, LONGEST_JUMP, TAIL, NUM_RULES };
@@ -129,14 +129,14 @@ static npy_intp chain_of(const Segments *s, const double *rules, npy_intp *chain
 
 /* Writes points at even distances on the line that connects `points`. The distances of `points`
    along the line are `marks`. */
-static void interpolate(const double *marks, const double (*points)[LINE], npy_intp count,
+static void interpolate(const double *marks, const double (*points)[LINE_SIZE], npy_intp count,
                         double spacing, npy_intp num_points, float *out)
 {
     npy_intp before = 0;
-    for (npy_intp i = 0; i < num_points; i++, out += LINE) {
+    for (npy_intp i = 0; i < num_points; i++, out += LINE_SIZE) {
         const double at = spacing * (double)i;
         while (before + 1 < count && marks[before + 1] <= at) before++;
-        for (int k = 0; k < LINE; k++) {
+        for (int k = 0; k < LINE_SIZE; k++) {
             const double here = points[before][k];
             if (before + 1 == count || marks[before] == at) {
                 out[k] = (float)here;
@@ -151,7 +151,7 @@ static void interpolate(const double *marks, const double (*points)[LINE], npy_i
 static void trace(const Segments *s, const double *rules, npy_intp num_points, float *out)
 {
     npy_intp chain[MOST_SEGMENTS];
-    double points[MOST_POINTS][LINE], marks[MOST_POINTS] = {0};
+    double points[MOST_POINTS][LINE_SIZE], marks[MOST_POINTS] = {0};
     const npy_intp links = chain_of(s, rules, chain), last = 2 * links;
     for (npy_intp i = 0; i < links; i++) {
         const npy_intp segment = chain[i];
@@ -173,7 +173,7 @@ static void trace(const Segments *s, const double *rules, npy_intp num_points, f
         marks[i] = marks[i - 1] +
                    sqrt(step[0] * step[0] + step[1] * step[1] + step[2] * step[2]);
     }
-    interpolate(marks, (const double (*)[LINE])points, last + 1, rules[POINT_SPACING], num_points, out);
+    interpolate(marks, (const double (*)[LINE_SIZE])points, last + 1, rules[POINT_SPACING], num_points, out);
 }
 
 /* Reads the segments of a kart. If there are none, uses one segment of zero length at the kart.
@@ -208,9 +208,9 @@ PyObject *trace_roads(PyObject *Py_UNUSED(module), PyObject *args)
         return NULL;
     }
     const npy_intp count = PyTuple_GET_SIZE(starts);
-    const npy_intp num_points = count ? lines.size / (LINE * count) : 0;
+    const npy_intp num_points = count ? lines.size / (LINE_SIZE * count) : 0;
     if (PyTuple_GET_SIZE(ends) != count || PyTuple_GET_SIZE(widths) != count ||
-        lines.size != LINE * num_points * count || first.size != 6 * count ||
+        lines.size != LINE_SIZE * num_points * count || first.size != 6 * count ||
         rules.size != NUM_RULES || most < 1 || most > MOST_SEGMENTS) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd roads do not fit together", count);
     }
@@ -220,7 +220,7 @@ PyObject *trace_roads(PyObject *Py_UNUSED(module), PyObject *args)
                           PyTuple_GET_ITEM(widths, i), most) < 0) {
             return NULL;
         }
-        trace(&segments, rules.data, num_points, lines.data + LINE * num_points * i);
+        trace(&segments, rules.data, num_points, lines.data + LINE_SIZE * num_points * i);
         memcpy(first.data + 6 * i, segments.starts[0], 3 * sizeof(float));
         memcpy(first.data + 6 * i + 3, segments.ends[0], 3 * sizeof(float));
     }
@@ -238,9 +238,9 @@ PyObject *look_along(PyObject *Py_UNUSED(module), PyObject *args)
                           as_floats, &looks, as_written_floats, &out)) {
         return NULL;
     }
-    const npy_intp count = first.size / 6, num_points = count ? lines.size / (LINE * count) : 0;
-    if (first.size != 6 * count || lines.size != LINE * num_points * count ||
-        (count && num_points < 2) || out.size != LINE * looks.size * count || !(spacing > 0)) {
+    const npy_intp count = first.size / 6, num_points = count ? lines.size / (LINE_SIZE * count) : 0;
+    if (first.size != 6 * count || lines.size != LINE_SIZE * num_points * count ||
+        (count && num_points < 2) || out.size != LINE_SIZE * looks.size * count || !(spacing > 0)) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd lines do not fit together", count);
     }
     for (npy_intp i = 0; i < count; i++) {
@@ -248,8 +248,8 @@ PyObject *look_along(PyObject *Py_UNUSED(module), PyObject *args)
         const float along[3] = {end[0] - start[0], end[1] - start[1], end[2] - start[2]};
         const float here = way_passed(start, along);
         for (npy_intp k = 0; k < looks.size; k++) {
-            look_on_line(lines.data + LINE * num_points * i, num_points,
-                         (here + looks.data[k]) / spacing, out.data + LINE * (looks.size * i + k));
+            look_on_line(lines.data + LINE_SIZE * num_points * i, num_points,
+                         (here + looks.data[k]) / spacing, out.data + LINE_SIZE * (looks.size * i + k));
         }
     }
     Py_RETURN_NONE;

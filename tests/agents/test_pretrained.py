@@ -114,9 +114,9 @@ def test_plans_use_the_parameters_on_the_card(agent):
     with race_v0.parallel_env(num_kart=1, track="olivermath") as env:
         observation = env.reset(seed=1)[0]["kart_0"]
     around = surroundings_of(observation, ALL_LOOKS)
-    usual = new_state(agent).view(*around).inputs
+    usual = new_state(agent).view(around).inputs
     change_card(agent, rules=asdict(DriverParameters(late_cost=40.0, margin=3.0)))
-    assert (new_state(agent).view(*around).inputs != usual).any()
+    assert (new_state(agent).view(around).inputs != usual).any()
 
 
 def change_card(folder, **facts):

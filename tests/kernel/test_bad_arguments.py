@@ -74,9 +74,8 @@ def cases():
         encode_observation({"rows": (np.arange(3.0), np.arange(3.0))})
     layers, rows = layers_of(0, (5, 3, 2)), (inputs_of(0, 4, 6), np.empty((4, 2), np.float32))
     kept["Mlp"] = [((layers, is_tanh), {}, "evaluate", rows) for is_tanh in (True, False)]
-    points, flags = np.ones((2, 3), np.float32), np.ones(2, np.bool_)
+    points = np.ones((2, 3), np.float32)
     kept["to_polar"] = [((points,), {}, None, ())]
-    kept["action_mask"] = [((flags, flags, points[0], np.ones(3, np.int64)), {}, None, ())]
     kept["new_batch"] = [((batch_of(), 3), {}, None, ())]
     kept["split_batch"] = [((batch_of(), ("a", "b")), {}, None, ())]
     kept["reward_term"] = [(("advance", KARTS, KARTS, 20.0), {}, None, ())]
@@ -94,8 +93,7 @@ def drive_races():
             env.reset(seed=1)
             for _ in range(3):
                 env.step({agent: env.action_space(agent).sample() for agent in env.agents})
-            seen = road_observer(env.track_map).surroundings(env.snapshot, np.arange(3))
-            racing_features(*seen)
+            racing_features(road_observer(env.track_map).surroundings(env.snapshot, np.arange(3)))
     for view in VIEWS[1:]:
         options = {"num_kart": 3, "track": "lighthouse", "view": view, "events": True}
         with contextlib.closing(RaceVectorEnv(1, **options, prefetch=False)) as envs:
@@ -252,12 +250,12 @@ def test_a_block_with_too_few_items_is_refused():
 @pytest.mark.parametrize("place", [float("nan"), float("inf"), 1e30])
 def test_a_kart_with_an_invalid_location_can_be_observed(cases, place):
     observed = (case for case in cases["RacingObserver"] if case[2] == "observe")
-    args, _, _, (data, road, who, rows, out) = next(observed)
+    args, _, _, (data, who, rows, out) = next(observed)
     karts = np.frombuffer(data, KART_DTYPE, len(who), HEADER_DTYPE.itemsize).copy()
     karts["location"] = place
     start, end = HEADER_DTYPE.itemsize, HEADER_DTYPE.itemsize + karts.nbytes
     kernel.RacingObserver(*args).observe(
-        data[:start] + karts.tobytes() + data[end:], road, who, rows, out
+        data[:start] + karts.tobytes() + data[end:], who, rows, out
     )
 
 

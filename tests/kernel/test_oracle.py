@@ -26,11 +26,10 @@ from stkzoo.views.chains import RecordsObserver
 from stkzoo.views.plan import Seats, ViewPlan
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
-from stkzoo.wrappers.racing import SIZE, RoadObserver, RoadTable, racing_features
+from stkzoo.wrappers.racing import OWN_SIZE, SIZE, RoadObserver, RoadTable, racing_features
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS
 from stkzoo.wrappers.racing.surroundings import NUM_POINTS
 from tests import oracle
-from tests.oracle.racing_observer import own_arrays
 from tests.support.kernel_users import replaced_kernel
 from tests.support.views import MECHANISMS, marked
 
@@ -115,7 +114,7 @@ def numpy_only(monkeypatch):
 def test_every_name_is_compared():
     stub = Path(kernel.__file__).with_name("_kernel.pyi").read_text()
     names = re.findall(r"^(?:class|def) (\w+)", stub, re.M)
-    assert sorted(names) == sorted([*oracle.__all__, "CarController", "GameStepper", "layouts"])
+    assert sorted(names) == sorted([*oracle.__all__, "CarController", "GameStepper"])
 
 
 @pytest.mark.slow
@@ -260,20 +259,20 @@ def test_the_racing_view_is_the_same_for_random_snapshots(seed):
     observer, seen = RoadObserver(table), np.empty((9, SIZE), np.float32)
     observer.observe_into(snapshot, who, who, seen)
     np.testing.assert_allclose(seen, seen_by_twin(snapshot, table, who)[0], atol=2e-4)
-    own, around = observer.surroundings(snapshot, who)
-    np.testing.assert_array_equal(racing_features(own, around), seen)
+    around = observer.surroundings(snapshot, who)
+    np.testing.assert_array_equal(racing_features(around), seen)
 
 
 def seen_by_twin(snapshot, table, who):
     """Returns the view and the surroundings of some karts from the oracle."""
-    roads = ((table.lines, table.starts, table.along),)
-    twin = oracle.RacingObserver(roads, *KERNEL_TABLES)
+    road = table.lines, table.starts, table.along
+    twin = oracle.RacingObserver(road, *KERNEL_TABLES)
     view = np.empty((len(who), SIZE), np.float32)
-    twin.observe(snapshot.data, 0, who, np.arange(len(who)), view)
-    counts = ((len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3))
+    twin.observe(snapshot.data, who, np.arange(len(who)), view)
+    counts = ((OWN_SIZE,), (len(LOOKS), 4), (len(snapshot.karts), 3), (len(snapshot.items), 3))
     around = [np.empty((len(who), *shape), np.float32) for shape in counts]
     types = np.empty((len(who), len(snapshot.items)), np.int64)
-    twin.look(snapshot.data, 0, who, LOOKS, *own_arrays(len(who)), (*around, types))
+    twin.look(snapshot.data, who, LOOKS, (*around, types))
     return view, (*around, types)
 
 

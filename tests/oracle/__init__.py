@@ -6,7 +6,7 @@ Those of the planner (``plan_*``) are not imported here, because the planner is 
 
 from tests.oracle.action_reader import ActionReader
 from tests.oracle.event_counter import EventCounter
-from tests.oracle.kart_observer import KartObserver, action_mask
+from tests.oracle.kart_observer import KartObserver
 from tests.oracle.mlp import Mlp
 from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import RacingObserver
@@ -23,7 +23,6 @@ __all__ = [
     "RacingObserver",
     "StepScorer",
     "TrackGraph",
-    "action_mask",
     "join_rows",
     "look_along",
     "new_batch",

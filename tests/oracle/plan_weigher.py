@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.agents.planning.motion import MotionRules, MotionState
+from stkzoo.agents.planning.memory import MARK_SPACING
+from stkzoo.agents.planning.motion import (
+    BOOST_LASTS,
+    BOOST_STEPS,
+    BRAKE_TIME,
+    RELEASE_STEPS,
+    RELEASE_TURN,
+    STEP,
+    MotionState,
+)
+from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import PlanTable
 
 FloatArray = npt.NDArray[np.float32]
@@ -23,33 +33,14 @@ _NEVER = -1e4
 _MOST_YAW, _LEAST_SPEED = np.float32(0.4), np.float32(2.0)
 
 
-class _Rules(NamedTuple):
-    """Parameters that apply to all karts."""
-
-    release_turn: float
-    steering_lag: float
-    mark_spacing: float
-    over_cost: float
-    late_time: float
-    late_cost: float
-    angle_cost: float
-    small_boost_lasts: float
-    big_boost_lasts: float
-    boost_worth: float
-    big_boost_worth: float
-    boost_wait_cost: float
-    blur: float
-    bump_cost: float
-    bump_width: float
-    length: float
-    beside: float
-    harmless: float
-    crossing: float
+#: Lag of the wheels behind the steering [fraction of a step].
+_LAG = 0.33
+_BLUR, _LENGTH, _BESIDE, _HARMLESS, _CROSSING = 0.5, 1.8, 0.5, 1.0, 0.5
 
 
 def weigh_plans(
-    table: Arrays,
-    rules: DoubleArray,
+    plans: PlanTable,
+    rules: DriverParameters,
     motion: Arrays,
     rows: IntArray,
     karts: FloatArray,
@@ -58,14 +49,26 @@ def weigh_plans(
     rivals: DoubleArray,
     out: FloatArray,
 ) -> None:
-    """Finds the best plan of each maneuver."""
+    """Finds the best plan of each maneuver.
+
+    Args:
+        plans: the plans of all states.
+        rules: parameters of the plans.
+        motion: layers of the network, or nothing for arcs.
+        rows: ``(A,)`` states of the karts.
+        karts: ``(A, 16)`` the numbers of ``Situation`` in ``planning.h``, in order.
+        road: ``(A, 4, M)`` its arrays at the marks.
+        items: ``(A, I, 4)`` its items.
+        rivals: ``(A, R, 5)`` its rivals.
+        out: ``(3, A, 4)``, see ``Best``.
+    """
     drive = drive_by_network if motion else drive_arcs
-    along, across, rooms, angles, turns = drive(table, rules, motion, rows, karts, road, items)
-    plans, costs, speed = PlanTable(*table), _Rules(*rules.tolist()), karts[:, 0]
+    along, across, rooms, angles, turns = drive(plans, motion, rows, karts, road, items)
+    costs, speed = rules, karts[:, 0]
     danger = _danger(plans.spans, across, rooms, angles, speed, costs)
     worth = along[-1] - danger - np.float32(costs.angle_cost) * angles * angles
     worth += _boosts(plans, rows, karts, costs)
-    worth += _item_gain(items, along, across, costs)
+    worth += _item_gain(items, along, across)
     if costs.bump_cost:
         worth -= _bumps(plans.spans, rivals, along, across, speed, costs)
     maneuvers = plans.maneuvers[rows]
@@ -90,7 +93,6 @@ class _Course:
         karts: see :func:`weigh_plans`.
         road: see :func:`weigh_plans`.
         items: see :func:`weigh_plans`.
-        mark_spacing: distance between two marks [m].
 
     Attributes:
         bend: ``(A, C)`` lateral displacement by the road's bend ahead of each plan [m].
@@ -105,7 +107,6 @@ class _Course:
         karts: FloatArray,
         road: FloatArray,
         items: DoubleArray,
-        mark_spacing: float,
     ) -> None:
         lock, self._reach = karts[:, 1:3, None].swapaxes(0, 1)
         # converts a lateral distance to a turn [fraction of full lock], per m/s of speed
@@ -118,7 +119,7 @@ class _Course:
         self._last_mark = road.shape[2] - 1
         self._at_marks = np.ascontiguousarray(road.swapaxes(0, 1)).reshape(4, -1)
         self._first = road.shape[2] * np.arange(len(karts))[:, None]
-        self._per_mark = np.float32(1.0 / mark_spacing)
+        self._per_mark = np.float32(1.0 / MARK_SPACING)
         self.reach_to(np.zeros(which.shape, np.float32))
 
     def reach_to(self, along: FloatArray) -> None:
@@ -145,8 +146,7 @@ class _Course:
 
 
 def drive_arcs(
-    table: Arrays,
-    rules: DoubleArray,
+    known: PlanTable,
     motion: Arrays,
     rows: IntArray,
     karts: FloatArray,
@@ -163,10 +163,9 @@ def drive_arcs(
         and current turns [fraction of full lock], ``(A, C)`` each.
     """
     del motion
-    known, physics = PlanTable(*table), _Rules(*rules.tolist())
     speed, lock, _, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
     drifts, releases, slower = known.drifts[rows] > 0, known.releases[rows], known.slower[rows]
-    course = _Course(known, rows, karts, road, items, physics.mark_spacing)
+    course = _Course(known, rows, karts, road, items)
     plans = known.items.shape[1]
     along, across, rooms = _room_for(known, len(rows))
     at = np.zeros((len(rows), plans), np.float32)
@@ -180,8 +179,8 @@ def drive_arcs(
         last_turn = np.where(drifts[:, stage], turn, last_turn)
         if stage == 0:
             turns = turn
-            turn = turn + (own_turn - turn) * np.float32(physics.steering_lag)
-        release = releases[:, stage] * (np.float32(physics.release_turn) / lock)
+            turn = turn + (own_turn - turn) * np.float32(_LAG)
+        release = releases[:, stage] * (np.float32(RELEASE_TURN) / lock)
         turn = (turn + last_turn * release) * (lock * span)
         step = speeds * span
         way = course.way(step, beside)
@@ -196,8 +195,7 @@ def drive_arcs(
 
 
 def drive_by_network(
-    table: Arrays,
-    rules: DoubleArray,
+    known: PlanTable,
     motion: Arrays,
     rows: IntArray,
     karts: FloatArray,
@@ -205,29 +203,27 @@ def drive_by_network(
     items: DoubleArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Simulates all plans of all karts with the network; see :func:`drive_arcs`."""
-    known, physics = PlanTable(*table), _Rules(*rules.tolist())
-    settings, layers = MotionRules(*motion[0].tolist()), motion[1:]
     speed, _, _, own_turn, drift_turn, offset, own_angle = karts[:, :7, None].swapaxes(0, 1)
     boost, big_boost = karts[:, 7:9, None].swapaxes(0, 1)
     slide, yaw, drift_side, drift_steps, release = karts[:, 11:, None].swapaxes(0, 1)
-    course = _Course(known, rows, karts, road, items, physics.mark_spacing)
+    course = _Course(known, rows, karts, road, items)
     along, across, rooms = _room_for(known, len(rows))
     zeros = np.zeros((len(rows), known.items.shape[1]), np.float32)
     at, beside, angle, turns = zeros, zeros + offset, zeros + own_angle, zeros
     of_karts = (drift_side, drift_steps, release, drift_turn, boost, big_boost, 0)
     own = MotionState(*(zeros + x for x in (speed, slide, yaw, own_turn, own_turn, *of_karts)))
-    half = np.float32(0.5 * settings.step)
+    half = np.float32(0.5 * STEP)
     brakers = (known.maneuvers[rows] == _BRAKE).astype(np.float32)
     step = 0
     for stage, end in enumerate(np.cumsum(known.spans, dtype=np.float32)):
         middle = known.least[rows, stage] + known.most[rows, stage]
         side = np.where(known.drifts[rows, stage] > 0, np.sign(middle), 0)
-        while np.float32(step) * np.float32(settings.step) < end - half:
+        while np.float32(step) * np.float32(STEP) < end - half:
             turn = course.turn(stage, beside, angle, own.speed)
             turns = turn if step == 0 else turns
-            brakes = brakers if step < settings.brake_lasts else zeros
-            own = _act(own, turn, side, brakes, settings, is_first=step == 0)
-            yaw, more_speed, more_slide = _infer(layers, own.inputs(settings))
+            brakes = brakers if step < round(BRAKE_TIME / STEP) else zeros
+            own = _act(own, turn, side, brakes, is_first=step == 0)
+            yaw, more_speed, more_slide = _infer(motion, own.inputs())
             yaw = np.minimum(np.maximum(yaw, -_MOST_YAW), _MOST_YAW)
             speed = np.maximum(own.speed + more_speed, _LEAST_SPEED)
             slide = own.slide + more_slide
@@ -259,7 +255,6 @@ def _act(
     turn: FloatArray,
     side: FloatArray,
     brake: FloatArray,
-    rules: MotionRules,
     *,
     is_first: bool,
 ) -> MotionState:
@@ -269,17 +264,17 @@ def _act(
         np.maximum(left - aged, 0) for left in (own.release, own.boost, own.big_boost)
     )
     ends, begins = (own.side != 0) & (side == 0), (side != 0) & (own.side == 0)
-    is_big = ends & (own.steps >= rules.big_drift)
-    is_small = ends & ~is_big & (own.steps >= rules.small_drift)
+    is_big = ends & (own.steps >= BOOST_STEPS[1])
+    is_small = ends & ~is_big & (own.steps >= BOOST_STEPS[0])
     return own._replace(
         turn=turn,
         turn_before=own.turn,
         side=side,
         steps=np.where(side != 0, np.where(begins, 0, own.steps) + 1, 0),
-        release=np.where(ends, np.minimum(own.steps, rules.release_lasts), release),
+        release=np.where(ends, np.minimum(own.steps, RELEASE_STEPS), release),
         drift_turn=np.where(side != 0, turn, own.drift_turn),
-        boost=np.where(is_small, rules.small_lasts, boost),
-        big_boost=np.where(is_big, rules.big_lasts, big_boost),
+        boost=np.where(is_small, BOOST_LASTS[0], boost),
+        big_boost=np.where(is_big, BOOST_LASTS[1], big_boost),
         brake=brake,
     )
 
@@ -309,7 +304,7 @@ def _danger(
     rooms: FloatArray,
     angles: FloatArray,
     speed: FloatArray,
-    rules: _Rules,
+    rules: DriverParameters,
 ) -> FloatArray:
     """Returns the cost of leaving the road, ``(A, C)`` [m]."""
     left, right = rooms
@@ -321,22 +316,22 @@ def _danger(
     return cost
 
 
-def _boosts(table: PlanTable, rows: IntArray, karts: FloatArray, rules: _Rules) -> FloatArray:
+def _boosts(
+    table: PlanTable, rows: IntArray, karts: FloatArray, rules: DriverParameters
+) -> FloatArray:
     """Returns the gain from the boosts of drifts, ``(A, C)`` [m].
 
     The gain is smaller while an earlier boost of the same kind lasts.
     """
     wait, boosts = table.boost_steps[rows], table.boosts[rows]
-    fresh = np.minimum(1.0 - (karts[:, 7:8] - wait) / rules.small_boost_lasts, 1.0)
-    fresh_big = np.minimum(1.0 - (karts[:, 8:9] - wait) / rules.big_boost_lasts, 1.0)
+    fresh = np.minimum(1.0 - (karts[:, 7:8] - wait) / BOOST_LASTS[0], 1.0)
+    fresh_big = np.minimum(1.0 - (karts[:, 8:9] - wait) / BOOST_LASTS[1], 1.0)
     worth = np.where(boosts == 1, fresh_big * rules.big_boost_worth, fresh * rules.boost_worth)
-    worth -= rules.boost_wait_cost * wait
+    worth -= rules.boost_wait_cost * STEP * wait
     return np.where(boosts < 0, 0.0, np.maximum(worth, 0.0)).astype(np.float32)
 
 
-def _item_gain(
-    items: DoubleArray, along: FloatArray, across: FloatArray, rules: _Rules
-) -> FloatArray:
+def _item_gain(items: DoubleArray, along: FloatArray, across: FloatArray) -> FloatArray:
     """Returns the gain from the items that plans hit, ``(A, C)`` [m]."""
     gain: FloatArray = np.zeros(along.shape[1:], np.float32)
     for item in range(items.shape[1]):
@@ -353,7 +348,7 @@ def _item_gain(
         share = np.clip((there - from_) / np.maximum(to - from_, 1e-3), 0.0, 1.0)
         start, end = own_across[before, rows, columns], own_across[stage, rows, columns]
         miss = np.abs(start + (end - start) * share - beside)
-        hit = np.clip((radius - miss) / rules.blur + 1.0, 0.0, 1.0)
+        hit = np.clip((radius - miss) / _BLUR + 1.0, 0.0, 1.0)
         gain[who] += worth * hit * passed[-1]
     return gain
 
@@ -364,16 +359,16 @@ def _bumps(
     along: FloatArray,
     across: FloatArray,
     speed: FloatArray,
-    rules: _Rules,
+    rules: DriverParameters,
 ) -> FloatArray:
     """Returns the cost of running into slower karts ahead, ``(A, C)`` [m]."""
     cost: FloatArray = np.zeros(along.shape[1:], np.float32)
     ends = np.cumsum(spans)
-    crossing = np.minimum(ends, rules.crossing)[:, None]
+    crossing = np.minimum(ends, _CROSSING)[:, None]
     closing = -rivals[..., 3].astype(np.float32)
-    matters = (rivals[..., 0] > 0) & (rivals[..., 1] > rules.beside)
-    matters &= closing > rules.harmless
-    matters &= rivals[..., 1] < closing * ends[-1] + rules.length
+    matters = (rivals[..., 0] > 0) & (rivals[..., 1] > _BESIDE)
+    matters &= closing > _HARMLESS
+    matters &= rivals[..., 1] < closing * ends[-1] + _LENGTH
     for rival in range(matters.shape[1]):
         who = np.flatnonzero(matters[:, rival])
         if not len(who):
@@ -382,10 +377,10 @@ def _bumps(
         there, aside, drift = (rivals[who, rival, column] for column in (1, 2, 4))
         ahead = there + (speed[who] - own) * ends[:, None]
         beside = aside.astype(np.float32) + drift.astype(np.float32) * crossing
-        reached = ahead[..., None] - along[:, who] < rules.length
+        reached = ahead[..., None] - along[:, who] < _LENGTH
         stage = reached.argmax(axis=0)
         rows, columns = np.arange(len(who))[:, None], np.arange(cost.shape[1])
         gap = np.abs(across[stage, who[:, None], columns] - beside[stage, rows])
-        hit = np.clip((np.float32(rules.bump_width) - gap) / rules.blur, 0.0, 1.0)
+        hit = np.clip((np.float32(rules.bump_width) - gap) / _BLUR, 0.0, 1.0)
         cost[who] += np.float32(rules.bump_cost) * own[:, None] * hit * reached.any(axis=0)
     return cost

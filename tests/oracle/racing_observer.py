@@ -24,8 +24,8 @@ from stkzoo.wrappers.racing.features import (
     LOOKS,
     MARKS,
     NUM_POWERUPS,
-    OWN_KINDS,
-    OWN_NUMBERS,
+    OWN_PLACES,
+    OWN_SIZE,
     PLACES,
     SIZE,
     STEP,
@@ -53,18 +53,17 @@ OWN_UNITS = {
 class RacingObserver:
     def __init__(
         self,
-        roads: tuple[Arrays, ...],
+        road: Arrays,
         tables: tuple[Any, ...],
         counts: tuple[int, ...],
         lengths: tuple[float, ...],
     ) -> None:
         del tables, counts, lengths
-        self._roads = roads
+        self._road = road
 
     def observe(
         self,
         data: bytes,
-        road: int,
         who: npt.NDArray[np.intp],
         rows: npt.NDArray[np.intp],
         out: FloatArray,
@@ -76,29 +75,24 @@ class RacingObserver:
             for count, width in zip(counts, (4, 3, 3), strict=True)
         )
         types = np.empty((len(who), len(snapshot.items)), np.int64)
-        numbers, kinds = own_arrays(len(who))
-        self.look(data, road, who, LOOKS, numbers, kinds, (*around, types))
+        arrays = np.empty((len(who), OWN_SIZE), np.float32), *around, types
+        self.look(data, who, LOOKS, arrays)
         view = np.empty((len(who), SIZE), np.float32)
-        self.write(numbers, kinds, (*around, types), view)
+        self.write(arrays, view)
         out[rows] = view
 
     def look(
         self,
         data: bytes,
-        road: int,
         who: npt.NDArray[np.intp],
         looks: FloatArray,
-        numbers: Arrays,
-        kinds: Arrays,
         around: Arrays,
     ) -> None:
         snapshot = Snapshot(data)
-        own = own_state(snapshot.karts[who])
-        for keys, arrays in ((OWN_NUMBERS, numbers), (OWN_KINDS, kinds)):
-            for key, array in zip(keys, arrays, strict=True):
-                array[:] = own[key]
-        line, karts, items, types = around
-        self._trace(data, road, who, looks, line)
+        state, (own, line, karts, items, types) = own_state(snapshot.karts[who]), around
+        for key, place in OWN_PLACES.items():
+            own[:, place] = np.reshape(state[key], (len(who), -1))
+        self._trace(data, who, looks, line)
         locations, matrices = _frames(_records(snapshot, who))
         others, things = snapshot.karts["location"][None], snapshot.items["location"][None]
         karts[:], items[:], types[:] = np.inf, 0, -1
@@ -110,12 +104,11 @@ class RacingObserver:
     def _trace(
         self,
         data: bytes,
-        road: int,
         who: npt.NDArray[np.intp],
         looks: FloatArray,
         out: FloatArray,
     ) -> None:
-        lines, starts, along = self._roads[road]
+        lines, starts, along = self._road
         records = _records(Snapshot(data), who)
         locations, matrices = _frames(records)
         nodes = records["node"]
@@ -126,22 +119,15 @@ class RacingObserver:
         out[..., :3] = to_kart_frame(points[..., :3], locations, matrices)
         out[..., 3] = points[..., 3]
 
-    def write(self, numbers: Arrays, kinds: Arrays, around: Arrays, out: FloatArray) -> None:
+    def write(self, around: Arrays, out: FloatArray) -> None:
         view = out[:, :SIZE]
-        road, karts, items, types = around
-        own = dict(zip((*OWN_NUMBERS, *OWN_KINDS), (*numbers, *kinds), strict=True))
+        state, road, karts, items, types = around
+        own = {key: state[:, place] for key, place in OWN_PLACES.items()}
         _write_own(view, own)
         _write_road(view, road)
         _write_karts(view, karts)
         _write_items(view, items, types)
         np.clip(view, -5.0, 5.0, out=view)
-
-
-def own_arrays(count: int) -> tuple[Arrays, Arrays]:
-    """Returns arrays for the own state of karts, which :meth:`RacingObserver.look` writes."""
-    widths = (3 if key == "velocity" else 1 for key in OWN_NUMBERS)
-    numbers = tuple(np.empty((count, width), np.float32) for width in widths)
-    return numbers, tuple(np.empty(count, np.int64) for _ in OWN_KINDS)
 
 
 def _records(snapshot: Snapshot, who: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
@@ -157,8 +143,8 @@ def _frames(records: npt.NDArray[Any]) -> tuple[FloatArray, FloatArray]:
 def _write_own(view: FloatArray, own: dict[str, npt.NDArray[Any]]) -> None:
     for name, unit in OWN_UNITS.items():
         view[:, PLACES[name]] = np.reshape(own[name], (len(view), -1)) / unit
-    view[:, PLACES["powerup_type"]] = _one_of(own["powerup_type"], NUM_POWERUPS)
-    hanging = ATTACHMENT_COLUMNS[own["attachment"]]
+    view[:, PLACES["powerup_type"]] = _one_of(own["powerup_type"][:, 0], NUM_POWERUPS)
+    hanging = ATTACHMENT_COLUMNS[own["attachment"][:, 0].astype(np.intp)]
     view[:, PLACES["attachment"]] = _one_of(hanging, len(ATTACHMENTS))
 
 

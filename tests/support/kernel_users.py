@@ -18,7 +18,6 @@ USERS = {
     "views.chains": ["new_batch", "split_batch"],
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
-    "wrappers.marl.observations": ["action_mask"],
     "wrappers.observations": ["to_polar"],
     "wrappers.racing.surroundings": ["look_along", "stack_vectors", "trace_roads"],
     "wrappers.racing.wrapper": ["RacingObserver"],

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from stkzoo.agents.planning import _planning
-from stkzoo.agents.planning.motion import LAYERS, MOTION_RULES
+from stkzoo.agents.planning.motion import LAYERS
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.agents.training import learn_motion
-from tests.agents.planning.test_plan_weigher import random_arguments
+from tests.agents.planning.test_plan_viewer import planned, scene_arguments
 
 pytest.importorskip("torch", reason="extra train")
 
@@ -21,10 +21,8 @@ def test_a_short_training_gives_a_network_that_plans_can_use(tmp_path, monkeypat
     layers = tuple(weights[name] for name in LAYERS)
     shapes = [(8, 16), (8,), (6, 8), (6,), (3, 6), (3,)]
     assert [array.shape for array in layers] == shapes
-    found = np.empty((3, 2, 4), np.float32)
-    motion = (np.array(MOTION_RULES), *layers)
-    _planning.weigh_plans(*random_arguments(0, count=2, motion=motion), found)
-    assert np.isfinite(found).all()
+    plans = planned(_planning.plan_karts, scene_arguments(0, count=2, motion=layers))
+    assert np.isfinite(plans["best"]).all()
     assert "median" in capsys.readouterr().out
 
 

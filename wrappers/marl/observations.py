@@ -14,7 +14,6 @@ from gymnasium import spaces
 
 from stkzoo._checks import check_number, unknown_name
 from stkzoo.errors import ConfigError
-from stkzoo.kernel import action_mask
 from stkzoo.mdp.spaces import extras_of
 from stkzoo.views.bases import (
     ActionObservationWrapper,
@@ -33,7 +32,7 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Adds ``action_mask`` to a flattened view: 1 for actions that have an effect, otherwise 0.
 
     Nitro has no effect with an empty tank, and fire has none without a powerup; actions with such a
-    button are masked. ``write_action_mask`` in ``stkzoo/kernel/kart_observer.c`` computes the mask.
+    button are masked.
     Masked actions are still valid: the race ignores the button.
 
     The mask is int8, ``(n,)`` for ``Discrete(n)``. For ``MultiDiscrete``, the masks of all choices
@@ -80,10 +79,10 @@ class ActionMasks(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Returns the observation with the mask, ``(n,)`` int8."""
         numbers, choices = (np.asarray(observation[key]) for key in ("continuous", "discrete"))
-        energy = np.ascontiguousarray(numbers[..., self._energy], np.float32)
-        powerups = np.ascontiguousarray(choices[..., self._powerup], np.int64)
-        mask = action_mask(self._nitro, self._fire, energy, powerups)
-        seen = {**observation, "action_mask": mask.reshape(*numbers.shape[:-1], -1)}
+        is_empty = ~(numbers[..., self._energy, None] > 0)
+        is_unarmed = choices[..., self._powerup, None] == 0
+        mask = ~((is_empty & self._nitro) | (is_unarmed & self._fire))
+        seen = {**observation, "action_mask": mask.astype(np.int8)}
         return {key: seen[key] for key in self._keys}
 
 

@@ -1,6 +1,15 @@
 """The racing view: a fixed-size observation of road, karts and items, and discrete actions."""
 
-from stkzoo.wrappers.racing.features import LOOKS, MEANINGS, MIRROR, PARTS, PLACES, SIZE
+from stkzoo.wrappers.racing.features import (
+    LOOKS,
+    MEANINGS,
+    MIRROR,
+    OWN_PLACES,
+    OWN_SIZE,
+    PARTS,
+    PLACES,
+    SIZE,
+)
 from stkzoo.wrappers.racing.racing_line import (
     GroundObserver,
     GroundTable,
@@ -38,6 +47,8 @@ __all__ = [
     "LOOKS",
     "MEANINGS",
     "MIRROR",
+    "OWN_PLACES",
+    "OWN_SIZE",
     "PARTS",
     "PEDALS",
     "PLACES",

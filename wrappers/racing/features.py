@@ -102,12 +102,17 @@ def _mirror() -> npt.NDArray[np.float32]:
 #: ``(SIZE,)`` of 1 and -1; multiplying a view by it mirrors the race left to right.
 MIRROR = _mirror()
 
-#: Entries of the ``full`` view that the features use, as floats and as integers.
-OWN_NUMBERS = (
-    *("velocity", "max_steer_angle", "skeed_factor"),
-    *("energy", "attachment_time_left", "shield_time"),
-)
-OWN_KINDS = ("jumping", "powerup_type", "powerup_count", "attachment")
+#: Entries of the ``full`` view that describe a kart's own state, and their places in
+#: :attr:`Surroundings.own`.
+OWN_PLACES = {
+    key: slice(begin, begin + width)
+    for key, begin, width in (
+        *(("velocity", 0, 3), ("max_steer_angle", 3, 1), ("skeed_factor", 4, 1), ("energy", 5, 1)),
+        *(("attachment_time_left", 6, 1), ("shield_time", 7, 1), ("jumping", 8, 1)),
+        *(("powerup_type", 9, 1), ("powerup_count", 10, 1), ("attachment", 11, 1)),
+    )
+}
+OWN_SIZE = 12
 
 #: Maximum distances of karts and items, and minimum distance ahead and maximum height difference
 #: of items [m].

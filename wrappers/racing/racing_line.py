@@ -314,7 +314,7 @@ class GroundObserver:
         records = snapshot.karts[karts]
         kind, speed = self._table.ahead(records["node"], records["location"])
         left, right = (
-            line.surroundings(snapshot, karts, GROUND_LINE_MARKS)[1].road for line in self._lines
+            line.surroundings(snapshot, karts, GROUND_LINE_MARKS).road for line in self._lines
         )
         return {
             "ground_kind": kind,

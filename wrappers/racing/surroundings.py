@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from stkzoo.kernel import look_along, stack_vectors, trace_roads
-from stkzoo.wrappers.racing.features import LOOKS, OWN_KINDS, OWN_NUMBERS, STEP
+from stkzoo.wrappers.racing.features import LOOKS, OWN_PLACES, STEP
 
 if TYPE_CHECKING:
     from stkzoo.engine.track import TrackMap
@@ -110,6 +110,8 @@ class Surroundings:
     """Surroundings of A karts, each in its own frame: x right, y up, z forward [m].
 
     Attributes:
+        own: ``(A, 12)`` own state of the karts: entries of the ``full`` view at
+            :data:`OWN_PLACES`.
         road: ``(A, L, 4)`` points of the line and distances to the edge; by default at
             :data:`LOOKS`.
         karts: ``(A, K, 3)`` positions of the other karts; not finite if missing.
@@ -119,21 +121,24 @@ class Surroundings:
             left and right; ``None`` if it is not observed.
     """
 
+    own: FloatArray
     road: FloatArray
     karts: FloatArray
     items: FloatArray
     item_types: IntArray
     line: FloatArray | None = None
 
-
-#: Own state of karts (entries of the ``full`` view in batch form), and their surroundings.
-Known: TypeAlias = tuple[dict[str, npt.NDArray[Any]], Surroundings]
+    @property
+    def arrays(self) -> tuple[npt.NDArray[Any], ...]:
+        """The arrays without the line, in order, C-contiguous."""
+        arrays = self.own, self.road, self.karts, self.items, self.item_types
+        return tuple(map(np.ascontiguousarray, arrays))
 
 
 def surroundings_of(
     observation: Mapping[str, Any] | Sequence[Mapping[str, Any]], looks: FloatArray = LOOKS
-) -> Known:
-    """Returns own state and surroundings of karts from observations in the ``full`` view.
+) -> Surroundings:
+    """Returns the surroundings of karts from observations in the ``full`` view.
 
     Args:
         observation: an observation of one kart, or a list of them, also from different races.
@@ -145,20 +150,20 @@ def surroundings_of(
     lines, first = traced(*(tuple(batch[key]) for key in _PATHS))
     road = np.empty((len(lines), len(looks), 4), np.float32)
     look_along(lines, STEP, first, np.ascontiguousarray(looks, np.float32), road)
-    around = Surroundings(
+    own = [np.reshape(batch[key], (len(lines), -1)) for key in OWN_PLACES]
+    return Surroundings(
+        own=np.concatenate(own, axis=1, dtype=np.float32),
         road=road,
         karts=_stacked(batch["karts_position"], np.inf),
         items=_stacked(batch["items_position"], 0.0),
         item_types=_stacked_types(batch["items_type"]),
         line=_line_of(batch),
     )
-    own = {key: np.asarray(batch[key]) for key in (*OWN_NUMBERS, *OWN_KINDS)}
-    return own, around
 
 
 _PATHS = ("paths_start", "paths_end", "paths_width")
 _LINE = ("ground_line", "ground_room")
-_KEYS = (*OWN_NUMBERS, *OWN_KINDS, *_PATHS, "karts_position", "items_position", "items_type")
+_KEYS = (*OWN_PLACES, *_PATHS, "karts_position", "items_position", "items_type")
 
 
 def _stacked(rows: Sequence[Any], blank: float) -> FloatArray:

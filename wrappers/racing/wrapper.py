@@ -18,10 +18,9 @@ from stkzoo.kernel import RacingObserver
 from stkzoo.mdp.spaces import as_actions
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
-from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_KINDS, OWN_NUMBERS, SIZE
+from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_SIZE, SIZE
 from stkzoo.wrappers.racing.surroundings import (
     MAX_SEGMENTS,
-    Known,
     RoadTable,
     Surroundings,
     surroundings_of,
@@ -91,7 +90,7 @@ class RacingObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper)
 
     def observation(self, observation: dict[str, Any]) -> Any:
         """Returns the vector ``(SIZE,)`` float32, with the AI's action if there is one."""
-        vector = racing_features(*surroundings_of(observation))[0]
+        vector = racing_features(surroundings_of(observation))[0]
         if not self._has_action:
             return vector
         return {"action": observation["action"], "observation": vector}
@@ -109,7 +108,7 @@ class _RacingObserver:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
         if _is_short(source):
             seen = self._full.observe(*source.course, source.snapshot.data, karts)
-            batch[rows] = racing_features(*surroundings_of(seen))
+            batch[rows] = racing_features(surroundings_of(seen))
         else:
             road_observer(source.track_map).observe_into(source.snapshot, karts, rows, batch)
 
@@ -130,8 +129,8 @@ class RoadObserver:
     """
 
     def __init__(self, road: RoadTable) -> None:
-        roads = ((road.lines, road.starts, road.along),)
-        self._observer = RacingObserver(roads, *KERNEL_TABLES)
+        arrays = road.lines, road.starts, road.along
+        self._observer = RacingObserver(arrays, *KERNEL_TABLES)
 
     def observe_into(
         self, snapshot: Snapshot, karts: IntArray, rows: IntArray, views: FloatArray
@@ -144,10 +143,12 @@ class RoadObserver:
             rows: ``(A,)`` row of each kart.
             views: ``(N, SIZE)`` float32, modified in place.
         """
-        self._observer.observe(snapshot.data, 0, karts, rows, views)
+        self._observer.observe(snapshot.data, karts, rows, views)
 
-    def surroundings(self, snapshot: Snapshot, karts: IntArray, looks: FloatArray = LOOKS) -> Known:
-        """Returns own state and surroundings of some karts.
+    def surroundings(
+        self, snapshot: Snapshot, karts: IntArray, looks: FloatArray = LOOKS
+    ) -> Surroundings:
+        """Returns the surroundings of some karts.
 
         Args:
             snapshot: current snapshot of the race.
@@ -155,46 +156,34 @@ class RoadObserver:
             looks: ``(L,)`` distances at which the road is observed [m].
         """
         count = len(karts)
-        own: dict[str, npt.NDArray[Any]] = {
-            key: np.empty((count, 3 if key == "velocity" else 1), np.float32) for key in OWN_NUMBERS
-        }
-        own |= {key: np.empty(count, np.int64) for key in OWN_KINDS}
         arrays = (
+            np.empty((count, OWN_SIZE), np.float32),
             np.empty((count, len(looks), 4), np.float32),
             np.empty((count, len(snapshot.karts), 3), np.float32),
             np.empty((count, len(snapshot.items), 3), np.float32),
             np.empty((count, len(snapshot.items)), np.int64),
         )
-        self.look_into(snapshot, karts, looks, (own, arrays))
-        return own, Surroundings(*arrays)
+        self.look_into(snapshot, karts, looks, arrays)
+        return Surroundings(*arrays)
 
     def look_into(
         self,
         snapshot: Snapshot,
         karts: IntArray,
         looks: FloatArray,
-        out: tuple[Mapping[str, npt.NDArray[Any]], tuple[npt.NDArray[Any], ...]],
+        out: tuple[npt.NDArray[Any], ...],
     ) -> None:
-        """Writes own state and surroundings of some karts into arrays.
+        """Writes the surroundings of some karts into arrays.
 
         Args:
             snapshot: see :meth:`surroundings`.
             karts: see :meth:`surroundings`.
             looks: see :meth:`surroundings`.
-            out: C-contiguous arrays in the form of the result of :meth:`surroundings`: own state by
-                key, then the first four arrays of :class:`Surroundings`. They may have room for
-                more karts and items than the race has.
+            out: the first five arrays of :class:`Surroundings`, C-contiguous. They may have room
+                for more karts and items than the race has.
         """
-        own, arrays = out
-        self._observer.look(
-            snapshot.data,
-            0,
-            karts,
-            np.ascontiguousarray(looks, np.float32),
-            tuple(own[key] for key in OWN_NUMBERS),
-            tuple(own[key] for key in OWN_KINDS),
-            arrays,
-        )
+        looks = np.ascontiguousarray(looks, np.float32)
+        self._observer.look(snapshot.data, karts, looks, out)
 
 
 @functools.cache
@@ -202,13 +191,10 @@ def _writer() -> RacingObserver:
     return RacingObserver((), *KERNEL_TABLES)
 
 
-def racing_features(
-    own: Mapping[str, Any], around: Surroundings, out: FloatArray | None = None
-) -> FloatArray:
+def racing_features(around: Surroundings, out: FloatArray | None = None) -> FloatArray:
     """Returns the view of A karts.
 
     Args:
-        own: entries of the ``full`` view in batch form.
         around: surroundings of the karts, with the road at :data:`~.road.LOOKS` first.
         out: array ``(A, F)`` whose first ``SIZE`` columns receive the view; ``None`` for a new one.
 
@@ -216,10 +202,7 @@ def racing_features(
         ``(A, SIZE)`` float32, or ``out``.
     """
     view = np.empty((len(around.road), SIZE), np.float32) if out is None else out
-    numbers = tuple(np.ascontiguousarray(own[key], np.float32) for key in OWN_NUMBERS)
-    kinds = tuple(np.ascontiguousarray(own[key], np.int64) for key in OWN_KINDS)
-    seen = around.road, around.karts, around.items, around.item_types
-    _writer().write(numbers, kinds, tuple(map(np.ascontiguousarray, seen)), view)
+    _writer().write(around.arrays, view)
     return view
 
 

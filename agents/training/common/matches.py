@@ -106,7 +106,7 @@ def network_driver(choose: Callable[[FloatArray], Any], hold: int = 0) -> MatchD
         action_filter = ActionFilter(count, hold)
 
         def control(seen: Seen) -> FloatArray:
-            views = racing_features(seen, around_of(seen))
+            views = racing_features(around_of(seen))
             return controls_of_choices(action_filter.apply(choose(action_filter.look(views))))
 
         return control

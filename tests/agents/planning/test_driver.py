@@ -31,6 +31,7 @@ from stkzoo.wrappers.racing import (
     ground_observer,
     surroundings_of,
 )
+from tests.oracle.plan_viewer import moment_of
 from tests.support.generic_env import full_views
 
 SIDE = np.array([-1, 1, 1], np.float32)
@@ -50,13 +51,13 @@ def driven_race(steps, karts=3, track="lighthouse", rules=None, choose=best):
         env.reset(seed=3)
         drivers = PlanDriver(karts, rules)
         for _ in range(steps):
-            own, around = surroundings_of(full_views(env), ALL_LOOKS)
+            around = surroundings_of(full_views(env), ALL_LOOKS)
             if env.snapshot.phase < 2:
                 controls = np.zeros((karts, 7), np.float32)
                 controls[:, 0] = 1
             else:
-                view = drivers.look(own, around)
-                yield env, own, around, drivers, view
+                view = drivers.look(around)
+                yield env, around, drivers, view
                 controls, _ = drivers.act(choose(view.prior))
             env.step(
                 {
@@ -69,20 +70,16 @@ def driven_race(steps, karts=3, track="lighthouse", rules=None, choose=best):
             )
 
 
-def rows_of(own, around, rows):
+def rows_of(around, rows):
     seen = {field.name: getattr(around, field.name) for field in dataclasses.fields(around)}
-    parts = {name: array[rows] for name, array in seen.items() if array is not None}
-    return {key: value[rows] for key, value in own.items()}, Surroundings(**parts)
+    return Surroundings(**{name: a[rows] for name, a in seen.items() if a is not None})
 
 
 def memories(drivers):
     """Returns the drivers' memory by name, as arrays with one row per kart."""
-    parts = {"": drivers.memory._of, "rivals ": drivers._tracker.before}
-    return {
-        prefix + name: array
-        for prefix, part in parts.items()
-        for name, array in part._asdict().items()
-    }
+    spots, velocity, headings = moment_of(drivers.memory.moments[:, 0])
+    before = {"spots": spots, "velocity": velocity, "headings": headings}
+    return drivers.memory._of._asdict() | before
 
 
 def remembered(drivers):
@@ -108,10 +105,10 @@ def test_decisions_do_not_depend_on_the_batch_size(name):
     policy, rules = read_policy(folder), read_numbers(folder)
     together = PlanDriver(3, rules)
     alone = [PlanDriver(1, rules) for _ in range(3)]
-    for _, own, around, *_ in driven_race(60):
-        controls, _ = together.act(policy.best(together.look(own, around)))
+    for _, around, *_ in driven_race(60):
+        controls, _ = together.act(policy.best(together.look(around)))
         for kart, driver in enumerate(alone):
-            seen = driver.look(*rows_of(own, around, [kart]))
+            seen = driver.look(rows_of(around, [kart]))
             decided, _ = driver.act(policy.best(seen))
             np.testing.assert_array_equal(decided[0], controls[kart])
 
@@ -126,7 +123,7 @@ def test_plans_on_the_racing_line_follow_it():
         misses = []
         for _ in range(120):
             seen = [observations[agent] for agent in env.agents]
-            _, around = surroundings_of(seen)
+            around = surroundings_of(seen)
             karts = np.array(env.race.kart_indices)
             ahead = observer.observe(env.snapshot, karts)
             line = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
@@ -147,26 +144,27 @@ def test_plans_on_the_racing_line_refuse_observations_without_it():
             driver.drive(observations["kart_0"])
 
 
-def mirrored_race(own, around):
+def mirrored_race(around):
     finite = np.isfinite(around.karts)
     karts = np.where(finite, around.karts, 0) * SIDE
-    road = around.road * np.array([-1, 1, 1, 1], np.float32)
-    return {**own, "velocity": own["velocity"] * SIDE}, Surroundings(
-        road, np.where(finite, karts, np.inf), around.items * SIDE, around.item_types
+    own, road = around.own.copy(), around.road * np.array([-1, 1, 1, 1], np.float32)
+    own[:, 0] *= -1
+    return Surroundings(
+        own, road, np.where(finite, karts, np.inf), around.items * SIDE, around.item_types
     )
 
 
 def test_a_mirrored_race_gives_mirrored_inputs():
     signs = dict.fromkeys(remembered(PlanDriver(1)), 1.0)
     signs |= dict.fromkeys(("turn", "drift_turn", "drift_side", "held_offset"), -1.0)
-    signs |= dict.fromkeys(("rivals spots", "rivals velocity"), np.array([-1, 1], np.float32))
-    signs |= {"rivals headings": -1.0}
-    for count, (_, own, around, drivers, view) in enumerate(driven_race(110)):
+    signs |= dict.fromkeys(("spots", "velocity"), np.array([-1, 1], np.float32))
+    signs |= {"headings": -1.0}
+    for count, (_, around, drivers, view) in enumerate(driven_race(110)):
         if count % 15:
             continue
         twin = PlanDriver(3)
         remind(twin, {n: row * signs[n] for n, row in remembered(drivers).items()})
-        seen = twin.view(*mirrored_race(own, around))
+        seen = twin.view(mirrored_race(around))
         np.testing.assert_allclose(seen.inputs, mirrored_inputs(view.inputs), atol=2e-3)
         np.testing.assert_allclose(seen.prior, mirrored_prior(view.prior), atol=2e-2)
         assert (twin.memory.numbers() == drivers.memory.numbers() * MEMORY_MIRROR).all()
@@ -186,10 +184,10 @@ def test_mirroring_twice_changes_nothing():
 
 
 def test_mirrored_choices_steer_to_the_other_side():
-    *_, (_, own, around, _, _) = driven_race(70)
+    *_, (_, around, _, _) = driven_race(70)
     here, there = PlanDriver(3), PlanDriver(3)
-    view = here.view(own, around)
-    there.view(*mirrored_race(own, around))
+    view = here.view(around)
+    there.view(mirrored_race(around))
     choices = best(view.prior)
     ours, _ = here.act(choices)
     theirs, _ = there.act(mirrored_choices(choices))

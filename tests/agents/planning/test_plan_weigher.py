@@ -1,27 +1,20 @@
-"""Evaluation of plans in the extension, compared with the oracle."""
+"""The ways of plans. ``test_plan_viewer.py`` compares the extension with the oracle."""
 
 import numpy as np
 import pytest
 
 from stkzoo.agents.planning import _planning
+from stkzoo.agents.planning.memory import LINE_MARKS, MARK_COUNT, MARK_SPACING
 from stkzoo.agents.planning.motion import DRIFT_TURN, RELEASE_STEPS, learned_motion
-from stkzoo.agents.planning.parameters import DriverParameters
+from stkzoo.agents.planning.parameters import DriverParameters, rule_numbers
 from stkzoo.agents.planning.plans import BRAKE, LONGEST_DRIFT, plan_table
-from stkzoo.agents.planning.road import LINE_MARKS, MARK_COUNT, MARK_SPACING, headings_of
-from stkzoo.agents.planning.worth import plan_rules
-from tests.oracle import plan_weigher
-from tests.oracle.plan_viewer import table_rows, write_road
+from tests.agents.planning.test_plan_viewer import planned, scene_arguments
+from tests.oracle import plan_viewer, plan_weigher
+from tests.oracle.plan_viewer import headings_of, table_rows, write_road
 from tests.oracle.road_ahead import RoadAhead
 
 RADIUS, LOCK, SPEED, REACH = 60.0, 1.45, 25.0, 12.0
 RULES = DriverParameters()
-#: Drift side, drift steps and release steps of all states in the table.
-STATES = np.array(
-    [
-        *((0, 0, left) for left in range(RELEASE_STEPS + 1)),
-        *((side, steps, 0) for side in (-1, 1) for steps in range(LONGEST_DRIFT + 1)),
-    ]
-)
 
 
 def road_of(x, z, left=6.0, right=6.0):
@@ -65,9 +58,7 @@ class Ways:
         write_road(road, np.array([REACH], np.float32), rooms, marks)
         karts = np.array([kart], np.float32)
         drive = plan_weigher.drive_by_network if motion else plan_weigher.drive_arcs
-        self.along, self.across, _, _, turns = drive(
-            table, plan_rules(RULES).costs, motion, rows, karts, marks, columns
-        )
+        self.along, self.across, _, _, turns = drive(table, motion, rows, karts, marks, columns)
         exists = table.maneuvers[rows[0]] >= 0
         self.along, self.across = self.along[:, 0, exists], self.across[:, 0, exists]
         self.turns = turns[0, exists]
@@ -100,22 +91,21 @@ def test_plans_reach_farther_to_the_side_with_more_room(side, motion):
 
 
 @pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
-@pytest.mark.parametrize("weigh", [_planning.weigh_plans, plan_weigher.weigh_plans])
+@pytest.mark.parametrize("plan", [_planning.plan_karts, plan_viewer.plan_karts])
 @pytest.mark.parametrize("side", [-1, 1])
-def test_the_cost_begins_at_the_edge_of_that_side(side, weigh, motion):
+def test_the_cost_begins_at_the_edge_of_that_side(side, plan, motion):
     narrow, wide = 2.0, 6.0
-    table, rules = plan_table(RULES.lane_changes), plan_rules(RULES).costs
-    marks, none = np.zeros((1, 4, MARK_COUNT), np.float32), np.zeros((1, 0, 4))
-    marks[0, 1:3] = [[narrow], [wide]] if side > 0 else [[wide], [narrow]]
-    table = table._replace(lanes=np.zeros_like(table.lanes))  # lets all plans steer to the middle
+    rules = rule_numbers(DriverParameters(margin=0.0, greatest_room=9.0, caution_room=9.0))
 
     def danger(offset):
         """Returns the cost at an offset toward the wide side."""
-        kart = [SPEED, LOCK, REACH, 0, 0, side * offset, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-        out = np.empty((3, 1, 4), np.float32)
-        karts, rows = np.array([kart], np.float32), np.zeros(1, np.intp)
-        weigh(table, rules, motion, rows, karts, marks, none, np.zeros((1, 0, 5)), out)
-        return out[2, 0, 0]
+        (_, worths, table, _, logits), memory, around, line, *rest = scene_arguments(0, count=1)
+        table = table._replace(lanes=np.zeros_like(table.lanes))  # all plans steer to the middle
+        around[0][:, :3], around[3][:], memory[:] = (0, 0, SPEED), 0, 0
+        line[..., :3] = np.stack([0 * LINE_MARKS - side * offset, 0 * LINE_MARKS, LINE_MARKS], -1)
+        line[..., 3:] = (narrow, wide) if side > 0 else (wide, narrow)
+        arguments = (rules, worths, table, motion, logits), memory, around, line, *rest
+        return planned(plan, arguments)["best"][2, 0, 0]
 
     assert danger(wide - 0.5) == 0 == danger(0.5 - narrow)
     assert danger(wide + 3.0) > 0
@@ -146,93 +136,3 @@ def test_in_the_network_boosts_are_faster_and_brakes_are_slower():
     assert ways.along[-1, ways.boosts == 0].max() > SPEED * 2.0
     assert ways.along[-1, ways.maneuvers == BRAKE].max() < SPEED * 1.9
     assert boosted.sum() <= 1
-
-
-def random_arguments(seed, count=9, motion=()):
-    """Returns arguments for karts in all states, between items and rivals, on winding roads."""
-    chance = np.random.default_rng(seed)
-    rules = plan_rules(RULES).costs
-
-    def draw(*shape, low=-1.0, high=1.0):
-        return chance.uniform(low, high, shape)
-
-    table = plan_table(RULES.lane_changes)
-    karts = np.concatenate(
-        [
-            draw(count, 3, low=[5.0, 0.5, 6.0], high=[30.0, 2.0, 14.0]),
-            draw(count, 4, low=[-1, -0.8, -6, -0.8], high=[1, 0.8, 6, 0.8]),
-            draw(count, 2, low=0, high=45),
-            chance.integers(0, 2, (count, 2)),
-            draw(count, 2, low=[-2, -0.2], high=[2, 0.2]),
-            np.zeros((count, 3)),
-        ],
-        axis=1,
-    ).astype(np.float32)
-    road = draw(count, 4, 36, low=[[-4], [0.3], [0.3], [-0.05]], high=[[4], [5], [5], [0.05]])
-    items = draw(count, 8, 4, low=[0, -5, -15, 0.8], high=[60, 5, 20, 1.0])
-    items[:, 5:, 2] = 0
-    rivals = draw(count, 4, 5, low=[-1, -5, -4, -15, -3], high=[1, 30, 4, 3, 3])
-    rivals[..., 0] = rivals[..., 0] > 0
-    rivals[..., 2:] = rivals[..., 2:].astype(np.float32)
-    rows = chance.integers(0, len(table.lanes), count)
-    side, steps, release = STATES[rows % len(STATES)].T
-    karts[:, 13:] = np.stack([side, steps, release], axis=1)
-    rows = table_rows(side, steps, release, (RELEASE_STEPS, LONGEST_DRIFT))
-    return table, rules, motion, rows, karts, road.astype(np.float32), items, rivals
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_weigh_plans_matches_the_oracle(seed):
-    arguments = random_arguments(seed)
-    ours, theirs = weighed_by_both(arguments)
-    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-4)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_weigh_plans_with_the_network_matches_the_oracle(seed):
-    ours, theirs = weighed_by_both(random_arguments(seed, motion=learned_motion()))
-    np.testing.assert_allclose(ours[0], theirs[0], rtol=1e-4, atol=1e-2)
-    # if two plans have nearly the same value, either may be the best
-    assert np.isclose(ours[1:], theirs[1:], rtol=1e-3, atol=1e-2).mean() > 0.95
-
-
-def weighed_by_both(arguments):
-    """Returns the results of the kernel and of the reference implementation."""
-    ours, theirs = (np.empty((3, len(arguments[3]), 4), np.float32) for _ in range(2))
-    _planning.weigh_plans(*arguments, ours)
-    plan_weigher.weigh_plans(*arguments, theirs)
-    return ours, theirs
-
-
-@pytest.mark.parametrize("part", range(1, 7))
-def test_nan_in_the_network_reaches_the_worth_of_plans(part):
-    motion = tuple(array.copy() for array in learned_motion())
-    motion[part].flat[0] = np.nan
-    with np.errstate(invalid="ignore"):
-        ours, theirs = weighed_by_both(random_arguments(0, motion=motion))
-    assert np.isnan(ours[0]).any()
-    np.testing.assert_array_equal(np.isnan(ours), np.isnan(theirs))
-
-
-@pytest.mark.parametrize("span", [np.nan, -1.0, np.inf, 1e9])
-def test_spans_that_would_never_end_are_refused(span):
-    table, *arguments = random_arguments(0, count=1, motion=learned_motion())
-    spans = table.spans.copy()
-    spans[-1] = span
-    with pytest.raises(ValueError, match="at most 100 s"):
-        _planning.weigh_plans(
-            table._replace(spans=spans), *arguments, np.empty((3, 1, 4), np.float32)
-        )
-
-
-@pytest.mark.parametrize("motion", [(), learned_motion()], ids=["arcs", "network"])
-def test_results_do_not_depend_on_the_batch(motion):
-    table, rules, _, *of_karts = random_arguments(0)
-    together = np.empty((3, len(of_karts[0]), 4), np.float32)
-    _planning.weigh_plans(table, rules, motion, *of_karts, together)
-    for kart in range(len(of_karts[0])):
-        alone = np.empty((3, 1, 4), np.float32)
-        _planning.weigh_plans(
-            table, rules, motion, *(array[kart : kart + 1] for array in of_karts), alone
-        )
-        assert (alone[:, 0] == together[:, kart]).all()

@@ -3,27 +3,26 @@
 import numpy as np
 import pytest
 
-from stkzoo.agents.planning.memory import DriverMemory, PlanMemory
+from stkzoo.agents.planning.memory import DriverMemory
 from stkzoo.agents.planning.motion import STEP
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, FREE
-from stkzoo.agents.planning.road import LINE_MARKS, RivalTracker, line_of
 from stkzoo.agents.planning.worth import NEVER, plan_rules, weigh
-from tests.agents.planning.test_road import STRAIGHT, around_of, karts, own_of
+from tests.agents.planning.test_road import STRAIGHT, around_of, karts
 
 
 def weighed(speed=25.0, ahead=0.0, closing=0.0, across=0.0, **rules):
     """Returns the plans without drifts. A rival is ``ahead`` meters in front; 0 for no rival."""
-    tracker = RivalTracker(1)
-    tracker.before.velocity[:] = 0.0, speed
-    tracker.before.spots[0, 0] = across, ahead + closing * STEP
+    parameters = DriverParameters(**rules)
+    memory = DriverMemory(1, parameters)
+    memory._of.hop_steps[:] = 1
+    memory.moments[0, 0, :2], memory.moments[0, 0, 8:10] = (
+        (across, ahead + closing * STEP),
+        (0, speed),
+    )
     spots = karts((across, ahead)) if ahead else karts()
-    own, parameters = own_of(speed=speed), DriverParameters(**rules)
-    lock = np.full((1, 1), 0.06, np.float32)
-    memory = DriverMemory(1, parameters).rows
-    memory[PlanMemory._fields.index("hop_steps")] = 1
-    around = around_of(STRAIGHT, spots)
-    return weigh(plan_rules(parameters), memory, own, lock, around, tracker)
+    around = around_of(STRAIGHT, spots, (0.0, 0.0, speed), max_steer_angle=0.06)
+    return weigh(plan_rules(parameters), memory, around, np.empty((1, 39), np.float32))
 
 
 def test_plans_pass_a_slower_kart_ahead():
@@ -49,14 +48,6 @@ def test_plans_ignore_karts_that_are_not_in_the_way(rival):
     seen, alone = weighed(**rival), weighed()
     assert seen.turn[0, FREE] == alone.turn[0, FREE]
     assert seen.worth[0, FREE] == alone.worth[0, FREE]
-
-
-def test_the_half_width_is_the_distance_to_both_edges():
-    road = np.random.default_rng(0).normal(size=(2, len(LINE_MARKS) + 3, 4)).astype(np.float32)
-    line = line_of(road)
-    assert (line[..., :4] == road[:, 3:]).all()
-    assert (line[..., 4] == road[:, 3:, 3]).all()
-    assert line.flags.c_contiguous
 
 
 def test_plans_do_not_brake_below_the_minimum_speed():
