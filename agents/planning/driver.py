@@ -30,7 +30,7 @@ from .memory import LINE_MARKS, MEMORY_MIRROR, MEMORY_NAMES, RIVALS, DriverMemor
 from .motion import DRIFT_TURN
 from .parameters import DriverParameters
 from .plans import BRAKE, DRIFT_LEFT, DRIFT_RIGHT, FREE, MANEUVERS
-from .worth import PlanOptions, plan_rules, weigh
+from .worth import PlanOptions, weigh
 
 #: Steering offsets from the plan [fraction of full lock].
 OFFSETS = np.array([-0.45, -0.2, -0.08, 0.0, 0.08, 0.2, 0.45], np.float32)
@@ -144,10 +144,9 @@ class PlanDriver:
     """
 
     def __init__(self, count: int, rules: DriverParameters | None = None) -> None:
-        parameters = rules or DriverParameters()
-        self._rules = plan_rules(parameters)
-        self._holds_turns = parameters.turn_hold > 1
-        self.memory = DriverMemory(count, parameters)
+        self._rules = rules or DriverParameters()
+        self._holds_turns = self._rules.turn_hold > 1
+        self.memory = DriverMemory(count, self._rules)
         self._options: PlanOptions | None = None
 
     def drive(
@@ -197,7 +196,7 @@ class PlanDriver:
 
     @classmethod
     def _joined(cls, drivers: Sequence[PlanDriver]) -> PlanDriver:
-        joined = cls(0, drivers[0]._rules.parameters)
+        joined = cls(0, drivers[0]._rules)
         joined.memory = DriverMemory.joined([driver.memory for driver in drivers])
         return joined
 

@@ -49,7 +49,7 @@ from .parameters import DriverParameters
 if TYPE_CHECKING:
     from stkzoo.views import ViewPlan
 
-#: Number of the nearest karts and items that a kart observes.
+#: Numbers of karts and items that a kart observes: the first ones, if there are more.
 _KARTS, _ITEMS = 24, 64
 _AROUND = ("own", "road", "karts", "items", "item_types")
 _FULL_THROTTLE = np.eye(1, 7, dtype=np.float32)
@@ -125,8 +125,8 @@ class PlanView:
 class PlanSurroundings(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Observes what the plans need: own state, road, karts and items as arrays of fixed sizes.
 
-    The nearest 24 karts and 64 items are observed; positions of missing karts are not finite, and
-    missing items have the type -1.
+    Up to 24 karts and 64 items are observed; positions of missing karts are not finite, and missing
+    items have the type -1.
 
     Args:
         env: an environment in the view ``full`` or ``ground``. In ``ground``, the observation
@@ -165,56 +165,36 @@ class _SurroundingsObserver:
 
     def observe_into(self, source: Any, karts: IntArray, rows: IntArray, batch: Any) -> None:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
-        snapshot, part = source.snapshot, slice(int(rows[0]), int(rows[-1]) + 1)
-        fits = len(snapshot.karts) <= _KARTS and len(snapshot.items) <= _ITEMS
-        if self._sees_line or not fits or part.stop - part.start != len(rows):
-            for key, array in self._seen(source, karts).items():
-                batch[key][rows] = array
-            return
-        batch["phase"][part] = snapshot.phase
-        out = tuple(batch[key][part] for key in _AROUND)
-        road_observer(source.track_map).look_into(snapshot, karts, ALL_LOOKS, out)
-
-    def _seen(self, source: Any, karts: IntArray) -> dict[str, Any]:
         snapshot = source.snapshot
-        around = road_observer(source.track_map).surroundings(snapshot, karts, ALL_LOOKS)
-        seen = _row(around, np.full(len(karts), snapshot.phase))
+        shapes = ((key, batch[key].shape[1:], batch[key].dtype) for key in _AROUND)
+        seen = {key: np.empty((len(karts), *shape), dtype) for key, shape, dtype in shapes}
+        observer = road_observer(source.track_map)
+        observer.look_into(snapshot, karts, ALL_LOOKS, tuple(seen.values()))
+        seen["phase"] = np.full(len(karts), snapshot.phase)
         if self._sees_line:
             ahead = source.ground_ahead(karts)
             seen["line"] = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
-        return seen
+        for key, array in seen.items():
+            batch[key][rows] = array
 
 
 def _row(around: Surroundings, phase: Any) -> dict[str, Any]:
     """Returns observations of A karts with arrays of the sizes in their space."""
-    nearest = _nearest(around.items, _ITEMS)
     seen = {
         "own": around.own,
         "phase": np.reshape(phase, len(around.own)),
         "road": around.road,
-        "karts": _fitted(around.karts, _nearest(around.karts, _KARTS), _KARTS, np.inf),
-        "items": _fitted(around.items, nearest, _ITEMS, 0.0),
-        "item_types": _fitted(around.item_types, nearest, _ITEMS, ABSENT),
+        "karts": _fitted(around.karts, _KARTS, np.inf),
+        "items": _fitted(around.items, _ITEMS, 0.0),
+        "item_types": _fitted(around.item_types, _ITEMS, ABSENT),
     }
     return seen if around.line is None else {**seen, "line": around.line}
 
 
-def _nearest(points: FloatArray, most: int) -> IntArray | None:
-    """Returns the indices of the nearest points in order, ``(A, most)``; ``None`` for all."""
-    if points.shape[1] <= most:
-        return None
-    distances = (points**2).sum(axis=2)
-    return np.sort(np.argpartition(distances, most, axis=1)[:, :most], axis=1)
-
-
-def _fitted(
-    array: npt.NDArray[Any], chosen: IntArray | None, size: int, blank: float
-) -> npt.NDArray[Any]:
-    """Returns the chosen entries of an array ``(A, N, ...)``, or all, padded to ``size``."""
-    if chosen is not None:
-        return array[np.arange(len(array))[:, None], chosen]
+def _fitted(array: npt.NDArray[Any], size: int, blank: float) -> npt.NDArray[Any]:
+    """Returns the first ``size`` entries of an array ``(A, N, ...)``, padded if there are fewer."""
     fitted = np.full((len(array), size, *array.shape[2:]), blank, array.dtype)
-    fitted[:, : array.shape[1]] = array
+    fitted[:, : array.shape[1]] = array[:, :size]
     return fitted
 
 

@@ -7,9 +7,8 @@ sees the best plan of each and chooses among them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,79 +37,42 @@ NEVER = -1e4
 LEAST_LOGIT = -30.0
 
 
-class PlanRules:
-    """The parameters of plans, and what follows from them.
-
-    Attributes:
-        parameters: the parameters.
-        parts: argument ``plans`` of ``plan_karts``.
-    """
-
-    __slots__ = ("parameters", "parts")
-
-    def __init__(self, parameters: DriverParameters) -> None:
-        self.parameters = parameters
-        self.parts = (
-            rule_numbers(parameters),
-            _worths(parameters),
-            plan_table(parameters.lane_changes),
-            learned_motion() if parameters.learned_motion else (),
-            _LOGITS if parameters.turn_hold == 1 else _HELD_LOGITS,
-        )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return plan_rules, (self.parameters,)
-
-
 @lru_cache(maxsize=64)
-def plan_rules(parameters: DriverParameters) -> PlanRules:
-    """Returns the rules for parameters."""
-    return PlanRules(parameters)
+def plan_parts(parameters: DriverParameters) -> tuple[Any, ...]:
+    """Returns the argument ``plans`` of ``plan_karts`` for parameters."""
+    return (
+        rule_numbers(parameters),
+        _worths(parameters),
+        plan_table(parameters.lane_changes),
+        learned_motion() if parameters.learned_motion else (),
+        _LOGITS if parameters.turn_hold == 1 else _HELD_LOGITS,
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class PlanOptions:
+class PlanOptions(NamedTuple):
     """The best plan of each maneuver, and the karts' positions on the road.
 
     Attributes:
-        best: ``(3, A, 4)``: :attr:`worth`, :attr:`turn` and danger, the cost beyond the edge of the
-            road [m].
-        scene: ``(A, 3)``: :attr:`angle`, :attr:`offset` and :attr:`beyond`.
+        worth: ``(A, 4)`` worth of the plans [m]; :data:`NEVER` if there is none.
+        turn: ``(A, 4)`` current turn, positive to the right [fraction of full lock].
+        danger: ``(A, 4)`` cost beyond the edge of the road [m].
+        angle: ``(A,)`` direction of the kart relative to the road's [rad].
+        offset: ``(A,)`` offset from the middle of the road, positive to the right [m].
+        beyond: ``(A,)`` distance beyond the edge of the road, negative on the road [m].
         prior: ``(A, 15)`` logits of the choices in :data:`.driver.CHOICE_NAMES`.
     """
 
-    best: FloatArray
-    scene: FloatArray
+    worth: FloatArray
+    turn: FloatArray
+    danger: FloatArray
+    angle: FloatArray
+    offset: FloatArray
+    beyond: FloatArray
     prior: FloatArray
-
-    @property
-    def worth(self) -> FloatArray:
-        """``(A, 4)`` worth of the plans [m]; :data:`NEVER` if there is none."""
-        return np.asarray(self.best[0])
-
-    @property
-    def turn(self) -> FloatArray:
-        """``(A, 4)`` current turn, positive to the right [fraction of full lock]."""
-        return np.asarray(self.best[1])
-
-    @property
-    def angle(self) -> FloatArray:
-        """``(A,)`` direction of the kart relative to the road's [rad]."""
-        return self.scene[:, 0]
-
-    @property
-    def offset(self) -> FloatArray:
-        """``(A,)`` offset from the middle of the road, positive to the right [m]."""
-        return self.scene[:, 1]
-
-    @property
-    def beyond(self) -> FloatArray:
-        """``(A,)`` distance beyond the edge of the road, negative on the road [m]."""
-        return self.scene[:, 2]
 
 
 def weigh(
-    rules: PlanRules,
+    parameters: DriverParameters,
     memory: DriverMemory,
     around: Surroundings,
     inputs: FloatArray,
@@ -119,7 +81,7 @@ def weigh(
     """Returns the best plan of each maneuver, and writes a policy's inputs from them.
 
     Args:
-        rules: parameters of the plans.
+        parameters: parameters of the plans.
         memory: the karts' memory; if other karts matter, its latest moment is updated.
         around: surroundings of the karts; the road at :data:`.memory.LINE_MARKS` comes last. Plans
             on the racing line need ``line``.
@@ -129,7 +91,6 @@ def weigh(
     Raises:
         ConfigError: the plans follow the racing line, and it is not observed.
     """
-    parameters = rules.parameters
     line = around.line if parameters.racing_line else None
     if parameters.racing_line and line is None:
         raise ConfigError(
@@ -141,8 +102,8 @@ def weigh(
     scene, prior = np.empty((count, 3), np.float32), np.empty((count, _NUM_LOGITS), np.float32)
     is_watching = len(inputs) or parameters.bump_cost or parameters.learned_motion
     moments, out = memory.moments if is_watching else None, (best, scene, prior, inputs)
-    plan_karts(rules.parts, memory.rows, around.arrays, line, moments, out, first)
-    return PlanOptions(best, scene, prior)
+    plan_karts(plan_parts(parameters), memory.rows, around.arrays, line, moments, out, first)
+    return PlanOptions(*best, *scene.T, prior)
 
 
 def _worths(rules: DriverParameters) -> FloatArray:

@@ -117,7 +117,7 @@ class KartObserver:
         data: bytes,
         who: npt.NDArray[np.intp],
     ) -> list[Any]:
-        """Returns a list with one observation per kart, in a view with lists of varying length.
+        """Returns a list with one observation per kart, in which lists are tuples.
 
         Args:
             track: the race's track.
@@ -127,7 +127,7 @@ class KartObserver:
             who: ``(A,)`` indices of the observing karts.
 
         Raises:
-            ValueError: the view has a fixed size, or the arguments do not fit together.
+            ValueError: the arguments do not fit together.
         """
     def observe_into(
         self,
@@ -151,7 +151,7 @@ class KartObserver:
             batch: arrays by entry, with a list for names, or one array if the view is one vector.
 
         Raises:
-            ValueError: the view has no fixed size, or the arguments do not fit together.
+            ValueError: the arguments do not fit together.
         """
 
 class RacingObserver:
@@ -202,8 +202,8 @@ class RacingObserver:
             data: bytes of a snapshot.
             who: ``(n,)`` indices of karts.
             looks: ``(L,)`` distances at which the road is observed [m].
-            around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`, with at
-                least as many karts and items as the race has.
+            around: the first five arrays of :class:`~stkzoo.wrappers.racing.Surroundings`.
+                Karts and items for which there is no room are left out.
         """
     def write(self, around: tuple[npt.NDArray[Any], ...], out: npt.NDArray[np.float32]) -> None:
         """Writes the view of karts with given surroundings.

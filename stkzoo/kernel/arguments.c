@@ -51,6 +51,17 @@ int are_below(Indices indices, npy_intp limit)
     return 1;
 }
 
+int check_rows(const char *name, Indices indices, npy_intp limit, Indices rows, npy_intp num_rows)
+{
+    if (indices.size != rows.size) {
+        PyErr_Format(PyExc_ValueError, "%zd %ss for %zd rows", indices.size, name, rows.size);
+        return -1;
+    }
+    if (are_below(indices, limit) && are_below(rows, num_rows)) return 0;
+    PyErr_Format(PyExc_IndexError, "a %s index or a row index is out of range", name);
+    return -1;
+}
+
 int are_sizes(const npy_intp (*pairs)[2], size_t count)
 {
     for (size_t i = 0; i < count; i++) {

@@ -61,6 +61,10 @@ int read_around(PyObject *tuple, int is_written, Around *around);
 #define ARE_SIZES(PAIRS) are_sizes(PAIRS, sizeof PAIRS / sizeof *PAIRS)
 int are_sizes(const npy_intp (*pairs)[2], size_t count);
 
+/* Returns 0 if there is a row below `num_rows` for each of some indices below `limit`, otherwise -1
+   with an exception set. `name` is what the indices are. */
+int check_rows(const char *name, Indices indices, npy_intp limit, Indices rows, npy_intp num_rows);
+
 /* Sets a ValueError, unless an exception is set already; always returns -1. */
 int refuse(const char *message);
 

@@ -154,13 +154,10 @@ static PyObject *controller_drive(PyObject *object, PyObject *args)
                           as_indices, &places)) {
         return NULL;
     }
-    if (rows.size != karts.size || rows.size != places.size) {
-        return PyErr_Format(PyExc_ValueError, "%zd rows, %zd karts, %zd places", rows.size,
-                            karts.size, places.size);
-    }
-    if (!are_below(rows, controls.size / self->num_columns) ||
-        !are_below(karts, snapshot.header->num_kart) || !are_below(places, memory.size / 3)) {
-        return PyErr_Format(PyExc_IndexError, "a row, kart or state index is out of range");
+    const npy_intp num_rows = controls.size / self->num_columns;
+    if (check_rows("kart", karts, snapshot.header->num_kart, rows, num_rows) < 0 ||
+        check_rows("state", places, memory.size / 3, rows, num_rows) < 0) {
+        return NULL;
     }
     State *states = (State *)memory.data;
     for (npy_intp i = 0; i < rows.size; i++) {

@@ -97,7 +97,6 @@ typedef struct {
     int sizes[4]; /* rows of each group; -1 for a variable number */
     int is_polar, is_flat;
     int needs[4]; /* whether there are entries of each group */
-    int has_lists, has_arrays; /* whether entries of other groups than OWN vary in length, or not */
     npy_intp num_continuous, num_discrete; /* sizes of a flat observer's vectors */
     Indices joined;                        /* one-hot length of each choice; empty if not joined */
     npy_intp num_ones;                     /* sum of these lengths */
@@ -158,11 +157,6 @@ static void find_near(Scene *scene, int group)
    failure. */
 static int look(const KartObserver *observer, Scene *scene, npy_intp kart)
 {
-    const npy_int32 num_kart = scene->snapshot.header->num_kart;
-    if (kart < 0 || kart >= num_kart) {
-        PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, num_kart);
-        return -1;
-    }
     scene->me = scene->records[KART] = scene->snapshot.karts + kart;
     if (!(scene->ahead = nodes_ahead(scene->track, scene->me->node))) return -1;
     rotation_matrix(scene->me, scene->matrix);
@@ -605,10 +599,10 @@ static PyObject *observer_observe(PyObject *self, PyObject *args)
     KartObserver *observer = (KartObserver *)self;
     Scene scene;
     Indices who;
-    if (observer->has_arrays) return refuse("this view has rows; use observe_into"), NULL;
     if (!PyArg_ParseTuple(args, "O!nO!O&O&", &TrackGraphType, &scene.track, &scene.num_paths,
                           &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
                           &who) ||
+        check_rows("kart", who, scene.snapshot.header->num_kart, who, NPY_MAX_INTP) < 0 ||
         set_scene(observer, &scene) < 0) {
         return NULL;
     }
@@ -632,16 +626,15 @@ static PyObject *observer_observe_into(PyObject *self, PyObject *args)
     Scene scene;
     Indices who, rows;
     PyObject *batch;
-    if (observer->has_lists) return refuse("lists of varying length have no rows"), NULL;
     if (!PyArg_ParseTuple(args, "O!nO!O&O&O&O", &TrackGraphType, &scene.track, &scene.num_paths,
                           &PyTuple_Type, &scene.kart_types, as_snapshot, &scene.snapshot, as_indices,
                           &who, as_indices, &rows, &batch)) {
         return NULL;
     }
-    if (who.size != rows.size) {
-        return PyErr_Format(PyExc_ValueError, "%zd karts for %zd rows", who.size, rows.size);
+    if (check_rows("kart", who, scene.snapshot.header->num_kart, rows, NPY_MAX_INTP) < 0 ||
+        set_scene(observer, &scene) < 0) {
+        return NULL;
     }
-    if (set_scene(observer, &scene) < 0) return NULL;
     const int status = write_rows(observer, &scene, who, rows, batch);
     PyMem_Free(scene.nearest[ITEMS]);
     return status < 0 ? NULL : Py_NewRef(Py_None);
@@ -660,8 +653,7 @@ static int add_entry(KartObserver *observer, PyObject *name)
     PyObject *pool = keep(observer, PyList_New(0));
     if (!pool) return -1;
     const npy_intp rows = key->group == OWN ? 1 : observer->sizes[key->group];
-    if (rows < 0) observer->has_lists = 1;
-    else if (key->group != OWN || key->kind == MASK) observer->has_arrays = 1;
+    if (rows < 0 && observer->is_flat) return refuse("the lists of a flat view need fixed sizes");
     observer->entries[observer->num_entries++] = (Entry){key, name, pool, 0};
     observer->needs[key->group] = 1;
     if (key->kind == CHOICE) observer->num_discrete += rows;
@@ -719,10 +711,6 @@ static int observer_set_up(KartObserver *observer, PyObject *args, PyObject *kwa
     if (count > NUM_KEYS) return refuse("too many entries");
     for (Py_ssize_t i = 0; i < count; i++) {
         if (add_entry(observer, PyTuple_GET_ITEM(names, i)) < 0) return -1;
-    }
-    observer->has_arrays |= observer->is_flat;
-    if (observer->has_arrays && observer->has_lists) {
-        return refuse("a view must have a fixed size for all of its lists or for none");
     }
     return set_extras(observer, joined, nitro, fire);
 }

@@ -180,15 +180,10 @@ static void put_items(Pen *pen, const float *items, const npy_int64 *types, npy_
 
 /* ---------------------------------------------------------------- a kart's surroundings */
 
-/* Sets the observing kart. Returns -1 with an exception set if the kart or its segment does not
-   exist. */
-static int open_eye(const RacingObserver *view, const Snapshot *snapshot, npy_intp kart, Eye *eye)
+/* Sets the observing kart. Returns -1 with an exception set if its segment does not exist. */
+static int open_eye(const RacingObserver *view, const Kart *kart, Eye *eye)
 {
-    if (kart < 0 || kart >= snapshot->header->num_kart) {
-        PyErr_Format(PyExc_IndexError, "kart %zd of %d", kart, snapshot->header->num_kart);
-        return -1;
-    }
-    eye->kart = snapshot->karts + kart;
+    eye->kart = kart;
     const npy_intp node = eye->kart->node;
     if (node < 0 || node >= view->num_nodes) {
         PyErr_Format(PyExc_IndexError, "there is no segment %zd", node);
@@ -212,7 +207,8 @@ typedef struct {
 
 /* Writes the road at several distances ahead of the kart. Writes the positions of the other karts in
    the kart's frame: infinity for missing karts and for the kart itself. Writes the positions of the
-   items and their types; missing items have position 0 and type -1. */
+   items and their types; missing items have position 0 and type -1. Karts and items for which there
+   is no room are left out. */
 static void see(const RacingObserver *view, const Eye *eye, const Snapshot *snapshot, Floats looks,
                 const Sight *sight)
 {
@@ -274,13 +270,8 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
                           &rows, as_written_floats, &out)) {
         return NULL;
     }
-    if (rows.size != who.size || out.size % view->size) {
-        return PyErr_Format(PyExc_ValueError, "%zd karts for %zd rows of %zd numbers", who.size,
-                            rows.size, view->size);
-    }
-    if (!are_below(rows, out.size / view->size)) {
-        return PyErr_Format(PyExc_IndexError, "a row index is out of range");
-    }
+    if (out.size % view->size) return refuse("the rows have another size than the view"), NULL;
+    if (check_rows("kart", who, snapshot.header->num_kart, rows, out.size / view->size) < 0) return NULL;
     Sight sight = {.num_karts = snapshot.header->num_kart, .num_items = snapshot.header->num_items};
     const size_t floats =
         (size_t)(LINE_SIZE * view->looks.size + 3 * (sight.num_karts + sight.num_items));
@@ -293,7 +284,7 @@ static PyObject *racing_observe(PyObject *self, PyObject *args)
     sight.items = sight.karts + 3 * sight.num_karts;
     for (npy_intp i = 0; i < who.size; i++) {
         Eye eye;
-        if (open_eye(view, &snapshot, who.data[i], &eye) < 0) break;
+        if (open_eye(view, snapshot.karts + who.data[i], &eye) < 0) break;
         const OwnState own = own_of(eye.kart);
         see(view, &eye, &snapshot, view->looks, &sight);
         put_view(view, &own, &sight, out.data + rows.data[i] * view->size);
@@ -316,15 +307,13 @@ static PyObject *racing_look(PyObject *self, PyObject *args)
         read_around(arrays, 1, &around) < 0) {
         return NULL;
     }
-    if (around.count != who.size ||
-        (who.size && (around.num_looks != looks.size ||
-                      around.num_karts < snapshot.header->num_kart ||
-                      around.num_items < snapshot.header->num_items))) {
-        return refuse("the arrays have no room for all looks, karts or items"), NULL;
+    if (around.count != who.size || (who.size && around.num_looks != looks.size) ||
+        !are_below(who, snapshot.header->num_kart)) {
+        return refuse("the arrays do not fit the karts or the distances"), NULL;
     }
     for (npy_intp i = 0; i < who.size; i++) {
         Eye eye;
-        if (open_eye(view, &snapshot, who.data[i], &eye) < 0) return NULL;
+        if (open_eye(view, snapshot.karts + who.data[i], &eye) < 0) return NULL;
         const Sight sight = sight_at(&around, i);
         ((OwnState *)around.own.data)[i] = own_of(eye.kart);
         see(view, &eye, &snapshot, looks, &sight);

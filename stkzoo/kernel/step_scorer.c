@@ -246,20 +246,6 @@ static void advance(StepScorer *self, Indices who, const Snapshot *before, const
     }
 }
 
-/* Returns whether there are as many slots below `count` as agents; sets an exception otherwise. */
-static int are_slots(const StepScorer *self, Indices who, Indices slots, npy_intp count)
-{
-    if (slots.size != who.size) {
-        PyErr_Format(PyExc_ValueError, "%zd slots for %zd agents", slots.size, who.size);
-        return 0;
-    }
-    if (!are_below(slots, count) || !are_below(who, self->karts.size)) {
-        PyErr_Format(PyExc_IndexError, "an agent or a slot is out of range");
-        return 0;
-    }
-    return 1;
-}
-
 /* score_into(before, after, is_over, who, slots, rewards, terminations, truncations): computes the
    step between the bytes of two snapshots, and writes the results into arrays with one element per
    slot; agent who[i] has slots[i]. `is_over` is whether the time limit has been reached. */
@@ -280,7 +266,7 @@ static PyObject *scorer_score_into(PyObject *object, PyObject *args)
     if (ended.size != rewards.size || cut.size != rewards.size) {
         return PyErr_Format(PyExc_ValueError, "the arrays differ in length");
     }
-    if (!are_slots(self, who, slots, rewards.size)) return NULL;
+    if (check_rows("agent", who, self->karts.size, slots, rewards.size) < 0) return NULL;
     advance(self, who, &before, &after);
     for (npy_intp i = 0; i < slots.size; i++) {
         const npy_intp agent = who.data[i], slot = slots.data[i];
@@ -313,7 +299,7 @@ static PyObject *scorer_infos_into(PyObject *object, PyObject *args)
     if (wholes.size != 3 * count || numbers.size != num_rows * count) {
         return PyErr_Format(PyExc_ValueError, "expected tables of 3 and %zd rows", num_rows);
     }
-    if (!are_slots(self, who, slots, count)) return NULL;
+    if (check_rows("agent", who, self->karts.size, slots, count) < 0) return NULL;
     for (npy_intp i = 0; i < slots.size; i++) {
         const npy_intp agent = who.data[i], slot = slots.data[i];
         write_info(self, agent, now.karts + self->karts.data[agent], length, count,

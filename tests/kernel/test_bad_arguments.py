@@ -216,10 +216,10 @@ def test_arrays_of_another_form_are_refused(changes, message):
         ({"data": KARTS[:-1]}, "not a snapshot"),
         ({"data": snapshot_of(node=1)}, "there is no segment"),
         ({"paths": 2}, "2 of 1 segments"),
-        ({"who": TWO + 1}, "kart 2 of 2"),
+        ({"who": TWO + 1}, "a kart index"),
         ({"who": FIRST}, "1 karts for 2 rows"),
-        ({"rows": np.array([4, 1])}, "a row index"),
-        ({"rows": np.array([-1, 1])}, "a row index"),
+        ({"rows": np.array([4, 1])}, "row index"),
+        ({"rows": np.array([-1, 1])}, "row index"),
     ],
 )
 def test_indices_and_snapshots_out_of_range_are_refused(changes, message):

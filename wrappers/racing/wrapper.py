@@ -180,7 +180,7 @@ class RoadObserver:
             karts: see :meth:`surroundings`.
             looks: see :meth:`surroundings`.
             out: the first five arrays of :class:`Surroundings`, C-contiguous. They may have room
-                for more karts and items than the race has.
+                for more karts and items than the race has; those beyond are left out.
         """
         looks = np.ascontiguousarray(looks, np.float32)
         self._observer.look(snapshot.data, karts, looks, out)

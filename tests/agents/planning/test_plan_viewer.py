@@ -9,7 +9,7 @@ from stkzoo.agents.planning.driver import INPUT_SIZE
 from stkzoo.agents.planning.memory import MARK_COUNT, MARK_SPACING, DriverMemory, PlanMemory
 from stkzoo.agents.planning.motion import learned_motion
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.worth import plan_rules
+from stkzoo.agents.planning.worth import plan_parts
 from stkzoo.wrappers.racing import OWN_PLACES, OWN_SIZE, SIZE, Surroundings
 from tests.oracle import plan_viewer
 
@@ -80,7 +80,7 @@ def scene_arguments(
         np.empty((count, 15), np.float32),
         np.zeros((count, INPUT_SIZE), np.float32),
     )
-    numbers, worths, table, _, logits = plan_rules(RULES).parts
+    numbers, worths, table, _, logits = plan_parts(RULES)
     return (
         (numbers, worths, table, motion, logits),
         memory_of(chance, count),

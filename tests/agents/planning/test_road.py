@@ -6,7 +6,7 @@ from stkzoo import race_v0
 from stkzoo.agents.planning.driver import ALL_LOOKS
 from stkzoo.agents.planning.memory import LINE_MARKS, RIVALS, DriverMemory
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.worth import plan_rules, weigh
+from stkzoo.agents.planning.worth import weigh
 from stkzoo.wrappers.racing import OWN_SIZE, Surroundings, road_observer
 
 STRAIGHT = np.zeros((1, len(LINE_MARKS), 4), np.float32)
@@ -31,7 +31,7 @@ def watched(memory, spots, velocity=None, road=STRAIGHT):
     """Returns the nearby karts, indexed by kart, rival and column."""
     around = around_of(road, spots, velocity)
     inputs = np.empty((len(road), 39), np.float32)
-    offset = weigh(plan_rules(DriverParameters()), memory, around, inputs).offset
+    offset = weigh(DriverParameters(), memory, around, inputs).offset
     seen = inputs[:, 19:].reshape(len(road), RIVALS, 5) * np.array([1, 10, 3, 5, 3], np.float32)
     seen[..., ACROSS] += offset[:, None] * seen[..., IS_THERE]
     return seen

@@ -7,7 +7,7 @@ from stkzoo.agents.planning.memory import DriverMemory
 from stkzoo.agents.planning.motion import STEP
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.plans import BRAKE, FREE
-from stkzoo.agents.planning.worth import NEVER, plan_rules, weigh
+from stkzoo.agents.planning.worth import NEVER, weigh
 from tests.agents.planning.test_road import STRAIGHT, around_of, karts
 
 
@@ -22,7 +22,7 @@ def weighed(speed=25.0, ahead=0.0, closing=0.0, across=0.0, **rules):
     )
     spots = karts((across, ahead)) if ahead else karts()
     around = around_of(STRAIGHT, spots, (0.0, 0.0, speed), max_steer_angle=0.06)
-    return weigh(plan_rules(parameters), memory, around, np.empty((1, 39), np.float32))
+    return weigh(parameters, memory, around, np.empty((1, 39), np.float32))
 
 
 def test_plans_pass_a_slower_kart_ahead():
