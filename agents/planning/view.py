@@ -219,7 +219,8 @@ def surroundings_view(sees_line: bool) -> View:
 
 def around_of(seen: Mapping[str, Any]) -> Surroundings:
     """Returns the surroundings in observations of :class:`PlanSurroundings`, in rows."""
-    return Surroundings(*(seen[key] for key in _AROUND), line=seen.get("line"))
+    own, road, karts, items, item_types = (seen[key] for key in _AROUND)
+    return Surroundings(own, road, karts, items, item_types, seen.get("line"))
 
 
 class PlanChoices(gym.Wrapper[Any, Any, Any, Any]):

@@ -103,7 +103,9 @@ def weigh(
     is_watching = len(inputs) or parameters.bump_cost or parameters.learned_motion
     moments, out = memory.moments if is_watching else None, (best, scene, prior, inputs)
     plan_karts(plan_parts(parameters), memory.rows, around.arrays, line, moments, out, first)
-    return PlanOptions(*best, *scene.T, prior)
+    worth, turn, danger = best
+    angle, offset, beyond = scene.T
+    return PlanOptions(worth, turn, danger, angle, offset, beyond, prior)
 
 
 def _worths(rules: DriverParameters) -> FloatArray:
