@@ -453,9 +453,10 @@ def trace_roads(
     most: int,
     rules: npt.NDArray[np.float64],
     lines: npt.NDArray[np.float32],
-    first: npt.NDArray[np.float32],
+    looks: npt.NDArray[np.float32],
+    points: npt.NDArray[np.float32],
 ) -> None:
-    """Writes the lines ahead of ``A`` karts.
+    """Writes the lines ahead of ``A`` karts, and the lines' points at some distances.
 
     Args:
         starts: starts of the segments ahead of each kart, ordered by driving distance; the kart's
@@ -469,24 +470,8 @@ def trace_roads(
             beyond the last segment [m].
         lines: ``(A, N, 4)`` points and their distances to the edge of the road [m], which are
             written.
-        first: ``(A, 2, 3)`` start and end of each kart's own segment [m], which are written.
-    """
-
-def look_along(
-    lines: npt.NDArray[np.float32],
-    spacing: float,
-    first: npt.NDArray[np.float32],
-    looks: npt.NDArray[np.float32],
-    out: npt.NDArray[np.float32],
-) -> None:
-    """Writes points on the lines of ``A`` karts, and their distances to the edge of the road.
-
-    Args:
-        lines: ``(A, N, 4)``, see :func:`trace_roads`.
-        spacing: distance between their points [m].
-        first: ``(A, 2, 3)`` the karts' own segments in frames with the kart at the origin.
-        looks: ``(L,)`` distances ahead of the kart [m].
-        out: ``(A, L, 4)`` points and distances [m], which are written.
+        looks: ``(L,)`` distances ahead of the karts, which are at the origin [m].
+        points: ``(A, L, 4)`` points of the lines at these distances, which are written.
     """
 
 def stack_vectors(rows: tuple[Any, ...], blank: float, out: npt.NDArray[np.float32]) -> None:

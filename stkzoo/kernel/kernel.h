@@ -93,7 +93,6 @@ void free_object(PyObject *self);
     };
 
 PyObject *join_rows(PyObject *module, PyObject *rows);
-PyObject *look_along(PyObject *module, PyObject *args);
 PyObject *new_batch(PyObject *module, PyObject *args);
 PyObject *reward_term(PyObject *module, PyObject *args);
 PyObject *split_batch(PyObject *module, PyObject *args);

@@ -67,7 +67,6 @@ void free_object(PyObject *self)
 
 static PyMethodDef methods[] = {
     {"join_rows", join_rows, METH_O, "Returns the bytes of arrays of one dtype and shape."},
-    {"look_along", look_along, METH_VARARGS, "Writes points at distances ahead of karts."},
     {"new_batch", new_batch, METH_VARARGS, "Returns a batch without content."},
     {"reward_term", reward_term, METH_VARARGS, "Returns a reward term of all karts."},
     {"split_batch", split_batch, METH_VARARGS, "Returns the values of a batch's rows."},

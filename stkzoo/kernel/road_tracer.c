@@ -194,24 +194,38 @@ static int read_segments(Segments *s, PyObject *starts, PyObject *ends, PyObject
     return 0;
 }
 
-/* trace_roads(starts, ends, widths, most, rules, lines, first): writes the lines ahead of karts and
-   the karts' own segments. */
+/* Writes points of a line of `num_points` points at distances ahead of a kart. The kart is at the
+   origin, on the first segment. */
+static void look_ahead(const Segments *s, const float *line, npy_intp num_points, float spacing,
+                       Floats looks, float *out)
+{
+    const float *start = s->starts[0], *end = s->ends[0];
+    const float along[3] = {end[0] - start[0], end[1] - start[1], end[2] - start[2]};
+    const float here = way_passed(start, along);
+    for (npy_intp i = 0; i < looks.size; i++, out += LINE_SIZE) {
+        look_on_line(line, num_points, (here + looks.data[i]) / spacing, out);
+    }
+}
+
+/* trace_roads(starts, ends, widths, most, rules, lines, looks, points): writes the lines ahead of
+   karts, and the lines' points at some distances. */
 PyObject *trace_roads(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *starts, *ends, *widths;
     npy_intp most;
     Doubles rules;
-    Floats lines, first;
-    if (!PyArg_ParseTuple(args, "O!O!O!nO&O&O&", &PyTuple_Type, &starts, &PyTuple_Type, &ends,
+    Floats lines, looks, points;
+    if (!PyArg_ParseTuple(args, "O!O!O!nO&O&O&O&", &PyTuple_Type, &starts, &PyTuple_Type, &ends,
                           &PyTuple_Type, &widths, &most, as_doubles, &rules, as_written_floats,
-                          &lines, as_written_floats, &first)) {
+                          &lines, as_floats, &looks, as_written_floats, &points)) {
         return NULL;
     }
     const npy_intp count = PyTuple_GET_SIZE(starts);
     const npy_intp num_points = count ? lines.size / (LINE_SIZE * count) : 0;
     if (PyTuple_GET_SIZE(ends) != count || PyTuple_GET_SIZE(widths) != count ||
-        lines.size != LINE_SIZE * num_points * count || first.size != 6 * count ||
-        rules.size != NUM_RULES || most < 1 || most > MOST_SEGMENTS) {
+        lines.size != LINE_SIZE * num_points * count || (count && num_points < 2) ||
+        points.size != LINE_SIZE * looks.size * count || rules.size != NUM_RULES || most < 1 ||
+        most > MOST_SEGMENTS || !((float)rules.data[POINT_SPACING] > 0)) {
         return PyErr_Format(PyExc_ValueError, "the arrays of %zd roads do not fit together", count);
     }
     Segments segments;
@@ -220,37 +234,10 @@ PyObject *trace_roads(PyObject *Py_UNUSED(module), PyObject *args)
                           PyTuple_GET_ITEM(widths, i), most) < 0) {
             return NULL;
         }
-        trace(&segments, rules.data, num_points, lines.data + LINE_SIZE * num_points * i);
-        memcpy(first.data + 6 * i, segments.starts[0], 3 * sizeof(float));
-        memcpy(first.data + 6 * i + 3, segments.ends[0], 3 * sizeof(float));
-    }
-    Py_RETURN_NONE;
-}
-
-/* ---------------------------------------------------------------- points on the line */
-
-/* look_along(lines, spacing, first, looks, out): writes points at distances ahead of karts. */
-PyObject *look_along(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    Floats lines, first, looks, out;
-    float spacing;
-    if (!PyArg_ParseTuple(args, "O&fO&O&O&", as_floats, &lines, &spacing, as_floats, &first,
-                          as_floats, &looks, as_written_floats, &out)) {
-        return NULL;
-    }
-    const npy_intp count = first.size / 6, num_points = count ? lines.size / (LINE_SIZE * count) : 0;
-    if (first.size != 6 * count || lines.size != LINE_SIZE * num_points * count ||
-        (count && num_points < 2) || out.size != LINE_SIZE * looks.size * count || !(spacing > 0)) {
-        return PyErr_Format(PyExc_ValueError, "the arrays of %zd lines do not fit together", count);
-    }
-    for (npy_intp i = 0; i < count; i++) {
-        const float *start = first.data + 6 * i, *end = start + 3;
-        const float along[3] = {end[0] - start[0], end[1] - start[1], end[2] - start[2]};
-        const float here = way_passed(start, along);
-        for (npy_intp k = 0; k < looks.size; k++) {
-            look_on_line(lines.data + LINE_SIZE * num_points * i, num_points,
-                         (here + looks.data[k]) / spacing, out.data + LINE_SIZE * (looks.size * i + k));
-        }
+        float *line = lines.data + LINE_SIZE * num_points * i;
+        trace(&segments, rules.data, num_points, line);
+        look_ahead(&segments, line, num_points, (float)rules.data[POINT_SPACING], looks,
+                   points.data + LINE_SIZE * looks.size * i);
     }
     Py_RETURN_NONE;
 }

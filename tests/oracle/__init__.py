@@ -10,7 +10,7 @@ from tests.oracle.kart_observer import KartObserver
 from tests.oracle.mlp import Mlp
 from tests.oracle.observations import to_polar
 from tests.oracle.racing_observer import RacingObserver
-from tests.oracle.road_tracer import look_along, stack_vectors, trace_roads
+from tests.oracle.road_tracer import stack_vectors, trace_roads
 from tests.oracle.rows import join_rows, new_batch, split_batch
 from tests.oracle.step_scorer import StepScorer, reward_term
 from tests.oracle.track_graph import TrackGraph
@@ -24,7 +24,6 @@ __all__ = [
     "StepScorer",
     "TrackGraph",
     "join_rows",
-    "look_along",
     "new_batch",
     "reward_term",
     "split_batch",

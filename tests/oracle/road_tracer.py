@@ -23,7 +23,8 @@ def trace_roads(
     most: int,
     rules: DoubleArray,
     lines: FloatArray,
-    first: FloatArray,
+    looks: FloatArray,
+    points: FloatArray,
 ) -> None:
     spacing, touching, longest_jump, tail = rules.tolist()
     for number, segments in enumerate(zip(starts, ends, widths, strict=True)):
@@ -32,19 +33,20 @@ def trace_roads(
             a, b, c = np.zeros((1, 3), "f4"), np.zeros((1, 3), "f4"), np.zeros((1, 1), "f4")
         a, b, c = a[:most], b[:most], c[:most, 0]
         chain = _chain(a, b, touching, longest_jump)
-        points = np.empty((2 * len(chain) + 1, 3))
-        points[:-1:2], points[1:-1:2] = a[chain], b[chain]
-        last = points[-2] - points[-3]
-        points[-1] = points[-2] + last * (tail / max(float(np.linalg.norm(last)), 1e-3))
-        steps = points[1:] - points[:-1]
-        marks = np.zeros(len(points))
+        corners = np.empty((2 * len(chain) + 1, 3))
+        corners[:-1:2], corners[1:-1:2] = a[chain], b[chain]
+        last = corners[-2] - corners[-3]
+        corners[-1] = corners[-2] + last * (tail / max(float(np.linalg.norm(last)), 1e-3))
+        steps = corners[1:] - corners[:-1]
+        marks = np.zeros(len(corners))
         np.cumsum(np.sqrt((steps**2).sum(axis=1)), out=marks[1:])
         rooms = np.repeat(c[chain] / 2, 2)
-        columns = (*points.T, np.concatenate([rooms, rooms[-1:]]))
+        columns = (*corners.T, np.concatenate([rooms, rooms[-1:]]))
         places = spacing * np.arange(lines.shape[1])
         for number_of_column, column in enumerate(columns):
             lines[number, :, number_of_column] = np.interp(places, marks, column)
-        first[number] = a[0], b[0]
+        one = slice(number, number + 1)
+        _look_along(lines[one], spacing, a[:1], b[:1], looks, points[one])
 
 
 def _chain(
@@ -65,11 +67,15 @@ def _chain(
     return np.array(chain, np.intp)
 
 
-def look_along(
-    lines: FloatArray, spacing: float, first: FloatArray, looks: FloatArray, out: FloatArray
+def _look_along(
+    lines: FloatArray,
+    spacing: float,
+    starts: FloatArray,
+    ends: FloatArray,
+    looks: FloatArray,
+    out: FloatArray,
 ) -> None:
-    starts = first[:, 0]
-    before, share = line_places(starts, first[:, 1] - starts, looks, spacing, lines.shape[1])
+    before, share = line_places(starts, ends - starts, looks, spacing, lines.shape[1])
     rows = np.arange(len(lines))[:, None]
     here, there = lines[rows, before], lines[rows, before + 1]
     out[:] = here + (there - here) * share[..., None]

@@ -19,7 +19,7 @@ USERS = {
     "views.plan": ["ActionReader", "KartObserver"],
     "wrappers.control.car_action": ["CarController"],
     "wrappers.observations": ["to_polar"],
-    "wrappers.racing.surroundings": ["look_along", "stack_vectors", "trace_roads"],
+    "wrappers.racing.surroundings": ["stack_vectors", "trace_roads"],
     "wrappers.racing.wrapper": ["RacingObserver"],
     "agents.pretrained.mlp": ["Mlp"],
     "agents.pretrained.policy": ["Mlp"],

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from stkzoo.kernel import look_along, stack_vectors, trace_roads
+from stkzoo.kernel import stack_vectors, trace_roads
 from stkzoo.wrappers.racing.features import LOOKS, OWN_PLACES, STEP
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ _LONGEST_JUMP = 25.0
 _TAIL = 150.0
 
 _RULES = np.array([STEP, _TOUCHING, _LONGEST_JUMP, _TAIL])
+_NO_LOOKS = np.zeros(0, np.float32)
 
 #: For each road an array of vectors, or a sequence of vectors.
 Vectors: TypeAlias = tuple[Any, ...]
@@ -60,26 +61,30 @@ def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> Float
         ``(NUM_POINTS, 4)`` float32: x, y, z and the distance from the line to the road's edge [m].
             Beyond the known road the line continues straight.
     """
-    lines, _ = traced((starts,), (ends,), (widths,))
+    lines, _ = traced((starts,), (ends,), (widths,), _NO_LOOKS)
     line: FloatArray = lines[0]
     return line
 
 
-def traced(starts: Vectors, ends: Vectors, widths: Vectors) -> tuple[FloatArray, FloatArray]:
-    """Returns the lines of several roads and their first segments.
+def traced(
+    starts: Vectors, ends: Vectors, widths: Vectors, looks: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Returns the lines of several roads, and their points at some distances.
 
     Args:
         starts: starts of the segments of each road, an array or a sequence of vectors.
         ends: their ends.
         widths: their widths.
+        looks: ``(L,)`` distances ahead of karts at the origin [m].
 
     Returns:
-        ``(A, NUM_POINTS, 4)`` see :func:`road_line`; ``(A, 2, 3)`` starts and ends.
+        ``(A, NUM_POINTS, 4)`` see :func:`road_line`; ``(A, L, 4)`` points of these lines.
     """
     lines = np.empty((len(starts), NUM_POINTS, 4), np.float32)
-    first = np.empty((len(starts), 2, 3), np.float32)
-    trace_roads(starts, ends, widths, MAX_SEGMENTS, _RULES, lines, first)
-    return lines, first
+    points = np.empty((len(starts), len(looks), 4), np.float32)
+    looks = np.ascontiguousarray(looks, np.float32)
+    trace_roads(starts, ends, widths, MAX_SEGMENTS, _RULES, lines, looks, points)
+    return lines, points
 
 
 class RoadTable:
@@ -98,7 +103,8 @@ class RoadTable:
         self.along = track.path_nodes[:, 1] - track.path_nodes[:, 0]
         ahead = track.nodes_ahead(np.arange(track.num_nodes), MAX_SEGMENTS)
         ends, widths = track.path_nodes[:, 1], track.path_width[:, 0]
-        self.lines, _ = traced(*(tuple(column[ahead]) for column in (self.starts, ends, widths)))
+        columns = (tuple(column[ahead]) for column in (self.starts, ends, widths))
+        self.lines, _ = traced(*columns, _NO_LOOKS)
 
 
 #: Type number of a missing item.
@@ -147,10 +153,8 @@ def surroundings_of(
     seen = [observation] if isinstance(observation, Mapping) else observation
     keys = (*_KEYS, *(key for key in _LINE if key in seen[0]))
     batch = {key: [one[key] for one in seen] for key in keys}
-    lines, first = traced(*(tuple(batch[key]) for key in _PATHS))
-    road = np.empty((len(lines), len(looks), 4), np.float32)
-    look_along(lines, STEP, first, np.ascontiguousarray(looks, np.float32), road)
-    own = [np.reshape(batch[key], (len(lines), -1)) for key in OWN_PLACES]
+    _, road = traced(*(tuple(batch[key]) for key in _PATHS), looks)
+    own = [np.reshape(batch[key], (len(road), -1)) for key in OWN_PLACES]
     return Surroundings(
         own=np.concatenate(own, axis=1, dtype=np.float32),
         road=road,
