@@ -385,9 +385,10 @@ static PyObject *as_dict(KartObserver *observer, const Scene *scene)
    actions that fire without a powerup. */
 static void write_action_mask(const KartObserver *observer, const Kart *kart, npy_int8 *out)
 {
+    const npy_intp count = observer->nitro.size; /* read before the loop, which writes bytes */
     const npy_bool *nitro = observer->nitro.data, *fire = observer->fire.data;
     const int no_nitro = !(kart->energy > 0), no_powerup = kart->powerup_type == 0;
-    for (npy_intp i = 0; i < observer->nitro.size; i++) {
+    for (npy_intp i = 0; i < count; i++) {
         out[i] = !((no_nitro && nitro[i]) || (no_powerup && fire[i]));
     }
 }
