@@ -8,7 +8,7 @@ segments.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -61,25 +61,25 @@ def road_line(starts: FloatArray, ends: FloatArray, widths: FloatArray) -> Float
         ``(NUM_POINTS, 4)`` float32: x, y, z and the distance from the line to the road's edge [m].
             Beyond the known road the line continues straight.
     """
-    lines, _ = traced((starts,), (ends,), (widths,), _NO_LOOKS)
+    lines, _ = traced(((starts,), (ends,), (widths,)))
     line: FloatArray = lines[0]
     return line
 
 
 def traced(
-    starts: Vectors, ends: Vectors, widths: Vectors, looks: FloatArray
+    segments: Iterable[Vectors], looks: FloatArray = _NO_LOOKS
 ) -> tuple[FloatArray, FloatArray]:
     """Returns the lines of several roads, and their points at some distances.
 
     Args:
-        starts: starts of the segments of each road, an array or a sequence of vectors.
-        ends: their ends.
-        widths: their widths.
+        segments: starts, ends and widths of the segments of each road; for each road an array or a
+            sequence of vectors.
         looks: ``(L,)`` distances ahead of karts at the origin [m].
 
     Returns:
         ``(A, NUM_POINTS, 4)`` see :func:`road_line`; ``(A, L, 4)`` points of these lines.
     """
+    starts, ends, widths = segments
     lines = np.empty((len(starts), NUM_POINTS, 4), np.float32)
     points = np.empty((len(starts), len(looks), 4), np.float32)
     looks = np.ascontiguousarray(looks, np.float32)
@@ -103,8 +103,7 @@ class RoadTable:
         self.along = track.path_nodes[:, 1] - track.path_nodes[:, 0]
         ahead = track.nodes_ahead(np.arange(track.num_nodes), MAX_SEGMENTS)
         ends, widths = track.path_nodes[:, 1], track.path_width[:, 0]
-        columns = (tuple(column[ahead]) for column in (self.starts, ends, widths))
-        self.lines, _ = traced(*columns, _NO_LOOKS)
+        self.lines, _ = traced(tuple(column[ahead]) for column in (self.starts, ends, widths))
 
 
 #: Type number of a missing item.
@@ -153,7 +152,7 @@ def surroundings_of(
     seen = [observation] if isinstance(observation, Mapping) else observation
     keys = (*_KEYS, *(key for key in _LINE if key in seen[0]))
     batch = {key: [one[key] for one in seen] for key in keys}
-    _, road = traced(*(tuple(batch[key]) for key in _PATHS), looks)
+    _, road = traced((tuple(batch[key]) for key in _PATHS), looks)
     own = [np.reshape(batch[key], (len(road), -1)) for key in OWN_PLACES]
     return Surroundings(
         own=np.concatenate(own, axis=1, dtype=np.float32),
