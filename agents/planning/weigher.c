@@ -112,32 +112,27 @@ FORCE_INLINE void drive_stage(const Forecast *f, const Situation *kart, npy_intp
                                const int is_first)
 {
     const Table *t = &f->table;
-    const npy_intp plans = f->plans, at = stage * plans, in_table = f->row * f->stages + at;
+    const npy_intp plans = f->plans, in_table = f->row * f->stages + stage * plans;
     const float span = t->spans.data[stage], lock = kart->lock, reach = kart->reach;
     const float pull = 2.0f / (reach * reach * lock), rate = lock * span;
     const float release_rate = (float)RELEASE_TURN / lock;
     const float lag = (float)STEERING_LAG, own_turn = kart->turn;
     const float per_mark = (float)(1.0 / MARK_SPACING);
     const float last_mark = (float)(MARKS - 1), own_speed = kart->speed;
-    const float own_offset = kart->offset;
     const float *least = t->least.data + in_table, *most = t->most.data + in_table;
     const float *drifts = t->drifts.data + in_table;
     const float *releases = t->releases.data + in_table;
     const float *slower = t->slower.data + in_table;
     const float *lanes = t->lanes.data + in_table, *extra = f->extra;
-    float *along = f->along + at, *across = f->across + at;
+    float *along = f->along_now, *across = f->across_now;
     float *angles = f->angle, *last_turns = f->last_turn;
     float *turns = f->turns;
     const float *bends = f->bends, *curves = f->curves;
     npy_int32 *places = f->places;
-    const float *along_before = f->along + at - (is_first ? 0 : plans);
-    const float *across_before = f->across + at - (is_first ? 0 : plans);
-    const float *lefts = is_first ? f->lefts_now : f->lefts + at - plans;
-    const float *rights = is_first ? f->rights_now : f->rights + at - plans;
+    const float *lefts = f->lefts_now, *rights = f->rights_now;
     NO_OVERLAP
     for (npy_intp i = 0; i < plans; i++) {
-        const float curve = curves[i];
-        const float beside = is_first ? own_offset : across_before[i];
+        const float curve = curves[i], beside = across[i];
         const float wanted_speed = own_speed + slower[i];
         const float speed = wanted_speed > 4.0f ? wanted_speed : 4.0f;
         float angle = angles[i];
@@ -162,7 +157,7 @@ FORCE_INLINE void drive_stage(const Forecast *f, const Situation *kart, npy_intp
         float sine, cosine;
         sine_and_cosine(angle, &sine, &cosine);
         way = way * cosine;
-        const float there = (is_first ? 0.0f : along_before[i]) + way;
+        const float there = along[i] + way;
         along[i] = there;
         across[i] = beside + step * sine;
         angles[i] = angle + turn;
@@ -172,12 +167,12 @@ FORCE_INLINE void drive_stage(const Forecast *f, const Situation *kart, npy_intp
 
 /* Looks up the road at the marks of all plans. This is a separate loop, because compilers do not
    vectorize table lookups. */
-static void look_up(const Forecast *f, const Situation *kart, float *lefts, float *rights)
+static void look_up(const Forecast *f, const Situation *kart)
 {
     for (npy_intp i = 0; i < f->driven; i++) {
         const npy_int32 mark = f->places[i];
         f->bends[i] = kart->bends[mark], f->curves[i] = kart->curves[mark];
-        lefts[i] = kart->lefts[mark], rights[i] = kart->rights[mark];
+        f->lefts_now[i] = kart->lefts[mark], f->rights_now[i] = kart->rights[mark];
     }
 }
 
@@ -337,46 +332,39 @@ FORCE_INLINE void move_plans(const Forecast *f)
     }
 }
 
-/* Simulates all stages of all plans with the network, step by step. */
+/* Simulates all stages of all plans: in arcs, or step by step with the network. */
 FOR_ALL_PROCESSORS
-static void drive_by_network(const Forecast *f, const Situation *kart)
+static void drive(const Forecast *f, const Situation *kart)
 {
     const Motion *m = &f->motion;
-    const npy_intp driven = f->driven;
-    const size_t size = (size_t)driven * sizeof(float);
-    for (npy_intp i = 0; i < driven; i++) {
+    const int has_network = f->network.units[0] > 0;
+    const size_t size = (size_t)f->driven * sizeof(float);
+    for (npy_intp i = 0; i < f->driven; i++) {
         f->along_now[i] = 0, f->across_now[i] = kart->offset;
         m->speed[i] = kart->speed, m->slide[i] = kart->slide, m->yaw[i] = kart->yaw;
         m->side[i] = kart->drift_side, m->steps[i] = kart->drift_steps;
         m->release[i] = kart->release_steps, m->turn[i] = kart->turn;
         m->boost[i] = kart->boost_steps, m->big_boost[i] = kart->big_boost_steps;
     }
-    look_up(f, kart, f->lefts_now, f->rights_now);
+    look_up(f, kart);
     npy_intp step = 0;
     for (npy_intp stage = 0; stage < f->stages; stage++) {
         const float end = f->ends[stage] - (float)(0.5 * STEP);
-        for (; (float)step * (float)STEP < end; step++) {
+        if (!has_network) {
+            if (stage) drive_stage(f, kart, stage, 0);
+            else drive_stage(f, kart, stage, 1);
+            look_up(f, kart);
+        }
+        for (; has_network && (float)step * (float)STEP < end; step++) {
             look_at_step(f, kart, stage, step);
             infer(f);
             move_plans(f);
-            look_up(f, kart, f->lefts_now, f->rights_now);
+            look_up(f, kart);
         }
         memcpy(f->along + stage * f->plans, f->along_now, size);
         memcpy(f->across + stage * f->plans, f->across_now, size);
         memcpy(f->lefts + stage * f->plans, f->lefts_now, size);
         memcpy(f->rights + stage * f->plans, f->rights_now, size);
-    }
-}
-
-/* Simulates all stages of all plans with arcs. */
-FOR_ALL_PROCESSORS
-static void drive_arcs(const Forecast *f, const Situation *kart)
-{
-    look_up(f, kart, f->lefts_now, f->rights_now);
-    for (npy_intp stage = 0; stage < f->stages; stage++) {
-        if (stage) drive_stage(f, kart, stage, 0);
-        else drive_stage(f, kart, stage, 1);
-        look_up(f, kart, f->lefts + stage * f->plans, f->rights + stage * f->plans);
     }
 }
 
@@ -523,17 +511,15 @@ static npy_intp plans_of(const Forecast *f, const Situation *kart)
 void weigh(Forecast *f, const Situation *kart, Best best)
 {
     const npy_intp plans = f->plans;
-    const int has_network = f->network.units[0] > 0;
     f->row = kart->state * plans;
-    f->driven = has_network ? plans_of(f, kart) : plans;
+    f->driven = f->network.units[0] > 0 ? plans_of(f, kart) : plans;
     set_item_lanes(f, kart->items);
     for (npy_intp i = 0; i < plans; i++) {
         f->angle[i] = kart->angle;
         f->last_turn[i] = kart->drift_turn;
         f->places[i] = 0;
     }
-    if (has_network) drive_by_network(f, kart);
-    else drive_arcs(f, kart);
+    drive(f, kart);
     weigh_danger(f, kart);
     const float *along = f->along + (f->stages - 1) * plans;
     const float angle_cost = (float)f->rules->angle_cost;
