@@ -20,7 +20,7 @@ static const double PI = 3.14159265358979323846;
 #define REACH 25.0f              /* maximum distance of karts [m] */
 #define FASTEST 50.0f            /* a match of karts that implies a higher speed is rejected [m/s] */
 #define MOST_TURNED 0.6          /* a larger rotation is due to a change of the road [rad] */
-static const float NOWHERE = 1e3f; /* position of a missing kart: stkzoo.agents.planning.road [m] */
+static const float NOWHERE = 1e3f; /* position of a missing kart: stkzoo.agents.planning.memory [m] */
 enum { SWITCH = 6 };             /* stkzoo.PowerupType */
 
 /* The road ahead of a kart, at the marks. */

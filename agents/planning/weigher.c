@@ -33,8 +33,8 @@ typedef struct {
     Flags needs_drift;
 } Table;
 
-/* Turning rate after a drift [rad/s per fraction of full lock], and the lag of the wheels behind
-   the steering [fraction of a step]: stkzoo.agents.planning.motion. */
+/* Turning rate after a drift [rad/s per fraction of full lock], as in
+   stkzoo.agents.planning.motion, and lag of the wheels behind the steering [fraction of a step]. */
 #define RELEASE_TURN (1.25 / 0.7)
 #define STEERING_LAG 0.33
 #define BLUR 0.5     /* a miss by this much more than the radius earns nothing [m] */
