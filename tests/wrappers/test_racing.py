@@ -85,7 +85,7 @@ def test_one_kart_a_race_and_a_batch_have_the_same_observations(track, reverse):
         for observations in itertools.islice(moments(env), 0, None, 9):
             alone = np.stack([view.observation(observations[agent]) for agent in env.agents])
             seen = [observations[agent] for agent in env.agents]
-            together = racing_features(*surroundings_of(seen))
+            together = racing_features(surroundings_of(seen))
             from_above = np.empty((len(env.agents), SIZE), np.float32)
             rows, observer = np.arange(len(env.agents)), road_observer(env.track_map)
             observer.observe_into(env.snapshot, places_of(env), rows, from_above)
