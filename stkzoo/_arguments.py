@@ -8,7 +8,7 @@ import re
 import textwrap
 import types
 import typing
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, Field, field, fields
 from typing import Any, NoReturn
 
@@ -18,6 +18,7 @@ from stkzoo.errors import ConfigError
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 
 
+_NO_DEFAULTS: Mapping[str, Any] = types.MappingProxyType({})
 #: Maximum number of options that the usage line of a command lists.
 _MAX_LISTED = 6
 
@@ -45,13 +46,7 @@ class _HelpFormatter(argparse.HelpFormatter):
             return "".join(map(self._format_action, action._get_subactions()))
         return super()._format_action(action)
 
-    def add_usage(
-        self,
-        usage: str | None,
-        actions: Iterable[argparse.Action],
-        groups: Iterable[argparse._MutuallyExclusiveGroup],
-        prefix: str | None = None,
-    ) -> None:
+    def add_usage(self, usage: Any, actions: Any, groups: Any, prefix: Any = None) -> None:
         """Adds the usage line. A long list of options becomes ``[OPTION ...]``."""
         listed = list(actions)
         free = [action for action in listed if action.option_strings and not action.required]
@@ -105,42 +100,27 @@ class CommandParser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
         """Parses a command line. The subcommand reports its unknown arguments as errors."""
-        arguments, unknown = super().parse_known_args(args, namespace)
+        values, unknown = super().parse_known_args(args, namespace)
         if unknown:
             name = unknown[0].partition("=")[0]
-            if name.startswith("-"):
-                known = self._option_string_actions
-                if longer := next((flag for flag in known if flag.startswith(name)), None):
-                    self.error(f"unknown option {name!r}. Did you mean {longer!r}?")
-                self.error(_unknown("option", name, known))
-            self.error(f"unexpected argument {name!r}")
-        return arguments, unknown
+            if not name.startswith("-"):
+                self.error(f"unexpected argument {name!r}")
+            known = self._option_string_actions
+            if longer := next((flag for flag in known if flag.startswith(name)), None):
+                self.error(f"unknown option {name!r}. Did you mean {longer!r}?")
+            self.error(_unknown("option", name, known))
+        return values, unknown
 
     def _check_value(self, action: argparse.Action, value: object) -> None:
-        if action.choices is not None and value not in action.choices:
-            if isinstance(action, argparse._SubParsersAction):
-                self.error(_unknown(str(action.metavar).lower(), value, action.choices))
-            known = ", ".join(map(str, action.choices))
-            raise argparse.ArgumentError(action, f"{value!r} is not one of {known}")
+        choices = action.choices or ()
+        if isinstance(action, argparse._SubParsersAction) and value not in choices:
+            self.error(_unknown(str(action.metavar).lower(), value, action.choices))
+        super()._check_value(action, value)
 
 
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
-
-
-def _unknown(kind: str, name: object, known: Collection[str]) -> str:
+def _unknown(what: str, name: object, known: Collection[str]) -> str:
     """Returns the error text for an unknown name, without the list of known names."""
-    text = str(unknown_name(kind, name, known))
+    text = str(unknown_name(what, name, known))
     return re.split(r"(?: Choose a name from the list:)?\sKnown: ", text)[0]
 
 
@@ -166,27 +146,27 @@ def positional(default: Any = MISSING, **keywords: Any) -> Any:
     return option(default, flag="", **keywords)
 
 
-def options_of(kind: type, **choice: Any) -> Any:
+def options_of(owner: type, **choice: Any) -> Any:
     """Returns a field that contains the options of another dataclass.
 
     Its value is an instance of the dataclass. If fields are left out, it is a dict of the others.
 
     Args:
-        kind: the dataclass.
+        owner: the dataclass.
         **choice: ``without``, ``only`` and ``group``, as for :func:`add_options`.
     """
     is_whole = not choice.keys() & {"without", "only"}
-    make = kind if is_whole else dict
-    return field(default_factory=make, metadata={"part": {"kind": kind, **choice}, "make": make})
+    make = owner if is_whole else dict
+    return field(default_factory=make, metadata={"part": {"owner": owner, **choice}, "make": make})
 
 
 def add_options(
     parser: CommandParser,
-    kind: type,
+    owner: type,
     *,
-    without: Collection[str] = (),
-    only: Collection[str] | None = None,
     group: str | None = None,
+    defaults: Mapping[str, Any] = _NO_DEFAULTS,
+    **choice: Any,
 ) -> None:
     """Adds an option for each field of a dataclass: ``--max-steps`` for ``max_steps``.
 
@@ -196,19 +176,20 @@ def add_options(
 
     Args:
         parser: parser of the command.
-        kind: the dataclass.
-        without: names of fields to leave out.
-        only: names of fields to add; ``None`` for all.
+        owner: the dataclass.
         group: title of the group for fields without their own group; ``None`` for the parser's
             default group.
+        defaults: defaults that replace those of fields, by name of the field.
+        **choice: ``without``, names of fields to leave out, or ``only``, names of fields to add.
     """
-    kinds, texts = typing.get_type_hints(kind), _texts(kind)
+    value_types, texts = typing.get_type_hints(owner), _texts(owner)
     rivals: dict[str, argparse._ActionsContainer] = {}
-    for entry in _fields(kind, without, only):
+    for entry in _fields(owner, **choice):
         if part := entry.metadata.get("part"):
-            add_options(parser, **part)
+            add_options(parser, **part, defaults=defaults)
             continue
-        metadata = {"help": texts.get(entry.name, ""), **_metadata(kind, entry.name)}
+        metadata = {"help": texts.get(entry.name, ""), **_metadata(owner, entry.name)}
+        metadata["default"] = defaults.get(entry.name, entry.default)
         flags = _flags(metadata, entry.name)
         title = metadata.pop("group", group)
         container: argparse._ActionsContainer = parser.group(title) if title else parser
@@ -217,31 +198,22 @@ def add_options(
                 rivals[rival] = container.add_mutually_exclusive_group()
             container = rivals[rival]
         kept: dict[str, Any] = {"dest": entry.name} if flags else {}
-        keywords = _keywords(entry, metadata, kinds[entry.name], is_positional=not flags)
+        keywords = _keywords(entry, metadata, value_types[entry.name], is_positional=not flags)
         container.add_argument(*(flags or [entry.name]), **kept, **keywords)
 
 
-def values_of(
-    arguments: argparse.Namespace,
-    kind: type,
-    *,
-    without: Collection[str] = (),
-    only: Collection[str] | None = None,
-    group: str | None = None,  # noqa: ARG001 - as for add_options
-) -> dict[str, Any]:
+def values_of(arguments: argparse.Namespace, owner: type, **choice: Any) -> dict[str, Any]:
     """Returns the values of the options that :func:`add_options` added, by field.
 
     Lists become tuples.
 
     Args:
         arguments: the parsed arguments.
-        kind: the dataclass.
-        without: names of fields to leave out.
-        only: names of fields to return; ``None`` for all.
-        group: ignored.
+        owner: the dataclass.
+        **choice: as for :func:`add_options`.
     """
     values = {}
-    for entry in _fields(kind, without, only):
+    for entry in _fields(owner, **choice):
         if part := entry.metadata.get("part"):
             value = entry.metadata["make"](**values_of(arguments, **part))
         else:
@@ -252,27 +224,27 @@ def values_of(
 
 def changed_options(
     values: Any,
-    kind: type | None = None,
+    owner: type | None = None,
     *,
-    without: Collection[str] = (),
-    only: Collection[str] | None = None,
+    defaults: Mapping[str, Any] = _NO_DEFAULTS,
+    **choice: Any,
 ) -> list[str]:
     """Returns the options whose values are not their defaults, such as ``--max-steps``.
 
     Args:
         values: an instance of a dataclass of options, or a dict of its values.
-        kind: the dataclass; only needed for a dict.
-        without: names of fields to leave out.
-        only: names of fields to compare; ``None`` for all.
+        owner: the dataclass; only needed for a dict.
+        defaults: as for :func:`add_options`.
+        **choice: as for :func:`add_options`.
     """
-    kind = kind or type(values)
+    owner = owner or type(values)
     values = values if isinstance(values, dict) else vars(values)
     changed = []
-    for entry in _fields(kind, without, only):
+    for entry in _fields(owner, **choice):
         if part := entry.metadata.get("part"):
-            changed += changed_options(values[entry.name], part["kind"])
-        elif entry.name in values and values[entry.name] != entry.default:
-            changed += _flags(_metadata(kind, entry.name), entry.name)[:1]
+            changed += changed_options(values[entry.name], part["owner"])
+        elif entry.name in values and values[entry.name] != defaults.get(entry.name, entry.default):
+            changed += _flags(_metadata(owner, entry.name), entry.name)[:1]
     return changed
 
 
@@ -299,17 +271,19 @@ def _flags(metadata: dict[str, Any], name: str) -> list[str]:
     return [*([flag] if flag else []), *metadata.pop("aliases", ())]
 
 
-def _fields(kind: Any, without: Collection[str], only: Collection[str] | None) -> list[Field[Any]]:
+def _fields(
+    owner: Any, without: Collection[str] = (), only: Collection[str] | None = None, **_: Any
+) -> list[Field[Any]]:
     return [
         entry
-        for entry in fields(kind)
+        for entry in fields(owner)
         if entry.name not in without and (only is None or entry.name in only)
     ]
 
 
-def _texts(kind: type) -> dict[str, str]:
+def _texts(owner: type) -> dict[str, str]:
     """Returns the entries under ``Attributes:`` of a dataclass and its bases, by field."""
-    docs = "\n".join(inspect.cleandoc(base.__doc__ or "") for base in reversed(kind.__mro__))
+    docs = "\n".join(inspect.cleandoc(base.__doc__ or "") for base in reversed(owner.__mro__))
     docs = docs.replace("%", "%%")  # argparse formats help texts with %
     return {
         name: " ".join(re.sub(r"(?<!\.)\.$", "", text).split())
@@ -317,34 +291,36 @@ def _texts(kind: type) -> dict[str, str]:
     }
 
 
-def _metadata(kind: type, name: str) -> dict[str, Any]:
+def _metadata(owner: type, name: str) -> dict[str, Any]:
     """Returns the metadata of a field. A field with a new default keeps its base's metadata."""
     metadata: dict[str, Any] = {}
-    for base in reversed(kind.__mro__):
+    for base in reversed(owner.__mro__):
         if name in (entries := getattr(base, "__dataclass_fields__", {})):
             metadata |= entries[name].metadata
     return metadata
 
 
 def _keywords(
-    entry: Field[Any], metadata: dict[str, Any], kind: Any, *, is_positional: bool
+    entry: Field[Any], metadata: dict[str, Any], value_type: Any, *, is_positional: bool
 ) -> dict[str, Any]:
     """Returns the keyword arguments of ``add_argument`` for a field."""
-    default, keywords = entry.default, metadata
-    if typing.get_origin(kind) in (types.UnionType, typing.Union):  # a union with None
-        kind = next(part for part in typing.get_args(kind) if part is not types.NoneType)
+    default, keywords = metadata["default"], metadata
+    if typing.get_origin(value_type) in (types.UnionType, typing.Union):  # a union with None
+        value_type = next(
+            part for part in typing.get_args(value_type) if part is not types.NoneType
+        )
         keywords |= {"nargs": "?"} if is_positional else {}
-    if default is not MISSING:
-        keywords["default"] = default
-    if kind is bool:
+    if default is MISSING:
+        del keywords["default"]
+    if value_type is bool:
         return {**keywords, "action": "store_true"}
-    if typing.get_origin(kind) is tuple:
-        kind = typing.get_args(kind)[0]
+    if typing.get_origin(value_type) is tuple:
+        value_type = typing.get_args(value_type)[0]
         if keywords.get("action") != "append":
             keywords["nargs"] = "*" if is_positional and default is not MISSING else "+"
-    keywords.setdefault("type", {int: _whole, float: _number}.get(kind, kind))
+    keywords.setdefault("type", value_type)
     if "choices" not in keywords:
-        keywords.setdefault("metavar", "N" if kind is int else entry.name.upper())
+        keywords.setdefault("metavar", "N" if value_type is int else entry.name.upper())
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else default
     if shown not in (None, MISSING, "") and "default" not in keywords["help"]:
         keywords["help"] += f" (default: {shown})"

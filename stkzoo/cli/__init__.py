@@ -9,7 +9,8 @@ The module of a command has
   A ``ConfigError`` is reported as an invalid command line;
 - or, instead of ``run``, ``ACTIONS``: such a function for each action of the command, such as
   ``install`` of ``stkzoo assets install``, with the action's name and docstring. A command with
-  options before the action also has ``add_arguments(parser)``.
+  options before the action also has ``add_arguments(parser)``, and one whose options have other
+  defaults than their dataclasses has ``DEFAULTS``.
 
 Only the module of the command that runs is imported. The module ``race_server`` is the command
 ``race-server``. Private modules contain shared code.
@@ -23,8 +24,9 @@ import inspect
 import io
 import pkgutil
 import sys
+import types
 import typing
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.metadata import version
 
@@ -84,7 +86,10 @@ def build_parser(command: str | None = None) -> CommandParser:
 
 
 def _add_command(
-    subparsers: argparse._SubParsersAction[CommandParser], name: str, command: typing.Any
+    subparsers: argparse._SubParsersAction[CommandParser],
+    name: str,
+    command: typing.Any,
+    defaults: Mapping[str, typing.Any] = types.MappingProxyType({}),
 ) -> None:
     """Adds the parser of a command or an action.
 
@@ -93,6 +98,7 @@ def _add_command(
         name: name of the command or action.
         command: module of the command, or function of the action. The help shows the exit codes in
             its docstring below the options.
+        defaults: defaults of the action's options that the module of its command sets.
     """
     documentation = inspect.getdoc(command) or ""
     description, heading, codes = documentation.partition("\n\n")[2].partition("exit codes:")
@@ -109,15 +115,16 @@ def _add_command(
     if actions := getattr(command, "ACTIONS", ()):
         children = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
         for action in actions:
-            _add_command(children, action.__name__.strip("_").replace("_", "-"), action)
+            word = action.__name__.strip("_").replace("_", "-")
+            _add_command(children, word, action, getattr(command, "DEFAULTS", {}))
         return
     run = getattr(command, "run", command)
-    kind = typing.get_type_hints(run)["arguments"]
-    add_options(parser, kind)
+    owner = typing.get_type_hints(run)["arguments"]
+    add_options(parser, owner, defaults=defaults)
 
     def run_parsed(values: argparse.Namespace) -> int:
         try:
-            return int(run(kind(**values_of(values, kind))))
+            return int(run(owner(**values_of(values, owner))))
         except ConfigError as error:
             parser.fail(plain_text(str(error)))  # it may name strange files
 

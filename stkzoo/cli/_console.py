@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from itertools import zip_longest
+from typing import Any
 
+import rich.progress
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.measure import Measurement
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
-from rich.progress import Progress as Bars
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
-from typing_extensions import Self  # a dependency of gymnasium
 
 from stkzoo.engine.assets import Progress
+from stkzoo.race.document import Document
 
 #: Width of a console whose lines can have any length.
 _UNLIMITED = 10_000
+#: Minimum time between two lines about the same stage without a terminal [s].
+_QUIET_INTERVAL = 10.0
 
 
 def make_console() -> Console:
@@ -52,139 +49,152 @@ def say(text: str, console: Console | None = None) -> None:
     console.print(text, highlight=False, markup=False, soft_wrap=True, emoji=False)
 
 
+def show(value: Any, as_text: Callable[[Any], object], *, as_json: bool) -> None:
+    """Prints a result as text or JSON.
+
+    Args:
+        value: the result: a document, or documents or other dataclasses in lists and dicts.
+        as_text: function that prints it as text.
+        as_json: whether to print JSON.
+    """
+    if not as_json:
+        as_text(value)
+    elif isinstance(value, Document):
+        print(value.to_json())
+    else:
+        print(json.dumps(value, indent=2, default=_to_dict))
+
+
+def _to_dict(value: Any) -> Any:
+    return json.loads(value.to_json()) if isinstance(value, Document) else asdict(value)
+
+
+def show_facts(facts: Sequence[Mapping[str, object]], **options: Any) -> None:
+    """Prints a table with a column for each name.
+
+    Args:
+        facts: values by name; all have the same names.
+        **options: as for :func:`show_table`.
+    """
+    columns = [name.replace("_", " ") for name in facts[0]]
+    show_table(columns, (tuple(fact.values()) for fact in facts), **options)
+
+
 def show_table(
     columns: Sequence[str],
-    rows: Iterable[Sequence[str]],
+    rows: Iterable[Sequence[object]],
     *,
-    left: Collection[str],
     styles: Iterable[str | None] = (),
     title: str = "",
-    caption: str = "",
-    console: Console | None = None,
 ) -> None:
-    """Prints a table of results.
+    """Prints a table of results on stdout.
 
     In a file or pipe, each row is one line. On a terminal, the table has a frame if there is space
-    for it, and texts wrap between words. Numbers and words are never cut: if they do not fit, lines
-    are longer than the terminal is wide.
+    for it, and cells wrap between words. Words are never cut: if they do not fit, lines are longer
+    than the terminal is wide.
 
     Args:
         columns: headings of the columns.
-        rows: texts of each row.
-        left: headings of columns with text. Other columns contain numbers and are right-aligned.
+        rows: cells of each row: texts; numbers, which are shown with at most two decimals and
+            right-aligned; and ``None``, shown as ``-``.
         styles: style of each row.
         title: line above the table.
-        caption: line below the table.
-        console: where to print; stdout by default.
     """
-    console = console or make_console()
-    rows = list(rows)
-    table = Table(box=box.ROUNDED, title=escape(title), caption=escape(caption))
+    console = make_console()
+    table = Table(box=box.ROUNDED, title=escape(title))
+    rows = [*rows]
     for number, name in enumerate(columns):
-        lines = [line for row in rows for line in row[number].splitlines()]
-        parts = " ".join(lines).split() if name in left else lines
+        cells = [row[number] for row in rows]
+        is_text = all(isinstance(cell, str | None) for cell in cells)
+        words = [word for text in (name, *map(_text, cells)) for word in text.split()]
         table.add_column(
             escape(name),
-            justify="left" if name in left else "right",
-            min_width=max(map(cell_len, ["", *name.split(), *parts])),
+            justify="left" if is_text else "right",
+            min_width=max(map(cell_len, words), default=0),
         )
     for row, style in zip_longest(rows, styles):
-        table.add_row(*map(escape, row), style=style)
+        table.add_row(*(escape(_text(cell)) for cell in row), style=style)
     whole = Measurement.get(console, console.options.update(width=_UNLIMITED), table)
     if not console.is_terminal or whole.maximum > console.width:
         table.box, table.pad_edge = None, False
     console.print(table, crop=False)
 
 
-def make_bars(*columns: ProgressColumn | str, vanish: bool = True) -> Bars:
-    """Returns progress bars on stderr, which are disabled without a terminal.
+def _text(cell: object) -> str:
+    if isinstance(cell, bool):
+        return "yes" if cell else "no"
+    if isinstance(cell, int):
+        return f"{cell:,}"
+    return "-" if cell is None else f"{cell:.2f}" if isinstance(cell, float) else str(cell)
+
+
+class Bars(rich.progress.Progress):
+    """A progress bar on stderr. Without a terminal, a line of text at most every 10 s."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        super().__init__(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TextColumn("{task.fields[text]}", markup=False),
+            TimeRemainingColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._spoken = time.monotonic()
+
+    def begin(self, stage: str, total: float | None = None) -> None:
+        """Starts a bar in place of the last one.
+
+        Args:
+            stage: what it shows.
+            total: amount of work; ``None`` if unknown.
+        """
+        for task in self.tasks:
+            self.remove_task(task.id)
+        self.add_task(stage, total=total, text="")
+        self._spoken = time.monotonic()
+
+    def show(self, done: float, text: str, total: float | None = None) -> None:
+        """Updates the bar, or prints a line if there is no terminal and the last one was 10 s ago.
+
+        Args:
+            done: complete work.
+            text: text beside the bar.
+            total: amount of work; ``None`` if it has not changed.
+        """
+        (task,) = self.tasks
+        self.update(task.id, completed=done, total=total, text=text)
+        if self.disable and time.monotonic() - self._spoken > _QUIET_INTERVAL:
+            say(f"{task.description}: {text}", self.console)
+            self._spoken = time.monotonic()
+
+
+class ConsoleProgress(Progress):
+    """Shows the stages of an installation, which have sizes in bytes.
 
     Args:
-        *columns: columns of the bars.
-        vanish: whether the bars are removed when they end.
-    """
-    console = Console(stderr=True)
-    return Bars(*columns, console=console, transient=vanish, disable=not console.is_terminal)
-
-
-#: Minimum time between two lines about the same stage without a terminal [s].
-_QUIET_INTERVAL = 10.0
-
-
-class QuietLines:
-    """Decides when to print a line of progress instead of disabled bars: at most every 10 s.
-
-    Args:
-        bars: the bars.
+        bars: where to show them.
     """
 
     def __init__(self, bars: Bars) -> None:
         self._bars = bars
-        self.restart()
-
-    def restart(self) -> None:
-        """Starts the interval again."""
-        self._spoken = time.monotonic()
-
-    def are_due(self) -> bool:
-        """Returns whether to print a line now, which starts the interval again."""
-        is_due = self._bars.disable and time.monotonic() - self._spoken > _QUIET_INTERVAL
-        if is_due:
-            self.restart()
-        return is_due
-
-
-class ConsoleProgress(Progress):
-    """Shows a progress bar for each stage on stderr; prints lines if there is no terminal."""
-
-    def __init__(self) -> None:
-        self._bars = make_bars(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            DownloadColumn(),
-            TransferSpeedColumn(),
-            TimeRemainingColumn(),
-            vanish=False,
-        )
-        self._stage: Task | None = None
-        self._lines = QuietLines(self._bars)
-
-    def __enter__(self) -> Self:
-        self._bars.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self._finish()
-        self._bars.stop()
 
     def begin(self, stage: str, total: int | None = None) -> None:
-        """Starts a bar for a stage, or prints a line about it."""
-        self._finish()
-        self._bars.add_task(stage, total=total)
-        self._stage = self._bars.tasks[-1]
-        self._lines.restart()
+        """Starts a bar for a stage; without a terminal, also prints a line about it."""
+        self._size = f" of {megabytes(total)}" if total else ""
+        self._bars.begin(stage, total)
         if self._bars.disable:
-            self.note(stage + (f" ({megabytes(total)})" if total else ""))
+            self.note(stage + self._size)
 
     def reach(self, done: int) -> None:
-        """Updates the bar, or prints a line if the last one was 10 s ago."""
-        stage = self._stage
-        if stage is None:
-            return
-        self._bars.update(stage.id, completed=done)
-        if self._lines.are_due():
-            of = f" of {megabytes(stage.total)}" if stage.total else ""
-            self.note(f"{stage.description}: {megabytes(done)}{of}")
+        """Updates the bar."""
+        self._bars.show(done, megabytes(done) + self._size)
 
     def note(self, text: str) -> None:
         """Prints a line of text."""
         say(text, self._bars.console)
-
-    def _finish(self) -> None:
-        if self._stage is not None:
-            total = self._stage.total or self._stage.completed or 1
-            self._bars.update(self._stage.id, total=total, completed=total)
 
 
 def megabytes(size: float) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from stkzoo._arguments import changed_options, option, options_of
@@ -22,42 +23,16 @@ def replay_option() -> Any:
     return option(metavar="FILE", group="output", help=text)
 
 
-def replay_listeners(replay: str | None, races: int = 1) -> list[RaceListener]:
+def replay_listeners(replay: str | None) -> list[RaceListener]:
     """Returns the listeners for ``--replay``.
 
     Args:
         replay: the file; ``None`` for none.
-        races: number of races.
 
     Raises:
-        ConfigError: the file is invalid, or there are several races.
+        ConfigError: the file is invalid.
     """
-    if replay is None:
-        return []
-    if races > 1:
-        raise ConfigError("--replay keeps one race; leave out --races")
-    return [ReplayWriter(replay)]
-
-
-@dataclass
-class WindowArguments:
-    """Options of the game's window.
-
-    Attributes:
-        window: watch the race in the game
-        hide: open no window (the default)
-    """
-
-    window: bool = option(False, rivals="window")
-    hide: bool = option(False, rivals="window")
-
-
-def _number_of_cameras(text: str) -> int | None:
-    if text == "auto":
-        return None
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor auto")
-    return int(text)
+    return [] if replay is None else [ReplayWriter(replay)]
 
 
 @dataclass
@@ -66,7 +41,7 @@ class VideoArguments:
 
     Attributes:
         video: record a video to FILE: .mp4, .mkv, .avi, .webm, .ogv, .mov, .gif
-        cameras: number of agents with a camera, 1 to 8, or auto (default: up to 4)
+        cameras: number of agents with a camera, 1 to 8 (default: up to 4)
         width: width of the video
         height: height of the video
         render_sub_steps: frames per step (usually 0.1 s)
@@ -75,10 +50,10 @@ class VideoArguments:
         ghost: draw the winner of a replay (.stkz) of the same track on the map
     """
 
-    video: str | None = option(metavar="FILE")
-    cameras: int | None = option(metavar="N", type=_number_of_cameras)
-    width: int = option(854, metavar="PIXELS")
-    height: int = option(480, metavar="PIXELS")
+    video: str | None = option(metavar="FILE", aliases=("--record",))
+    cameras: int | None = None
+    width: int = option(854, metavar="PIXELS", aliases=("--screen-width",))
+    height: int = option(480, metavar="PIXELS", aliases=("--screen-height",))
     render_sub_steps: int = 3
     render_backend: str = option("auto", choices=("auto", "engine", "map"))
     ghost: str | None = option(metavar="FILE")
@@ -107,57 +82,67 @@ class LivePageArguments:
 
 @dataclass
 class ViewingArguments:
-    """Options for the window, videos and the live page."""
+    """Options for the game's window, videos and the live page.
 
-    window: WindowArguments = options_of(WindowArguments, group="game window")
+    Attributes:
+        window: watch the race in the game
+        hide: open no window (the default)
+    """
+
+    window: bool = option(False, rivals="window", group="game window")
+    hide: bool = option(False, rivals="window", group="game window")
     video: VideoArguments = options_of(VideoArguments, group="video")
     page: LivePageArguments = options_of(LivePageArguments, group="live page in the browser")
 
-    def unused(self) -> list[tuple[VideoArguments | LivePageArguments, str]]:
-        """Returns options that have no effect without another option, and that option."""
-        is_unused = (
-            (self.video, "--video", self.video.video is None),
-            (self.page, "--web", not self.page.web),
-        )
-        return [(options, needed) for options, needed, is_so in is_unused if is_so]
-
-    def listeners(self, races: int = 1) -> list[RaceListener]:
-        """Returns the listeners for these options.
+    def unused(self, defaults: Mapping[str, Any] = MappingProxyType({})) -> list[str]:
+        """Returns a sentence for each option that has no effect without another option.
 
         Args:
-            races: number of races.
+            defaults: as for :func:`~stkzoo._arguments.changed_options`.
+        """
+        parts: list[Any] = [] if self.video.video else [(self.video, "--video")]
+        parts += [] if self.page.web else [(self.page, "--web")]
+        return [
+            f"{name} does nothing without {needed}"
+            for options, needed in parts
+            for name in changed_options(options, defaults=defaults)
+        ]
+
+    def listeners(self) -> list[RaceListener]:
+        """Returns the listeners for these options.
 
         Raises:
             ConfigError: a value is invalid, the port is in use, or a library is missing.
         """
-        for options, needed in self.unused():
-            if chosen := changed_options(options):
-                raise ConfigError(
-                    f"{chosen[0]} does nothing without {needed}; add {needed}, or leave it out"
-                )
-        found: list[RaceListener] = []
-        if self.window.window:
-            found.append(_window())
+        if unused := self.unused():
+            raise ConfigError(f"{unused[0]}; give both, or leave it out")
+        listeners: list[RaceListener] = []
+        if self.window:
+            check_display("--window opens the game's window", ", or --video FILE for a video")
+            listeners.append(EnvOptions(render_mode="human"))
         if self.video.video is not None:
-            found.append(_video(self.video, self.video.video, races))
+            listeners.append(_video(self.video, self.video.video))
         if self.page.web:
-            found.append(_live_page(self.page, races))
-        return found
+            listeners.append(_live_page(self.page))
+        return listeners
 
 
-def _window() -> RaceListener:
-    check_display("--window opens the game's window", ", or --video FILE for a video")
+class EnvOptions(RaceListener):
+    """Sets options of the race's environment.
 
-    class Window(RaceListener):
-        def env_options(self) -> dict[str, Any]:
-            return {"render_mode": "human"}
+    Args:
+        **options: the options.
+    """
 
-    return Window()
+    def __init__(self, **options: Any) -> None:
+        self._options = options
+
+    def env_options(self) -> dict[str, Any]:
+        """Returns the options."""
+        return self._options
 
 
-def _video(video: VideoArguments, file: str, races: int) -> RaceListener:
-    if races > 1:
-        raise ConfigError("--video makes a video of one race; leave out --races")
+def _video(video: VideoArguments, file: str) -> RaceListener:
     return RaceVideo(
         file,
         cameras=video.cameras,
@@ -168,9 +153,7 @@ def _video(video: VideoArguments, file: str, races: int) -> RaceListener:
     )
 
 
-def _live_page(options: LivePageArguments, races: int) -> RaceListener:
-    if races > 1 and options.web_stay:
-        raise ConfigError("--web-stay is for one race; leave out --races")
+def _live_page(options: LivePageArguments) -> RaceListener:
     from stkzoo.race.web import LivePage  # an extra
 
     page = LivePage(

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stkzoo._arguments import option
-from stkzoo.cli._console import ConsoleProgress, megabytes, show_table
+from stkzoo.cli._console import Bars, ConsoleProgress, megabytes, show_table
 from stkzoo.engine.assets import (
     PlaceReport,
     cache_folder,
@@ -41,13 +41,7 @@ from stkzoo.engine.assets import (
 
 @dataclass
 class StatusArguments:
-    """Options of ``stkzoo assets status``.
-
-    Attributes:
-        names: list the tracks and karts by name
-    """
-
-    names: bool = False
+    """Options of ``stkzoo assets status``: none."""
 
 
 @dataclass
@@ -57,12 +51,12 @@ class InstallArguments:
     Attributes:
         source: source of the data; auto takes the first that works
         archive: install the headless pack from FILE, written by `stkzoo assets pack --output`
-        force: replace existing data
+        replace: replace existing data
     """
 
     source: str = option("auto", choices=("auto", "debian", "upstream"), rivals="source")
     archive: Path | None = option(flag="--from", metavar="FILE", rivals="source")
-    force: bool = False
+    replace: bool = option(False, flag="--force")
 
 
 @dataclass
@@ -71,11 +65,11 @@ class PackArguments:
 
     Attributes:
         output: write the pack into FILE, a .tar.xz
-        force: replace an existing pack
+        replace: replace an existing pack
     """
 
     output: Path | None = option(metavar="FILE")
-    force: bool = False
+    replace: bool = option(False, flag="--force")
 
 
 @dataclass
@@ -83,13 +77,13 @@ class CleanArguments:
     """Options of ``stkzoo assets clean``.
 
     Attributes:
-        yes: do not ask
+        yes: remove it; without this option, only show the folder
     """
 
     yes: bool = False
 
 
-def _status(arguments: StatusArguments) -> int:
+def _status(arguments: StatusArguments) -> int:  # noqa: ARG001 - it has no options
     """Show where the data is.
 
     Shows where stkzoo searches for the game's data and what it finds. Fails if headless races
@@ -99,21 +93,17 @@ def _status(arguments: StatusArguments) -> int:
     for report in survey():
         size = megabytes(report.measure()) if report.assets else ""
         rows.append((report.source, str(report.path), _describe(report), size))
-    columns = ("place", "folder", "what is there", "size")
-    show_table(columns, rows, left=columns[:3], title="The game's data")
+    show_table(("place", "folder", "what is there", "size"), rows, title="The game's data")
     assets = find_assets()
     print(f"Headless races use the {assets.source}: {assets.root}")
-    if arguments.names:
-        print(f"Tracks: {', '.join(assets.tracks)}")
-        print(f"Karts: {', '.join(assets.karts)}")
     return 0
 
 
 def _describe(report: PlaceReport) -> str:
     if report.assets is None:
         return report.problem or "nothing"
-    kind = "headless pack" if report.assets.headless else "full data"
-    return f"{kind}: {len(report.assets.tracks)} tracks, {len(report.assets.karts)} karts"
+    contents = "headless pack" if report.assets.headless else "full data"
+    return f"{contents}: {len(report.assets.tracks)} tracks, {len(report.assets.karts)} karts"
 
 
 def _install(arguments: InstallArguments) -> int:
@@ -130,13 +120,8 @@ def _install(arguments: InstallArguments) -> int:
       stkzoo assets install --source upstream    with the download of pystk2
       stkzoo assets install --from pack.tar.xz   from the pack of another machine
     """
-    with ConsoleProgress() as progress:
-        assets = install(
-            source=arguments.source,
-            archive=arguments.archive,
-            replace=arguments.force,
-            progress=progress,
-        )
+    with Bars() as bars:
+        assets = install(**vars(arguments), progress=ConsoleProgress(bars))
     print(f"Ready: {len(assets.tracks)} tracks and {len(assets.karts)} karts in {assets.root}")
     return 0
 
@@ -146,8 +131,8 @@ def _pack(arguments: PackArguments) -> int:
 
     Builds the headless pack from the full data.
     """
-    with ConsoleProgress() as progress:
-        path = pack(output=arguments.output, replace=arguments.force, progress=progress)
+    with Bars() as bars:
+        path = pack(**vars(arguments), progress=ConsoleProgress(bars))
     print(f"Ready: {path}")
     return 0
 
@@ -157,8 +142,8 @@ def _clean(arguments: CleanArguments) -> int:
 
     Removes the full data and the headless pack from stkzoo's cache. Nothing else is removed.
     """
-    if not arguments.yes and not _agreed(f"Remove stkzoo's data from {cache_folder()}? [y/N] "):
-        print("Nothing was removed.")
+    if not arguments.yes:
+        print(f"Nothing was removed; to remove stkzoo's data from {cache_folder()}, add --yes.")
         return 1
     removed = clean()
     for folder in removed:
@@ -169,10 +154,3 @@ def _clean(arguments: CleanArguments) -> int:
 
 
 ACTIONS = (_status, _install, _pack, _clean)
-
-
-def _agreed(question: str) -> bool:
-    try:
-        return input(question).strip().lower() in ("y", "yes")
-    except EOFError:
-        return False

@@ -31,22 +31,23 @@ exit codes:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from stkzoo import evaluation
 from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
 from stkzoo.cli._batch import (
-    BatchArguments,
+    RUN_OPTIONS,
     directions_option,
     file_name,
     reverse_of,
     run_and_show,
 )
-from stkzoo.cli._console import make_console, say, show_table
+from stkzoo.cli._console import say, show, show_facts, show_table
 from stkzoo.errors import ConfigError
+from stkzoo.evaluation.batch.run import BatchKind
 from stkzoo.evaluation.benchmark.ai_times import AI_TIMES, plan_ai_times
 from stkzoo.evaluation.benchmark.result import BENCHMARK
 from stkzoo.evaluation.benchmark.time_trial import CLOSE, TIME_TRIALS
@@ -54,21 +55,12 @@ from stkzoo.race import RaceSettings
 
 #: Options that only races of the usual benchmark have.
 _CONDITIONS = ("difficulty", "forms", "directions", "ai_times")
-_SEEDS, _TIME_TRIAL_SEEDS = 5, 1
 _MAIN_GROUPS = ("all", "form")
 _SHOWN_GROUPS = (*_MAIN_GROUPS, "direction", "end", "track")
-#: Width of a line with all metrics. On a narrower terminal, intervals are printed below values.
-_WIDTH = 145
-#: Title, factor and number of decimals of each metric.
-_COLUMNS = {
-    "time_ratio": ("time ratio", 1, 3),
-    "win_rate": ("won %", 100, 1),
-    "mean_rank": ("rank", 1, 2),
-    "unfinished": ("DNF %", 100, 1),
-    "rescues": ("rescues", 1, 2),
-}
-#: A group of races, after the texts of its first columns in a table.
-_Row = tuple[Sequence[str], evaluation.RaceGroup]
+#: Kind and plan of a batch, its default folder, and the function that prints its result.
+_Batch = tuple[BatchKind[Any, Any], Any, str, Callable[[Any], object]]
+#: Estimates of metrics by name.
+_Figures = Mapping[str, evaluation.Estimate | None]
 
 
 @dataclass
@@ -107,7 +99,7 @@ class BenchmarkArguments:
     output: str | None = option(metavar="PATH", group="output")
     json: bool = option(False, group="output")
     no_plot: bool = option(False, group="output")
-    batch: BatchArguments = options_of(BatchArguments)
+    batch: dict[str, Any] = options_of(evaluation.RunOptions, only=RUN_OPTIONS)
     settings: dict[str, Any] = options_of(
         RaceSettings, without=evaluation.BenchmarkPlan.decided, group="each race"
     )
@@ -115,74 +107,56 @@ class BenchmarkArguments:
 
 def run(arguments: BenchmarkArguments) -> int:
     """Measures an agent or the game's AI, or compares results."""
-    if arguments.agent is None:
-        if arguments.compare:
-            return _compare(arguments)
-        if arguments.baseline:
-            return _baseline(arguments)
+    mode = "--compare" if arguments.compare else "--baseline" if arguments.baseline else ""
+    if arguments.agent is None and not mode:
         raise ConfigError("no agent; name one, such as heuristic, or see --help")
-    if arguments.compare or arguments.baseline:
-        mode = "--compare" if arguments.compare else "--baseline"
+    if arguments.agent is not None and mode:
         raise ConfigError(f"{mode} takes no agent; leave out {arguments.agent}")
-    return (_time_trial if arguments.time_trial else _benchmark)(arguments, arguments.agent)
+    if arguments.compare:
+        return _compare(arguments)
+    if arguments.agent is None:
+        batch_kind, plan, folder, as_text = _baseline(arguments)
+    else:
+        planned = _time_trial if arguments.time_trial else _benchmark
+        batch_kind, plan, folder, as_text = planned(arguments, arguments.agent)
+    return run_and_show(arguments, batch_kind, plan, Path(arguments.output or folder), as_text)
 
 
-def _benchmark(arguments: BenchmarkArguments, agent: str) -> int:
+def _benchmark(arguments: BenchmarkArguments, agent: str) -> _Batch:
     plan = evaluation.plan_benchmark(
         agent,
-        split=_split(arguments, "test"),
         difficulty=arguments.difficulty,
-        forms=arguments.forms or evaluation.FORMS,
         reverse=reverse_of(arguments.directions),
-        seeds=_seeds(arguments),
         ai_times=arguments.ai_times,
+        **_chosen(split=arguments.split, forms=arguments.forms, seeds=arguments.seeds),
         **arguments.settings,
     )
-    folder = Path(arguments.output or Path("benchmark", file_name(plan.agent.label)))
-    return run_and_show(
-        arguments, BENCHMARK.run, plan, folder, lambda result: show_results([result])
-    )
+    folder = f"benchmark/{file_name(plan.agent.label)}"
+    return BENCHMARK, plan, folder, lambda result: show_results([result])
 
 
-def _time_trial(arguments: BenchmarkArguments, agent: str) -> int:
+def _time_trial(arguments: BenchmarkArguments, agent: str) -> _Batch:
     refuse_options(
         "--time-trial has the conditions of the human records",
         changed_options(arguments, only=_CONDITIONS),
     )
-    plan = evaluation.plan_time_trial(
-        agent,
-        split=_split(arguments, "all"),
-        seeds=_seeds(arguments, _TIME_TRIAL_SEEDS),
-        **arguments.settings,
-    )
-    name = f"{file_name(plan.agent.label)}-time-trial"
-    folder = Path(arguments.output or Path("benchmark", name))
-    return run_and_show(arguments, TIME_TRIALS.run, plan, folder, _show_time_trial)
+    chosen = _chosen(split=arguments.split, seeds=arguments.seeds)
+    plan = evaluation.plan_time_trial(agent, **chosen, **arguments.settings)
+    folder = f"benchmark/{file_name(plan.agent.label)}-time-trial"
+    return TIME_TRIALS, plan, folder, _show_time_trial
 
 
-def _split(arguments: BenchmarkArguments, default: str) -> str | Sequence[str]:
-    names: Sequence[str] = arguments.split or [default]
-    return names[0] if len(names) == 1 else names
+def _baseline(arguments: BenchmarkArguments) -> _Batch:
+    changed = changed_options(arguments, only=(*_CONDITIONS, "settings"))
+    refuse_options("--baseline has races of its own", changed)
+    plan = plan_ai_times(**_chosen(tracks=arguments.split, seeds=arguments.seeds))
+    as_text = lambda times: say(f"{len(times.by_race)} times of the game's AI")  # noqa: E731
+    return AI_TIMES, plan, "ai-times", as_text
 
 
-def _seeds(arguments: BenchmarkArguments, default: int = _SEEDS) -> int:
-    return default if arguments.seeds is None else arguments.seeds
-
-
-def _baseline(arguments: BenchmarkArguments) -> int:
-    refuse_options(
-        "--baseline has races of its own",
-        changed_options(arguments, only=(*_CONDITIONS, "settings")),
-    )
-    plan = plan_ai_times(tracks=arguments.split or "all", seeds=_seeds(arguments))
-    folder = Path(arguments.output or "ai-times")
-    return run_and_show(
-        arguments,
-        AI_TIMES.run,
-        plan,
-        folder,
-        lambda times: say(f"{len(times.by_race)} times of the game's AI"),
-    )
+def _chosen(**options: Any) -> dict[str, Any]:
+    """Returns the options that the user chose."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _compare(arguments: BenchmarkArguments) -> int:
@@ -193,15 +167,12 @@ def _compare(arguments: BenchmarkArguments) -> int:
     comparisons = [evaluation.compare(results[0], other) for other in results[1:]]
     if arguments.output:
         evaluation.plot_benchmark(results, arguments.output)
-    if arguments.json:
-        texts = [result.to_json() for result in results]
-        texts += [comparison.to_json() for comparison in comparisons]
-        print("[" + ",\n".join(texts) + "]")
-        return 0
-    show_results(results)
-    for comparison in comparisons:
-        _show_comparison(comparison)
-    if arguments.output:
+    show(
+        [*results, *comparisons],
+        lambda _: _show_comparisons(results, comparisons),
+        as_json=arguments.json,
+    )
+    if arguments.output and not arguments.json:
         say(f"Drawn in {arguments.output}")
     return 0
 
@@ -211,18 +182,9 @@ def _compare(arguments: BenchmarkArguments) -> int:
 
 def show_results(results: Sequence[evaluation.BenchmarkResult]) -> None:
     """Prints the metrics of one agent, or the main metrics of several agents."""
-    is_one = len(results) == 1
-    columns = [*([] if is_one else ["agent"]), "races on", "n", "chance"]
-    rows = []
-    for result in results:
-        label = result.label
-        for group in result.groups:
-            if group.by in (_SHOWN_GROUPS if is_one else _MAIN_GROUPS):
-                chance = "-" if group.chance is None else f"{100 * group.chance:.0f}%"
-                cells = (group.name or "all", str(group.races), chance)
-                rows.append((cells if is_one else (label, *cells), group))
-                label = ""
-    _show_groups(columns, rows)
+    shown = _SHOWN_GROUPS if len(results) == 1 else _MAIN_GROUPS
+    groups = [(result.label, g) for result in results for g in result.groups if g.by in shown]
+    _show_groups(groups)
     for result in results:
         plan = result.plan
         errors = f"; the agent failed {result.errors} times" if result.errors else ""
@@ -236,22 +198,9 @@ def show_results(results: Sequence[evaluation.BenchmarkResult]) -> None:
 
 def _show_time_trial(result: evaluation.TimeTrialResult) -> None:
     """Prints an agent's times and the human records."""
-    rows = [
-        (
-            track.track,
-            str(track.laps),
-            "-" if track.time is None else f"{track.time:.2f}",
-            f"{track.record:.2f}",
-            f"{track.ratio:.3f}",
-        )
-        for track in result.tracks
-    ]
-    show_table(
-        ("track", "laps", "time [s]", "record [s]", "ratio"),
-        rows,
-        left=("track",),
-        caption="ratio: multiple of the human record",
-    )
+    rows = [(row.track, row.laps, row.time, row.record, row.ratio) for row in result.tracks]
+    columns = ("track", "laps", "time [s]", "record [s]", "ratio to the record")
+    show_table(columns, rows)
     if result.mean_ratio is not None:
         say(
             f"{result.label}: mean ratio {result.mean_ratio:.3f} on {len(result.tracks)} tracks; "
@@ -259,58 +208,37 @@ def _show_time_trial(result: evaluation.TimeTrialResult) -> None:
         )
 
 
-def _show_comparison(comparison: evaluation.Comparison) -> None:
-    """Prints the differences between two agents."""
-    say(f"\n{comparison.first} minus {comparison.second}, in the same races:")
-    groups = (group for group in comparison.differences if group.by in _SHOWN_GROUPS)
-    rows = [((group.name or "all", str(group.races)), group) for group in groups]
-    _show_groups(("races on", "n"), rows, sign="+")
+def _show_comparisons(
+    results: Sequence[evaluation.BenchmarkResult], comparisons: Sequence[evaluation.Comparison]
+) -> None:
+    """Prints the main metrics of several agents, and the differences between them."""
+    show_results(results)
+    for comparison in comparisons:
+        say(f"\n{comparison.first} minus {comparison.second}, in the same races:")
+        _show_groups([("", group) for group in comparison.differences if group.by in _SHOWN_GROUPS])
 
 
-def _show_groups(columns: Sequence[str], rows: Sequence[_Row], sign: str = "") -> None:
+def _show_groups(groups: Sequence[tuple[str, evaluation.RaceGroup]]) -> None:
     """Prints the metrics of groups of races.
 
     A second table has the intervals over tracks and directions of all races and of the forms.
 
     Args:
-        columns: headings of the first columns.
-        rows: the groups, and the texts of their first columns.
-        sign: sign option for formatting numbers; ``"+"`` shows the sign of positive ones.
+        groups: the groups, each after the name of its agent.
     """
-    _show_figures(columns, rows, sign)
-    main = [(cells, group) for cells, group in rows if group.by in _MAIN_GROUPS]
-    if not any(e is not None and e.low is not None for _, g in main for e in g.clustered.values()):
-        return  # too few tracks
-    say("\nThe same means, with intervals over tracks and directions:")
-    clustered = [(cells, replace(group, figures=group.clustered)) for cells, group in main]
-    _show_figures(columns, clustered, sign)
+    _show_figures([(agent, group, group.figures) for agent, group in groups])
+    clustered = [(a, group, group.clustered) for a, group in groups if group.by in _MAIN_GROUPS]
+    estimates = [estimate for *_, figures in clustered for estimate in figures.values()]
+    if any(estimate is not None and estimate.low is not None for estimate in estimates):
+        say("\nThe same means, with intervals over tracks and directions:")
+        _show_figures(clustered)
 
 
-def _show_figures(columns: Sequence[str], rows: Sequence[_Row], sign: str) -> None:
-    """Prints a table; see :func:`_show_groups`."""
-    console = make_console()
-    is_wide = not console.is_terminal or console.width >= _WIDTH
-    show_table(
-        (*columns, *(title for title, _, _ in _COLUMNS.values())),
-        [(*cells, *_cells(group, is_wide, sign)) for cells, group in rows],
-        left=("agent", "races on"),
-        styles=["bold" if group.by == "all" else None for _, group in rows],
-        console=console,
-    )
-
-
-def _cells(group: evaluation.RaceGroup, is_wide: bool, sign: str) -> list[str]:
-    return [
-        _cell(group.figures[name], scale, f"{sign}.{decimals}f", is_wide)
-        for name, (_, scale, decimals) in _COLUMNS.items()
-    ]
-
-
-def _cell(estimate: evaluation.Estimate | None, scale: float, spec: str, is_wide: bool) -> str:
-    if estimate is None:
-        return "-"
-    value = format(scale * estimate.value, spec)
-    if estimate.low is None or estimate.high is None:
-        return value
-    low, high = (format(scale * end, spec) for end in estimate.interval)
-    return f"{value} ({low}..{high})" if is_wide else f"{value}\n{low}..{high}"
+def _show_figures(groups: Sequence[tuple[str, evaluation.RaceGroup, _Figures]]) -> None:
+    """Prints a table of figures of groups, each after the name of its agent."""
+    rows = []
+    for agent, group, figures in groups:
+        head = {"agent": agent, "races on": group.name or "all", "n": group.races}
+        rows.append({**head, "chance": group.chance, **figures})
+    styles = ["bold" if group.by == "all" else None for _, group, _ in groups]
+    show_facts(rows, styles=styles)

@@ -15,12 +15,12 @@ exit codes:
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from stkzoo._arguments import options_of, positional
-from stkzoo.cli._console import say
+from stkzoo.cli._console import say, show, show_table
 from stkzoo.cli._process import AGENT_FAILED
 from stkzoo.evaluation import AgentReport, check_agent
 from stkzoo.race import RaceSettings
@@ -57,30 +57,22 @@ def run(arguments: CheckArguments) -> int:
         seed=arguments.seed,
         **arguments.settings,
     )
-    if arguments.json:
-        print(json.dumps(asdict(report), indent=2))
-    else:
-        _show(report, arguments.track, arguments.settings)
+    as_text = partial(_show, track=arguments.track, limits=arguments.settings)
+    show(report, as_text, as_json=arguments.json)
     return 0 if report.passed else AGENT_FAILED
 
 
 def _show(report: AgentReport, track: str, limits: dict[str, Any]) -> None:
-    steps = "1 step" if report.steps == 1 else f"{report.steps} steps"
-    say(f"{report.name}: {steps}, {report.distance:.0f} m on {track}")
-    if report.load_time is not None:
-        say(f"  loading   {report.load_time:.1f} s (limit {limits['start_timeout']:g} s)")
-    if report.thinking_time is not None:
-        times = report.thinking_time
-        limit = f"{limits['action_timeout']:g} s" if limits["action_timeout"] else "none"
-        say(
-            f"  thinking  mean {1000 * times.mean:.1f} ms, p99 {1000 * times.p99:.1f} ms, "
-            f"max {1000 * times.max:.1f} ms (limit {limit})"
-        )
-    if report.memory is not None:
-        limit = f"{limits['agent_memory']} MB" if limits["agent_memory"] else "none"
-        say(f"  memory    {report.memory:.0f} MB (limit {limit})")
-    if report.num_clipped:
-        say(f"  actions   {report.num_clipped} were outside the action space and were clipped")
+    say(f"{report.name}: {report.steps} steps, {report.distance:.0f} m on {track}")
+    times, limit = report.thinking_time, limits["action_timeout"]
+    rows = [
+        ("loading [s]", report.load_time, limits["start_timeout"]),
+        ("mean decision [ms]", times and 1000 * times.mean, None),
+        ("longest decision [ms]", times and 1000 * times.max, limit and 1000 * limit),
+        ("memory [MB]", report.memory, limits["agent_memory"] or None),
+        ("clipped actions", report.num_clipped, None),
+    ]
+    show_table(("", "measured", "limit"), rows)
     if report.passed:
         say("PASS: a tournament would accept this agent.")
         return

@@ -25,14 +25,12 @@ exit codes:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from stkzoo._arguments import option, options_of, positional
-from stkzoo._checks import check_whole
 from stkzoo.cli._batch import (
-    BatchArguments,
+    RUN_OPTIONS,
     directions_option,
     reverse_of,
     run_batch,
@@ -40,6 +38,7 @@ from stkzoo.cli._batch import (
 )
 from stkzoo.evaluation import (
     DemoPlan,
+    RunOptions,
     plan_demonstrations,
 )
 from stkzoo.evaluation.demonstrations.plan import run_planned_demonstrations
@@ -47,36 +46,48 @@ from stkzoo.race import RaceSettings
 
 
 @dataclass
-class DemosArguments:
-    """Options of ``stkzoo demos``.
+class RecordedRacesArguments:
+    """Options of the races to record.
 
     Attributes:
         agent: the driver; see above
         view: view to record: racing, simple, flattened_discrete, ...
         seeds: races of each track and direction
-        first_seed: seed of the first of these races
         karts: number of karts that the driver drives in a race
         rivals: drivers of the other karts
-        output: file of the dataset
     """
 
     agent: str = positional()
     view: str = "racing"
     tracks: tuple[str, ...] = tracks_option()
-    directions: tuple[str, ...] = directions_option("forward")
     seeds: int = 1
-    first_seed: int = 0
     karts: int = 4
     rivals: tuple[str, ...] = option((), metavar="DRIVER")
+
+
+@dataclass
+class DemosArguments:
+    """Options of ``stkzoo demos``.
+
+    Attributes:
+        output: file of the dataset
+    """
+
+    races: RecordedRacesArguments = options_of(RecordedRacesArguments)
+    directions: tuple[str, ...] = directions_option("forward")
     output: Path = option(Path("demos.safetensors"), metavar="FILE")
-    batch: BatchArguments = options_of(BatchArguments)
+    batch: dict[str, Any] = options_of(RunOptions, only=RUN_OPTIONS)
     settings: dict[str, Any] = options_of(RaceSettings, without=DemoPlan.decided, group="each race")
 
 
 def run(arguments: DemosArguments) -> int:
     """Records demonstrations."""
-    plan, file = _plan(arguments), arguments.output
-    demos, code = run_batch(arguments.batch, partial(run_planned_demonstrations, plan, file))
+    reverse, file = reverse_of(arguments.directions), arguments.output
+    plan = plan_demonstrations(**vars(arguments.races), reverse=reverse, **arguments.settings)
+    demos, code = run_batch(
+        arguments.batch,
+        lambda **options: run_planned_demonstrations(plan, file, RunOptions(**options)),
+    )
     if demos is not None:
         finished = sum(facts.finish_time is not None for facts in demos.facts)
         print(
@@ -84,18 +95,3 @@ def run(arguments: DemosArguments) -> int:
             f"{demos.view}\nread it with stkzoo.evaluation.load_demonstrations({str(file)!r})"
         )
     return code
-
-
-def _plan(arguments: DemosArguments) -> DemoPlan:
-    check_whole("seeds", arguments.seeds, 1)
-    check_whole("first-seed", arguments.first_seed, 0)
-    return plan_demonstrations(
-        arguments.agent,
-        view=arguments.view,
-        tracks=arguments.tracks,
-        karts=arguments.karts,
-        rivals=arguments.rivals,
-        reverse=reverse_of(arguments.directions),
-        seeds=range(arguments.first_seed, arguments.first_seed + arguments.seeds),
-        **arguments.settings,
-    )

@@ -10,16 +10,16 @@ Examples:
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from stkzoo._imports import python_command
 from stkzoo._installation import (
@@ -30,7 +30,7 @@ from stkzoo._installation import (
 )
 from stkzoo._os import DISPLAY_VARIABLES, has_display
 from stkzoo._temporary import TemporaryFolder
-from stkzoo.cli._console import say, show_table
+from stkzoo.cli._console import say, show, show_table
 from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.engine.fork_client import can_fork
@@ -70,54 +70,28 @@ class DoctorArguments:
 def run(arguments: DoctorArguments) -> int:
     """Runs all checks and shows the findings."""
     findings = list(_diagnose())
-    ready = all(finding.ok for finding in findings if finding.required)
-    if arguments.json:
-        report = {"ready": ready, "checks": [asdict(finding) for finding in findings]}
-        print(json.dumps(report, indent=2))
-    else:
-        _write_table(findings, ready)
+    ready = all(finding["ok"] for finding in findings if finding["required"])
+    report = {"ready": ready, "checks": findings}
+    show(report, lambda _: _write_table(findings, ready), as_json=arguments.json)
     return 0 if ready else 1
 
 
-def _write_table(findings: list[Finding], ready: bool) -> None:
+def _write_table(findings: list[dict[str, Any]], ready: bool) -> None:
     rows, styles = [], []
-    remedies: dict[str, list[str]] = {}
     for finding in findings:
-        verdict = "ok" if finding.ok else "missing" if finding.required else "without"
-        rows.append((verdict, finding.name, finding.found))
-        styles.append(None if finding.ok else "red" if finding.required else "yellow")
-        if finding.remedy:
-            remedies.setdefault(finding.remedy, []).append(finding.name)
-    columns = ("", "check", "found")
-    show_table(columns, rows, left=columns, styles=styles)
-    if remedies:
-        say("Remedies:")
-    for remedy, names in remedies.items():  # outside the table, where a command would wrap
-        say(f"  {', '.join(names)}: {remedy}")
+        is_ok, is_required = finding["ok"], finding["required"]
+        verdict = "ok" if is_ok else "missing" if is_required else "without"
+        rows.append((verdict, finding["name"], finding["found"]))
+        styles.append(None if is_ok else "red" if is_required else "yellow")
+    show_table(("", "check", "found"), rows, styles=styles)
+    for finding in findings:  # outside the table, where a command would wrap
+        if finding["remedy"]:
+            say(f"{finding['name']}: {finding['remedy']}")
     say(
         "A headless race can run here."
         if ready
         else "Headless races cannot run here yet; see above."
     )
-
-
-@dataclass(frozen=True)
-class Finding:
-    """The outcome of one check.
-
-    Attributes:
-        name: name of the checked feature.
-        ok: whether the feature is available and works.
-        found: what was found, or the problem.
-        remedy: the fix, if possible a command; empty if the feature works.
-        required: whether headless races need the feature.
-    """
-
-    name: str
-    ok: bool
-    found: str
-    remedy: str
-    required: bool
 
 
 class NotFound(Exception):
@@ -137,8 +111,14 @@ class NotFound(Exception):
 _REQUIRED = ("Python", "engine", "race data", "engine starts")
 
 
-def _diagnose() -> Iterator[Finding]:
-    """Runs all checks, in the order in which to fix problems."""
+def _diagnose() -> Iterator[dict[str, Any]]:
+    """Runs all checks, in the order in which to fix problems.
+
+    Yields:
+        ``name``, the checked feature; ``ok``, whether it is available and works; ``found``, what
+        was found, or the problem; ``remedy``, the fix, if possible a command, or an empty text;
+        ``required``, whether headless races need the feature.
+    """
     # The variable overrides installed data, so users must unset it first.
     prefix = f"unset {DATADIR_VARIABLE}; " if os.environ.get(DATADIR_VARIABLE) else ""
     install = f"{prefix}stkzoo assets install"
@@ -146,7 +126,7 @@ def _diagnose() -> Iterator[Finding]:
         ("Python", _python, "install Python 3.10 or newer"),
         ("engine", _engine, pip_install("PySuperTuxKart2")),
         ("race data", _race_data, install),
-        ("engine starts", partial(_start, install), install),
+        ("engine starts", _start, f"{install} --force"),
         ("headless pack", _pack, f"{prefix}stkzoo assets pack"),
         ("full data", _full_data, install),
         ("fork", _fork, "use Linux"),
@@ -160,12 +140,14 @@ def _diagnose() -> Iterator[Finding]:
             check = partial(_extra, [re.split(r"[^\w.-]", text)[0] for text in requirements])
             checks.append((f"extra [{extra}]", check, install_command(extra)))
     for name, find, remedy in checks:
-        required = name in _REQUIRED
+        finding = {"name": name, "ok": True, "remedy": "", "required": name in _REQUIRED}
         try:
-            yield Finding(name, True, find(), "", required)
-        except (AssetError, NotFound) as problem:
-            better = getattr(problem, "remedy", "")
-            yield Finding(name, False, str(problem).splitlines()[0], better or remedy, required)
+            finding["found"] = find()
+        except AssetError as error:
+            finding |= {"ok": False, "found": str(error).splitlines()[0], "remedy": install}
+        except NotFound as error:
+            finding |= {"ok": False, "found": str(error), "remedy": error.remedy or remedy}
+        yield finding
 
 
 def _python() -> str:
@@ -175,9 +157,7 @@ def _python() -> str:
 def _engine() -> str:
     if not _has_distribution("PySuperTuxKart2"):
         raise NotFound("PySuperTuxKart2 is not installed")
-    code, text = _probe("import pystk2", os.environ)
-    if code != 0:
-        raise NotFound(_last_line(text), library_remedy(text))
+    _probe("import pystk2", os.environ)
     return f"PySuperTuxKart2 {metadata.version('PySuperTuxKart2')}"
 
 
@@ -186,28 +166,25 @@ def _race_data() -> str:
     return f"{len(assets.tracks)} tracks, {len(assets.karts)} karts in {assets.root}"
 
 
-def _start(install: str) -> str:
+def _start() -> str:
     assets = find_assets()
     with TemporaryFolder("doctor") as home:
-        code, text = _probe(_PROBE, engine_environment(assets.root, str(home.path)))
-    lines = [line.split()[1:] for line in text.splitlines() if line.startswith("tracks:")]
-    if code != 0 or not lines:
-        raise NotFound(
-            f"it ended with {code}: {_last_line(text)}",
-            library_remedy(text) or f"{install} --force",
-        )
-    if tuple(sorted(lines[-1])) != assets.tracks:
-        found = f"it sees {len(lines[-1])} tracks where stkzoo sees {len(assets.tracks)}"
-        raise NotFound(found, f"{install} --force")
+        lines = _probe(_PROBE, engine_environment(assets.root, str(home.path)))
+    tracks = {name for line in lines if line.startswith("tracks:") for name in line.split()[1:]}
+    if tracks != {*assets.tracks}:
+        raise NotFound(f"it sees {len(tracks)} tracks where stkzoo sees {len(assets.tracks)}")
     return f"and sees its {len(assets.tracks)} tracks"
 
 
-def _probe(program: str, variables: Mapping[str, str]) -> tuple[int, str]:
-    """Returns exit code and output of a program run in a new process, which the engine may crash.
+def _probe(program: str, variables: Mapping[str, str]) -> list[str]:
+    """Returns the output of a program run in a new process, which the engine may crash.
 
     Args:
         program: Python code.
         variables: its environment variables.
+
+    Raises:
+        NotFound: the program failed.
     """
     try:
         process = subprocess.run(  # noqa: S603 - our own interpreter
@@ -220,12 +197,12 @@ def _probe(program: str, variables: Mapping[str, str]) -> tuple[int, str]:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return 1, f"no answer in {_PROBE_LIMIT:.0f} s"
-    return process.returncode, process.stdout.decode(errors="replace")
-
-
-def _last_line(text: str) -> str:
-    return (text.strip().splitlines() or ["it wrote nothing"])[-1]
+        raise NotFound(f"no answer in {_PROBE_LIMIT:.0f} s") from None
+    text = process.stdout.decode(errors="replace").strip()
+    lines = text.splitlines() or ["it wrote nothing"]
+    if process.returncode != 0:
+        raise NotFound(f"it ended with {process.returncode}: {lines[-1]}", library_remedy(text))
+    return lines
 
 
 def _pack() -> str:
@@ -264,8 +241,8 @@ def _graphics() -> str:
 def _display() -> str:
     if not has_display():
         raise NotFound("none: no live window, pictures and videos only")
-    named = [f"{name}={os.environ[name]}" for name in DISPLAY_VARIABLES if os.environ.get(name)]
-    return named[0] if named else "the system's own"
+    named = (f"{name}={os.environ[name]}" for name in DISPLAY_VARIABLES if name in os.environ)
+    return " ".join(named) or "the system's own"
 
 
 def _ffmpeg() -> str:

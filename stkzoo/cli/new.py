@@ -80,14 +80,9 @@ def _fill(template: str, file: Path, **values: str) -> None:
 def _check_name(folder: str) -> None:
     """Refuses a folder that files cannot name, or that commands would not accept as an agent."""
     path = str(Path(folder).resolve())
-    shown = plain_text(path)
-    if shown != path:
+    is_driver = folder in driver_names() or folder.startswith(("ai:", "pretrained:"))
+    if plain_text(path) != path or "@:" in folder or is_driver:
         raise ConfigError(
-            f"the path {shown!r} has control codes or is not UTF-8; choose another folder"
+            f"{plain_text(folder)!r} is the name of a driver of stkzoo, or contains @:, control "
+            "codes or bytes that are not UTF-8; choose another folder"
         )
-    if "@:" in folder:
-        raise ConfigError(
-            f"{folder!r} contains @:, which sets a driver's name; choose another folder"
-        )
-    if folder in driver_names() or folder.startswith(("ai:", "pretrained:")):
-        raise ConfigError(f"{folder!r} is the name of a driver of stkzoo; choose another folder")

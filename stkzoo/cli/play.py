@@ -37,40 +37,6 @@ _DATASET_VIEW, _DATASET_RATE, _RATE = "flattened_discrete", 10, 20
 
 
 @dataclass
-class PlayWindowArguments:
-    """Options of the window to play in.
-
-    Attributes:
-        map: show a map instead of 3D graphics
-        is_3d: show 3D graphics; fail if this machine cannot draw them
-        width: width of the window
-        height: height of the window
-        rate: steps per second: 10, 12, 15, 20, 30 or 60 (default: 20; 10 with --dataset, as
-            environments step)
-    """
-
-    map: bool = option(False, rivals="backend")
-    is_3d: bool = option(False, flag="--3d", rivals="backend")
-    width: int = option(640, metavar="PIXELS")
-    height: int = option(480, metavar="PIXELS")
-    rate: int | None = None
-
-
-@dataclass
-class PlayDatasetArguments:
-    """Options of the dataset to record.
-
-    Attributes:
-        dataset: record your observations and actions to FILE (.safetensors)
-        view: view of the dataset, of fixed size, such as simple or racing (default:
-            flattened_discrete)
-    """
-
-    dataset: str | None = option(metavar="FILE")
-    view: str | None = None
-
-
-@dataclass
 class PlayArguments:
     """Options of ``stkzoo play``.
 
@@ -78,29 +44,47 @@ class PlayArguments:
         opponents: the other drivers
         name: your name
         seed: seed of all random choices (default: a new one each time)
+        map: show a map instead of 3D graphics
+        is_3d: show 3D graphics; fail if this machine cannot draw them
+        width: width of the window
+        height: height of the window
+        rate: steps per second: 10, 12, 15, 20, 30 or 60 (default: 20; 10 with --dataset, as
+            environments step)
+        dataset: record your observations and actions to FILE (.safetensors)
+        view: view of the dataset, of fixed size, such as simple or racing (default:
+            flattened_discrete)
     """
 
     opponents: tuple[str, ...] = positional((), metavar="DRIVER")
     name: str = "you"
     seed: int | None = None
-    window: PlayWindowArguments = options_of(PlayWindowArguments, group="window")
-    recording: PlayDatasetArguments = options_of(PlayDatasetArguments, group="output")
+    map: bool = option(False, rivals="backend", group="window")
+    is_3d: bool = option(False, flag="--3d", rivals="backend", group="window")
+    width: int = option(640, metavar="PIXELS", group="window")
+    height: int = option(480, metavar="PIXELS", group="window")
+    rate: int | None = option(group="window")
+    dataset: str | None = option(metavar="FILE", group="output")
+    view: str | None = option(group="output")
     settings: dict[str, Any] = options_of(RaceSettings, without=("seed",), group="race")
     replay: str | None = replay_option()
 
 
 def run(arguments: PlayArguments) -> int:
     """Opens the window and runs the race."""
-    window = arguments.window
+    if arguments.view is not None and arguments.dataset is None:
+        raise ConfigError("--view is the view of a dataset; give --dataset too")
+    view, rate = ("full", _RATE) if arguments.dataset is None else (_DATASET_VIEW, _DATASET_RATE)
     try:
         result = play_race(
             arguments.opponents or ("ai", "ai", "ai"),
             name=arguments.name,
-            backend="map" if window.map else "engine" if window.is_3d else "auto",
-            size=(window.width, window.height),
+            backend="map" if arguments.map else "engine" if arguments.is_3d else "auto",
+            size=(arguments.width, arguments.height),
+            rate=rate if arguments.rate is None else arguments.rate,
+            view=arguments.view or view,
+            dataset=arguments.dataset,
             listeners=replay_listeners(arguments.replay),
             seed=random.randrange(2**16) if arguments.seed is None else arguments.seed,
-            **_recording(arguments.recording, window.rate),
             **arguments.settings,
         )
     except RaceInterrupted as interrupt:
@@ -108,15 +92,3 @@ def run(arguments: PlayArguments) -> int:
         return INTERRUPTED
     show_race(result)
     return AGENT_FAILED if result.has_errors else 0
-
-
-def _recording(recording: PlayDatasetArguments, rate: int | None) -> dict[str, Any]:
-    if recording.dataset is None:
-        if recording.view is not None:
-            raise ConfigError("--view is the view of a dataset; give --dataset too")
-        return {"rate": _RATE if rate is None else rate}
-    return {
-        "rate": _DATASET_RATE if rate is None else rate,
-        "view": recording.view or _DATASET_VIEW,
-        "dataset": recording.dataset,
-    }

@@ -16,87 +16,26 @@ import json
 import logging
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._arguments import CommandParser, changed_options, option, options_of
+from stkzoo._arguments import CommandParser
 from stkzoo._os import has_display
 from stkzoo.cli import race, race_client, race_server
-from stkzoo.cli._race_options import LivePageArguments, VideoArguments, ViewingArguments
+from stkzoo.cli._race_options import EnvOptions, LivePageArguments, VideoArguments
 from stkzoo.errors import AgentError
-from stkzoo.race import RaceListener, RaceResult, RaceSettings
+from stkzoo.race import RaceResult
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceSettings(RaceSettings):
-    """Settings of a race, with the defaults of pystk2-gymnasium."""
-
-    error_handling: str = "raise"
-    action_timeout: float | None = 0.0
-
-
-@dataclass
-class ReferenceVideoArguments(VideoArguments):
-    """Options of a video, with the names and defaults of pystk2-gymnasium."""
-
-    video: str | None = option(aliases=("--record",))
-    width: int = option(1280, aliases=("--screen-width",))
-    height: int = option(720, aliases=("--screen-height",))
-    render_sub_steps: int = 1
-
-
-@dataclass
-class ReferencePageArguments(LivePageArguments):
-    """Options of the live page, with the defaults of pystk2-gymnasium."""
-
-    web_port: int = 8050
-
-
-@dataclass
-class ReferenceViewingArguments(ViewingArguments):
-    """See :class:`ReferenceVideoArguments`."""
-
-    video: ReferenceVideoArguments = options_of(ReferenceVideoArguments, group="video")
-    page: ReferencePageArguments = options_of(
-        ReferencePageArguments, group="live page in the browser"
-    )
-
-
-@dataclass
-class ReferenceRacesArguments(race.RacesArguments):
-    """Options of races, with the names and defaults of pystk2-gymnasium."""
-
-    settings: dict[str, Any] = options_of(ReferenceSettings, without=("seed",), group="race")
-    num_karts: int | None = 3
-    viewing: ReferenceViewingArguments = options_of(ReferenceViewingArguments)
-
-
-@dataclass
-class ReferenceRaceArguments(ReferenceRacesArguments, race.RaceArguments):
-    """Options of ``stkzoo pystk2 race``."""
-
-
-@dataclass
-class ReferenceServersArguments(race_client.ServersArguments):
-    """Options of the connection to servers, with the defaults of pystk2-gymnasium."""
-
-    timeout: float | None = 60.0
-
-
-@dataclass
-class ReferenceClientArguments(ReferenceRacesArguments, race_client.RaceClientArguments):
-    """Options of ``stkzoo pystk2 race-client``."""
-
-    servers: ReferenceServersArguments = options_of(ReferenceServersArguments, group="servers")
-
-
-@dataclass
-class ReferenceServerArguments(race_server.RaceServerArguments):
-    """Options of ``stkzoo pystk2 race-server``."""
-
-    settings: dict[str, Any] = options_of(
-        ReferenceSettings, only=race_server.SETTINGS, group="agents"
-    )
+#: Defaults of pystk2-gymnasium that differ from those of stkzoo, by field.
+DEFAULTS = {
+    "num_karts": 3,
+    "error_handling": "raise",
+    "action_timeout": 0.0,
+    "timeout": 60.0,
+    "width": 1280,
+    "height": 720,
+    "render_sub_steps": 1,
+    "web_port": 8050,
+}
 
 
 class _Verbose(argparse.Action):
@@ -109,7 +48,7 @@ def add_arguments(parser: CommandParser) -> None:
     parser.add_argument("-v", "--verbose", action=_Verbose, nargs=0, help="log what happens")
 
 
-def _race(arguments: ReferenceRaceArguments) -> int:
+def _race(arguments: race.RaceArguments) -> int:
     """Run a race of agents.
 
     Runs a race of agents. `stkzoo race --help` describes the drivers.
@@ -117,7 +56,7 @@ def _race(arguments: ReferenceRaceArguments) -> int:
     return race.run(arguments, **_outputs(arguments))
 
 
-def _race_server(arguments: ReferenceServerArguments) -> int:
+def _race_server(arguments: race_server.RaceServerArguments) -> int:
     """Serve agents to races on this or other machines.
 
     Serves agents to races on this or other machines. `stkzoo race-server --help` describes the
@@ -126,7 +65,7 @@ def _race_server(arguments: ReferenceServerArguments) -> int:
     return race_server.run(arguments)
 
 
-def _race_client(arguments: ReferenceClientArguments) -> int:
+def _race_client(arguments: race_client.RaceClientArguments) -> int:
     """Run a race with agents on servers."""
     return race_client.run(arguments, **_outputs(arguments))
 
@@ -134,29 +73,20 @@ def _race_client(arguments: ReferenceClientArguments) -> int:
 ACTIONS = (_race, _race_server, _race_client)
 
 
-class _ReferenceReward(RaceListener):
-    def env_options(self) -> dict[str, Any]:
-        return {"reward": "reference"}
-
-
-def _outputs(arguments: ReferenceRacesArguments) -> dict[str, Any]:
+def _outputs(arguments: race.RacesArguments) -> dict[str, Any]:
     """Returns the outputs of races, and prints notes about differences to pystk2-gymnasium."""
-    viewing, notes = arguments.viewing, []
-    for options, needed in viewing.unused():
-        notes += [f"{name} does nothing without {needed}" for name in changed_options(options)]
-    viewing.video = viewing.video if viewing.video.video else ReferenceVideoArguments()
-    viewing.page = viewing.page if viewing.page.web else ReferencePageArguments()
-    window = viewing.window
-    window.window = window.window or (not window.hide and has_display())
-    if not (window.hide or window.window):
+    viewing = arguments.viewing
+    notes = viewing.unused(DEFAULTS)
+    viewing.video = viewing.video if viewing.video.video else VideoArguments()
+    viewing.page = viewing.page if viewing.page.web else LivePageArguments()
+    viewing.window = viewing.window or (not viewing.hide and has_display())
+    if not (viewing.hide or viewing.window):
         notes.append("no window opens, because there is no display")
     if notes:
         print(f"stkzoo pystk2: {'; '.join(notes)}", file=sys.stderr)
     # Replays are checked with stkzoo's own reward.
-    return {
-        "document": _document,
-        "listeners": [_ReferenceReward()] if arguments.replay is None else [],
-    }
+    listeners = [EnvOptions(reward="reference")] if arguments.replay is None else []
+    return {"document": _document, "listeners": listeners}
 
 
 def _document(results: Sequence[RaceResult], failure: AgentError | None) -> str:

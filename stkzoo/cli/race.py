@@ -38,32 +38,24 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stkzoo._arguments import option, options_of, positional
+from stkzoo._arguments import option, options_of, positional, refuse_options
+from stkzoo._checks import check_whole
 from stkzoo._os import check_writable, write_whole
-from stkzoo.cli._process import AGENT_FAILED, INTERRUPTED, writing_stdout
+from stkzoo.cli._process import AGENT_FAILED, INTERRUPTED
 from stkzoo.cli._race_options import ViewingArguments, replay_listeners, replay_option
-from stkzoo.cli._race_report import LoadCheck, RaceBar, show_race, show_series
+from stkzoo.cli._race_report import RaceBar, show_race, show_series
 from stkzoo.drivers.failures import in_words
 from stkzoo.errors import AgentError, ConfigError, StkzooError
 from stkzoo.race import (
     SCHEMA_VERSION,
     Driver,
-    RaceInterrupted,
     RaceListener,
+    RaceProgress,
     RaceResult,
     RaceSettings,
     run_race,
 )
-from stkzoo.race.listeners import ExpendableListener, ResultKeeper
-
-_NEXT_STEPS = """
-Where to go next:
-  another race      stkzoo race pretrained:zenith ai:3 ai:3 ai:3 --seed 2
-  your own driver   stkzoo new my_agent
-  from Python       from stkzoo import race_v0
-                    env = race_v0.parallel_env(num_kart=4)
-  more              stkzoo race --help; stkzoo doctor if something fails
-"""
+from stkzoo.race.listeners import ExpendableListener
 
 _DEMO_DRIVERS = ("pretrained:zenith", "ai:3", "ai:3", "ai:3")
 _DEMO_TRACK, _DEMO_SEED = "lighthouse", 17
@@ -92,6 +84,10 @@ class RacesArguments:
     replay: str | None = replay_option()
     viewing: ViewingArguments = options_of(ViewingArguments)
 
+    def outputs(self) -> list[RaceListener]:
+        """Returns the listeners that write or show a race."""
+        return [*replay_listeners(self.replay), *self.viewing.listeners()]
+
 
 @dataclass
 class RaceArguments(RacesArguments):
@@ -119,7 +115,7 @@ def run(arguments: RaceArguments, **outputs: Any) -> int:
     arguments.seed = _DEMO_SEED if arguments.seed is None else arguments.seed
     code = run_races(arguments, _DEMO_DRIVERS, **outputs)
     if code == 0 and not arguments.json:
-        print(_NEXT_STEPS, end="")
+        print("\nNext: `stkzoo new my_agent` creates an agent of your own; see `stkzoo --help`.")
     return code
 
 
@@ -151,27 +147,29 @@ def run_races(
             drivers, seed = _plan(arguments, drivers)
             for number in range(arguments.races):
                 settings = {**arguments.settings, "seed": seed + number}
-                results.append(_race(drivers, settings, arguments, listeners, problems))
+                with RaceBar() as bar:
+                    outputs = [ExpendableListener(o) for o in (bar, *arguments.outputs())]
+                    watches = (_ResultKeeper(results), *outputs, *listeners)
+                    run_race(drivers, listeners=watches, **settings)
+                problems += [output.error for output in outputs if output.error is not None]
     except AgentError as error:
         print(f"stkzoo: {error}\n{error.trace}".rstrip(), file=sys.stderr)
         code, failure = AGENT_FAILED, error
-    except RaceInterrupted as interrupt:
-        results.append(interrupt.result)
-        print("stkzoo: interrupted; the last race is incomplete", file=sys.stderr)
-        code = INTERRUPTED
-    except KeyboardInterrupt:  # between two races, or before the first step of one
+    except KeyboardInterrupt:
         if not results:
             raise
-        print(f"stkzoo: interrupted; complete races: {len(results)}", file=sys.stderr)
+        is_partial = results[-1].status == "interrupted"
+        rest = "the last race is incomplete" if is_partial else f"complete races: {len(results)}"
+        print(f"stkzoo: interrupted; {rest}", file=sys.stderr)
         code = INTERRUPTED
     except StkzooError as error:
         if not results:
             raise
         problems.append(error)
-    text = document(results, failure) if document else _document(results, arguments.races)
-    _report(results, text, arguments, problems)
     for problem in problems:
         print(f"stkzoo: {in_words(problem)}", file=sys.stderr)
+    text = document(results, failure) if document else _document(results, arguments.races)
+    _report(results, text, arguments)
     has_failed = any(result.has_errors for result in results)
     return code or (1 if problems else AGENT_FAILED if has_failed else 0)
 
@@ -199,12 +197,19 @@ def _plan(
     """
     if arguments.output is not None:
         check_writable(arguments.output, "the result")
-    outputs = [arguments.output, arguments.replay, arguments.viewing.video.video]
+    viewing = arguments.viewing
+    outputs = [arguments.output, arguments.replay, viewing.video.video]
     for file in filter(None, outputs):
         if outputs.count(file) > 1:
             raise ConfigError(f"{file!r} is named for two outputs; give each a file of its own")
-    if arguments.races < 1:
-        raise ConfigError(f"--races is {arguments.races}, expected 1 or more")
+    check_whole("--races", arguments.races, 1)
+    if arguments.races > 1:
+        for_one = {
+            "--replay": arguments.replay is not None,
+            "--video": viewing.video.video is not None,
+            "--web-stay": viewing.page.web_stay,
+        }
+        refuse_options("--races runs several races", [name for name in for_one if for_one[name]])
     if not drivers:
         raise ConfigError("no drivers; name some, such as heuristic ai, or try --demo")
     num_karts = len(drivers) if arguments.num_karts is None else arguments.num_karts
@@ -214,69 +219,54 @@ def _plan(
     return [*drivers, *["ai"] * (num_karts - len(drivers))], seed
 
 
-def _race(
-    drivers: Sequence[str | Driver],
-    settings: dict[str, Any],
-    arguments: RacesArguments,
-    listeners: Sequence[RaceListener],
-    problems: list[Exception],
-) -> RaceResult:
-    """Runs one race.
+class _ResultKeeper(RaceListener):
+    """Stores the results of races, and ends a race that begins without one of its agents.
 
     Args:
-        drivers: the drivers.
-        settings: settings of the race.
-        arguments: the options, which name the outputs.
-        listeners: further listeners.
-        problems: list to which errors are appended that only affect an output, not the result.
+        results: list to which the results are appended.
     """
-    with RaceBar() as bar:
-        replay = replay_listeners(arguments.replay, arguments.races)
-        shown = arguments.viewing.listeners(arguments.races)
-        outputs = [ExpendableListener(listener) for listener in (bar, *replay, *shown)]
-        keeper = ResultKeeper()
-        try:
-            run_race(drivers, listeners=[keeper, LoadCheck(), *outputs, *listeners], **settings)
-        except KeyboardInterrupt as interrupt:
-            if keeper.result is None:
-                raise
-            raise RaceInterrupted(keeper.result) from interrupt
-        except Exception as error:
-            if keeper.result is None:
-                raise
-            problems.append(error)
-    problems += [output.error for output in outputs if output.error is not None]
-    assert keeper.result is not None  # noqa: S101 - the race has ended
-    return keeper.result
+
+    def __init__(self, results: list[RaceResult]) -> None:
+        self._results = results
+
+    def started(self, race: RaceProgress) -> None:
+        """Checks the agents.
+
+        Raises:
+            AgentError: agents could not be loaded; the error describes all of them.
+        """
+        failed = [(agent, errors[0]) for agent, errors in race.failures.items() if errors]
+        if failed:
+            texts = [f"{race.names[a]} ({a}) could not be loaded: {e.message}" for a, e in failed]
+            traces = [error.trace for _, error in failed]
+            for text, trace in zip(texts[1:], traces[1:], strict=True):
+                traces[0] += f"\n\n{text}\n{trace}"
+            raise AgentError(texts[0], failed[0][0], traces[0])
+
+    def ended(self, result: RaceResult) -> None:
+        """Stores the result, also if another listener fails or is interrupted after the race."""
+        self._results.append(result)
 
 
-def _report(
-    results: Sequence[RaceResult], text: str, arguments: RacesArguments, problems: list[Exception]
-) -> None:
-    """Writes and shows the results, even if one of the two fails.
+def _report(results: Sequence[RaceResult], text: str, arguments: RacesArguments) -> None:
+    """Writes and shows the results, even if they cannot be written.
 
     Args:
         results: results of the races.
         text: the same as JSON; empty for none.
         arguments: the options.
-        problems: list to which errors are appended.
     """
     try:
         if arguments.output and text:
             with write_whole(arguments.output, "the result", StkzooError) as part:
                 part.write_text(text + "\n", encoding="utf-8")
-    except StkzooError as error:
-        problems.append(error)
-    try:
-        with writing_stdout():
-            if arguments.json:
-                print(text, end="\n" if text else "")
-            elif arguments.races > 1 and results:
-                show_series(results)
-            elif results:
-                show_race(results[0])
-    except StkzooError as error:
-        problems.append(error)
+    finally:
+        if arguments.json:
+            print(text, end="\n" if text else "")
+        elif arguments.races > 1 and results:
+            show_series(results)
+        elif results:
+            show_race(results[0])
 
 
 def _document(results: Sequence[RaceResult], races: int) -> str:

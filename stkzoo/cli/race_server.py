@@ -79,11 +79,9 @@ def run(arguments: RaceServerArguments) -> int:
 
 def _sandbox_of(settings: RaceSettings) -> str:
     """Returns a description of the sandbox that protects this machine from the agents."""
-    kind = NONE if settings.inline else sandbox_kind(settings.sandbox)
-    active = () if settings.inline else protections(kind)
-    return (
-        f"sandbox of agents from files: {kind}; it withholds or limits: {', '.join(active) or '-'}"
-    )
+    sandbox = NONE if settings.inline else sandbox_kind(settings.sandbox)
+    active = ", ".join(() if settings.inline else protections(sandbox)) or "-"
+    return f"sandbox of agents from files: {sandbox}; it withholds or limits: {active}"
 
 
 def _server(arguments: RaceServerArguments, settings: RaceSettings) -> RaceServer:

@@ -19,13 +19,11 @@ exit codes:
 
 from __future__ import annotations
 
-import contextlib
-import json
 import sys
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 from stkzoo._arguments import changed_options, options_of, positional, refuse_options
+from stkzoo.cli._console import show
 from stkzoo.cli._race_options import ViewingArguments
 from stkzoo.cli._race_report import RaceBar, described, show_race
 from stkzoo.errors import ConfigError, StkzooError
@@ -59,71 +57,55 @@ def run(arguments: ReplayArguments) -> int:
         refuse_options("--info runs nothing", options)
     replay = load_replay(arguments.file)
     if arguments.info:
-        _show_info(replay, as_json=arguments.json)
+        show(replay.to_dict(), lambda _: _show_info(replay), as_json=arguments.json)
         return 0
     with RaceBar() as bar:
         listeners = [bar, *arguments.viewing.listeners()]
-        with _failing():
+        try:
             playback = play_replay(
                 replay,
                 listeners=listeners,
                 to_the_end=arguments.to_the_end,
                 any_engine=arguments.any_engine,
             )
-    _show(replay, playback, as_json=arguments.json)
+        except ConfigError as error:  # a failure, not an invalid command line
+            raise StkzooError(str(error)) from error
+    values = {
+        "type": "replay-check",
+        "is_exact": playback.is_exact,
+        **asdict(playback),
+        "recorded_steps": replay.steps,
+        "result": playback.result,
+    }
+    show(values, lambda _: show_race(playback.result), as_json=arguments.json)
+    is_result = playback.is_exact and not arguments.json
+    print(_verdict(replay, playback), file=sys.stdout if is_result else sys.stderr)
     return 0 if playback.is_exact else 1
 
 
-@contextlib.contextmanager
-def _failing() -> Iterator[None]:
-    """Reports a file that cannot be played as a failure, not as an invalid command line."""
-    try:
-        yield
-    except ConfigError as error:
-        raise StkzooError(str(error)) from error
-
-
-def _show(replay: Replay, playback: Playback, *, as_json: bool) -> None:
-    if as_json:
-        values = {
-            "type": "replay-check",
-            "is_exact": playback.is_exact,
-            **asdict(playback),
-            "recorded_steps": replay.steps,
-            "result": json.loads(playback.result.to_json()),
-        }
-        print(json.dumps(values, indent=2))
-    else:
-        show_race(playback.result)
+def _verdict(replay: Replay, playback: Playback) -> str:
+    """Returns whether the race was as recorded, and if not, where it differed."""
     if playback.is_exact:
         some = f"All {replay.steps} steps"
         if playback.steps < replay.steps:  # the viewer of a page stopped the race
             some = f"Stopped: the first {playback.steps} of {replay.steps} steps"
-        text = f"{some} are as recorded, to the last bit."
-        print(text, file=sys.stderr if as_json else sys.stdout)
-        return
-    if playback.first_difference is None:
-        print(
-            f"stkzoo: all {playback.steps} steps are as recorded, but not the result in the file; "
-            f"the file was changed: {'; '.join(playback.result_differences)}",
-            file=sys.stderr,
-        )
-        return
+        return f"{some} are as recorded, to the last bit."
     step = playback.first_difference
+    if step is None:
+        return (
+            f"stkzoo: all {playback.steps} steps are as recorded, but not the result in the file; "
+            f"the file was changed: {'; '.join(playback.result_differences)}"
+        )
     where = f"after step {step}" if step else "on the grid already"
     others = other_versions(replay)
-    print(
+    return (
         f"stkzoo: the race differs: {where} a kart is not where it was (the recorded race "
         f"has {replay.steps} steps). The game's data or the machine may differ; recorded with "
-        f"{_versions(replay)}" + (f"; here: {others}" if others else ""),
-        file=sys.stderr,
+        f"{_versions(replay)}" + (f"; here: {others}" if others else "")
     )
 
 
-def _show_info(replay: Replay, *, as_json: bool) -> None:
-    if as_json:
-        print(json.dumps(replay.to_dict(), indent=2))
-        return
+def _show_info(replay: Replay) -> None:
     seconds = replay.steps * replay.step_size
     print(
         f"{described(replay)}: laps {replay.laps}, AI difficulty {replay.difficulty}, "

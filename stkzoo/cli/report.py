@@ -38,6 +38,6 @@ class ReportArguments:
 
 def run(arguments: ReportArguments) -> int:
     """Writes the report."""
-    page = write_report(arguments.folder, publish=arguments.publish, title=arguments.title)
+    page = write_report(**vars(arguments))
     say(f"Wrote {page}, and beside it standings.csv and races.csv")
     return 0

@@ -17,7 +17,6 @@ Examples:
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -30,9 +29,10 @@ from rich.console import Console
 from stkzoo import suite
 from stkzoo._arguments import option, options_of, positional
 from stkzoo._checks import unknown_name
-from stkzoo.cli._batch import BatchArguments, file_name, run_and_show, run_replays
-from stkzoo.cli._console import say, show_table
+from stkzoo.cli._batch import RUN_OPTIONS, file_name, run_and_show, run_batch
+from stkzoo.cli._console import say, show, show_facts, show_table
 from stkzoo.cli.benchmark import show_results
+from stkzoo.evaluation import RunOptions
 from stkzoo.race import RaceSettings
 from stkzoo.suite.entry import ENTRIES
 from stkzoo.suite.tasks import DIFFICULTY
@@ -100,9 +100,6 @@ class EvaluateArguments:
     Attributes:
         task: the task, as listed by `stkzoo suite list`
         agent: the agent: a driver's name, a folder, a zip or a module; append @:Name to rename it
-        authors: names of the authors, for the entry
-        description: how the agent was made and where to find it, for the entry
-        kart_steps: number of kart-steps that the agent learned from, for the entry
         split: test for an entry; train for fewer races on the training tracks (default: test)
         output: folder of the entry (default: suite/TASK-AGENT)
         json: write only the entry's JSON to stdout
@@ -110,13 +107,11 @@ class EvaluateArguments:
 
     task: str = positional()
     agent: str = positional()
-    authors: str = option("", metavar="NAMES", group="entry")
-    description: str = option("", metavar="TEXT", group="entry")
-    kart_steps: int | None = option(group="entry")
+    about: suite.About = options_of(suite.About, group="entry")
     split: str = option("test", choices=("test", "train"), group="entry")
     output: Path | None = option(metavar="FOLDER", group="entry")
     json: bool = option(False, group="entry")
-    batch: BatchArguments = options_of(BatchArguments)
+    batch: dict[str, Any] = options_of(RunOptions, only=RUN_OPTIONS)
     settings: dict[str, Any] = options_of(
         RaceSettings, without=suite.EntryPlan.decided, group="each race"
     )
@@ -133,7 +128,7 @@ class VerifyArguments:
 
     entry: Path = positional(metavar="ENTRY")
     json: bool = False
-    batch: BatchArguments = options_of(BatchArguments)
+    batch: dict[str, Any] = options_of(RunOptions, only=RUN_OPTIONS)
 
 
 @dataclass
@@ -175,12 +170,13 @@ def _list(arguments: ListArguments) -> int:
       stkzoo suite list --json
     """
     tasks = [suite.find_task(arguments.task)] if arguments.task else [*suite.TASKS.values()]
-    if arguments.json:
-        _print_tasks(tasks)
-    elif arguments.task:
-        _show_task(tasks[0])
-    else:
-        _show_tasks(tasks)
+    content = {
+        "suite": suite.SUITE,
+        "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
+        "population": suite.POPULATION,
+    }
+    as_text = _show_task if arguments.task else _show_tasks
+    show(content, lambda _: as_text(tasks), as_json=arguments.json)
     return 0
 
 
@@ -237,8 +233,7 @@ def _exploit(arguments: ExploitArguments) -> int:
         say("No race has ended; raise --kart-steps.")
         return 0
     shown = {round(10 * steps / arguments.kart_steps): (steps, won) for steps, won in curve}
-    rows = [(f"{steps:,}", f"{won:.1%}") for steps, won in shown.values()]
-    show_table(("kart-steps", "won"), rows, left=())
+    show_table(("kart-steps", "won"), shown.values())
     return 0
 
 
@@ -259,14 +254,17 @@ def _evaluate(arguments: EvaluateArguments) -> int:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
       failed in some race, 130 interrupted
     """
-    about = suite.About(arguments.authors, arguments.description, arguments.kart_steps)
     plan = suite.plan_entry(
-        arguments.task, arguments.agent, split=arguments.split, about=about, **arguments.settings
+        arguments.task,
+        arguments.agent,
+        split=arguments.split,
+        about=arguments.about,
+        **arguments.settings,
     )
     name = f"{plan.task}-{file_name(plan.agent.label)}"
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)
-    return run_and_show(arguments, ENTRIES.run, plan, folder, _show_entry)
+    return run_and_show(arguments, ENTRIES, plan, folder, _show_entry)
 
 
 def _verify(arguments: VerifyArguments) -> int:
@@ -286,14 +284,14 @@ def _verify(arguments: VerifyArguments) -> int:
     exit codes:
       0 verified, 1 refused, 2 invalid command line, 130 interrupted
     """
-    entry, code = run_replays(arguments.batch, partial(suite.verify_entry, arguments.entry))
+    entry, code = run_batch(
+        arguments.batch, partial(suite.verify_entry, arguments.entry), is_saved=False
+    )
     if entry is None:
         return code
-    if arguments.json:
-        print(entry.to_json())
-        return code
-    _show_entry(entry)
-    say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
+    show(entry, _show_entry, as_json=arguments.json)
+    if not arguments.json:
+        say(f"Verified: all {len(entry.races)} races are as recorded, to the last bit.")
     return code
 
 
@@ -315,10 +313,11 @@ def _conduct(arguments: ConductArguments) -> int:
     """
     with Console(stderr=True).status("The races run again"):
         means = suite.measure_conduct(arguments.replays)
-    if arguments.json:
-        print(json.dumps([asdict(mean) for mean in means], indent=2))
-    else:
-        _show_conduct(means)
+    show(
+        [asdict(mean) for mean in means],
+        partial(show_facts, title="per race"),
+        as_json=arguments.json,
+    )
     return 0
 
 
@@ -345,54 +344,26 @@ def _report(arguments: SuiteReportArguments) -> int:
 ACTIONS = (_list, _train, _exploit, _evaluate, _verify, _conduct, _report)
 
 
-def _print_tasks(tasks: Sequence[suite.Task]) -> None:
-    """Prints tasks and the population as JSON."""
-    content = {
-        "suite": suite.SUITE,
-        "tasks": [{**asdict(task), "digest": task.digest} for task in tasks],
-        "population": [asdict(member) for member in suite.POPULATION],
-    }
-    print(json.dumps(content, indent=2))
-
-
 def _show_tasks(tasks: Sequence[suite.Task]) -> None:
     """Prints tables of tasks and of the population."""
     rows = [
-        (
-            task.name,
-            task.goal,
-            f"{task.budget / 1e6:g} M",
-            " ".join(task.forms),
-            str(task.num_races),
-            task.metric.replace("_", " "),
-        )
+        (task.name, task.goal, task.budget, " ".join(task.forms), task.num_races, task.metric)
         for task in tasks
     ]
     columns = ("task", "goal", "kart-steps", "forms", "races", "metric")
-    show_table(columns, rows, left=("task", "goal", "forms", "metric"), title=suite.SUITE)
-    members = [
-        (member.driver, "held out" if member.is_held_out else "", member.digest)
-        for member in suite.POPULATION
-    ]
-    show_table(("population", "in training", "digest"), members, left=("population", "in training"))
+    show_table(columns, rows, title=suite.SUITE)
+    show_facts([asdict(member) for member in suite.POPULATION])
     say("`stkzoo suite list TASK` shows all rules of a task.")
 
 
-def _show_task(task: suite.Task) -> None:
-    """Prints all rules of a task."""
-    values = {**asdict(task), "races": task.num_races, "digest": task.digest}
-    rows = [
-        (name.replace("_", " "), _text(value))
-        for name, value in values.items()
-        if value not in ((), None)
-    ]
-    show_table(("rule", task.name), rows, left=("rule", task.name))
-
-
-def _text(value: object) -> str:
-    if isinstance(value, tuple):
-        return ", ".join(map(str, value))
-    return f"{value:,}" if isinstance(value, int) else str(value)
+def _show_task(tasks: Sequence[suite.Task]) -> None:
+    """Prints all rules of one task."""
+    (task,) = tasks
+    rows = []
+    for name, value in {**asdict(task), "races": task.num_races, "digest": task.digest}.items():
+        texts = map(str, value if isinstance(value, tuple) else (value,))
+        rows.append((name.replace("_", " "), ", ".join(texts)))
+    show_table(("rule", task.name), rows)
 
 
 def _show_entry(entry: suite.Entry) -> None:
@@ -404,29 +375,9 @@ def _show_entry(entry: suite.Entry) -> None:
     if task.has_population:
         say(f"The time ratio divides by the AI's time at difficulty {DIFFICULTY} in all races.")
     metric, count = task.metric.replace("_", " "), len(entry.plan.races())
-    forms = [group for group in entry.groups if group.by == "form"]
-    for group in forms if len(task.forms) > 1 else ():
-        say(f"{group.name}: {metric} {group.figures[task.metric]} in {group.races} races.")
     say(f"{entry.label} in {task.name}: {metric} {score} in {len(entry.races)} of {count} races.")
     if entry.normalized_score is not None:
         say(
             f"Normalized: {entry.normalized_score:.2f}; 0 is the weakest and 1 the strongest "
             "driver that comes with stkzoo."
         )
-
-
-def _show_conduct(means: Sequence[suite.Conduct]) -> None:
-    """Prints the mean conduct of each driver."""
-    rows = [
-        (
-            mean.driver,
-            str(mean.races),
-            f"{mean.contacts:.2f}",
-            "-" if mean.closing is None else f"{mean.closing:.1f}",
-            f"{mean.off_road:.1f}",
-            f"{mean.overtakes:.2f}",
-        )
-        for mean in means
-    ]
-    columns = ("driver", "races", "contacts", "closing [m/s]", "off road [s]", "overtakes")
-    show_table(columns, rows, left=("driver",), title="per race")

@@ -32,13 +32,31 @@ from pathlib import Path
 from typing import Any
 
 from stkzoo._arguments import changed_options, option, options_of, positional, refuse_options
-from stkzoo.cli._batch import BatchArguments, run_and_show, tracks_option
+from stkzoo.cli._batch import RUN_OPTIONS, run_and_show, tracks_option
 from stkzoo.cli._console import say, show_table
 from stkzoo.cli.race_client import ServersArguments, server_access
-from stkzoo.evaluation import TournamentPlan, TournamentResult, plan_tournament
+from stkzoo.evaluation import RunOptions, TournamentPlan, TournamentResult, plan_tournament
 from stkzoo.evaluation.tournament.plan import resumed_plan
 from stkzoo.evaluation.tournament.run import TOURNAMENT
 from stkzoo.race import RaceSettings
+
+_COLUMNS = ("place", "agent", "rating", "95%", "races", "wins", "rank", "finished", "failed")
+
+
+@dataclass
+class ScheduleArguments:
+    """Options of the races of a tournament.
+
+    Attributes:
+        races: number of races
+        per_race: number of agents in a race (default: 4, or all if there are fewer)
+        seed: seed of the schedule and the races
+    """
+
+    tracks: tuple[str, ...] = tracks_option()
+    races: int = 60
+    per_race: int | None = None
+    seed: int = 0
 
 
 @dataclass
@@ -47,24 +65,18 @@ class TournamentArguments:
 
     Attributes:
         agents: the agents; see above
-        races: number of races
-        per_race: number of agents in a race (default: 4, or all if there are fewer)
-        seed: seed of the schedule and the races
         output: folder for the races, result.json and report.html
         resume: resume the tournament in FOLDER; agents that you name join it
         json: write only JSON to stdout
     """
 
     agents: tuple[str, ...] = positional((), metavar="AGENT")
-    tracks: tuple[str, ...] = tracks_option()
-    races: int = 60
-    per_race: int | None = None
-    seed: int = 0
+    schedule: ScheduleArguments = options_of(ScheduleArguments)
     output: str = option("tournament", metavar="FOLDER", rivals="folder", group="output")
     resume: str | None = option(metavar="FOLDER", rivals="folder", group="output")
     json: bool = option(False, group="output")
     servers: ServersArguments = options_of(ServersArguments, group="agents of servers")
-    batch: BatchArguments = options_of(BatchArguments)
+    batch: dict[str, Any] = options_of(RunOptions, only=RUN_OPTIONS)
     settings: dict[str, Any] = options_of(
         RaceSettings, without=TournamentPlan.decided, group="each race"
     )
@@ -73,46 +85,29 @@ class TournamentArguments:
 def run(arguments: TournamentArguments) -> int:
     """Runs or resumes a tournament."""
     folder = Path(arguments.resume or arguments.output)
-    return run_and_show(arguments, TOURNAMENT.run, _plan(arguments), folder, _show)
+    return run_and_show(arguments, TOURNAMENT, _plan(arguments), folder, _show)
 
 
 def _plan(arguments: TournamentArguments) -> TournamentPlan:
-    servers = server_access(arguments.servers)
+    agents, servers = arguments.agents, server_access(arguments.servers)
     if arguments.resume is None:
-        return plan_tournament(
-            arguments.agents,
-            tracks=arguments.tracks,
-            races=arguments.races,
-            per_race=arguments.per_race,
-            seed=arguments.seed,
-            servers=servers,
-            **arguments.settings,
-        )
+        schedule = vars(arguments.schedule)
+        return plan_tournament(agents, servers=servers, **schedule, **arguments.settings)
     show_output = arguments.settings.pop("show_output")
-    changed = changed_options(arguments, only=("tracks", "races", "per_race", "seed", "settings"))
+    changed = changed_options(arguments, only=("schedule", "settings"))
     refuse_options("--resume keeps the arguments of its tournament", changed)
-    plan = resumed_plan(Path(arguments.resume), arguments.agents, servers)
+    plan = resumed_plan(Path(arguments.resume), agents, servers)
     return replace(plan, settings=replace(plan.settings, show_output=show_output))
 
 
 def _show(result: TournamentResult) -> None:
-    columns = ("place", "agent", "rating", "95%", "races", "wins", "rank", "finished", "failed")
-    rows = [
-        (
-            str(row.place),
-            row.label,
-            f"{row.rating.value:.1f}",
-            f"{row.rating.low:.1f} to {row.rating.high:.1f}",
-            str(row.races),
-            str(row.wins),
-            "-" if row.mean_rank is None else f"{row.mean_rank:.2f}",
-            str(row.finished),
-            str(row.failed),
-        )
-        for row in result.standings
-    ]
+    rows = []
+    for row in result.standings:
+        interval = f"{row.rating.low:.1f} to {row.rating.high:.1f}"
+        counts = (row.races, row.wins, row.mean_rank, row.finished, row.failed)
+        rows.append((row.place, row.label, row.rating.value, interval, *counts))
     styles = ["red" if row.errors else None for row in result.standings]
-    show_table(columns, rows, left=("agent",), styles=styles)
+    show_table(_COLUMNS, rows, styles=styles)
     for row in result.standings:
         if row.reason:
             say(f"{row.label} failed in {row.failed} of {row.races} races: {row.reason}")

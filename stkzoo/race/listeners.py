@@ -113,21 +113,6 @@ class RaceListener:
         """Called last, also after an error. Release resources here."""
 
 
-class ResultKeeper(RaceListener):
-    """Stores the result, which remains available if another listener fails after the race.
-
-    Attributes:
-        result: result of the race; ``None`` until the race has ended.
-    """
-
-    def __init__(self) -> None:
-        self.result: RaceResult | None = None
-
-    def ended(self, result: RaceResult) -> None:
-        """Stores the result."""
-        self.result = result
-
-
 class ForwardingListener(RaceListener):
     """Forwards all calls to another listener.
 

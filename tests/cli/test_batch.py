@@ -4,48 +4,37 @@ from argparse import Namespace
 
 import pytest
 
-from stkzoo.cli import _batch, _console, main
-from stkzoo.cli._batch import BatchArguments, file_name, run_batch, run_replays
+from stkzoo.cli import _console, main
+from stkzoo.cli._batch import file_name, run_batch
 from stkzoo.evaluation import BatchProgress
+from stkzoo.evaluation.batch.run import BatchKind
 
-BATCH = BatchArguments(jobs=1, race_timeout=60.0)
 
-
-def interrupted(*progress):
-    """Returns a function that reports progress and is then interrupted."""
-
-    def run(options):
+@pytest.mark.parametrize(
+    ("progress", "is_saved", "text"),
+    [
+        ([(0, 18), (3, 18)], True, "3 of 18 races are saved; run the same command to resume"),
+        ([(3, 18)], False, "nothing was saved"),
+        ([], True, "nothing was saved"),
+    ],
+)
+def test_an_interrupted_batch_says_how_many_races_are_saved(progress, is_saved, text, capsys):
+    def run(on_race):
         for done in progress:
-            options.on_race(BatchProgress(*done))
+            on_race(BatchProgress(*done))
         raise KeyboardInterrupt
 
-    return run
-
-
-def test_an_interrupted_batch_says_how_many_races_are_saved(capsys):
-    assert run_batch(BATCH, interrupted((0, 18), (3, 18))) == (None, 130)
-    expected = "interrupted; 3 of 18 races are saved; run the same command to resume"
-    assert expected in capsys.readouterr().err
+    assert run_batch({}, run, is_saved=is_saved) == (None, 130)
+    assert capsys.readouterr().err == f"stkzoo: interrupted; {text}\n"
 
 
 def test_without_a_terminal_a_batch_prints_a_line_of_progress_every_ten_seconds(
     capsys, monkeypatch
 ):
-    seconds = iter([0.0, 4.0, 12.0, 12.0, 15.0, 23.0, 23.0])
+    seconds = iter([0.0, 0.0, 4.0, 12.0, 12.0, 15.0, 23.0, 23.0])
     monkeypatch.setattr(_console, "time", Namespace(monotonic=lambda: next(seconds)))
-    run_batch(BATCH, lambda options: [options.on_race(BatchProgress(n, 9)) for n in range(4)])
-    assert capsys.readouterr().err == "1 of 9 races\n3 of 9 races\n"
-
-
-@pytest.mark.parametrize("progress", [(), ((3, 18),)])
-def test_interrupted_replays_say_that_nothing_was_saved(progress, capsys):
-    def run(**options):
-        for done in progress:
-            options["on_race"](BatchProgress(*done))
-        raise KeyboardInterrupt
-
-    assert run_replays(BATCH, run) == (None, 130)
-    assert capsys.readouterr().err == "stkzoo: interrupted; nothing was saved\n"
+    run_batch({}, lambda on_race: [on_race(BatchProgress(n, 9)) for n in range(4)])
+    assert capsys.readouterr().err == "races: 1 of 9\nraces: 3 of 9\n"
 
 
 @pytest.mark.parametrize(
@@ -78,10 +67,10 @@ def test_an_agent_does_not_choose_the_output_folder(words, folder, tmp_path, mon
     agent.write_text('player_name = ".."\n\n\ndef get_actor(*_):\n    return None\n')
     folders = []
 
-    def run(_, planned, **_options):
-        folders.append(planned.args[1])
-        return None, 0
+    def run(*arguments):
+        folders.append(arguments[2])
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(_batch, "run_batch", run)
-    assert main([*words, str(agent)]) == 0
+    monkeypatch.setattr(BatchKind, "run", run)
+    assert main([*words, str(agent)]) == 130
     assert [place.as_posix() for place in folders] == [folder]

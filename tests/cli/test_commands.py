@@ -3,9 +3,6 @@
 import argparse
 import shlex
 import signal
-import subprocess
-import sys
-import textwrap
 from pathlib import Path
 
 import pytest
@@ -85,46 +82,35 @@ def test_an_unknown_word_is_reported_with_the_nearest_valid_one(words, meant, ca
 @pytest.mark.parametrize(
     "words", [["tracks", "olivermath"], ["karts", "--json"], ["race", "--help"]]
 )
-def test_a_closed_pipe_causes_no_traceback(words):
-    program = subprocess.Popen(
-        [sys.executable, "-c", "import sys, stkzoo.cli; sys.exit(stkzoo.cli.main())", *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    program.stdout.close()
-    with program.stderr:
-        assert program.stderr.read() == b""
-    assert program.wait() in (0, 1)  # argparse ignores the broken pipe
+def test_a_closed_pipe_causes_no_traceback(words, run_command):
+    reader_ends = "reader, writer = os.pipe(); os.close(reader); os.dup2(writer, 1)"
+    done = run_command(words, before=reader_ends)
+    assert done.stderr == ""
+    assert done.returncode in (0, 1)  # argparse ignores the broken pipe
 
 
-ENDED = """
-    import os, signal, sys, time
-    from stkzoo import cli
+TOLD_TO_END = """
+    import time
 
-    signal.signal(getattr(signal, sys.argv[1]), signal.SIG_DFL)  # the tests may run with nohup
+    number = signal.{name}
+    signal.signal(number, signal.SIG_DFL)  # the tests may run with nohup
 
     def command(words):
         try:
-            os.kill(os.getpid(), getattr(signal, words[0]))
+            os.kill(os.getpid(), number)
             time.sleep(60)
         finally:
-            os.kill(os.getpid(), getattr(signal, words[0]))  # as `timeout` does
+            os.kill(os.getpid(), number)  # as `timeout` does
             print("kept", flush=True)
         return 0
 
     cli._exit_code = command
-    sys.exit(cli.main(sys.argv[1:]))
 """
-
-
-def ended(*words, **options):
-    program = [sys.executable, "-c", textwrap.dedent(ENDED), *words]
-    return subprocess.run(program, capture_output=True, text=True, timeout=60, **options)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_a_command_that_is_told_to_end_stops_like_after_ctrl_c(name):
-    done = ended(name)
+def test_a_command_that_is_told_to_end_stops_like_after_ctrl_c(name, run_command):
+    done = run_command([], before=TOLD_TO_END.format(name=name))
     assert (done.returncode, done.stdout) == (128 + getattr(signal, name), "kept\n")
     assert done.stderr == "stkzoo: interrupted\n"

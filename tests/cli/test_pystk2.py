@@ -1,8 +1,6 @@
 """The command ``stkzoo pystk2``, compared with the reference's ``pystk2``."""
 
 import json
-import subprocess
-import sys
 
 import pytest
 
@@ -40,9 +38,8 @@ def choices_of(parser):
     return commands.choices
 
 
-def test_options_and_defaults_match_the_reference():
-    command = [sys.executable, "-c", REFERENCE]
-    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+def test_options_and_defaults_match_the_reference(programs):
+    said = programs.run(REFERENCE).stdout
     ours = choices_of(choices_of(build_parser("pystk2"))["pystk2"])
     for name, options in json.loads(said).items():
         known = options_of(ours[name])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from stkzoo._arguments import option
 from stkzoo._checks import check_number, check_whole
 from stkzoo._locks import locked_folder
 from stkzoo._os import cpu_count, make_folder, write_text
@@ -54,16 +55,18 @@ class BatchProgress:
 class RunOptions:
     """Options for running a batch. They do not affect its results.
 
+    The attribute texts are also the help of the commands' options.
+
     Attributes:
-        jobs: maximum number of races at the same time; ``None`` for the number of CPU cores.
-        race_timeout: time limit of a race [s]. A longer race is repeated with a time budget for
-            each agent.
+        jobs: races at the same time (default: all CPU cores)
+        race_timeout: time limit of one race [s]; a longer race is repeated with a time budget for
+            each agent
         on_race: function called at the beginning and after every race.
         plot: whether to plot the result.
     """
 
     jobs: int | None = None
-    race_timeout: float = 3600.0
+    race_timeout: float = option(3600.0, metavar="SECONDS")
     on_race: Callable[[BatchProgress], object] | None = None
     plot: bool = True
 
