@@ -125,7 +125,7 @@ def _text(cell: object) -> str:
         return "yes" if cell else "no"
     if isinstance(cell, int):
         return f"{cell:,}"
-    return "-" if cell is None else f"{cell:.2f}" if isinstance(cell, float) else str(cell)
+    return "-" if cell is None else f"{cell:,.2f}" if isinstance(cell, float) else str(cell)
 
 
 class Bars(rich.progress.Progress):
