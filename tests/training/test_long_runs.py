@@ -13,6 +13,7 @@ from tests.support.training import log_of, run_and_kill, words_of
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.matrix,
+    pytest.mark.timeout(1800),
     pytest.mark.skipif(os.name != "posix", reason="kills by signal"),
 ]
 KART_STEPS = 100_000
@@ -20,7 +21,7 @@ KART_STEPS = 100_000
 
 @pytest.mark.parametrize(
     ("algorithm", "task"),
-    [("ippo", "versus"), ("mappo", "team-2v2"), ("fsp", "selfplay-5"), ("pfsp", "team-2v2")],
+    [("ippo", "solo-1"), ("mappo", "team-2v2"), ("fsp", "selfplay-5"), ("pfsp", "team-2v2")],
 )
 def test_a_reference_algorithm_resumes_after_a_kill(tmp_path, monkeypatch, algorithm, task):
     monkeypatch.setattr(
