@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import zip_longest
 from typing import Any
 
@@ -25,6 +25,17 @@ from stkzoo.race.document import Document
 _UNLIMITED = 10_000
 #: Minimum time between two lines about the same stage without a terminal [s].
 _QUIET_INTERVAL = 10.0
+
+
+@dataclass
+class JsonArguments:
+    """Options of commands that only show facts.
+
+    Attributes:
+        json: write JSON instead of a table
+    """
+
+    json: bool = False
 
 
 def make_console() -> Console:

@@ -15,7 +15,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -30,7 +29,7 @@ from stkzoo._installation import (
 )
 from stkzoo._os import DISPLAY_VARIABLES, has_display
 from stkzoo._temporary import TemporaryFolder
-from stkzoo.cli._console import say, show, show_table
+from stkzoo.cli._console import JsonArguments, say, show, show_table
 from stkzoo.drivers.sandbox import bubblewrap_problem
 from stkzoo.engine.assets import DATADIR_VARIABLE, find_assets
 from stkzoo.engine.fork_client import can_fork
@@ -56,18 +55,7 @@ _PROBE_LIMIT = 60.0
 _DRIVERS = ("dri/*_dri.so", "*/dri/*_dri.so", "libnvidia-eglcore*", "*/libnvidia-eglcore*")
 
 
-@dataclass
-class DoctorArguments:
-    """Options of ``stkzoo doctor``.
-
-    Attributes:
-        json: write JSON instead of a table
-    """
-
-    json: bool = False
-
-
-def run(arguments: DoctorArguments) -> int:
+def run(arguments: JsonArguments) -> int:
     """Runs all checks and shows the findings."""
     findings = list(_diagnose())
     ready = all(finding["ok"] for finding in findings if finding["required"])

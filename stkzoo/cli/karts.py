@@ -10,23 +10,10 @@ Examples:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from stkzoo.cli._console import show, show_facts
+from stkzoo.cli._console import JsonArguments, show, show_facts
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.assets.tree import parse_xml
 from stkzoo.wrappers.control.kart import KARTS
-
-
-@dataclass
-class KartsArguments:
-    """Options of ``stkzoo karts``.
-
-    Attributes:
-        json: write JSON instead of a table
-    """
-
-    json: bool = False
 
 
 def kart_facts() -> list[dict[str, object]]:
@@ -49,7 +36,7 @@ def kart_facts() -> list[dict[str, object]]:
     return facts
 
 
-def run(arguments: KartsArguments) -> int:
+def run(arguments: JsonArguments) -> int:
     """Prints a table or JSON."""
     show(kart_facts(), show_facts, as_json=arguments.json)
     return 0

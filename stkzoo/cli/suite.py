@@ -94,21 +94,31 @@ class ExploitArguments:
 
 
 @dataclass
-class EvaluateArguments:
-    """Options of ``stkzoo suite evaluate``.
+class PlannedEntryArguments:
+    """Options of the races of an entry.
 
     Attributes:
         task: the task, as listed by `stkzoo suite list`
         agent: the agent: a driver's name, a folder, a zip or a module; append @:Name to rename it
         split: test for an entry; train for fewer races on the training tracks (default: test)
-        output: folder of the entry (default: suite/TASK-AGENT)
-        json: write only the entry's JSON to stdout
     """
 
     task: str = positional()
     agent: str = positional()
-    about: suite.About = options_of(suite.About, group="entry")
     split: str = option("test", choices=("test", "train"), group="entry")
+    about: suite.About = options_of(suite.About, group="entry")
+
+
+@dataclass
+class EvaluateArguments:
+    """Options of ``stkzoo suite evaluate``.
+
+    Attributes:
+        output: folder of the entry (default: suite/TASK-AGENT)
+        json: write only the entry's JSON to stdout
+    """
+
+    plan: PlannedEntryArguments = options_of(PlannedEntryArguments)
     output: Path | None = option(metavar="FOLDER", group="entry")
     json: bool = option(False, group="entry")
     batch: dict[str, Any] = options_of(RunOptions, only=RUN_OPTIONS)
@@ -254,13 +264,7 @@ def _evaluate(arguments: EvaluateArguments) -> int:
       0 success, 1 a race could not be run, 2 invalid command line, 3 the agent
       failed in some race, 130 interrupted
     """
-    plan = suite.plan_entry(
-        arguments.task,
-        arguments.agent,
-        split=arguments.split,
-        about=arguments.about,
-        **arguments.settings,
-    )
+    plan = suite.plan_entry(**vars(arguments.plan), **arguments.settings)
     name = f"{plan.task}-{file_name(plan.agent.label)}"
     name += "-train" if plan.is_on_training_tracks else ""
     folder = arguments.output or Path("suite", name)

@@ -66,7 +66,7 @@ class About:
     Attributes:
         authors: names of the authors, at most 2,000 characters.
         description: how the agent was made, and where to find it; at most 2,000 characters.
-        kart_steps: number of kart-steps that it learned from; ``None`` if unknown.
+        kart_steps: number of kart-steps that it learned from (default: unknown).
 
     Raises:
         ConfigError: a value is invalid.
