@@ -107,6 +107,7 @@ class Discretizer:
         self.values = check_whole("number of steps", values, 2)
         self.min_value = float(space.low[0])
         self.max_value = float(space.high[0])
+        self._width = self.max_value - self.min_value
         self.space = spaces.Discrete(self.values)
 
     def discretize(self, value: Any) -> int:
@@ -120,10 +121,6 @@ class Discretizer:
         share = np.asarray(value, np.float64) / (self.values - 1)
         numbers = self._width * share + self.min_value
         return numbers if np.ndim(numbers) else float(numbers)
-
-    @property
-    def _width(self) -> float:
-        return self.max_value - self.min_value
 
 
 class DiscreteActionsWrapper(ActionFormWrapper, CompiledWrapper):

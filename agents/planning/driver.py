@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from stkzoo import Phase
+from stkzoo.mdp import action_of
 from stkzoo.wrappers.racing import (
     LOOKS,
     MIRROR,
@@ -301,12 +302,6 @@ class PlanDriver:
 def likeliest(logits: FloatArray) -> IntArray:
     """Returns the most likely choices ``(A, 4)`` for logits ``(A, sum(CHOICES))``."""
     return np.stack([logits[:, head].argmax(axis=1) for head in HEADS], axis=1)
-
-
-def action_of(controls: FloatArray) -> dict[str, Any]:
-    """Converts controls ``(7,)`` to an action of the ``full`` view."""
-    buttons = {key: int(controls[n]) for n, key in enumerate(BUTTONS, start=2)}
-    return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
 
 
 def steer_of_turn(side: IntArray, turn: FloatArray, begins: BoolArray) -> FloatArray:

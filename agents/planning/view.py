@@ -21,6 +21,7 @@ from gymnasium.vector.utils import batch_space
 
 from stkzoo import Phase, RaceVectorEnv
 from stkzoo.errors import ConfigError
+from stkzoo.mdp import action_of
 from stkzoo.views import View
 from stkzoo.wrappers import CompiledWrapper
 from stkzoo.wrappers.racing import (
@@ -38,7 +39,6 @@ from .driver import (
     CHOICES,
     INPUT_SIZE,
     PlanDriver,
-    action_of,
     mirrored_choices,
     mirrored_inputs,
     mirrored_prior,

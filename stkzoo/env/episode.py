@@ -93,6 +93,8 @@ class Episode:
         track_map: map of the track.
         course: track graph, number of segments in observations, and kart models.
         snapshot: current snapshot.
+        step_size: game time of one step [s].
+        num_players: number of karts for which the engine expects controls.
         record: rewards, ends and infos of the episode.
     """
 
@@ -122,9 +124,11 @@ class Episode:
         )
         self.track_map = decode_track(start.track)
         self.snapshot = start.snapshot
+        self.step_size = setup.step_size
         self._number_of = {f"kart_{number}": number for number in range(len(kart_indices))}
         self._karts = np.array(kart_indices, np.intp)
         self._players = np.flatnonzero([not kart.is_bot for kart in setup.karts])
+        self.num_players = len(self._players)
         self._latest_seats: tuple[tuple[Sequence[str], Seats], ...] = ()
         self._past: Any = None  # (earlier history, latest controls), shared by copies
         self._start(options, rewards)
@@ -147,16 +151,6 @@ class Episode:
         twin = copy.copy(self)
         twin._start(options, rewards)
         return twin
-
-    @property
-    def step_size(self) -> float:
-        """Game time of one step [s]."""
-        return self.race.step_size
-
-    @property
-    def num_players(self) -> int:
-        """Number of karts for which the engine expects controls."""
-        return len(self._players)
 
     def seats(self, agents: Sequence[str]) -> Seats:
         """Returns where some agents sit: the same object as long as the agents are the same."""

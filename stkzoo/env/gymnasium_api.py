@@ -153,7 +153,7 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         """
         if self.snapshot is None or self.race is None:
             raise ApiOrderError("there is no race before reset(); call reset() first")
-        return WorldView.of(self.snapshot, self.race.kart_types)
+        return WorldView(self.snapshot, self.race.kart_types)
 
     def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
         if self.snapshot is not None and not self.core.agents:

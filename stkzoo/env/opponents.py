@@ -38,7 +38,7 @@ class Opponent:
     """One opponent in one race.
 
     Attributes:
-        agent: id of its kart.
+        request: what its driver is asked for.
         driver: its driver.
         view: its view in this race.
         code: its driver's code, if it runs in this process.
@@ -46,12 +46,17 @@ class Opponent:
         instance: its driver's instance, if it runs in another process.
     """
 
-    agent: str
+    request: DriverRequest
     driver: Driver
     view: ViewFactory
     code: AgentCode | None = None
     actor: Actor | None = None
     instance: DriverInstance | None = None
+
+    @property
+    def agent(self) -> str:
+        """Id of its kart."""
+        return self.request.agent
 
     @property
     def group(self) -> int:
@@ -104,7 +109,7 @@ class RaceOpponents:
     """The opponents in the races of one environment.
 
     Args:
-        choice: the ``opponents`` argument.
+        choice: the ``opponents`` argument, also an attribute.
         num_agents: number of agents.
         count: number of opponents.
         view: view of the first agent, used for policies without a view of their own.
@@ -113,17 +118,13 @@ class RaceOpponents:
     def __init__(
         self, choice: OpponentChoice, num_agents: int, count: int, view: ViewFactory
     ) -> None:
-        self._choice, self._view = choice, view
+        self.choice, self._view = choice, view
         self._ids = tuple(f"kart_{num_agents + number}" for number in range(count))
         self._known_chains: deque[tuple[dict[str, ViewFactory], AgentChains]] = deque(maxlen=16)
         self._opponents: dict[str, Opponent] = {}  # without failed ones
         self._present: tuple[str, ...] = ()  # have not finished
         self._observations: dict[str, Any] | None = {}  # None after a step
         self._chains = self._chains_here()
-
-    def check_difficulty(self, difficulty: int | None) -> None:
-        """Checks a difficulty requested in ``reset``; see :meth:`OpponentChoice.level`."""
-        self._choice.level(difficulty)
 
     def draw(
         self,
@@ -132,7 +133,7 @@ class RaceOpponents:
         are_game_ai: Sequence[bool] = (),
     ) -> Lineup:
         """Draws the drivers of the next race; see :meth:`OpponentChoice.draw`."""
-        return self._choice.draw(len(self._ids), random, difficulty, are_game_ai)
+        return self.choice.draw(len(self._ids), random, difficulty, are_game_ai)
 
     def specs(self, drivers: Sequence[Driver]) -> list[AgentSpec]:
         """Returns the agent specs of the drivers' karts."""
@@ -150,20 +151,16 @@ class RaceOpponents:
         """
         self.close()
         seed = episode.race.seed
-        requests: list[DriverRequest] = []
         for number, (agent, driver) in enumerate(zip(self._ids, drivers, strict=True)):
             if driver.is_game_ai:
                 continue
             seen = kart_observation_space(extras=driver.extras)
             request = DriverRequest(agent, seen, kart_action_space(), seed + number)
-            opponent = Opponent(agent, driver, full_with(driver.extras))
-            self._opponents[agent] = opponent
-            requests.append(request)
-            self.attempt(opponent, partial(self._start, opponent, request))
+            self._opponents[agent] = Opponent(request, driver, full_with(driver.extras))
+            self.attempt(self._opponents[agent], partial(self._start, self._opponents[agent]))
         self._chains = self._chains_here()
-        for request in requests:
-            if (started := self._opponents.get(request.agent)) is not None:
-                self.attempt(started, partial(self._get_ready, started, request))
+        for opponent in [*self._opponents.values()]:
+            self.attempt(opponent, partial(self._get_ready, opponent))
         self._present = tuple(self._opponents)
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in self._present}
         failed: Failures = {}
@@ -208,23 +205,23 @@ class RaceOpponents:
         self._opponents, self._present = {}, ()
         self._observations = {}
 
-    def _start(self, opponent: Opponent, request: DriverRequest) -> None:
+    def _start(self, opponent: Opponent) -> None:
         driver = opponent.driver
         if driver.load is None:
             assert driver.start is not None  # noqa: S101 - not the game's AI
-            opponent.instance = driver.start(request)
+            opponent.instance = driver.start(opponent.request)
         else:
-            opponent.code = self._choice.code(driver)
+            opponent.code = self.choice.code(driver)
             opponent.view = opponent.code.wrap or self._view
 
-    def _get_ready(self, opponent: Opponent, request: DriverRequest) -> None:
+    def _get_ready(self, opponent: Opponent) -> None:
         if opponent.instance is not None:
             opponent.instance.ready()
         elif (code := opponent.code) is not None:
             seen = self._chains.observation_spaces[opponent.agent]
             acted = self._chains.action_spaces[opponent.agent]
             with code.scope:
-                opponent.actor = code.make_actor(seen, acted, request.seed)
+                opponent.actor = code.make_actor(seen, acted, opponent.request.seed)
 
     def _chains_here(self) -> AgentChains:
         """Builds the opponents' views and removes opponents whose wrappers fail.

@@ -80,6 +80,9 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
 
     Attributes:
         live_race: the ``stkzoo.env.race.Race`` that this environment drives.
+        specs: options of the agents.
+        ai_agents: agents that the game's AI drives; their actions are optional and ignored.
+        cameras: the agents' cameras.
 
     Raises:
         ConfigError: an argument is invalid.
@@ -164,6 +167,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
             from stkzoo.env.opponents import RaceOpponents
 
             drivers = RaceOpponents(choice, len(specs), num_opponents, next(iter(views.values())))
+        self.specs, self.ai_agents, self.cameras = specs, ai_agents, cameras
         self.live_race = Race(
             options=options,
             specs=specs,
@@ -305,21 +309,6 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
     def agents(self) -> list[str]:
         """Agents that are still racing."""
         return self.live_race.agents
-
-    @property
-    def specs(self) -> Sequence[AgentSpec]:
-        """Options of the agents."""
-        return self.live_race.specs
-
-    @property
-    def ai_agents(self) -> set[str]:
-        """Agents that the game's AI drives; their actions are optional and ignored."""
-        return self.live_race.ai_agents
-
-    @property
-    def cameras(self) -> RaceCameras:
-        """The agents' cameras."""
-        return self.live_race.cameras
 
     @property
     def step_size(self) -> float:

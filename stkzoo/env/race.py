@@ -76,6 +76,9 @@ class Race:
         rendering: as above.
         cameras: as above.
         opponents: as above.
+        has_rows: whether the kernel writes all observations as rows of arrays
+            (:meth:`finish_into`).
+        is_compiled: whether the kernel runs all wrappers of all agents.
     """
 
     def __init__(
@@ -102,6 +105,7 @@ class Race:
         self.starts: AheadStarts | RepeatedStarts | None = None
         self.rendering, self.cameras, self.opponents = rendering, cameras, opponents
         self._rewards, self._assets, self._chains = rewards, assets, chains
+        self.has_rows, self.is_compiled = chains.has_rows, chains.is_compiled
         self._num_cameras = num_cameras
         self._random: np.random.Generator | None = None
         self._stepping: Episode | None = None  # the episode with a running step
@@ -116,16 +120,6 @@ class Race:
     @np_random.setter
     def np_random(self, random: np.random.Generator) -> None:
         self._random = random
-
-    @property
-    def has_rows(self) -> bool:
-        """Whether the kernel writes all observations as rows of arrays (:meth:`finish_into`)."""
-        return self._chains.has_rows
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether the kernel runs all wrappers of all agents."""
-        return self._chains.is_compiled
 
     def running(self, method: str) -> Episode:
         """Returns the current episode.
@@ -190,7 +184,7 @@ class Race:
         if isinstance(moment, Scenario):
             self._drivers_in(moment, copy.deepcopy(self.np_random))
         elif moment is None and self.opponents is not None:
-            self.opponents.check_difficulty(asked.get("difficulty"))
+            self.opponents.choice.level(asked.get("difficulty"))
 
     def next_setup(self, seed: int | None, asked: Mapping[str, Any]) -> RaceSetup | None:
         """Returns the setup of the race that :meth:`start` will draw, without drawing it.

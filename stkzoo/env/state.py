@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from stkzoo.engine.session import Session, WorkerSession
-from stkzoo.engine.snapshot import Snapshot
 from stkzoo.env.episode import Episode
-from stkzoo.env.grid import RaceInfo, RaceRoster
+from stkzoo.env.grid import RaceRoster
 from stkzoo.env.options import OF_AN_EPISODE, RaceOptions
 from stkzoo.errors import ApiOrderError, ConfigError
 from stkzoo.views.chains import ChainsMemory
@@ -53,6 +52,10 @@ class RaceState:
     Attributes:
         is_open: whether the state is still open.
         moment: state of the environment, without the state of the game.
+        race: names of the race and its karts.
+        snapshot: snapshot of all karts at the saved moment.
+        agents: agents that were still racing.
+        roster: karts and agents of the race.
     """
 
     def __init__(self, session: Session, moment: Moment) -> None:
@@ -61,6 +64,8 @@ class RaceState:
             session.remedy = "the state is lost; save another"
         self._session = session
         self.moment = moment
+        self.race, self.snapshot = moment.episode.race, moment.episode.snapshot
+        self.agents, self.roster = moment.agents, moment.roster
         self.is_open = True
         self._lock = threading.RLock()  # a handler of a signal may close it
 
@@ -68,26 +73,6 @@ class RaceState:
     def pid(self) -> int | None:
         """Id of the paused game process; ``None`` after it has ended."""
         return self._session.pid
-
-    @property
-    def race(self) -> RaceInfo:
-        """Names of the race and its karts."""
-        return self.moment.episode.race
-
-    @property
-    def agents(self) -> tuple[str, ...]:
-        """Agents that were still racing."""
-        return self.moment.agents
-
-    @property
-    def roster(self) -> RaceRoster:
-        """Karts and agents of the race."""
-        return self.moment.roster
-
-    @property
-    def snapshot(self) -> Snapshot:
-        """Snapshot of all karts at the saved moment."""
-        return self.moment.episode.snapshot
 
     def resume_in(self, session: Session) -> None:
         """Continues a copy of the saved race in a session.

@@ -75,34 +75,33 @@ class KartView:
         return AttachmentView(AttachmentType(self.attachment_type), self.attachment_time_left)
 
 
-@dataclass(frozen=True, slots=True)
 class WorldView:
-    """One moment of a race."""
+    """One moment of a race.
 
-    time: float
-    aux_ticks: float
-    phase: Phase
-    karts: list[KartView]
-    items: list[ItemView]
+    Args:
+        snapshot: snapshot of the moment.
+        kart_types: model of each kart, in grid order.
 
-    @classmethod
-    def of(cls, snapshot: Snapshot, kart_types: tuple[str, ...]) -> WorldView:
-        """Returns the view of a snapshot."""
-        return cls(
-            time=float(snapshot.header["time"]),
-            aux_ticks=float(snapshot.header["aux_ticks"]),
-            phase=Phase(snapshot.phase),
-            karts=[
-                KartView(record, index, kart_types[index])
-                for index, record in enumerate(snapshot.karts)
-            ],
-            items=[
-                ItemView(
-                    int(item["id"]),
-                    ItemType(int(item["type"])),
-                    item["location"].copy(),
-                    float(item["size"]),
-                )
-                for item in snapshot.items
-            ],
-        )
+    Attributes:
+        time: time since GO [s].
+        aux_ticks: the game's counter of ticks.
+        phase: phase of the race.
+        karts: all karts, in grid order.
+        items: all items.
+    """
+
+    def __init__(self, snapshot: Snapshot, kart_types: tuple[str, ...]) -> None:
+        self.time = float(snapshot.header["time"])
+        self.aux_ticks = float(snapshot.header["aux_ticks"])
+        self.phase = Phase(snapshot.phase)
+        records = enumerate(zip(snapshot.karts, kart_types, strict=True))
+        self.karts = [KartView(record, index, kind) for index, (record, kind) in records]
+        self.items = [
+            ItemView(
+                int(item["id"]),
+                ItemType(int(item["type"])),
+                item["location"].copy(),
+                float(item["size"]),
+            )
+            for item in snapshot.items
+        ]

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from stkzoo.engine.snapshot import Snapshot
 from stkzoo.engine.track import TrackMap
@@ -47,6 +46,8 @@ class RaceEvents:
 
     Attributes:
         counts: ``(K, E)`` float64, the :data:`EVENTS` of the latest step.
+        seconds: ``(K, 3)`` float64, how long each kart has been in each state of :data:`STREAKS`
+            [s]. A kart counts as stuck while it stays within 3 m.
     """
 
     def __init__(self, track: TrackMap, step_size: float, num_kart: int) -> None:
@@ -54,15 +55,8 @@ class RaceEvents:
         self._track, self._step_size = track, step_size
         self._memory = np.zeros((num_kart, _NUM_OWN + num_kart))
         self._memory[:, _PLACE] = np.inf  # unknown before the first step
+        self.seconds = self._memory[:, : len(STREAKS)]
         self._counter = EventCounter(track.path_nodes, step_size, self._memory, self.counts)
-
-    @property
-    def seconds(self) -> npt.NDArray[np.float64]:
-        """``(K, 3)`` float64, how long each kart has been in each state of :data:`STREAKS` [s].
-
-        A kart counts as stuck while it stays within 3 m.
-        """
-        return self._memory[:, : len(STREAKS)]
 
     def count(self, before: Snapshot, after: Snapshot) -> None:
         """Counts the events of the step between two snapshots; none occur before the GO phase."""

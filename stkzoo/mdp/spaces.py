@@ -49,6 +49,12 @@ def as_actions(controls: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[Any]]
     return {"acceleration": controls[..., 0:1], "steer": controls[..., 1:2], **buttons}
 
 
+def action_of(controls: npt.NDArray[np.float32]) -> dict[str, Any]:
+    """Converts controls ``(7,)`` to an action: floats ``(1,)`` and buttons ``int``."""
+    buttons = {name: int(controls[place]) for place, name in enumerate(CONTROLS[2:], start=2)}
+    return {"acceleration": controls[:1], "steer": controls[1:2], **buttons}
+
+
 #: Optional parts of an observation, each with an entry that identifies it.
 EXTRAS = {"ground": "ground_kind", "motion": "karts_velocity"}
 

@@ -7,7 +7,6 @@
 import sys
 from types import ModuleType
 
-from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.chains import AgentChains
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.registry import (
@@ -29,7 +28,6 @@ __all__ = [
     "CAMERA_VIEWS",
     "SHIPPED",
     "VIEWS",
-    "AgentChain",
     "AgentChains",
     "View",
     "ViewFactory",

@@ -112,6 +112,7 @@ class AgentChain:
         base_action_space: actions after all wrappers.
         num_clipped: number of actions with values outside a ``Box`` that were clipped; ``None`` if
             such values are errors.
+        is_empty: whether no wrapper runs here: there is none, or the kernel implements all.
         is_pure: whether all wrappers that run here are pure functions from this package.
 
     Args:
@@ -148,7 +149,7 @@ class AgentChain:
         self._owners = (*self._wrappers, self._mono)
 
     def _set_wrappers(self, wrappers: tuple[Any, ...]) -> None:
-        self._wrappers = wrappers
+        self._wrappers, self.is_empty = wrappers, not wrappers
         self._is_plain = all(map(_has_plain_step, wrappers))
         self.is_pure = all(_is_compiled(w) and not w.has_memory for w in wrappers)
 
@@ -179,11 +180,6 @@ class AgentChain:
         self._set_wrappers(tuple(walked))
         return plan
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether no wrapper runs here: there is none, or the kernel implements all."""
-        return not self._wrappers
-
     def paths_used(self) -> int | None:
         """Returns the number of track segments that the chain uses; ``None`` for all."""
         innermost = self._wrappers[-1] if self._wrappers else None
@@ -203,13 +199,13 @@ class AgentChain:
             AgentException: a wrapper failed.
         """
         self.abandon()
-        self._door.start((observation, info))
+        self._door.first = observation, info
         try:
             with agent_failures(self.agent, "reset"):
                 observation, info = self.env.reset(seed=seed, options=options)
                 return observation, dict(info)
         finally:
-            self._door.start(None)
+            self._door.first = None
 
     def read_action(self, action: object) -> Any:
         """Checks an action and returns it in Gymnasium's form.
@@ -229,7 +225,7 @@ class AgentChain:
                         action = wrapper.action(action)
                 return action
             self._split_step = SplitStep(self.env.step, action)
-            self._door.connect(self._split_step)
+            self._door.handler = self._split_step
             try:
                 return self._split_step.begin()
             except BaseException:
@@ -282,11 +278,11 @@ class AgentChain:
         try:
             return begun.finish(result)
         finally:
-            self._door.connect(None)
+            self._door.handler = None
 
     def abandon(self) -> None:
         """Discards a step that has begun and will not be finished."""
-        self._door.connect(None)
+        self._door.handler = None
         if self._split_step is not None:
             self._split_step.abandon()
             self._split_step = None

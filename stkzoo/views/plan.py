@@ -66,23 +66,19 @@ class Seats:
 
 
 class ObservationSource(Protocol):
-    """A race at one moment, as the source of observations."""
+    """A race at one moment, as the source of observations.
 
-    @property
-    def course(self) -> tuple[Any, int, tuple[str, ...]]:
-        """The track's ``TrackGraph``, the number of observed segments, and the karts' models."""
+    Attributes:
+        course: the track's ``TrackGraph``, the number of observed segments, and the karts' models.
+        step_size: game time of one step [s].
+        track_map: the :class:`~stkzoo.engine.track.TrackMap`.
+        snapshot: snapshot of all karts.
+    """
 
-    @property
-    def step_size(self) -> float:
-        """Game time of one step [s]."""
-
-    @property
-    def track_map(self) -> Any:
-        """The :class:`~stkzoo.engine.track.TrackMap`."""
-
-    @property
-    def snapshot(self) -> Any:
-        """Snapshot of all karts."""
+    course: tuple[Any, int, tuple[str, ...]]
+    step_size: float
+    track_map: Any
+    snapshot: Any
 
     def ground_ahead(self, karts: IntArray) -> Mapping[str, npt.NDArray[Any]]:
         """Returns the observation entries of the ground ahead of some karts."""

@@ -26,20 +26,16 @@ AgentStep = tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]
 class AgentSide:
     """One agent's side of a race, which replaces an environment that advances by itself.
 
-    Because all agents step together, ``reset`` returns the values given to :meth:`start`, and
-    ``step`` passes the action on to the race's step.
+    Because all agents step together, ``reset`` returns a value that is set before, and ``step``
+    passes the action on to the race's step.
+
+    Attributes:
+        handler: handler of ``step``; with ``None``, ``step`` raises an error.
+        first: result of ``reset``; with ``None``, ``reset`` raises an error.
     """
 
-    _handler: SplitStep | None = None
-    _first: tuple[Any, dict[str, Any]] | None = None
-
-    def start(self, first: tuple[Any, dict[str, Any]] | None) -> None:
-        """Sets the result of ``reset``; with ``None``, ``reset`` raises an error."""
-        self._first = first
-
-    def connect(self, handler: SplitStep | None) -> None:
-        """Sets the handler of ``step``; with ``None``, ``step`` raises an error."""
-        self._handler = handler
+    handler: SplitStep | None = None
+    first: tuple[Any, dict[str, Any]] | None = None
 
     def step(self, action: Any) -> AgentStep:
         """Waits until the race has advanced and returns this agent's part of the result.
@@ -47,20 +43,20 @@ class AgentSide:
         Raises:
             RuntimeError: a wrapper called it outside its own ``step``.
         """
-        if self._handler is None:
+        if self.handler is None:
             raise RuntimeError(
                 "a wrapper called step outside its own step (in reset, perhaps); one agent's "
                 "wrapper cannot move the race of all."
             )
-        return self._handler.step(action)
+        return self.handler.step(action)
 
     def _begun(self) -> tuple[Any, dict[str, Any]]:
-        if self._first is None:
+        if self.first is None:
             raise RuntimeError(
                 "a wrapper called reset in the middle of a race; one agent's wrapper cannot "
                 "restart the race of all. End the agent's episode (truncated) instead."
             )
-        observation, info = self._first
+        observation, info = self.first
         return observation, dict(info)
 
 

@@ -30,7 +30,8 @@ VARIED = [
 
 def agent_by_agent(monkeypatch):
     """Makes new environments collect values agent by agent, as for wrappers in Python."""
-    monkeypatch.setattr(Race, "has_rows", False)
+    never = property(lambda race: False, lambda race, value: None)  # noqa: ARG005
+    monkeypatch.setattr(Race, "has_rows", never, raising=False)
 
 
 @pytest.fixture(params=[True, False], ids=["rows", "agents"])

@@ -21,14 +21,16 @@ from stkzoo.mdp import rewards
 from stkzoo.mdp.spaces import extras_of, kart_action_space, kart_observation_space
 from stkzoo.names import AttachmentType, ItemType, PowerupType
 from stkzoo.views import VIEWS as ALL_VIEWS
-from stkzoo.views import AgentChain, base_space, find_view, full_with
+from stkzoo.views import base_space, find_view, full_with
+from stkzoo.views.agent_chain import AgentChain
 from stkzoo.views.chains import RecordsObserver
 from stkzoo.views.plan import Seats, ViewPlan
 from stkzoo.wrappers import ConstantSizedObservations, FlattenerWrapper, PolarObservations
 from stkzoo.wrappers.control import CarAction
-from stkzoo.wrappers.racing import OWN_SIZE, SIZE, RoadObserver, RoadTable, racing_features
+from stkzoo.wrappers.racing import OWN_SIZE, SIZE, racing_features
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS
-from stkzoo.wrappers.racing.surroundings import NUM_POINTS
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS, RoadTable
+from stkzoo.wrappers.racing.wrapper import RoadObserver
 from tests import oracle
 from tests.support.kernel_users import replaced_kernel
 from tests.support.views import MECHANISMS, marked

@@ -18,7 +18,8 @@ from gymnasium.wrappers import (
 
 from stkzoo.errors import ActionError, AgentException
 from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
-from stkzoo.views import AgentChain, AgentChains
+from stkzoo.views import AgentChains
+from stkzoo.views.agent_chain import AgentChain
 from stkzoo.wrappers import (
     ConstantSizedObservations,
     DiscreteActionsWrapper,

@@ -19,11 +19,9 @@ from stkzoo.mdp.spaces import GROUND_LANES, GROUND_MARKS
 from stkzoo.names import GroundKind
 from stkzoo.race import find_driver, run_race
 from stkzoo.race.remote import RemoteDriverGroup
-from stkzoo.wrappers.racing import (
-    GroundTable,
-    RoadTable,
-    ground_observer,
-)
+from stkzoo.wrappers.racing import ground_observer
+from stkzoo.wrappers.racing.racing_line import GroundTable
+from stkzoo.wrappers.racing.surroundings import RoadTable
 from tests.engine.test_ground import FLOOR, ground_with, plate, wall
 from tests.support.remote_race import server_thread
 

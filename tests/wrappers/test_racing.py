@@ -24,12 +24,11 @@ from stkzoo.wrappers.racing import (
     choices_of_action,
     controls_of_choices,
     racing_features,
-    road_line,
     road_observer,
     surroundings_of,
 )
 from stkzoo.wrappers.racing.features import MARKS, STEP
-from stkzoo.wrappers.racing.surroundings import NUM_POINTS
+from stkzoo.wrappers.racing.surroundings import NUM_POINTS, road_line
 from tests.support.generic_env import kart_env
 
 

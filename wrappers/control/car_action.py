@@ -64,6 +64,9 @@ class NumberAction(ABC):
         high: largest value, in physical units.
         normalize: whether that range is scaled to [-1, 1].
         params: limits of the kart.
+        lower_limit: smallest value of an action: ``low``, or -1 if normalized.
+        upper_limit: largest value of an action: ``high``, or 1 if normalized.
+        space: space of an action, ``()`` float32.
 
     Args:
         params: limits of the kart, or a mapping of some of them; by default, those of the game's
@@ -83,22 +86,9 @@ class NumberAction(ABC):
     ) -> None:
         self.params = CarParameters.of(params)
         self.normalize = check_flag("normalize", normalize)
-        self.low, self.high = self.bounds()
-
-    @property
-    def lower_limit(self) -> float:
-        """Smallest value of an action: ``low``, or -1 if normalized."""
-        return -1.0 if self.normalize else self.low
-
-    @property
-    def upper_limit(self) -> float:
-        """Largest value of an action: ``high``, or 1 if normalized."""
-        return 1.0 if self.normalize else self.high
-
-    @property
-    def space(self) -> spaces.Box:
-        """Space of an action, ``()`` float32."""
-        return spaces.Box(self.lower_limit, self.upper_limit, (), np.float32)
+        self.low, self.high = limits = self.bounds()
+        self.lower_limit, self.upper_limit = (-1.0, 1.0) if self.normalize else limits
+        self.space = spaces.Box(self.lower_limit, self.upper_limit, (), np.float32)
 
     @abstractmethod
     def bounds(self) -> tuple[float, float]:
@@ -270,6 +260,8 @@ class CarAction:
         longitudinal: meaning of the second number.
         steering: meaning of the first number.
         space: ``(2,)`` float32, in physical units or in [-1, 1].
+        steer_bounds: lower and upper bound of the first number in ``space``.
+        throttle_bounds: lower and upper bound of the second number in ``space``.
         params: limits of the kart.
 
     Args:
@@ -299,19 +291,11 @@ class CarAction:
         self.normalize = check_flag("normalize", normalize)
         self._low = np.array([self.steering.low, self.longitudinal.low], np.float32)
         self._high = np.array([self.steering.high, self.longitudinal.high], np.float32)
+        self.steer_bounds = self.steering.lower_limit, self.steering.upper_limit
+        self.throttle_bounds = self.longitudinal.lower_limit, self.longitudinal.upper_limit
         low, high = zip(self.steer_bounds, self.throttle_bounds, strict=True)
         self.space = spaces.Box(np.array(low, np.float32), np.array(high, np.float32))
         self._pedals = Pedals()
-
-    @property
-    def steer_bounds(self) -> tuple[float, float]:
-        """Lower and upper bound of the first number in ``space``."""
-        return self.steering.lower_limit, self.steering.upper_limit
-
-    @property
-    def throttle_bounds(self) -> tuple[float, float]:
-        """Lower and upper bound of the second number in ``space``."""
-        return self.longitudinal.lower_limit, self.longitudinal.upper_limit
 
     def new_controller(self, columns: Sequence[str]) -> CarController:
         """Returns the compiled form of :meth:`act`, ``stkzoo/kernel/car_controller.c``.

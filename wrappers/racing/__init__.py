@@ -10,19 +10,8 @@ from stkzoo.wrappers.racing.features import (
     PLACES,
     SIZE,
 )
-from stkzoo.wrappers.racing.racing_line import (
-    GroundObserver,
-    GroundTable,
-    ground_observer,
-    racing_line,
-)
-from stkzoo.wrappers.racing.surroundings import (
-    ABSENT,
-    RoadTable,
-    Surroundings,
-    road_line,
-    surroundings_of,
-)
+from stkzoo.wrappers.racing.racing_line import ground_observer, racing_line
+from stkzoo.wrappers.racing.surroundings import ABSENT, Surroundings, surroundings_of
 from stkzoo.wrappers.racing.wrapper import (
     BRAKE,
     CHOICE_NAMES,
@@ -32,7 +21,6 @@ from stkzoo.wrappers.racing.wrapper import (
     STEERS,
     RacingActions,
     RacingObservations,
-    RoadObserver,
     choices_of_action,
     controls_of_choices,
     racing_features,
@@ -55,19 +43,14 @@ __all__ = [
     "RESCUE",
     "SIZE",
     "STEERS",
-    "GroundObserver",
-    "GroundTable",
     "RacingActions",
     "RacingObservations",
-    "RoadObserver",
-    "RoadTable",
     "Surroundings",
     "choices_of_action",
     "controls_of_choices",
     "ground_observer",
     "racing_features",
     "racing_line",
-    "road_line",
     "road_observer",
     "surroundings_of",
 ]

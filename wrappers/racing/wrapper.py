@@ -15,7 +15,7 @@ from gymnasium import spaces
 from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import RacingObserver
-from stkzoo.mdp.spaces import as_actions
+from stkzoo.mdp.spaces import action_of
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 from stkzoo.wrappers.observations import refuse_polar
 from stkzoo.wrappers.racing.features import KERNEL_TABLES, LOOKS, OWN_SIZE, SIZE
@@ -255,8 +255,7 @@ class RacingActions(ActionFormWrapper, CompiledWrapper):
 
     def action(self, action: npt.NDArray[Any]) -> dict[str, Any]:
         """Returns the game's action."""
-        parts = as_actions(controls_of_choices(np.asarray(action)))
-        return {key: value if value.ndim else int(value) for key, value in parts.items()}
+        return action_of(controls_of_choices(np.asarray(action)))
 
     def observed_action(self, action: Mapping[str, Any]) -> npt.NDArray[np.int64]:
         """Returns the choices nearest to an action."""

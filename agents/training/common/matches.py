@@ -15,7 +15,7 @@ from gymnasium.vector.utils import create_empty_array
 from stkzoo import Phase, race_v0
 from stkzoo._schema import Count, Place
 from stkzoo.agents.planning import FloatArray, IntArray
-from stkzoo.agents.planning.driver import PolicyInput, action_of
+from stkzoo.agents.planning.driver import PolicyInput
 from stkzoo.agents.planning.parameters import DriverParameters
 from stkzoo.agents.planning.view import PlanView, around_of, surroundings_view
 from stkzoo.agents.pretrained.action_filter import ActionFilter
@@ -25,6 +25,7 @@ from stkzoo.agents.pretrained.mlp import MlpDriver
 from stkzoo.agents.pretrained.policy import RacingPolicy
 from stkzoo.agents.pretrained.weights import load_weights
 from stkzoo.evaluation import Rating, load_ai_times, rate
+from stkzoo.mdp import action_of
 from stkzoo.wrappers.racing import controls_of_choices, racing_features
 
 from .run_folder import plan_parameters, run_parameters

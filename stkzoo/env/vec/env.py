@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space, iterate
+from gymnasium.wrappers.utils import create_zero_array
 
 from stkzoo._checks import check_whole
 from stkzoo._os import cpu_count
@@ -16,12 +17,13 @@ from stkzoo._turns import CallTurn
 from stkzoo.engine.assets import find_assets
 from stkzoo.env.parallel import RaceParallelEnv
 from stkzoo.env.race import drive_opponents
-from stkzoo.env.vec.rows import BoolArray, SlotRows, SlotSteps, shared_space
+from stkzoo.env.vec.rows import BoolArray, SlotSteps, shared_space
 from stkzoo.env.vec.slots import RaceSlots
 from stkzoo.env.vec.starts import RepeatedStarts, seeds_of_races
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.views.actions import read_action
 from stkzoo.views.chains import CheckedActions
+from stkzoo.views.plan import form_of
 
 VectorStep = tuple[Any, npt.NDArray[np.float64], BoolArray, BoolArray, dict[str, Any]]
 
@@ -144,8 +146,8 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
         self.single_action_space = shared_space(first.action_spaces, "action")
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._steps = SlotRows(self.single_observation_space, self.num_envs)
-        self.idle_observation = self._steps.idle
+        self._form = form_of(self.single_observation_space)
+        self.idle_observation = create_zero_array(self.single_observation_space)
         self.tracks = tuple(sorted(find_assets().tracks))
         self._track_numbers = {name: number for number, name in enumerate(self.tracks)}
         self._rows = [RaceSlots(race, n, self._repeated) for n, race in enumerate(self.races)]
@@ -234,7 +236,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             self._seeds = [
                 old if new is None else new for old, new in zip(self._seeds, seeds, strict=True)
             ]
-            steps = self._steps.new()
+            steps = SlotSteps(self._form, self.num_envs)
             for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
                 row.reset(steps, own_seed, own)
             steps.active |= self.racing
@@ -341,7 +343,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ApiOrderError: called without :meth:`step_async`, or while another thread's call runs.
         """
         with self._turn.of("step_wait"):
-            steps = self._steps.new()
+            steps = SlotSteps(self._form, self.num_envs)
             for row in self._rows:
                 row.step_wait(steps)
                 if row.is_over:  # starts while this call waits for the other races
@@ -410,7 +412,7 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
 
     def _completed(self, steps: SlotSteps) -> SlotSteps:
         """Adds what concerns all races to the steps of all slots."""
-        self._steps.complete(steps, np.flatnonzero(~self.racing))
+        steps.complete(np.flatnonzero(~self.racing), self.idle_observation)
         for row in self._rows:
             steps.tracks[row.slots] = self._track_numbers[row.track]
         return steps

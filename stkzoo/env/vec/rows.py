@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from gymnasium.wrappers.utils import create_zero_array
 
-from stkzoo.env.episode import WHOLE_INFOS, EndArrays, InfoTable
+from stkzoo.env.episode import EndArrays, InfoTable
 from stkzoo.errors import ConfigError
 from stkzoo.kernel import new_batch
-from stkzoo.views.plan import form_of, write_rows
+from stkzoo.views.plan import write_rows
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -22,9 +20,12 @@ BoolArray = npt.NDArray[np.bool_]
 AddInfo = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]
 
 
-@dataclass(slots=True)
 class SlotSteps:
-    """One step of ``S`` slots.
+    """One step of ``S`` slots. At first, all slots are idle, and observations have no content.
+
+    Args:
+        form: form of the observations (:func:`~stkzoo.views.plan.form_of`).
+        count: number of slots.
 
     Attributes:
         observations: next observation of each slot: after the end of a race, the first observation
@@ -39,15 +40,14 @@ class SlotSteps:
         finals: last observation and info of the slots that ended in this step, by slot.
     """
 
-    observations: Any
-    infos: SlotInfos
-    rewards: npt.NDArray[np.float64]
-    terminations: BoolArray
-    truncations: BoolArray
-    active: BoolArray
-    crashed: BoolArray
-    tracks: npt.NDArray[np.int64]
-    finals: dict[int, tuple[Any, dict[str, Any]]] = field(default_factory=dict)
+    def __init__(self, form: Any, count: int) -> None:
+        self.observations: Any = new_batch(form, count)
+        self.infos = SlotInfos(count)
+        self.rewards = np.zeros(count)
+        flags: BoolArray = np.zeros((4, count), np.bool_)
+        self.terminations, self.truncations, self.active, self.crashed = flags
+        self.tracks = np.zeros(count, np.int64)
+        self.finals: dict[int, tuple[Any, dict[str, Any]]] = {}
 
     @property
     def ends(self) -> EndArrays:
@@ -59,12 +59,18 @@ class SlotSteps:
         write_rows(self.observations, np.array([slot]), observation)
         self.infos.set(slot, info)
 
+    def complete(self, idle: npt.NDArray[np.intp], observation: Any) -> None:
+        """Writes the observation of idle slots, which completes the observations."""
+        if len(idle):
+            write_rows(self.observations, idle, observation)
+        self.observations = _with_tuples(self.observations)
+
 
 class SlotInfos:
     """Infos of all slots.
 
-    The kernel writes infos into tables: one, or several if races have different keys. Infos from
-    wrappers in Python with other values than plain numbers are dicts.
+    The kernel writes infos into tables: one, or several if races have different keys. The infos of
+    races that have just started, and those from wrappers in Python, are dicts.
 
     Args:
         count: number of slots.
@@ -82,15 +88,8 @@ class SlotInfos:
         return self._tables[keys]
 
     def set(self, slot: int, info: dict[str, Any]) -> None:
-        """Sets the info of a slot; in a table if it has plain numbers, as the kernel writes."""
-        others = {key: value for key, value in info.items() if type(value) is not float}
-        if (*others,) != WHOLE_INFOS or any(type(value) is not int for value in others.values()):
-            self._dicts[slot] = info
-            return
-        table = self.table((*info,))
-        for key, column in table.columns.items():
-            column[slot] = info[key]
-        table.has[slot] = True
+        """Sets the info of a slot."""
+        self._dicts[slot] = info
 
     def columns(self, add: AddInfo) -> dict[str, npt.NDArray[Any]]:
         """Returns an array of values and a mask for each key, in Gymnasium's form.
@@ -123,43 +122,6 @@ class SlotInfos:
         if slot in self._dicts:
             return self._dicts[slot]
         return next((table.columns for table in self._tables.values() if table.has[slot]), {})
-
-
-class SlotRows:
-    """Makes the steps of all slots.
-
-    Args:
-        space: observation space of one slot, whose values have a fixed size.
-        count: number of slots.
-
-    Attributes:
-        idle: observation of an idle slot.
-    """
-
-    def __init__(self, space: spaces.Space[Any], count: int) -> None:
-        self.idle = create_zero_array(space)
-        self._form, self._count = form_of(space), count
-
-    def new(self) -> SlotSteps:
-        """Returns a step in which all slots are idle, with observations without content."""
-        count = self._count
-        terminations, truncations, active, crashed = np.zeros((4, count), np.bool_)
-        return SlotSteps(
-            observations=new_batch(self._form, count),
-            infos=SlotInfos(count),
-            rewards=np.zeros(count),
-            terminations=terminations,
-            truncations=truncations,
-            active=active,
-            crashed=crashed,
-            tracks=np.zeros(count, np.int64),
-        )
-
-    def complete(self, steps: SlotSteps, idle: npt.NDArray[np.intp]) -> None:
-        """Writes the observations of idle slots, which completes the observations."""
-        if len(idle):
-            write_rows(steps.observations, idle, self.idle)
-        steps.observations = _with_tuples(steps.observations)
 
 
 def _with_tuples(batch: Any) -> Any:

@@ -31,7 +31,6 @@ from stkzoo.race.result import RaceResult, versions_now
 #: Size of one digest [bytes].
 DIGEST_SIZE = 8
 
-_BUTTONS = CONTROLS[2:]
 _ARRAYS = ("controls", "digests")
 
 
@@ -136,14 +135,6 @@ def next_digest(digest: bytes, snapshot: Snapshot) -> bytes:
 def controls_of(action: Mapping[str, Any]) -> list[float]:
     """Converts an action of the game's action space to a row of controls."""
     return [float(np.asarray(action[name]).reshape(())) for name in CONTROLS]
-
-
-def action_of(row: npt.NDArray[np.float32]) -> dict[str, Any]:
-    """Converts a row of controls to an action; the inverse of :func:`controls_of`."""
-    action: dict[str, Any] = {
-        name: row[column : column + 1] for column, name in enumerate(CONTROLS[:2])
-    }
-    return action | {name: int(row[column]) for column, name in enumerate(_BUTTONS, 2)}
 
 
 #: Version of the file format. It increases with each change that breaks older readers.

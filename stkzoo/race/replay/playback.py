@@ -14,8 +14,9 @@ from gymnasium import spaces
 from stkzoo._installation import pip_install
 from stkzoo.drivers.driver import Driver
 from stkzoo.errors import ConfigError
+from stkzoo.mdp.spaces import action_of
 from stkzoo.race.listeners import ForwardingListener, RaceListener, RaceProgress
-from stkzoo.race.replay.file import Replay, ReplayError, action_of, next_digest
+from stkzoo.race.replay.file import Replay, ReplayError, next_digest
 from stkzoo.race.result import AgentFailure, RaceResult, versions_now
 from stkzoo.race.runner import run_race
 from stkzoo.render.scene import Ghost
