@@ -290,13 +290,13 @@ def _changed_info(info: Mapping[str, Any], parts: StepParts) -> dict[str, Any]:
     """Returns the info of a step with its entries by agent replaced, if it has them."""
     changed = dict(info)
     _, rewards, terminations, truncations, infos = parts
-    own: dict[str, Mapping[str, Any]] = {
+    by_key: dict[str, Mapping[str, Any]] = {
         "reward": rewards,
         "terminated": terminations,
         "truncated": truncations,
         "infos": infos,
     }
-    for key, part in own.items():
+    for key, part in by_key.items():
         if key in info or (key == "truncated" and "terminated" in info):
             changed[key] = {**info.get(key, {}), **part}
     if "done" in info:

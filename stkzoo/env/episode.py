@@ -263,7 +263,9 @@ class EpisodeRecord:
         self._karts = np.array(kart_indices, np.intp)
         of_agent = [*rewards.values()]
         self._rewards = [*{id(reward): reward for reward in of_agent}.values()]
-        same = [[own is reward for own in self._rewards].index(True) for reward in of_agent]
+        same = [
+            [candidate is reward for candidate in self._rewards].index(True) for reward in of_agent
+        ]
         self._reward_of = np.array(same, np.intp)
         names = sorted({name for reward in self._rewards for name in reward.terms})
         self._columns = {name: column for column, name in enumerate(names)}
@@ -383,8 +385,8 @@ class EpisodeRecord:
         self._scorer = StepScorer(self._karts, self._reward_of, *numbers, tuple(rewards), events)
 
     def __getstate__(self) -> dict[str, Any]:
-        own = ("_scorer", "_table")  # a copy of the arrays makes its own
-        return {name: value for name, value in vars(self).items() if name not in own}
+        remade = ("_scorer", "_table")  # a copy of the arrays makes its own
+        return {name: value for name, value in vars(self).items() if name not in remade}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)

@@ -62,7 +62,7 @@ class RaceFront(EzPickle):
                 ``"engine"``.
         """
         race = self.live_race
-        return race.rendering.frames(race.episode, race.possible_agents)
+        return race.rendering.frames(race.running("frames"), race.possible_agents)
 
     def close(self) -> None:
         """Stops the game process. You may call ``reset`` again."""

@@ -17,7 +17,6 @@ from stkzoo.agent_names import require_actions
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
-from stkzoo.engine.track import TrackMap
 from stkzoo.env.front import RaceFront
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.env.parallel import RaceParallelEnv
@@ -27,7 +26,6 @@ from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.mdp.rewards import RewardOver
 from stkzoo.views import find_view, options_of, views_of_agents
 from stkzoo.views.walker import StepParts
-from stkzoo.wrappers.camera import Camera
 
 
 class _TrackNames:
@@ -63,6 +61,8 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         laps: number of laps.
         max_paths: number of observed track segments; ``None`` for all.
         step_size: game time of one step [s].
+        track: map of the current track; ``None`` before the first reset.
+        num_kart: number of karts in the race.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's convention
@@ -75,6 +75,7 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
     laps = _RaceOption("laps")
     max_paths = _RaceOption("max_paths")
     step_size = _RaceOption("step_size")
+    track = RaceFront.track_map
 
     def __init__(
         self, agents: Sequence[AgentSpec | Mapping[str, object]] | int | None, **options: Any
@@ -84,6 +85,7 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         options["reward"] = RewardOver("reference", options.get("reward"))
         self.core = RaceParallelEnv(agents=agents, **options)
         self.live_race = self.core.live_race
+        self.num_kart = self.options.num_kart
         self.render_mode = self.core.render_mode
         drawn = {key: self.core.metadata[key] for key in ("render_modes", "render_fps")}
         self.metadata = {**self.metadata, **drawn}
@@ -123,19 +125,9 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         return int(source.seed_seq.entropy)
 
     @property
-    def num_kart(self) -> int:
-        """Number of karts in the race."""
-        return self.options.num_kart
-
-    @property
     def current_track(self) -> str | None:
         """Name of the current track; ``None`` before the first reset."""
         return self.race.track if self.race else None
-
-    @property
-    def track(self) -> TrackMap | None:
-        """Map of the current track; ``None`` before the first reset."""
-        return self.track_map
 
     @property
     def world(self) -> WorldView | None:
@@ -171,6 +163,9 @@ class STKRaceEnv(GymnasiumRaceEnv):
             :class:`~stkzoo.env.parallel.RaceParallelEnv` except ``agents``. By default,
             ``max_cycles`` is unlimited and ``reward`` is ``"reference"``.
 
+    Attributes:
+        camera: your kart's camera, for :class:`~stkzoo.wrappers.CameraObservations`.
+
     Raises:
         ConfigError: an argument is invalid.
         AssetError: the game's data is missing.
@@ -190,16 +185,12 @@ class STKRaceEnv(GymnasiumRaceEnv):
         (self._name,) = self.core.possible_agents
         self.observation_space = self.core.observation_space(self._name)
         self.action_space = self.core.action_space(self._name)
+        self.camera = self.core.cameras.of(self._name)
 
     @property
     def kart_ix(self) -> int | None:
         """Index of your kart in grid order; ``None`` before the first reset."""
         return self.race.kart_indices[0] if self.race else None
-
-    @property
-    def camera(self) -> Camera:
-        """Your kart's camera, for :class:`~stkzoo.wrappers.CameraObservations`."""
-        return self.core.cameras.of(self._name)
 
     def get_keys_to_action(self) -> dict[Any, Any]:
         """Returns the action for each combination of keys, for :func:`gymnasium.utils.play.play`.
@@ -245,8 +236,8 @@ def split_keywords(
     Raises:
         ConfigError: neither the view nor the race has a keyword.
     """
-    (own,) = views_of_agents(view, ["kart_0"]).values()
-    names = options_of(own)
+    (bare_view,) = views_of_agents(view, ["kart_0"]).values()
+    names = options_of(bare_view)
     race = {*inspect.signature(RaceParallelEnv).parameters, "num_karts", *others} - {"agents"}
     for name in keywords:
         if name not in race.union(names):
@@ -257,7 +248,7 @@ def split_keywords(
         if name in keywords and (keywords[name] is not None or name not in race)
     }
     rest = {name: value for name, value in keywords.items() if name in race}
-    return (find_view((own, options)) if options else view), rest
+    return (find_view((bare_view, options)) if options else view), rest
 
 
 class STKRaceMultiEnv(GymnasiumRaceEnv):

@@ -27,8 +27,8 @@ def register_ids() -> None:
 def register_gymnasium_ids() -> None:
     """Registers the Gymnasium ids; warns once if it replaces another package's ids."""
     names = (*views(), "multi-full")
-    found = [gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None) for name in names]
-    owners = {str(spec.entry_point).partition(".")[0] for spec in found if spec} - {"stkzoo"}
+    replaced = [gymnasium.registry.pop(f"{_NAMESPACE}/{name}-v0", None) for name in names]
+    owners = {str(spec.entry_point).partition(".")[0] for spec in replaced if spec} - {"stkzoo"}
     for owner in sorted(owners):
         warnings.warn(
             f"{owner} was imported before stkzoo.compat: the ids {_NAMESPACE}/... are stkzoo's "
@@ -63,15 +63,15 @@ def register_view(name: str, view: object, *, replace: bool = False) -> None:
     if not isinstance(name, str) or not name.isidentifier():
         raise ConfigError(f"view name is {name!r}, expected letters, digits and underscores")
     _refuse_shipped(name, "choose another name")
-    own = find_view(view)
-    if name in VIEWS and not (replace or _is_same(own, VIEWS[name])):
+    added = find_view(view)
+    if name in VIEWS and not (replace or _is_same(added, VIEWS[name])):
         raise ConfigError(
             f"view {name!r} exists already and is {VIEWS[name]!r}; choose another name, or pass "
             "replace=True"
         )
     if name not in VIEWS:
         _register_view_id(name)
-    VIEWS[name] = own
+    VIEWS[name] = added
 
 
 def unregister_view(name: str) -> None:

@@ -46,8 +46,8 @@ class OpponentChoice:
         self._pool = choice if isinstance(choice, OpponentPool) else None
         members = [] if isinstance(choice, OpponentPool) else list(choice)
         keys = [member if isinstance(member, str) else id(member) for member in members]
-        found = {key: _driver_or_pool(m) for key, m in zip(keys, members, strict=True)}
-        self._members = [found[key] for key in keys]  # shared, so that equal drivers run together
+        by_key = {key: _driver_or_pool(m) for key, m in zip(keys, members, strict=True)}
+        self._members = [by_key[key] for key in keys]  # shared, so that equal drivers run together
         self._codes: dict[Driver, AgentCode | AgentError] = {}
         self.level()
         self._resources = ExitStack()
@@ -112,9 +112,11 @@ class OpponentChoice:
         level = self.level(difficulty)
         drawn: list[Driver] = []
         for member, is_game_ai in zip(members, chain(are_game_ai, repeat(None)), strict=False):
-            own = member if isinstance(member, Driver) else member.draw(random, level, is_game_ai)
-            drawn.append(own)
-            level = level if own.difficulty is None else own.difficulty
+            driver = (
+                member if isinstance(member, Driver) else member.draw(random, level, is_game_ai)
+            )
+            drawn.append(driver)
+            level = level if driver.difficulty is None else driver.difficulty
         return tuple(drawn), level
 
     def level(self, difficulty: int | None = None) -> int | None:
@@ -151,10 +153,10 @@ class OpponentChoice:
                 self._codes[driver] = driver.load(self._resources)
             except Exception as error:  # noqa: BLE001 - the driver's own code
                 self._codes[driver] = AgentError(in_words(error))
-        found = self._codes[driver]
-        if isinstance(found, AgentError):
-            raise found
-        return found
+        code = self._codes[driver]
+        if isinstance(code, AgentError):
+            raise code
+        return code
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._members if self._pool is None else self._pool,)

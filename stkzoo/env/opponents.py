@@ -113,6 +113,9 @@ class RaceOpponents:
         num_agents: number of agents.
         count: number of opponents.
         view: view of the first agent, used for policies without a view of their own.
+
+    Attributes:
+        present: ids of the opponents that still race and need actions from this environment.
     """
 
     def __init__(
@@ -122,7 +125,7 @@ class RaceOpponents:
         self._ids = tuple(f"kart_{num_agents + number}" for number in range(count))
         self._known_chains: deque[tuple[dict[str, ViewFactory], AgentChains]] = deque(maxlen=16)
         self._opponents: dict[str, Opponent] = {}  # without failed ones
-        self._present: tuple[str, ...] = ()  # have not finished
+        self.present: tuple[str, ...] = ()  # have not finished
         self._observations: dict[str, Any] | None = {}  # None after a step
         self._chains = self._chains_here()
 
@@ -138,8 +141,8 @@ class RaceOpponents:
     def specs(self, drivers: Sequence[Driver]) -> list[AgentSpec]:
         """Returns the agent specs of the drivers' karts."""
         return [
-            AgentSpec(use_ai=own.is_game_ai, name=name_of(own), camera_mode=CameraMode.OFF)
-            for own in drivers
+            AgentSpec(use_ai=driver.is_game_ai, name=name_of(driver), camera_mode=CameraMode.OFF)
+            for driver in drivers
         ]
 
     def begin(self, drivers: Sequence[Driver], episode: Episode) -> None:
@@ -161,18 +164,13 @@ class RaceOpponents:
         self._chains = self._chains_here()
         for opponent in [*self._opponents.values()]:
             self.attempt(opponent, partial(self._get_ready, opponent))
-        self._present = tuple(self._opponents)
-        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self._present}
+        self.present = tuple(self._opponents)
+        infos: dict[str, dict[str, Any]] = {agent: {} for agent in self.present}
         failed: Failures = {}
         self._observations, _ = self._chains.reset(
-            episode.seats(self._present), episode, infos, seed=seed, failed=failed
+            episode.seats(self.present), episode, infos, seed=seed, failed=failed
         )
         self._drop(failed)
-
-    @property
-    def is_driving(self) -> bool:
-        """Whether any opponent needs actions from this environment."""
-        return bool(self._present)
 
     def moment(self, episode: Episode) -> OpponentsMoment:
         """Returns the current state of the opponents as a value.
@@ -183,7 +181,7 @@ class RaceOpponents:
         self._look(episode)
         return OpponentsMoment(
             tuple(opponent.copy() for opponent in self._opponents.values()),
-            self._present,
+            self.present,
             copy.deepcopy(self._observations or {}),
             self._chains.memory(),
         )
@@ -191,8 +189,8 @@ class RaceOpponents:
     def go_on_from(self, moment: OpponentsMoment) -> None:
         """Continues from a :meth:`moment` of this or another environment."""
         self.close()
-        self._opponents = {own.agent: own.copy() for own in moment.opponents}
-        self._present = moment.present
+        self._opponents = {opponent.agent: opponent.copy() for opponent in moment.opponents}
+        self.present = moment.present
         self._observations = copy.deepcopy(moment.observations)
         self._chains = self._chains_here()
         self._chains.recall(moment.memory)
@@ -202,7 +200,7 @@ class RaceOpponents:
         for opponent in self._opponents.values():
             if opponent.instance is not None:
                 opponent.instance.close()
-        self._opponents, self._present = {}, ()
+        self._opponents, self.present = {}, ()
         self._observations = {}
 
     def _start(self, opponent: Opponent) -> None:
@@ -248,7 +246,7 @@ class RaceOpponents:
             self.retire(opponent, error)
 
     def _chains_of(self, opponents: Iterable[Opponent]) -> AgentChains:
-        views = {own.agent: own.view for own in opponents}
+        views = {opponent.agent: opponent.view for opponent in opponents}
         for known, chains in self._known_chains:
             if known == views:
                 return chains
@@ -283,7 +281,7 @@ class RaceOpponents:
         """Removes opponents whose wrappers failed."""
         for agent, error in failed.items():
             self.retire(self._opponents[agent], error)
-        self._present = tuple(agent for agent in self._present if agent in self._opponents)
+        self.present = tuple(agent for agent in self.present if agent in self._opponents)
 
     # ------------------------------------------------------------------ a step
 
@@ -294,11 +292,11 @@ class RaceOpponents:
         """
         self._look(episode)
         seen = self._observations or {}
-        asked = [self._opponents[agent] for agent in self._present]
+        asked = [self._opponents[agent] for agent in self.present]
         for opponent in asked:
             if opponent.instance is not None:
                 self.attempt(opponent, partial(opponent.instance.ask, seen[opponent.agent]))
-        return [(own, seen[own.agent]) for own in asked if own.agent in self._opponents]
+        return [(each, seen[each.agent]) for each in asked if each.agent in self._opponents]
 
     def write(self, actions: Mapping[str, Any], episode: Episode, controls: Controls) -> None:
         """Writes the opponents' controls.
@@ -309,21 +307,21 @@ class RaceOpponents:
             controls: controls of all player karts, ``(P, 7)`` float32; changed in place.
         """
         while True:
-            acting = tuple(agent for agent in self._present if agent in self._opponents)
+            acting = tuple(agent for agent in self.present if agent in self._opponents)
             seats = episode.seats(acting)
             try:
-                own = self._chains.decode(actions, seats, episode)
+                decoded = self._chains.decode(actions, seats, episode)
                 break
             except (ActionError, AgentError) as error:
                 agent = error.agent if isinstance(error, ActionError) else error.key
                 self.retire(self._opponents[agent], error)
-        controls[seats.rows] = own[seats.rows]
-        self._present, self._observations = acting, None
+        controls[seats.rows] = decoded[seats.rows]
+        self.present, self._observations = acting, None
 
     def _look(self, episode: Episode) -> None:
         """Updates the observations of the opponents that are still racing."""
         if self._observations is None:
-            acted, seats = self._present, episode.seats(self._present)
+            acted, seats = self.present, episode.seats(self.present)
             seen = self._chains.observe(seats, episode)
             infos: dict[str, dict[str, Any]] = {agent: {} for agent in acted}
             no = dict.fromkeys(acted, False)
@@ -334,9 +332,9 @@ class RaceOpponents:
             self._drop(failed)
         finished = episode.snapshot.karts["has_finished_race"]
         if finished.any():
-            karts = episode.seats(self._present).karts.tolist()
-            pairs = zip(self._present, karts, strict=True)
-            self._present = tuple(agent for agent, kart in pairs if not finished[kart])
+            karts = episode.seats(self.present).karts.tolist()
+            pairs = zip(self.present, karts, strict=True)
+            self.present = tuple(agent for agent, kart in pairs if not finished[kart])
 
 
 def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> None:
@@ -359,7 +357,9 @@ def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> 
             else:
                 groups.setdefault(opponent.group, []).append((number, opponent, seen))
     for group in groups.values():
-        picked, error = _picked([own for _, own, _ in group], [seen for *_, seen in group])
+        picked, error = _picked(
+            [opponent for _, opponent, _ in group], [seen for *_, seen in group]
+        )
         for (number, opponent, _), action in zip(group, picked, strict=False):
             actions[number][opponent.agent] = action
         if error is not None:
@@ -370,8 +370,8 @@ def drive_together(races: Sequence[tuple[RaceOpponents, Episode, Controls]]) -> 
         decision = races[number][0].attempt(opponent, opponent.instance.answer)
         if decision is not None:
             actions[number][opponent.agent] = decision.action
-    for (race, episode, controls), own in zip(races, actions, strict=True):
-        race.write(own, episode, controls)
+    for (race, episode, controls), acted in zip(races, actions, strict=True):
+        race.write(acted, episode, controls)
 
 
 def _picked(

@@ -153,7 +153,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         views = views_of_agents(view, self.possible_agents)
         ai_agents = {a for a, s in zip(self.possible_agents, specs, strict=True) if s.use_ai}
         chains = AgentChains(
-            {agent: base_space(own, agent in ai_agents) for agent, own in views.items()},
+            {agent: base_space(wrapped, agent in ai_agents) for agent, wrapped in views.items()},
             {agent: kart_action_space() for agent in self.possible_agents},
             cameras.connected(views),
             ignored=ai_agents,
@@ -342,11 +342,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
     def _ids_of(self, agents: Sequence[str]) -> list[str]:
         if isinstance(agents, str) or not isinstance(agents, Sequence):
             raise ConfigError(f"agents is {agents!r}, expected a list of agents")
-        known = self.observation_spaces
-        return [
-            agent if isinstance(agent, str) and agent in known else find_agent(agent, known)
-            for agent in agents
-        ]
+        return [find_agent(agent, self.possible_agents) for agent in agents]
 
 
 def _opponents(
@@ -358,8 +354,8 @@ def _opponents(
     from stkzoo.env.opponent_choice import OpponentChoice
 
     choice = OpponentChoice.of(opponents)
-    given = len(agents) if isinstance(agents, Sequence) else agents
-    return choice, choice.count(given, num_kart)
+    num_agents = len(agents) if isinstance(agents, Sequence) else agents
+    return choice, choice.count(num_agents, num_kart)
 
 
 def _specs(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.utils import seeding
 
 from stkzoo._turns import CallTurn
 from stkzoo.config import AgentSpec
@@ -69,6 +68,7 @@ class Race:
         ai_agents: agents that the game's AI drives.
         agents: agents that are still racing.
         episode: the current episode; ``None`` before the first start.
+        np_random: the random generator from which races are drawn.
         turn: the turn that a thread holds during a call; the fronts take it.
         new_session: as above.
         session: the session of the current game.
@@ -107,19 +107,8 @@ class Race:
         self._rewards, self._assets, self._chains = rewards, assets, chains
         self.has_rows, self.is_compiled = chains.has_rows, chains.is_compiled
         self._num_cameras = num_cameras
-        self._random: np.random.Generator | None = None
+        self.np_random = random_stream(None)
         self._stepping: Episode | None = None  # the episode with a running step
-
-    @property
-    def np_random(self) -> np.random.Generator:
-        """The random generator from which races are drawn."""
-        if self._random is None:
-            self._random, _ = seeding.np_random()
-        return self._random
-
-    @np_random.setter
-    def np_random(self, random: np.random.Generator) -> None:
-        self._random = random
 
     def running(self, method: str) -> Episode:
         """Returns the current episode.
@@ -410,7 +399,7 @@ class Race:
         self._chains.recall(moment.memory)
         self.episode = moment.episode.copy()
         self.agents = list(moment.agents)
-        self._random = copy.deepcopy(moment.random)
+        self.np_random = copy.deepcopy(moment.random)
         self._go_on_with_opponents(moment)
 
     def _go_on_with_opponents(self, moment: Moment) -> None:
@@ -589,9 +578,9 @@ def drive_opponents(races: Sequence[Race], controls: Sequence[Controls]) -> None
         controls: controls of each race, ``(P, 7)`` float32; changed in place.
     """
     driven = [
-        (race.opponents, race.running("step"), own)
-        for race, own in zip(races, controls, strict=True)
-        if race.opponents is not None and race.opponents.is_driving and race.agents
+        (race.opponents, race.running("step"), players)
+        for race, players in zip(races, controls, strict=True)
+        if race.opponents is not None and race.opponents.present and race.agents
     ]
     if driven:
         from stkzoo.env.opponents import drive_together

@@ -94,16 +94,16 @@ class Rendering:
             return None
         if self.mode == "human":
             return None
-        episode = _running(episode, "render")
+        if episode is None:
+            raise ApiOrderError("render() before reset(); call reset() first")
         if self.mode == "rgb_array_list":
             frames, self._list = self._list, []
             return frames
         self._renderer.follow(scene_of(episode))
         return self._renderer.picture(episode.snapshot)
 
-    def frames(self, episode: Episode | None, agents: Sequence[str]) -> dict[str, Picture]:
+    def frames(self, episode: Episode, agents: Sequence[str]) -> dict[str, Picture]:
         """Returns the frame of each agent that has a camera."""
-        episode = _running(episode, "frames")
         self._renderer.follow(scene_of(episode))
         by_kart = self._renderer.pictures(episode.snapshot)
         karts = dict(zip(agents, episode.race.kart_indices, strict=True))
@@ -124,12 +124,6 @@ def scene_of(episode: Episode) -> Scene:
     """Returns the episode's race in the form that renderers use."""
     race = episode.race
     return Scene(episode.setup, episode.track_map, race.kart_types, race.kart_indices)
-
-
-def _running(episode: Episode | None, method: str) -> Episode:
-    if episode is None:
-        raise ApiOrderError(f"{method}() before reset(); call reset() first")
-    return episode
 
 
 def check_render_mode(mode: str | None, backend: str) -> None:

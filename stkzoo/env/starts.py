@@ -84,11 +84,11 @@ def draw_starts(
     chosen = by_agent(start, agents)
     drawn = {agent: _drawn(chosen[agent], random) for agent in agents if agent in chosen}
     numbers = dict(zip(agents, kart_indices, strict=True))
-    own = {numbers[agent]: place for agent, place in drawn.items()}
+    by_kart = {numbers[agent]: place for agent, place in drawn.items()}
     first = next(iter(drawn.values()))
-    others = [kart for kart in range(num_kart) if kart not in own]
+    others = [kart for kart in range(num_kart) if kart not in by_kart]
     behind = {kart: _in_row(first, place + 2, num_kart) for place, kart in enumerate(others)}
-    return tuple((own | behind)[kart] for kart in range(num_kart))
+    return tuple((by_kart | behind)[kart] for kart in range(num_kart))
 
 
 def _names_agent(key: object) -> bool:
@@ -166,10 +166,10 @@ class StartCurriculum:
         self.stages, self.stage = stages, 1
         self._promote_at = promote_at
         self._latest: deque[bool] = deque(maxlen=window)
-        own = RandomStart() if start is None else _read(start)
-        if not isinstance(own, RandomStart):
+        base = RandomStart() if start is None else _read(start)
+        if not isinstance(base, RandomStart):
             raise ConfigError(f"start is {start!r}, expected a RandomStart or its fields")
-        self._start = own
+        self._start = base
 
     def start(self) -> RandomStart:
         """Returns the starts of the current stage, for ``reset(options={"start": ...})``."""

@@ -138,8 +138,8 @@ def check_beside(what: str, asked: Mapping[str, Any], agents: Sequence[str]) -> 
         ApiOrderError: there are no agents.
         ConfigError: an option is about what the moment already determines.
     """
-    own = {what, "num_kart", *OF_AN_EPISODE}
-    both = ({*RaceOptions.__dataclass_fields__, "state"} - own) & set(asked)
+    allowed = {what, "num_kart", *OF_AN_EPISODE}
+    both = ({*RaceOptions.__dataclass_fields__, "state"} - allowed) & set(asked)
     if both:
         raise ConfigError(
             f"options have a {what} and {', '.join(sorted(both))}, which the {what} already "

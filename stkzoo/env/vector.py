@@ -46,9 +46,9 @@ def single_kart_races(
     """
     view, race = split_keywords(view, options, ("agent", "prefetch"))
     race["reward"] = RewardOver("reference", race.get("reward"))
-    given = {"max_episode_steps": max_episode_steps, "max_cycles": max_cycles}
+    asked = {"max_episode_steps": max_episode_steps, "max_cycles": max_cycles}
     limits = [
-        check_whole(name, limit, 1) for name, limit in given.items() if limit not in (None, -1)
+        check_whole(name, limit, 1) for name, limit in asked.items() if limit not in (None, -1)
     ]
     return RaceVectorEnv(
         num_envs,

@@ -54,6 +54,9 @@ class KartView:
         self._record = record
         self.id = kart_id
         self.kart_type = kart_type
+        self.powerup = PowerupView(PowerupType(self.powerup_type), self.powerup_num)
+        left = self.attachment_time_left
+        self.attachment = AttachmentView(AttachmentType(self.attachment_type), left)
 
     def __getattr__(self, name: str) -> Any:
         record = self.__dict__.get("_record")
@@ -63,16 +66,6 @@ class KartView:
         if isinstance(value, np.ndarray):
             return value.copy()
         return bool(value) if name in _FLAGS else value.item()
-
-    @property
-    def powerup(self) -> PowerupView:
-        """The kart's powerup."""
-        return PowerupView(PowerupType(self.powerup_type), self.powerup_num)
-
-    @property
-    def attachment(self) -> AttachmentView:
-        """The object attached to the kart."""
-        return AttachmentView(AttachmentType(self.attachment_type), self.attachment_time_left)
 
 
 class WorldView:
@@ -95,7 +88,7 @@ class WorldView:
         self.aux_ticks = float(snapshot.header["aux_ticks"])
         self.phase = Phase(snapshot.phase)
         records = enumerate(zip(snapshot.karts, kart_types, strict=True))
-        self.karts = [KartView(record, index, kind) for index, (record, kind) in records]
+        self.karts = [KartView(record, index, kart_type) for index, (record, kart_type) in records]
         self.items = [
             ItemView(
                 int(item["id"]),

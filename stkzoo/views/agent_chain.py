@@ -375,4 +375,4 @@ def _spaces(owners: Sequence[Any]) -> dict[int, Any]:
 
 
 def _names(kinds: list[type]) -> str:
-    return ", ".join(kind.__name__ for kind in kinds) or "pure functions"
+    return ", ".join(wrapper_class.__name__ for wrapper_class in kinds) or "pure functions"

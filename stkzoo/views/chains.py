@@ -47,8 +47,8 @@ class RecordsObserver:
         if not self._extras:
             return seen
         more = split_batch(self._values(source, karts), tuple(range(len(karts))))
-        both = [own | more[row] for row, own in enumerate(seen)]
-        return [{name: own[name] for name in self._names} for own in both]
+        both = [entries | more[row] for row, entries in enumerate(seen)]
+        return [{name: entries[name] for name in self._names} for entries in both]
 
     def observe_into(
         self, source: ObservationSource, karts: IntArray, rows: IntArray, batch: Any
@@ -474,9 +474,9 @@ class AgentChains:
         )
 
     def _group(self, seats: Seats, places: IntArray) -> _Group:
-        own = seats.at(places)
-        numbers = np.array([self._numbers[agent] for agent in own.agents], np.intp)
-        return _Group(self._kernel_of(own.agents[0]), own, places, numbers)
+        group_seats = seats.at(places)
+        numbers = np.array([self._numbers[agent] for agent in group_seats.agents], np.intp)
+        return _Group(self._kernel_of(group_seats.agents[0]), group_seats, places, numbers)
 
     def _kernel_of(self, agent: str) -> _PlanKernel:
         identity = self._identities[agent]

@@ -65,12 +65,12 @@ class View:
             )
         for wrapper in self.wrappers:
             names = self.options.keys() & options_of(wrapper)
-            own = {name: self.options[name] for name in names}
+            options = {name: self.options[name] for name in names}
             if isinstance(wrapper, View):
-                env = _with_options(wrapper, own)(env)
+                env = _with_options(wrapper, options)(env)
             else:
                 make: Callable[..., gym.Env[Any, Any]] = wrapper
-                env = make(env, **own)
+                env = make(env, **options)
         return env
 
     @property
@@ -98,7 +98,9 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
     its wrappers.
     """
     if isinstance(view, View):
-        return tuple(dict.fromkeys(name for own in view.wrappers for name in options_of(own)))
+        return tuple(
+            dict.fromkeys(name for parameters in view.wrappers for name in options_of(parameters))
+        )
     if isinstance(view, partial):
         return options_of(view.func)
     is_class = isinstance(view, type)
@@ -107,8 +109,8 @@ def options_of(view: ViewFactory) -> tuple[str, ...]:
     except (TypeError, ValueError):  # C functions have no signature
         return ()
     named = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
-    own = list(signature.parameters.values())[2 if is_class else 1 :]
-    return tuple(parameter.name for parameter in own if parameter.kind in named)
+    parameters = list(signature.parameters.values())[2 if is_class else 1 :]
+    return tuple(parameter.name for parameter in parameters if parameter.kind in named)
 
 
 def extras_for(view: ViewFactory) -> frozenset[str]:

@@ -134,11 +134,11 @@ class SplitStep:
             Exception: any exception of the wrapper.
         """
         self._thread.start()
-        kind, value = self._answers.get()
-        if kind == "action":
+        outcome, value = self._answers.get()
+        if outcome == "action":
             return value
         self._thread.join()
-        if kind == "error":
+        if outcome == "error":
             raise value
         raise RuntimeError(
             "a wrapper's step returned without a call of its environment's step; the race "
@@ -152,9 +152,9 @@ class SplitStep:
             Exception: any exception of the wrapper.
         """
         self._results.put(result)
-        kind, value = self._answers.get()
+        outcome, value = self._answers.get()
         self._thread.join()
-        if kind == "error":
+        if outcome == "error":
             raise value
         answer: AgentStep = value
         return answer

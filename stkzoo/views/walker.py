@@ -65,8 +65,8 @@ class ChainWalker:
                 f"observations are for agents {', '.join(observation_spaces)}, but actions for "
                 f"{', '.join(action_spaces)}; expected the same agents."
             )
-        found = by_agent(factories, observation_spaces)
-        views = {agent: find_view(view) for agent, view in found.items() if view is not None}
+        chosen = by_agent(factories, observation_spaces)
+        views = {agent: find_view(view) for agent, view in chosen.items() if view is not None}
         self.chains = {
             agent: AgentChain(agent, space, action_spaces[agent], views.get(agent))
             for agent, space in observation_spaces.items()
@@ -117,8 +117,8 @@ class ChainWalker:
         Raises:
             ActionError: an action is not in its agent's space.
         """
-        own = [agent for agent in agents if agent in actions]
-        return {agent: self.chains[agent].read_action(actions[agent]) for agent in own}
+        acting = [agent for agent in agents if agent in actions]
+        return {agent: self.chains[agent].read_action(actions[agent]) for agent in acting}
 
     def begin_step(self, actions: Mapping[str, Any], agents: Collection[str]) -> dict[str, Any]:
         """Runs the first half of the wrappers' steps.
@@ -161,8 +161,8 @@ class ChainWalker:
         with self._abandoned_after_failure():
             for agent in agents:
                 with _kept(agent, failed):
-                    own = self.chains[agent].finish_step(_part(parts, agent))
-                    for part, value in zip(cast(_Dicts, parts), own, strict=True):
+                    wrapped = self.chains[agent].finish_step(_part(parts, agent))
+                    for part, value in zip(cast(_Dicts, parts), wrapped, strict=True):
                         part[agent] = value
 
     @contextmanager

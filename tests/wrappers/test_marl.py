@@ -301,7 +301,7 @@ def test_an_invalid_message_is_refused_before_the_race_advances():
         env = MessageChannel(inner, words=2)
         env.reset(seed=1)
         before = inner.snapshot.karts.tobytes()
-        with pytest.raises(ActionError, match="message of 'kart_1' is 2"):
+        with pytest.raises(ActionError, match="message of agent 'kart_1' is 2"):
             env.step(say(env, {"kart_0": 0, "kart_1": 2}))
         with pytest.raises(ActionError, match="has to be a dict of 'action' and 'message'"):
             env.step({"kart_0": 4, "kart_1": 4})
@@ -315,7 +315,7 @@ def test_a_message_that_is_no_vector_is_refused(message):
     with race(num_kart=2, view="flattened_discrete") as inner:
         env = MessageChannel(inner, size=2)
         env.reset(seed=1)
-        with pytest.raises(ActionError, match="message of 'kart_0' is"):
+        with pytest.raises(ActionError, match="message of agent 'kart_0' is"):
             env.step(say(env, dict.fromkeys(env.agents, message)))
 
 

@@ -27,7 +27,7 @@ class _ActionEnum(Enum):
     @classmethod
     def is_valid(cls, name: object) -> bool:
         """Returns whether a member with a name exists."""
-        return name in [kind.value for kind in cls]
+        return name in [member.value for member in cls]
 
     @classmethod
     def from_string(cls, name: str) -> type[Any]:
@@ -37,7 +37,7 @@ class _ActionEnum(Enum):
             ConfigError: the name does not exist.
         """
         if not cls.is_valid(name):
-            raise unknown_name("action", name, [kind.value for kind in cls])
+            raise unknown_name("action", name, [member.value for member in cls])
         return _CLASSES[name]
 
 
@@ -245,7 +245,7 @@ class SteeringSpeedAction(SteerAction):
 
 
 _CLASSES: dict[str, type[NumberAction]] = {
-    kind.type: kind for kind in (AcclAction, SpeedAction, SteeringAngleAction, SteeringSpeedAction)
+    each.type: each for each in (AcclAction, SpeedAction, SteeringAngleAction, SteeringSpeedAction)
 }
 
 
@@ -303,7 +303,7 @@ class CarAction:
         Args:
             columns: names of the game's controls.
         """
-        own, limits = self.params, (self._low, self._high)
+        kart, limits = self.params, (self._low, self._high)
         return CarController(
             (
                 self.longitudinal.is_fed_back,
@@ -312,7 +312,7 @@ class CarAction:
             ),
             (
                 *(float(limit[number]) for number in (0, 1) for limit in limits),
-                *(own.v_min, own.v_max, own.sv_max, own.speed_gain, own.T_steer),
+                *(kart.v_min, kart.v_max, kart.sv_max, kart.speed_gain, kart.T_steer),
             ),
             PEDALS,
             (columns.index("acceleration"), columns.index("steer"), columns.index("brake")),
@@ -358,8 +358,8 @@ class CarAction:
         if not self.longitudinal.is_fed_back:
             wanted = self._pedals.reach(accl, speed) + memory[..., 1] / step_size
             throttle, brake = self._pedals.press(wanted, speed, step_size)
-            given = self._pedals.effect(throttle, brake, speed, step_size)
-            owed = np.clip((wanted - given) * step_size, -2.0, 2.0)
+            reached = self._pedals.effect(throttle, brake, speed, step_size)
+            owed = np.clip((wanted - reached) * step_size, -2.0, 2.0)
         else:
             throttle, brake = self._pedals.press(accl, speed, step_size)
         controls = np.stack([throttle, angle / most, brake.astype(np.float64)], axis=-1)
@@ -447,8 +447,8 @@ def _kinds(control_input: object) -> tuple[type[LongitudinalAction], type[SteerA
         if not isinstance(name, str) or name not in _CLASSES:
             raise ConfigError(f"control_input has {name!r}, {_EXPECTED}")
     kinds = [_CLASSES[name] for name in names]
-    longitudinal = [kind for kind in kinds if issubclass(kind, LongitudinalAction)]
-    steering = [kind for kind in kinds if issubclass(kind, SteerAction)]
+    longitudinal = [number for number in kinds if issubclass(number, LongitudinalAction)]
+    steering = [number for number in kinds if issubclass(number, SteerAction)]
     if len(longitudinal) > 1 or len(steering) > 1:
         raise ConfigError(
             f"control_input is {control_input!r}, two names of the same kind; {_EXPECTED}"
@@ -460,6 +460,6 @@ def _kinds(control_input: object) -> tuple[type[LongitudinalAction], type[SteerA
 
 
 _EXPECTED = (
-    f"expected one of {', '.join(kind.value for kind in LongitudinalActionEnum)} and one of "
-    f"{', '.join(kind.value for kind in SteerActionEnum)}, such as ['speed', 'steering_angle']"
+    f"expected one of {', '.join(member.value for member in LongitudinalActionEnum)} and one of "
+    f"{', '.join(member.value for member in SteerActionEnum)}, such as ['speed', 'steering_angle']"
 )

@@ -73,9 +73,9 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         super().__init__(env)
         _check_actions(dict_space(env.action_space, "actions", "ControlWrapper"))
         _check_observations(dict_space(env.observation_space, "observations", "ControlWrapper"))
-        own = {button: spaces.Discrete(2) for button in self.buttons}
+        pressed = {button: spaces.Discrete(2) for button in self.buttons}
         control = copy.deepcopy(self.car_action.space)
-        self._change_action_space(spaces.Dict({"control": control, **own}))
+        self._change_action_space(spaces.Dict({"control": control, **pressed}))
         self._start(self.step_size)
 
     def compile_into(self, plan: ViewPlan) -> bool:

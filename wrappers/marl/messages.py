@@ -16,6 +16,7 @@ from pettingzoo.utils import BaseParallelWrapper
 from stkzoo._checks import check_number, check_whole
 from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ActionError, ConfigError
+from stkzoo.views.actions import read_action
 from stkzoo.views.walker import StepParts
 from stkzoo.wrappers.marl.teams import ClonableWrapper, Teams
 
@@ -119,22 +120,11 @@ class MessageChannel(ClonableWrapper):
                 f"{action!r:.200}",
                 agent,
             )
-        message: Any = parts["message"]
-        is_readable = True
-        if self.words is None:
-            try:
-                message = np.array(message, np.float32)
-            except (TypeError, ValueError, OverflowError, RuntimeError):  # of torch, too
-                is_readable = False
-        if not is_readable or not self._message_space.contains(message):
-            raise ActionError(
-                f"the message of {agent!r} is {message!r:.200}, not in {self._message_space!r}",
-                agent,
-            )
-        row: Message = (
-            message if self.words is None else np.eye(self.words, dtype=np.float32)[message]
+        said = read_action(self._message_space, parts["message"], agent, "message")
+        message: Message = (
+            said if self.words is None else np.eye(self.words, dtype=np.float32)[said]
         )
-        return row
+        return message
 
     def _with_messages(self, observations: dict[str, Any]) -> dict[str, Any]:
         return {a: {"observation": seen, **self._heard(a)} for a, seen in observations.items()}

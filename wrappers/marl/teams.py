@@ -48,8 +48,8 @@ class ClonableWrapper(BaseParallelWrapper[str, Any, Any]):
         """
         race = self.env.clone()
         twin = copy.copy(self)
-        own = {name: value for name, value in vars(self).items() if name != "env"}
-        twin.__dict__.update(copy.deepcopy(own), env=race)
+        copied = {name: value for name, value in vars(self).items() if name != "env"}
+        twin.__dict__.update(copy.deepcopy(copied), env=race)
         return twin
 
     def lookahead(self) -> contextlib.closing[Self]:
@@ -138,29 +138,29 @@ class Teams(ClonableWrapper):
 
     def step(self, actions: dict[str, Any]) -> StepParts:
         """Steps the race and shares the rewards."""
-        observations, own, terminations, truncations, infos = self.env.step(actions)
+        observations, unshared, terminations, truncations, infos = self.env.step(actions)
         means = {
-            n: sum(own.get(agent, 0.0) for agent in team) / len(team)
+            n: sum(unshared.get(agent, 0.0) for agent in team) / len(team)
             for n, team in enumerate(self.teams)
         }
         rewards = {
             agent: (1 - self.share) * reward + self.share * means[self.team_of[agent]]
-            for agent, reward in own.items()
+            for agent, reward in unshared.items()
         }
-        infos = self._with_team(infos, own, means)
+        infos = self._with_team(infos, unshared, means)
         # For an agent that is truncated, the race would go on.
         cut = {agent for agent, is_cut in truncations.items() if is_cut}
         observations = self._seen(observations, cut.union(self.env.agents))
         return observations, rewards, terminations, truncations, infos
 
     def _with_team(
-        self, infos: Mapping[str, Any], own: Mapping[str, float], means: Mapping[int, float]
+        self, infos: Mapping[str, Any], unshared: Mapping[str, float], means: Mapping[int, float]
     ) -> dict[str, dict[str, Any]]:
         return {
             agent: {
                 **info,
                 "team": self.team_of[agent],
-                "reward/own": own.get(agent, 0.0),
+                "reward/own": unshared.get(agent, 0.0),
                 "reward/team": means.get(self.team_of[agent], 0.0),
             }
             for agent, info in infos.items()
@@ -188,8 +188,8 @@ class Teams(ClonableWrapper):
 
     def _mates(self, agent: str, known: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         rows = np.zeros((self._rows, _SIZE), np.float32)
-        own, *mates = map(self.possible_agents.index, (agent, *self._others[agent]))
-        rows[: len(mates)] = known[own, mates]
+        row, *mates = map(self.possible_agents.index, (agent, *self._others[agent]))
+        rows[: len(mates)] = known[row, mates]
         return rows
 
 
@@ -204,12 +204,12 @@ def _known(race: Any, is_racing: npt.NDArray[np.bool_]) -> npt.NDArray[np.float3
     karts, driven = race.snapshot.karts[agents], progress_of(race.snapshot)[agents]
     turns = rotation_matrices(karts["rotation"])
     places, speeds = karts["location"], karts["velocity"]
-    own = [karts["position"], karts["energy"], karts["powerup_type"], is_racing]
+    features = [karts["position"], karts["energy"], karts["powerup_type"], is_racing]
     parts: list[Any] = [
         to_kart_frame(places[None], places, turns),
         to_kart_frame(speeds[None], np.zeros_like(speeds), turns),
         (driven - driven[:, None])[..., None],
-        np.broadcast_to(np.stack(own, axis=-1), (len(agents), len(agents), len(own))),
+        np.broadcast_to(np.stack(features, axis=-1), (len(agents), len(agents), len(features))),
     ]
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
@@ -223,11 +223,11 @@ def _checked_teams(
         )
     if any(isinstance(team, str) or not isinstance(team, Sequence) or not team for team in teams):
         raise ConfigError(f"a team of {teams!r} is not a list of agents, or is empty")
-    found = tuple(tuple(find_agent(name, agents) for name in team) for team in teams)
-    members = [agent for team in found for agent in team]
+    members_of = tuple(tuple(find_agent(name, agents) for name in team) for team in teams)
+    members = [agent for team in members_of for agent in team]
     for agent in agents:
         if members.count(agent) != 1:
             raise ConfigError(
                 f"agent {agent!r} is in {members.count(agent)} teams of {teams!r}, expected one"
             )
-    return tuple(tuple(sorted(team, key=list(agents).index)) for team in found)
+    return tuple(tuple(sorted(team, key=list(agents).index)) for team in members_of)

@@ -28,12 +28,12 @@ TYPES_GOOD = (ItemType.BONUS_BOX, ItemType.NITRO_BIG, ItemType.NITRO_SMALL)
 TYPESBAD = (ItemType.BANANA, ItemType.BUBBLEGUM)
 
 #: Attachments of a kart, in the order of the view.
-ATTACHMENTS = tuple(kind for kind in AttachmentType if kind is not AttachmentType.NOTHING)
+ATTACHMENTS = tuple(member for member in AttachmentType if member is not AttachmentType.NOTHING)
 NUM_POWERUPS = max(PowerupType) + 1
 
 
 def _names(kinds: Iterable[Enum]) -> str:
-    return ", ".join(kind.name for kind in kinds)
+    return ", ".join(member.name for member in kinds)
 
 
 _POWERUPS = f"1 for the power-up that the kart holds: {_names(PowerupType)}"

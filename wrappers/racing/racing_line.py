@@ -168,8 +168,8 @@ def _bounds(
     for end in range(2):
         near = np.abs(places.share - end) <= _NEAR
         vertices = ids[places.node[near], end]
-        for own, width in zip(rooms, (left, right), strict=True):
-            np.minimum.at(own, vertices, width[near])
+        for room, width in zip(rooms, (left, right), strict=True):
+            np.minimum.at(room, vertices, width[near])
     middle = (rooms[1] - rooms[0]) / 2
     spare = np.maximum((rooms[0] + rooms[1]) / 2 - _KEPT, 0)
     return middle - spare, middle + spare

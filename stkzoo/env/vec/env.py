@@ -202,11 +202,6 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             raise ConfigError(
                 f"options is {options!r}, expected a dict from names of options to values"
             )
-        if options is not None and "reset_mask" in options:
-            raise ConfigError(
-                "options have a reset_mask, but races restart by themselves, all slots of a "
-                "race at once; leave it out"
-            )
         steps = self.reset_slots(seed, [options] * self.num_races)
         return steps.observations, self._infos(steps)
 
@@ -228,17 +223,17 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             self._require_open("reset")
             seeds = seeds_of_races(seed, self.num_races)
             if self._repeated is not None:
-                if any(own is not None for own in seeds):
+                if any(race_seed is not None for race_seed in seeds):
                     self._repeated.reseed(seeds)
                 seeds = [self._next_seed() for _ in seeds]
-            for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
-                row.prepare(own_seed, own)
+            for row, race_seed, race_options in zip(self._rows, seeds, options, strict=True):
+                row.prepare(race_seed, race_options)
             self._seeds = [
                 old if new is None else new for old, new in zip(self._seeds, seeds, strict=True)
             ]
             steps = SlotSteps(self._form, self.num_envs)
-            for row, own_seed, own in zip(self._rows, seeds, options, strict=True):
-                row.reset(steps, own_seed, own)
+            for row, race_seed, race_options in zip(self._rows, seeds, options, strict=True):
+                row.reset(steps, race_seed, race_options)
             steps.active |= self.racing
             self._prefetch(self._rows)
             return self._completed(steps)
@@ -269,11 +264,11 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
                     f"options is {options!r}, expected a dict or a list of {self.num_races}, "
                     "one per race"
                 )
-            by_race = [{} if own is None else own for own in options]
-            for row, own in zip(self._rows, by_race, strict=True):
-                row.race.check_options(own)
-            for row, own in zip(self._rows, by_race, strict=True):
-                row.options = dict(own)
+            by_race = [{} if race_options is None else race_options for race_options in options]
+            for row, race_options in zip(self._rows, by_race, strict=True):
+                row.race.check_options(race_options)
+            for row, race_options in zip(self._rows, by_race, strict=True):
+                row.options = dict(race_options)
             if any(row.track for row in self._rows):
                 self._prefetch(self._rows)
 
@@ -314,10 +309,12 @@ class RaceVectorEnv(VectorEnv[Any, Any, npt.NDArray[Any]]):
             ]
             if None in checked:
                 checked = self._checked_singly(actions)
-            controls = [race.convert(own) for race, own in zip(races, checked, strict=True) if own]
+            controls = [
+                race.convert(acts) for race, acts in zip(races, checked, strict=True) if acts
+            ]
             drive_opponents(races, controls)
-            for row, own in zip(self._rows, controls, strict=True):
-                row.send(own)
+            for row, players in zip(self._rows, controls, strict=True):
+                row.send(players)
 
     def step_wait(self) -> VectorStep:
         """Waits for the step from :meth:`step_async` and returns its result; see :meth:`step`.

@@ -34,6 +34,7 @@ class SlotSteps:
         rewards: ``(S,)`` float64, 0 for idle slots.
         terminations: ``(S,)`` bool, whether the slot's agent finished in this step.
         truncations: ``(S,)`` bool, whether the slot's agent was truncated in this step.
+        ends: rewards, terminations and truncations.
         active: ``(S,)`` bool, whether the slot's agent acted in this step.
         crashed: ``(S,)`` bool, whether the slot's game crashed in this step.
         tracks: ``(S,)`` number of each slot's track, for the same moment as its observation.
@@ -46,13 +47,9 @@ class SlotSteps:
         self.rewards = np.zeros(count)
         flags: BoolArray = np.zeros((4, count), np.bool_)
         self.terminations, self.truncations, self.active, self.crashed = flags
+        self.ends: EndArrays = self.rewards, self.terminations, self.truncations
         self.tracks = np.zeros(count, np.int64)
         self.finals: dict[int, tuple[Any, dict[str, Any]]] = {}
-
-    @property
-    def ends(self) -> EndArrays:
-        """Rewards, terminations and truncations."""
-        return self.rewards, self.terminations, self.truncations
 
     def show(self, slot: int, observation: Any, info: dict[str, Any]) -> None:
         """Writes an observation and an info for a slot."""

@@ -34,7 +34,9 @@ def seeds_of_races(seed: int | Sequence[int | None] | None, num_races: int) -> l
         return [check_whole("seed", seed, 0) + number for number in range(num_races)]
     if not isinstance(seed, Sequence) or len(seed) != num_races:
         raise ConfigError(f"seed is {seed!r}, expected a whole number or {num_races}, one per race")
-    return [own if own is None else check_whole("seed", own, 0) for own in seed]
+    return [
+        race_seed if race_seed is None else check_whole("seed", race_seed, 0) for race_seed in seed
+    ]
 
 
 class AheadStarts:
