@@ -310,6 +310,10 @@ def _compare(entry: Entry, claimed: dict[str, Any], results: Mapping[int, RaceRe
     ]
     _refuse(problems)
     fresh = json.loads(replace(entry, races=measured).to_json())
+    if claimed["plan"].pop("ai_races", None) is not None:
+        # An older entry: its intervals over tracks count the errors of the AI's times twice.
+        for group in (*claimed["groups"], *fresh["groups"]):
+            group.pop("clustered", None)
     if difference := _difference(claimed, fresh):
         _refuse([f"{ENTRY_FILE}: {difference}"])
 

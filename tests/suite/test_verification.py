@@ -62,6 +62,15 @@ def test_an_honest_entry_is_verified_without_stored_race_results(entry, capsys):
 
 
 @pytest.mark.slow
+def test_an_entry_with_older_intervals_over_tracks_is_verified(entry):
+    card = read_entry(entry)
+    card["plan"]["ai_races"] = {"lighthouse": {"forward": [[31.0, None]]}}
+    card["groups"][0]["clustered"]["time_ratio"] = {"value": 1.0, "low": 0.5, "high": 1.5}
+    write_entry(entry, card)
+    assert verify_entry(entry, jobs=1).is_complete
+
+
+@pytest.mark.slow
 def test_changed_recordings_are_refused_at_their_step(entry):
     def control(step, kart, index):
         def change(controls):
