@@ -80,11 +80,10 @@ OTHER_PROGRAMS = [
 
 def enter_folder(path, monkeypatch):
     """Creates a folder with the agents that the pages mention, and changes to it."""
-    agent, team, *_ = (b for b in blocks("docs/reference/agents.md", "python") if b.file)
+    agent, *_ = (b for b in blocks("docs/reference/agents.md", "python") if b.file)
     for name in ("my_agent", "my_driver", "my_team", "agents/one", "agents/swift"):
         (path / name).mkdir(parents=True)
-        code = team.code if name == "my_team" else agent.code
-        (path / name / "pystk_actor.py").write_text(code)
+        (path / name / "pystk_actor.py").write_text(agent.code)
     with zipfile.ZipFile(path / "rival.zip", "w") as packed:
         packed.writestr("pystk_actor.py", agent.code)
     monkeypatch.chdir(path)
