@@ -250,7 +250,7 @@ def test_an_observation_with_too_many_rows_is_refused():
         decode_observation(data)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_the_largest_first_message_of_a_race_fits():
     with race_v0.parallel_env(
         num_kart=20, track="black_forest", view=full_with(frozenset(EXTRAS))

@@ -352,7 +352,7 @@ def test_a_scenario_that_does_not_reproduce_its_race_is_an_error():
         env.reset(seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_random_start_that_is_refused_is_drawn_again():
     wish = RandomStart(share=(0.3, 0.3), offset=(-20.0, 20.0))
     with race() as env:

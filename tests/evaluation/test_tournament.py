@@ -271,7 +271,7 @@ def get_actor(module_dir, observation_space, action_space):
     def actor(state, observation):
         steps.append(0)
         if len(steps) % 2 == {turn}:
-            time.sleep(2)
+            time.sleep(1.5)
         return dict.fromkeys(action_space, 0) | {{"acceleration": [0.0], "steer": [0.0]}}
     return actor
 """
@@ -282,12 +282,12 @@ def test_two_slow_agents_void_no_race_and_lose_it(tmp_path):
     """They take turns, so that the absence of one of them does not let the race finish."""
     for turn, name in enumerate("ab"):
         (tmp_path / f"{name}.py").write_text(SLOW.format(turn=turn))
-    settings = {**SMALL, "races": 1, "per_race": 3, "max_steps": 40, "race_timeout": 20.0}
+    settings = {**SMALL, "races": 1, "per_race": 3, "max_steps": 40, "race_timeout": 12.0}
     agents = ["heuristic", *(str(tmp_path / f"{name}.py") for name in "ab")]
     result = run_tournament(agents, output=tmp_path / "cup", **settings)
     assert [race.order[0] for race in result.races] == ["heuristic"]
     assert [row.reason for row in result.standings if row.label in "ab"] == [
-        "it has used up its time budget of 5 s for decisions"
+        "it has used up its time budget of 3 s for decisions"
     ] * 2
 
 

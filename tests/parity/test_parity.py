@@ -31,6 +31,7 @@ def test_races_match_the_reference_in_both_of_its_modes(tmp_path):
     assert "D31" in intended(results)  # the reference's own process does not send the phase
 
 
+@pytest.mark.matrix
 def test_a_whole_race_matches_the_reference_except_for_repeated_bonuses(tmp_path):
     words = ["--ids", "supertuxkart/multi-full-v0", "--track", "olivermath", "--modes", "direct"]
     results, _ = compare(tmp_path / "races.json", *words)

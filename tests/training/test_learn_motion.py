@@ -12,7 +12,7 @@ from tests.agents.planning.test_plan_viewer import planned, scene_arguments
 pytest.importorskip("torch", reason="extra train")
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_a_short_training_gives_a_network_that_plans_can_use(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(learn_motion, "_STEPS", 80)
     words = [f"--output={tmp_path}", "--rounds=1", "--n-epochs=3", "--hidden", "8", "6"]
