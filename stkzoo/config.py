@@ -158,9 +158,9 @@ def start_of(values: Mapping[str, object]) -> Start | RandomStart:
         ConfigError: a field is unknown or its value is invalid.
     """
     pairs = {name: tuple(pair) for name, pair in values.items() if isinstance(pair, (tuple, list))}
-    kind: Any = RandomStart if pairs else Start
-    _check_fields(kind, values, "a start")
-    start: Start | RandomStart = kind(**{**values, **pairs})
+    start_type: Any = RandomStart if pairs else Start
+    _check_fields(start_type, values, "a start")
+    start: Start | RandomStart = start_type(**{**values, **pairs})
     return start
 
 

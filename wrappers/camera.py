@@ -49,10 +49,10 @@ class Shot:
 class Camera(Protocol):
     """One agent's camera; environments provide it as their attribute ``camera``."""
 
-    def open(self, kind: CameraKind) -> None:
+    def open(self, camera_kind: CameraKind) -> None:
         """Announces the kind of images that :meth:`look` will request."""
 
-    def look(self, kind: CameraKind) -> Shot:
+    def look(self, camera_kind: CameraKind) -> Shot:
         """Returns the current image."""
 
 
@@ -102,12 +102,12 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper)
         backend: str = "auto",
     ) -> None:
         super().__init__(env)
-        self._kind = _kind(size, depth, backend)
+        self._camera_kind = _kind(size, depth, backend)
         self._every = check_whole("every", every, 1)
         self._age = 0
         self._shot: Shot | None = None
-        self.observation_space = _space(env.observation_space, self._kind)
-        self._camera().open(self._kind)
+        self.observation_space = _space(env.observation_space, self._camera_kind)
+        self._camera().open(self._camera_kind)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -119,7 +119,7 @@ class CameraObservations(gym.ObservationWrapper[Any, Any, Any], RecordedWrapper)
     def observation(self, observation: Any) -> dict[str, Any]:
         """Returns the observation with the image."""
         if self._shot is None or self._age >= self._every:
-            self._shot, self._age = self._camera().look(self._kind), 0
+            self._shot, self._age = self._camera().look(self._camera_kind), 0
         self._age += 1
         seen = dict(observation) if isinstance(observation, dict) else {"observation": observation}
         seen["image"] = self._shot.image.copy()
@@ -169,15 +169,15 @@ def _kind(size: Sequence[int], depth: bool, backend: str) -> CameraKind:
     return CameraKind(checked_size(size), bool(depth), "engine" if depth else backend)
 
 
-def _space(inner: spaces.Space[Any], kind: CameraKind) -> spaces.Dict:
+def _space(inner: spaces.Space[Any], camera_kind: CameraKind) -> spaces.Dict:
     parts = dict(inner.spaces) if isinstance(inner, spaces.Dict) else {"observation": inner}
     taken = {"image", "depth"} & set(parts)
     if taken:
         raise ConfigError(
             f"observations already have {' and '.join(sorted(taken))}; use CameraObservations once"
         )
-    width, height = kind.size
+    width, height = camera_kind.size
     parts["image"] = spaces.Box(0, 255, (height, width, 3), np.uint8)
-    if kind.depth:
+    if camera_kind.depth:
         parts["depth"] = spaces.Box(0.0, 1.0, (height, width, 1), np.float32)
     return spaces.Dict(parts)

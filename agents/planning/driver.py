@@ -227,7 +227,7 @@ class PlanDriver:
         return prior
 
     def _pass_step(self, around: Surroundings) -> None:
-        self.memory.look(around.own[:, _SPEED], around.own[:, _SKEED])
+        self.memory.look(around.ego[:, _SPEED], around.ego[:, _SKEED])
 
     def _weigh(self, around: Surroundings, inputs: FloatArray) -> FloatArray:
         """Weighs the plans, writes a policy's inputs, if any, and returns the prior."""

@@ -181,8 +181,8 @@ class _SurroundingsObserver:
 def _row(around: Surroundings, phase: Any) -> dict[str, Any]:
     """Returns observations of A karts with arrays of the sizes in their space."""
     seen = {
-        "own": around.own,
-        "phase": np.reshape(phase, len(around.own)),
+        "own": around.ego,
+        "phase": np.reshape(phase, len(around.ego)),
         "road": around.road,
         "karts": _fitted(around.karts, _KARTS, np.inf),
         "items": _fitted(around.items, _ITEMS, 0.0),
@@ -219,8 +219,8 @@ def surroundings_view(sees_line: bool) -> View:
 
 def around_of(seen: Mapping[str, Any]) -> Surroundings:
     """Returns the surroundings in observations of :class:`PlanSurroundings`, in rows."""
-    own, road, karts, items, item_types = (seen[key] for key in _AROUND)
-    return Surroundings(own, road, karts, items, item_types, seen.get("line"))
+    ego, road, karts, items, item_types = (seen[key] for key in _AROUND)
+    return Surroundings(ego, road, karts, items, item_types, seen.get("line"))
 
 
 class PlanChoices(gym.Wrapper[Any, Any, Any, Any]):

@@ -110,7 +110,7 @@ def drive_all(
     matches = [Match((name,), *place, bots) for name in drivers for place in places]
     finishes = play_matches(matches, drivers, side_by_side=len(places))
     logs = [math.log(finish.counted_ratio) for (finish,) in finishes]
-    return [float(np.mean(own)) for own in np.split(np.array(logs), len(sets))]
+    return [float(np.mean(of_set)) for of_set in np.split(np.array(logs), len(sets))]
 
 
 @dataclass(frozen=True, slots=True)

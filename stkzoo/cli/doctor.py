@@ -86,12 +86,12 @@ class NotFound(Exception):
     """A check failed.
 
     Args:
-        found: the problem.
+        problem: what is wrong.
         remedy: the fix; empty for the default fix of the check.
     """
 
-    def __init__(self, found: str, remedy: str = "") -> None:
-        super().__init__(found)
+    def __init__(self, problem: str, remedy: str = "") -> None:
+        super().__init__(problem)
         self.remedy = remedy
 
 

@@ -94,7 +94,7 @@ def _server(arguments: RaceServerArguments, settings: RaceSettings) -> RaceServe
     if not settings.inline:
         say_what_is_missing(settings.sandbox)
     keys = ServerKeys(
-        own=None if arguments.secret is None else read_secret(arguments.secret),
+        pair=None if arguments.secret is None else read_secret(arguments.secret),
         allowed=None if arguments.allow is None else read_publics(arguments.allow),
     )
     return RaceServer(

@@ -159,18 +159,22 @@ def _in_time(measure: Callable[[], int], otherwise: int) -> int:
     return measured[0] if measured else otherwise
 
 
-def _total(processes: Sequence[int], in_files: int, file: str, kind: str) -> int:
+def _total(processes: Sequence[int], in_files: int, file: str, count: str) -> int:
     """Returns the memory of processes and their page tables [bytes]; 0 if it is not reported.
 
     Args:
         processes: process ids.
         in_files: memory of open anonymous files [bytes], which counts as shared memory.
         file: file in ``/proc/PROCESS`` with the memory.
-        kind: ``"Rss"`` counts shared memory once per process, ``"Pss_"`` once.
+        count: ``"Rss"`` counts shared memory once per process, ``"Pss_"`` once.
     """
     private, shared, tables = (
         sum(memory_of(process, source, (name,)) for process in processes)
-        for source, name in ((file, f"{kind}Anon:"), (file, f"{kind}Shmem:"), ("status", "VmPTE:"))
+        for source, name in (
+            (file, f"{count}Anon:"),
+            (file, f"{count}Shmem:"),
+            ("status", "VmPTE:"),
+        )
     )
     return private and private + tables + max(shared, in_files)
 

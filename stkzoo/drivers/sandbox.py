@@ -91,18 +91,18 @@ def enclose(
     Raises:
         ConfigError: ``mode`` is ``"on"`` and bubblewrap does not work on this machine.
     """
-    kind = sandbox_kind(mode)
-    if kind == NONE:
+    sandbox = sandbox_kind(mode)
+    if sandbox == NONE:
         return Enclosure()
     agent_paths = _agent_paths(files, place)
     paths = [*_SYSTEM, *_python_paths(agent_paths), *agent_paths, *([adapter] if adapter else [])]
     changed = agent_paths if adapter else []  # an adapter's prepare_module_dir may change them
     home = "/tmp"  # noqa: S108 - inside the sandbox
-    if kind == LANDLOCK:
+    if sandbox == LANDLOCK:
         home = str(resources.enter_context(TemporaryFolder("sandbox")).path)
     environment = {name: os.environ[name] for name in _VARIABLES if name in os.environ}
     environment |= {"HOME": home, "TMPDIR": home, "USER": "agent"}
-    if kind == LANDLOCK:
+    if sandbox == LANDLOCK:
         # A package is imported from its own folder. Other modules are searched in these.
         searched = [] if place.package else [place.first, place.last]
         readable, writable = [*paths, *_KERNEL], [home, *changed, *_DEVICES]
@@ -149,22 +149,22 @@ def own_cores(number: int, count: int) -> tuple[int, ...]:
     return tuple(cores[1 + number * share : 1 + (number + 1) * share])
 
 
-def protections(kind: str) -> tuple[str, ...]:
+def protections(sandbox: str) -> tuple[str, ...]:
     """Returns the names of the resources that a sandbox protects on this system.
 
     Args:
-        kind: kind of sandbox, from :func:`sandbox_kind`.
+        sandbox: its kind, from :func:`sandbox_kind`.
     """
-    version = confinement.landlock_version() if kind == LANDLOCK else 0
-    has_filter = kind != NONE and confinement.has_call_filter()
+    version = confinement.landlock_version() if sandbox == LANDLOCK else 0
+    has_filter = sandbox != NONE and confinement.has_call_filter()
     active = {
-        "files": kind != NONE,
-        "environment variables": kind != NONE,
-        "tracing": kind != NONE,
-        "network": kind == BUBBLEWRAP or has_filter,
+        "files": sandbox != NONE,
+        "environment variables": sandbox != NONE,
+        "tracing": sandbox != NONE,
+        "network": sandbox == BUBBLEWRAP or has_filter,
         "TCP": confinement.has_tcp(version),
-        "signals": kind == BUBBLEWRAP or confinement.has_scopes(version),
-        "temporary files": kind == BUBBLEWRAP,
+        "signals": sandbox == BUBBLEWRAP or confinement.has_scopes(version),
+        "temporary files": sandbox == BUBBLEWRAP,
         "system calls": has_filter,
         "memory and processes of the group": sys.platform == "linux",
     }
@@ -178,9 +178,9 @@ def say_what_is_missing(mode: str) -> None:
     Raises:
         ConfigError: see :func:`sandbox_kind`.
     """
-    if mode == "off" or (kind := sandbox_kind(mode)) == BUBBLEWRAP:
+    if mode == "off" or (sandbox := sandbox_kind(mode)) == BUBBLEWRAP:
         return
-    how = "without a sandbox" if kind == NONE else "in a weaker sandbox (Landlock)"
+    how = "without a sandbox" if sandbox == NONE else "in a weaker sandbox (Landlock)"
     logger.warning("agents run %s: %s", how, bubblewrap_problem())
 
 

@@ -119,8 +119,8 @@ class ForkServerClient(SpawnedProcess):
                     # A race's kernel cannot receive files, so they come in a second message.
                     wire.send(source, wire.FORK)
                 wire.send(source, wire.FORK, files=[other_end.fileno(), log.fileno()])
-            kind, frames = wire.receive(ours)
-            if kind == wire.ERROR:
+            tag, frames = wire.receive(ours)
+            if tag == wire.ERROR:
                 with explain_os_errors():
                     raise OSError(json.loads(frames[0])["message"])
             on_failure.pop_all()

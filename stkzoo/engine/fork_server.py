@@ -62,10 +62,10 @@ class _ForkServer:
                 self._reap()
 
     def _serve_request(self) -> None:
-        kind, frames, files = wire.receive_with_files(self._control)
-        if kind == wire.FORK:
+        tag, frames, files = wire.receive_with_files(self._control)
+        if tag == wire.FORK:
             self._fork(files)
-        elif kind == wire.END:
+        elif tag == wire.END:
             status = self._end(int(frames[0]))
             wire.send(self._control, wire.OK, frames[0], str(status).encode())
         else:

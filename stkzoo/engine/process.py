@@ -124,8 +124,8 @@ class RaceProcess:
             EOFError: the process has ended.
             TimeoutError: no reply came within the connection's timeout.
         """
-        kind, frames = wire.receive(self.connection)
-        if kind == wire.ERROR:
+        tag, frames = wire.receive(self.connection)
+        if tag == wire.ERROR:
             error = json.loads(frames[0])
             if error["type"] == ConfigError.__name__:
                 raise ConfigError(error["message"])

@@ -130,9 +130,9 @@ def main(descriptor: int) -> None:
 class _RenderServer(RequestServer):
     """Serves the requests of a :class:`stkzoo.engine.render_session.RenderSession`."""
 
-    def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
+    def _serve(self, tag: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
         with _ending_with(self._connection):
-            return super()._serve(kind, frames)
+            return super()._serve(tag, frames)
 
     def _begin(self, setup: RaceSetup) -> Sequence[bytes]:
         self._race = MirroredRace(setup)

@@ -184,11 +184,11 @@ class RenderSession(ProcessSession):
         parts = zip(blocks, kinds, json.loads(shapes), strict=True)
         return Footage(*(np.frombuffer(data, dtype).reshape(shape) for data, dtype, shape in parts))
 
-    def _request(self, kind: bytes, *data: bytes) -> list[bytes]:
+    def _request(self, tag: bytes, *data: bytes) -> list[bytes]:
         with self._turn.of("render"):
             try:
-                self._send(kind, *data)
-                return self._receive(kind)
+                self._send(tag, *data)
+                return self._receive(tag)
             finally:
                 if self._asked is not None:
                     # Interrupted: the next request would get this request's reply.

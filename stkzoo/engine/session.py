@@ -107,7 +107,7 @@ class ProcessSession:
     Args:
         what: name of the process in error texts.
         remedy: advice in error texts for when the process has ended.
-        timeouts: time limit of a request [s], by kind of request.
+        timeouts: time limit of a request [s], by its tag.
 
     Attributes:
         what: as above.
@@ -117,7 +117,7 @@ class ProcessSession:
     def __init__(self, what: str, remedy: str, timeouts: dict[bytes, float]) -> None:
         self.what, self.remedy = what, remedy
         self._timeouts = timeouts
-        self._asked: bytes | None = None  # kind of the request whose reply is outstanding
+        self._asked: bytes | None = None  # tag of the request whose reply is outstanding
         self._process: RaceProcess | None = None
 
     @property
@@ -135,20 +135,20 @@ class ProcessSession:
         with contextlib.suppress(Exception):  # the interpreter may be shutting down
             self.close()
 
-    def _send(self, kind: bytes, *data: bytes) -> None:
+    def _send(self, tag: bytes, *data: bytes) -> None:
         process = self._idle()
-        self._asked = kind
+        self._asked = tag
         try:
-            if process.connection.gettimeout() != self._timeouts[kind]:
-                process.connection.settimeout(self._timeouts[kind])
-            wire.send(process.connection, kind, *data)
+            if process.connection.gettimeout() != self._timeouts[tag]:
+                process.connection.settimeout(self._timeouts[tag])
+            wire.send(process.connection, tag, *data)
         except BaseException as error:
             self._end_after(error, process)
             raise
 
-    def _receive(self, kind: bytes) -> list[bytes]:
+    def _receive(self, tag: bytes) -> list[bytes]:
         process = self._living()
-        if self._asked != kind:
+        if self._asked != tag:
             raise ApiOrderError("there is no request to wait for")
         try:
             frames = process.reply()

@@ -1,6 +1,6 @@
 """Messages between a program and its engine processes.
 
-A message consists of its kind (one byte), its number of frames (one byte), their lengths (four
+A message consists of its tag (one byte), its number of frames (one byte), their lengths (four
 bytes each), and the frames. A frame contains arrays in a fixed layout or JSON; nothing is pickled.
 After sending a message, each end waits for a message from the other, so one read of a connection
 returns at most one message, or its beginning.
@@ -53,16 +53,16 @@ def pair() -> tuple[socket.socket, socket.socket]:
     return ends
 
 
-def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence[int] = ()) -> None:
+def send(connection: socket.socket, tag: bytes, *frames: bytes, files: Sequence[int] = ()) -> None:
     """Sends one message.
 
     Args:
         connection: the socket.
-        kind: kind of the message.
+        tag: tag of the message.
         *frames: frames of the message.
         files: descriptors of open files to send along, to a process on this machine.
     """
-    head = struct.pack(f"<cB{len(frames)}I", kind, len(frames), *map(len, frames))
+    head = struct.pack(f"<cB{len(frames)}I", tag, len(frames), *map(len, frames))
     message = b"".join([head, *frames])
     if files:
         socket.send_fds(connection, [message], files)
@@ -72,7 +72,7 @@ def send(connection: socket.socket, kind: bytes, *frames: bytes, files: Sequence
 
 
 def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
-    """Waits for one message and returns its kind and frames.
+    """Waits for one message and returns its tag and frames.
 
     Raises:
         EOFError: the other end is closed, or the message is invalid.
@@ -83,7 +83,7 @@ def receive(connection: socket.socket) -> tuple[bytes, list[bytes]]:
 
 
 def receive_with_files(connection: socket.socket) -> tuple[bytes, list[bytes], list[int]]:
-    """Waits for one message and returns its kind, frames and file descriptors.
+    """Waits for one message and returns its tag, frames and file descriptors.
 
     At most two descriptors are received. The caller must close them.
 
@@ -94,12 +94,12 @@ def receive_with_files(connection: socket.socket) -> tuple[bytes, list[bytes], l
 
 
 def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]]:
-    """Reads the rest of a message that begins with ``data``, and returns its kind and frames.
+    """Reads the rest of a message that begins with ``data``, and returns its tag and frames.
 
     Raises: as :func:`receive`.
     """
     data = _at_least(connection, data, _HEADER.size)
-    kind, count = _HEADER.unpack_from(data)
+    tag, count = _HEADER.unpack_from(data)
     begin = _HEADER.size + 4 * count
     data = _at_least(connection, data, begin)
     lengths = struct.unpack_from(f"<{count}I", data, _HEADER.size)
@@ -113,7 +113,7 @@ def complete(connection: socket.socket, data: bytes) -> tuple[bytes, list[bytes]
     for length in lengths:
         frames.append(data[begin : begin + length])
         begin += length
-    return kind, frames
+    return tag, frames
 
 
 def send_error(connection: socket.socket, error: Exception) -> None:

@@ -82,9 +82,9 @@ class RequestServer:
     def _next_request(self) -> tuple[bytes, list[bytes]]:
         return wire.receive(self._connection)
 
-    def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
+    def _serve(self, tag: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
         """Executes a request and returns the frames of the reply; ``None`` for no reply."""
-        if kind != wire.BEGIN:
+        if tag != wire.BEGIN:
             return self._advance(*frames)
         if self._race is not None:
             self._race.stop()
@@ -122,9 +122,9 @@ class WorkerServer(RequestServer):
             return super()._next_request()
         return wire.complete(self._connection, serve(self._connection.fileno()))
 
-    def _serve(self, kind: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
-        if kind != wire.FORK or self._fork_server is None:
-            return super()._serve(kind, frames)
+    def _serve(self, tag: bytes, frames: list[bytes]) -> Sequence[bytes] | None:
+        if tag != wire.FORK or self._fork_server is None:
+            return super()._serve(tag, frames)
         # The kernel cannot receive files, so they come in a second message.
         _, _, files = wire.receive_with_files(self._connection)
         session = serve_fork(self._connection, files, fork_beside, self._fork_server)
@@ -156,7 +156,7 @@ def die_with(parent: int) -> None:
 def serve_fork(
     connection: socket.socket, files: Sequence[int], fork: Callable[[], int], fork_server: int
 ) -> socket.socket | None:
-    """Serves a request of kind :data:`~stkzoo.engine.wire.FORK`.
+    """Serves the request :data:`~stkzoo.engine.wire.FORK`.
 
     This process sends the id of the new process over its connection, so the program knows a new
     process that never answers.

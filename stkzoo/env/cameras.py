@@ -41,9 +41,9 @@ class RaceCameras:
         """Returns the agents' views, each applied to an environment with that agent's camera."""
         return {agent: with_camera(view, self.of(agent)) for agent, view in views.items()}
 
-    def drawing(self, kind: CameraKind) -> _Drawing:
+    def drawing(self, camera_kind: CameraKind) -> _Drawing:
         """Returns the renderer of all cameras of one kind."""
-        return self._drawings.setdefault(kind, _Drawing(kind))
+        return self._drawings.setdefault(camera_kind, _Drawing(camera_kind))
 
     def close(self) -> None:
         """Stops the render processes."""
@@ -67,14 +67,14 @@ class _AgentCamera:
     def __init__(self, cameras: RaceCameras, number: int) -> None:
         self._cameras, self._number = cameras, number
 
-    def open(self, kind: CameraKind) -> None:
-        self._cameras.drawing(kind).add(self._number)
+    def open(self, camera_kind: CameraKind) -> None:
+        self._cameras.drawing(camera_kind).add(self._number)
 
-    def look(self, kind: CameraKind) -> Shot:
+    def look(self, camera_kind: CameraKind) -> Shot:
         episode = self._cameras.present()
         if episode is None:
             raise ApiOrderError("there is nothing to see before reset(); call reset() first")
-        drawing = self._cameras.drawing(kind)
+        drawing = self._cameras.drawing(camera_kind)
         drawing.add(self._number)  # a copied wrapper opened the camera in another race
         return drawing.shots(episode)[self._number]
 
@@ -82,10 +82,10 @@ class _AgentCamera:
 class _Drawing:
     """The renderer of all cameras of one kind."""
 
-    def __init__(self, kind: CameraKind) -> None:
+    def __init__(self, camera_kind: CameraKind) -> None:
         self.agents: set[int] = set()
-        self._kind = kind
-        self._renderer = RaceRenderer(kind.backend, kind.size)
+        self._camera_kind = camera_kind
+        self._renderer = RaceRenderer(camera_kind.backend, camera_kind.size)
         self._shown: Snapshot | None = None
         self._shots: dict[int, Shot] = {}
 
@@ -119,7 +119,7 @@ class _Drawing:
         self._renderer.close()
 
     def _draw(self, snapshot: Snapshot) -> dict[int, Shot]:
-        if not self._kind.depth:
+        if not self._camera_kind.depth:
             images = self._renderer.pictures(snapshot)
             return {kart: Shot(image) for kart, image in images.items()}
         images, depths = self._renderer.pictures_and_depths(snapshot)

@@ -102,8 +102,10 @@ def _is_same(view: ViewFactory, other: ViewFactory) -> bool:
         return view == other or names[0] == names[1]
     # a lambda or a local function
     parts = ("__module__", "__code__", "__closure__", "__defaults__", "__kwdefaults__")
-    ours, theirs = ([getattr(entry, part, entry) for part in parts] for entry in (view, other))
-    return ours == theirs
+    definition, other_definition = (
+        [getattr(entry, part, entry) for part in parts] for entry in (view, other)
+    )
+    return definition == other_definition
 
 
 def _register_view_id(name: str) -> None:

@@ -25,7 +25,7 @@ class Document(ABC):
     __slots__ = ()
 
     #: ``type`` and ``schema_version`` of the file.
-    kind: ClassVar[str]
+    type_name: ClassVar[str]
     version: ClassVar[int] = 1
     #: Description of such a file and its source, for errors.
     origin: ClassVar[str]
@@ -40,7 +40,7 @@ class Document(ABC):
 
     def to_json(self) -> str:
         """Returns the document as JSON text."""
-        values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        values = {"type": self.type_name, "schema_version": self.version, **self.to_dict()}
         rows = ",\n    ".join(map(json.dumps, values.pop(self.rows))) if self.rows else ""
         text = json.dumps(values, indent=2, allow_nan=False)
         if self.rows:
@@ -60,7 +60,7 @@ class Document(ABC):
                 missing or invalid.
         """
         with cls._reading(place):
-            check_document(text, cls.kind, cls.version, cls.max_bytes)
+            check_document(text, cls.type_name, cls.version, cls.max_bytes)
             return read_json(text, cls, cls.max_bytes)
 
     @classmethod
@@ -87,7 +87,7 @@ class Document(ABC):
     @classmethod
     def _reading(cls, place: str) -> AbstractContextManager[None]:
         """Adds the document's kind and origin to errors of a block that reads it."""
-        return reading(f"{place} has no {cls.kind.replace('-', ' ')}", cls.origin)
+        return reading(f"{place} has no {cls.type_name.replace('-', ' ')}", cls.origin)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +98,14 @@ class _DocumentHead:
     schema_version: int
 
 
-def check_document(text: str | bytes, kind: str, version: int, max_bytes: int = MAX_BYTES) -> None:
+def check_document(
+    text: str | bytes, type_name: str, version: int, max_bytes: int = MAX_BYTES
+) -> None:
     """Checks the type and version of a document.
 
     Args:
         text: the document as JSON text.
-        kind: the expected type.
+        type_name: the expected type.
         version: the expected version.
         max_bytes: maximum length of the text [characters].
 
@@ -112,13 +114,13 @@ def check_document(text: str | bytes, kind: str, version: int, max_bytes: int = 
         ConfigError: the document has another type or version.
     """
     head = read_json(text, _DocumentHead, max_bytes)
-    if (head.type, head.schema_version) != (kind, version):
+    if (head.type, head.schema_version) != (type_name, version):
         raise ConfigError(
             f"the file is a {head.type[:40]} of version {shortened(head.schema_version)}, expected "
-            f"a {kind} of version {version}; "
+            f"a {type_name} of version {version}; "
             + (
                 "another version of stkzoo wrote it"
-                if head.type == kind
-                else f"choose the file or folder of a {kind.rpartition('-')[0]}"
+                if head.type == type_name
+                else f"choose the file or folder of a {type_name.rpartition('-')[0]}"
             )
         )

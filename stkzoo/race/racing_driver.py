@@ -168,7 +168,7 @@ class RacingDriver:
         self._record(problem, step, "timeout")
         self._retire()
 
-    def _record(self, error: Exception, step: int, kind: str) -> None:
+    def _record(self, error: Exception, step: int, failure_kind: str) -> None:
         """Stores a failure, or raises it if ``error_handling`` is ``"raise"``."""
         text = printable(in_words(error)) or "(no message)"
         trace = str(error.trace) if isinstance(error, AgentError) else ""
@@ -181,7 +181,7 @@ class RacingDriver:
         self.num_failures += 1
         if len(self.failures) < _MAX_FAILURES_KEPT:
             text = self._fitted(text, _MIN_MESSAGE)
-            self.failures.append(AgentFailure(step, kind, text, self._fitted(trace)))
+            self.failures.append(AgentFailure(step, failure_kind, text, self._fitted(trace)))
 
     def _fitted(self, text: str, minimum: int = 0) -> str:
         """Shortens a text of a failure so that those of all failures have a bounded size."""

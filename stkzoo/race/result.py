@@ -168,7 +168,7 @@ class RaceResult(Document):
         mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`. It affects ``==``.
     """
 
-    kind: ClassVar[str] = "race-result"
+    type_name: ClassVar[str] = "race-result"
     version: ClassVar[int] = SCHEMA_VERSION
     origin: ClassVar[str] = "a file from `stkzoo race --output`"
 
@@ -203,4 +203,4 @@ class RaceResult(Document):
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the result as JSON values, with its ``type`` and ``schema_version``."""
-        return {"type": self.kind, "schema_version": self.version, **asdict(self)}
+        return {"type": self.type_name, "schema_version": self.version, **asdict(self)}

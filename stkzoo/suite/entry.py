@@ -98,7 +98,7 @@ class EntryPlan(BenchmarkPlan):
         about: what the entry says about itself.
     """
 
-    kind: ClassVar[str] = "suite-plan"
+    type_name: ClassVar[str] = "suite-plan"
     noun: ClassVar[str] = "entry"
     resume_command: ClassVar[str] = "stkzoo suite evaluate TASK AGENT --output {folder}"
     decided: ClassVar[tuple[str, ...]] = DECIDED_SETTINGS
@@ -158,7 +158,7 @@ class Entry(BenchmarkResult):
         replays: SHA-256 of the replays of these races.
     """
 
-    kind: ClassVar[str] = "suite-entry"
+    type_name: ClassVar[str] = "suite-entry"
     origin: ClassVar[str] = f"the {ENTRY_FILE} of `stkzoo suite evaluate`"
     metrics: ClassVar[tuple[FigureKind, ...]] = (*BenchmarkResult.metrics, _BEATEN)
 

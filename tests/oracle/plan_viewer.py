@@ -83,7 +83,7 @@ def survey(
     """Computes the arguments of ``weigh_plans``, and where the karts are; writes ``moments``."""
     if line is None:
         line = around.road[:, -MARK_COUNT - 1 :][..., [0, 1, 2, 3, 3]]
-    count, own = len(around.own), own_parts(around.own)
+    count, own = len(around.ego), own_parts(around.ego)
     velocity, speed = own["velocity"], own["velocity"][:, 2]
     road = RoadAhead.of(line, headings_of(line), MARK_SPACING)
     turned, rivals = np.zeros(count, np.float32), np.zeros((count, RIVALS, 5))

@@ -120,7 +120,7 @@ def _document(kind: type[Document], valid: Callable[[], Document]) -> FileKind:
         elif isinstance(found, TournamentPlan) and found.num_races < _SMALL:
             tournament_orders(found)
 
-    return FileKind(kind.kind, text, _as("file.json"), read)
+    return FileKind(kind.type_name, text, _as("file.json"), read)
 
 
 @cache

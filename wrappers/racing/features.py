@@ -103,7 +103,7 @@ def _mirror() -> npt.NDArray[np.float32]:
 MIRROR = _mirror()
 
 #: Entries of the ``full`` view that describe a kart's own state, and their places in
-#: :attr:`Surroundings.own`.
+#: :attr:`Surroundings.ego`.
 OWN_PLACES = {
     key: slice(begin, begin + width)
     for key, begin, width in (

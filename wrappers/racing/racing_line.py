@@ -276,8 +276,8 @@ class GroundTable:
         starts, along = self._starts[nodes] - locations, self._along[nodes]
         before, _ = line_places(starts, along, GROUND_MARKS, STEP, NUM_POINTS)
         here, next_ = (nodes[:, None], before), (nodes[:, None], before + 1)
-        kind = _ORDER[np.maximum(self._places[here], self._places[next_])]
-        return kind, 0.5 * (self._speeds[here] + self._speeds[next_])
+        ground = _ORDER[np.maximum(self._places[here], self._places[next_])]
+        return ground, 0.5 * (self._speeds[here] + self._speeds[next_])
 
 
 class GroundObserver:
@@ -312,12 +312,12 @@ class GroundObserver:
                 :func:`~stkzoo.mdp.spaces.kart_observation_space`.
         """
         records = snapshot.karts[karts]
-        kind, speed = self._table.ahead(records["node"], records["location"])
+        ground, speed = self._table.ahead(records["node"], records["location"])
         left, right = (
             line.surroundings(snapshot, karts, GROUND_LINE_MARKS).road for line in self._lines
         )
         return {
-            "ground_kind": kind,
+            "ground_kind": ground,
             "ground_speed": speed,
             "ground_line": left[..., :3],
             "ground_room": np.concatenate([left[..., 3:], right[..., 3:]], axis=-1),

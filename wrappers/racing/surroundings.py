@@ -115,7 +115,7 @@ class Surroundings:
     """Surroundings of A karts, each in its own frame: x right, y up, z forward [m].
 
     Attributes:
-        own: ``(A, 12)`` own state of the karts: entries of the ``full`` view at
+        ego: ``(A, 12)`` own state of the karts: entries of the ``full`` view at
             :data:`OWN_PLACES`.
         road: ``(A, L, 4)`` points of the line and distances to the edge; by default at
             :data:`LOOKS`.
@@ -126,7 +126,7 @@ class Surroundings:
             left and right; ``None`` if it is not observed.
     """
 
-    own: FloatArray
+    ego: FloatArray
     road: FloatArray
     karts: FloatArray
     items: FloatArray
@@ -136,7 +136,7 @@ class Surroundings:
     @property
     def arrays(self) -> tuple[npt.NDArray[Any], ...]:
         """The arrays without the line, in order, C-contiguous."""
-        arrays = self.own, self.road, self.karts, self.items, self.item_types
+        arrays = self.ego, self.road, self.karts, self.items, self.item_types
         return tuple(map(np.ascontiguousarray, arrays))
 
 
@@ -153,9 +153,9 @@ def surroundings_of(
     keys = (*_KEYS, *(key for key in _LINE if key in seen[0]))
     batch = {key: [one[key] for one in seen] for key in keys}
     _, road = traced((tuple(batch[key]) for key in _PATHS), looks)
-    own = [np.reshape(batch[key], (len(road), -1)) for key in OWN_PLACES]
+    ego = [np.reshape(batch[key], (len(road), -1)) for key in OWN_PLACES]
     return Surroundings(
-        own=np.concatenate(own, axis=1, dtype=np.float32),
+        ego=np.concatenate(ego, axis=1, dtype=np.float32),
         road=road,
         karts=_stacked(batch["karts_position"], np.inf),
         items=_stacked(batch["items_position"], 0.0),

@@ -44,7 +44,7 @@ def run_command(
     """
     values = command_parser(module, description, kinds).parse_args(words)
     try:
-        run(*(kind(**values_of(values, kind)) for kind in kinds))
+        run(*(options(**values_of(values, options)) for options in kinds))
     except StkzooError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -349,7 +349,7 @@ def play_matches(
     """
     results: list[list[Finish]] = []
     rules = [driver.rules for driver in drivers.values()]
-    starts = _MatchStarts(any(own.racing_line for own in rules if own))
+    starts = _MatchStarts(any(each.racing_line for each in rules if each))
     try:
         for first in range(0, len(matches), side_by_side):
             part = matches[first : first + side_by_side]

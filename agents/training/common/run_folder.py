@@ -42,18 +42,18 @@ _DIGITS = 9
 T = TypeVar("T")
 
 
-def read_run_file(kind: type[T], file: Path) -> T:
+def read_run_file(content_type: type[T], file: Path) -> T:
     """Returns the content of a JSON file in a run's folder.
 
     Args:
-        kind: type of the content; see :func:`stkzoo._reading.read_json`.
+        content_type: type of the content; see :func:`stkzoo._reading.read_json`.
         file: the file.
 
     Raises:
         ConfigError: the file is missing or damaged.
     """
     with reading(f"{str(file)!r} cannot be read", "the file that the run wrote"):
-        return load_json(file, kind, _MAX_BYTES)
+        return load_json(file, content_type, _MAX_BYTES)
 
 
 # ---------------------------------------------------------------------- arguments
@@ -218,12 +218,12 @@ def save_checkpoint(folder: Path, facts: Mapping[str, Any], state: Mapping[str, 
         part.write_bytes(content.getbuffer())
 
 
-def load_checkpoint(folder: Path, kind: type[T]) -> tuple[T, dict[str, Any]] | None:
+def load_checkpoint(folder: Path, facts_type: type[T]) -> tuple[T, dict[str, Any]] | None:
     """Returns facts and state of a run's checkpoint; ``None`` without a checkpoint.
 
     Args:
         folder: folder of the run.
-        kind: type of the facts.
+        facts_type: type of the facts.
 
     Raises:
         ConfigError: the checkpoint is damaged.
@@ -235,7 +235,7 @@ def load_checkpoint(folder: Path, kind: type[T]) -> tuple[T, dict[str, Any]] | N
         with open_zip(file, 100_000, _MAX_CHECKPOINT):
             pass  # the list of its members is valid
         state = training_library("torch").load(file, weights_only=True, map_location="cpu")
-        return read_json(state["facts"], kind, _MAX_BYTES), state
+        return read_json(state["facts"], facts_type, _MAX_BYTES), state
 
 
 def reading_checkpoint(folder: Path) -> AbstractContextManager[None]:
@@ -247,14 +247,14 @@ def reading_checkpoint(folder: Path) -> AbstractContextManager[None]:
 # ---------------------------------------------------------------------- log
 
 
-def read_json_lines(file: Path, kind: type[T]) -> list[T]:
+def read_json_lines(file: Path, line_type: type[T]) -> list[T]:
     """Returns the lines of a JSON lines file; empty if the file does not exist.
 
     An incomplete last line is left out.
 
     Args:
         file: the file.
-        kind: type of a line; see :func:`stkzoo._reading.read_json`.
+        line_type: type of a line; see :func:`stkzoo._reading.read_json`.
 
     Raises:
         ConfigError: the file is damaged.
@@ -262,16 +262,16 @@ def read_json_lines(file: Path, kind: type[T]) -> list[T]:
     if not file.exists():
         return []
     with reading(f"{str(file)!r} cannot be read", "the lines that the run wrote"):
-        return read_lines(file, kind, _MAX_BYTES)
+        return read_lines(file, line_type, _MAX_BYTES)
 
 
-def continue_json_lines(file: Path, kind: type[T]) -> list[T]:
+def continue_json_lines(file: Path, line_type: type[T]) -> list[T]:
     """Returns the lines of a JSON lines file to which a continued run appends.
 
     An incomplete last line is removed from the file, so that the next line does not continue it.
     See :func:`read_json_lines` for the arguments and errors.
     """
-    lines = read_json_lines(file, kind)
+    lines = read_json_lines(file, line_type)
     if file.exists():
         with file.open("r+b") as stream:
             stream.truncate(stream.read().rfind(b"\n") + 1)

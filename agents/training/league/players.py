@@ -97,10 +97,10 @@ def new_players(mains: int, exploiters: int, league_exploiters: int) -> list[Pla
     """Returns new players of each kind, at most 26, in the order of their turns."""
     players = []
     counts = ((MAIN, mains), (EXPLOITER, exploiters), (LEAGUE_EXPLOITER, league_exploiters))
-    for kind, count in counts:
+    for role, count in counts:
         letters = ascii_lowercase[:count]
-        names = [kind] if count == 1 else [f"{kind}-{letter}" for letter in letters]
-        players += [Player(name, kind) for name in names]
+        names = [role] if count == 1 else [f"{role}-{letter}" for letter in letters]
+        players += [Player(name, role) for name in names]
     return players
 
 

@@ -280,9 +280,9 @@ class RaceActor:
                 part.receive(step[part.slots], values)
         results = [part.result(values) for part in self._parts]
         return RolloutResult(
-            np.concatenate([own.last_values for own in results]),
-            [finish for own in results for finish in own.finishes],
-            [duel for own in results for duel in own.duels],
+            np.concatenate([part.last_values for part in results]),
+            [finish for part in results for finish in part.finishes],
+            [duel for part in results for duel in part.duels],
         )
 
     def close(self) -> None:

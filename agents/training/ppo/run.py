@@ -258,7 +258,9 @@ class PPORun:
             for groups in dealt(setup.groups, min(arguments.actors or cpu_count(), races))
         ]
         row_type = self.network.shape.rollout_type()
-        memories = [SharedArray((2, arguments.n_steps, own.num_slots), row_type) for own in shares]
+        memories = [
+            SharedArray((2, arguments.n_steps, share.num_slots), row_type) for share in shares
+        ]
         self._actors = self._new_actors(list(zip(shares, memories, strict=True)))
         self._rollouts = [memory.array() for memory in memories]
 

@@ -79,12 +79,12 @@ def update(
         Figures for the log.
     """
     gained = [
-        advantages_of(rollout, own, settings.gamma, settings.gae_lambda)
-        for rollout, own in zip(rollouts, last_values, strict=True)
+        advantages_of(rollout, after, settings.gamma, settings.gae_lambda)
+        for rollout, after in zip(rollouts, last_values, strict=True)
     ]
     rows = [rollout["active"] & rollout["driven"] for rollout in rollouts]
-    seen = np.concatenate([rollout[own] for rollout, own in zip(rollouts, rows, strict=True)])
-    advantages = np.concatenate([own[r] for own, r in zip(gained, rows, strict=True)])
+    seen = np.concatenate([rollout[used] for rollout, used in zip(rollouts, rows, strict=True)])
+    advantages = np.concatenate([values[used] for values, used in zip(gained, rows, strict=True)])
     returns = advantages + seen["values"]
     from_numpy = network.torch.from_numpy
     data = [

@@ -128,12 +128,12 @@ def _with_tuples(batch: Any) -> Any:
     return tuple(batch) if isinstance(batch, list) else batch
 
 
-def shared_space(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces.Space[Any]:
+def shared_space(by_agent: Mapping[str, spaces.Space[Any]], purpose: str) -> spaces.Space[Any]:
     """Returns the space that all agents share, whose values stack into one array.
 
     Args:
         by_agent: each agent's space.
-        kind: ``"observation"`` or ``"action"``.
+        purpose: ``"observation"`` or ``"action"``.
 
     Raises:
         ConfigError: the spaces differ, or their values differ in size.
@@ -141,12 +141,12 @@ def shared_space(by_agent: Mapping[str, spaces.Space[Any]], kind: str) -> spaces
     first, *others = by_agent.values()
     if any(space != first for space in others):
         raise ConfigError(
-            f"the agents differ in their {kind} spaces: {dict(by_agent)}; give all "
+            f"the agents differ in their {purpose} spaces: {dict(by_agent)}; give all "
             "agents the same view, and use_ai to all of them or to none"
         )
     if not is_of_fixed_size(first):
         raise ConfigError(
-            f"the {kind} space is a {type(first).__name__} whose values differ in size; choose "
+            f"the {purpose} space is a {type(first).__name__} whose values differ in size; choose "
             'view="simple", one of the flattened views, or your own view with Box, Discrete, '
             "MultiDiscrete, MultiBinary, Text and Dict spaces"
         )

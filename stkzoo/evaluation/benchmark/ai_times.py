@@ -94,7 +94,7 @@ class AiTimes(Document):
     """
 
     # docs/schemas/ai-times.schema.json
-    kind: ClassVar[str] = "ai-times"
+    type_name: ClassVar[str] = "ai-times"
     origin: ClassVar[str] = f"the {AI_TIMES_FILE} of `stkzoo benchmark --baseline`"
     rows: ClassVar[str] = "times"
 
@@ -165,7 +165,7 @@ class AiTimesPlan(BatchPlan):
         difficulties: levels of the AI.
     """
 
-    kind: ClassVar[str] = "ai-times-plan"
+    type_name: ClassVar[str] = "ai-times-plan"
     noun: ClassVar[str] = "measurement"
     resume_command: ClassVar[str] = "stkzoo benchmark --baseline --output {folder}"
 

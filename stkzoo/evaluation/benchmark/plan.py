@@ -121,7 +121,7 @@ class BenchmarkPlan(AgentPlan):
         ai_times: the AI's median times [s], by track and by ``"forward"`` or ``"reversed"``.
     """
 
-    kind: ClassVar[str] = "benchmark-plan"
+    type_name: ClassVar[str] = "benchmark-plan"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --output {folder}"
     #: Whether rivals can be drivers of a population.
     has_population: ClassVar[bool] = False

@@ -71,7 +71,7 @@ class AgentBatchResult(Document):
 
     def __post_init__(self) -> None:
         planned = {race.number: (*race.key, race.seed) for race in self.plan.races()}
-        title = self.kind.replace("-", " ")
+        title = self.type_name.replace("-", " ")
         for race in self.races:
             actual, expected = (*race.key, race.seed), planned.get(race.number)
             if actual != expected:
@@ -114,7 +114,7 @@ class BenchmarkResult(AgentBatchResult):
     """
 
     # docs/schemas/benchmark-result.schema.json
-    kind: ClassVar[str] = "benchmark-result"
+    type_name: ClassVar[str] = "benchmark-result"
     origin: ClassVar[str] = "the --output of `stkzoo benchmark`, or its result.json"
     metrics: ClassVar[tuple[FigureKind, ...]] = FIGURES
 
@@ -299,7 +299,7 @@ class Comparison(Document):
             agent minus those of the second.
     """
 
-    kind: ClassVar[str] = "benchmark-comparison"
+    type_name: ClassVar[str] = "benchmark-comparison"
     origin: ClassVar[str] = "the output of `stkzoo benchmark --compare --json`"
 
     first: str

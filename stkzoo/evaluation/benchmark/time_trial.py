@@ -115,7 +115,7 @@ class TimeTrialPlan(AgentPlan):
         records: the human world record of each track.
     """
 
-    kind: ClassVar[str] = "time-trial-plan"
+    type_name: ClassVar[str] = "time-trial-plan"
     resume_command: ClassVar[str] = "stkzoo benchmark AGENT --time-trial --output {folder}"
 
     records: Mapping[str, HumanRecord]
@@ -188,7 +188,7 @@ class TimeTrialResult(AgentBatchResult):
     """
 
     # docs/schemas/time-trial-result.schema.json
-    kind: ClassVar[str] = "time-trial-result"
+    type_name: ClassVar[str] = "time-trial-result"
     origin: ClassVar[str] = "the --output of `stkzoo benchmark --time-trial`, or its result.json"
 
     plan: TimeTrialPlan

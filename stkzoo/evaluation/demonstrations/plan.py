@@ -113,7 +113,7 @@ class DemoPlan(BatchPlan):
             :class:`~stkzoo.evaluation.demonstrations.recorder.DemoRecorder`.
     """
 
-    kind: ClassVar[str] = "demonstrations-plan"
+    type_name: ClassVar[str] = "demonstrations-plan"
     noun: ClassVar[str] = "dataset"
     #: The folder is beside the command's --output.
     resume_command: ClassVar[str] = "repeat the first command, or delete {folder} to start again"

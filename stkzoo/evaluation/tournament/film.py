@@ -40,7 +40,7 @@ class MapFilm(Document):
         karts: by label of the agent, x and z of its kart at each moment, in one sequence.
     """
 
-    kind: ClassVar[str] = "map-film"
+    type_name: ClassVar[str] = "map-film"
     origin: ClassVar[str] = "the folder films of a tournament"
 
     track: str
@@ -59,7 +59,7 @@ class MapFilm(Document):
 
     def to_json(self) -> str:
         """Returns the film as one line of JSON."""
-        values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        values = {"type": self.type_name, "schema_version": self.version, **self.to_dict()}
         return json.dumps(values, separators=(",", ":"), allow_nan=False)
 
 

@@ -51,7 +51,7 @@ class TournamentPlan(BatchPlan):
         access: how to connect to the servers of agents.
     """
 
-    kind: ClassVar[str] = "tournament-plan"
+    type_name: ClassVar[str] = "tournament-plan"
     version: ClassVar[int] = 2  # 1: newcomers met some existing agents more often than others
     noun: ClassVar[str] = "tournament"
     resume_command: ClassVar[str] = "stkzoo tournament --resume {folder}"

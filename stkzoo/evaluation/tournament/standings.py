@@ -189,7 +189,7 @@ class TournamentResult(Document):
     """
 
     # docs/schemas/tournament-result.schema.json
-    kind: ClassVar[str] = "tournament-result"
+    type_name: ClassVar[str] = "tournament-result"
     origin: ClassVar[str] = "the --output of `stkzoo tournament`, or its result.json"
     max_bytes: ClassVar[int] = MAX_RESULT_BYTES
 

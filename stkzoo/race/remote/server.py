@@ -82,7 +82,7 @@ class RaceServer(contextlib.AbstractContextManager["RaceServer"]):
         self._context = self._zmq.Context()
         try:
             self._authenticator = (
-                sockets.ClientAuthenticator(self._context, keys.allowed) if keys.own else None
+                sockets.ClientAuthenticator(self._context, keys.allowed) if keys.pair else None
             )
             self._outbox = self._context.socket(self._zmq.PULL)
             self._outbox.bind(_REPLIES)

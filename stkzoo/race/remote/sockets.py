@@ -99,11 +99,11 @@ class ServerKeys:
     """Keys of a server and of its clients.
 
     Attributes:
-        own: the server's keys; ``None`` for no encryption.
+        pair: the server's keys; ``None`` for no encryption.
         allowed: public keys of the allowed clients; ``None`` to allow all clients.
     """
 
-    own: KeyPair | None = None
+    pair: KeyPair | None = None
     allowed: Collection[str] | None = field(default=None)
 
     def check(self, address: str, insecure: bool) -> None:
@@ -113,12 +113,12 @@ class ServerKeys:
             ConfigError: other machines can reach the address without keys and ``insecure`` is not
                 set, or there are allowed clients but no server keys.
         """
-        if self.allowed is not None and self.own is None:
+        if self.allowed is not None and self.pair is None:
             raise ConfigError(
                 "allowed clients (--allow) have no effect without the server's secret key; add "
                 "--secret, or leave them out"
             )
-        is_closed = self.own is not None and self.allowed is not None
+        is_closed = self.pair is not None and self.allowed is not None
         if not (is_local(address) or is_closed or insecure):
             raise ConfigError(
                 f"other machines can reach {address}; give the server a key of its own (--secret) "
@@ -133,8 +133,8 @@ def server_socket(context: zmq.Context[Any], address: str, keys: ServerKeys) -> 
         ConfigError: the address is not available.
     """
     options: dict[str, Any] = {"ROUTER_MANDATORY": 1, "HANDSHAKE_IVL": _HANDSHAKE}
-    if keys.own is not None:
-        secret = keys.own.secret.encode()
+    if keys.pair is not None:
+        secret = keys.pair.secret.encode()
         options |= {"ZAP_DOMAIN": _DOMAIN, "CURVE_SERVER": 1, "CURVE_SECRETKEY": secret}
     router = _new_socket(context, "ROUTER", address, options)
     try:

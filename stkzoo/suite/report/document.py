@@ -130,7 +130,7 @@ class SuiteReport(Document):
         versions: versions of the software that ran, by name.
     """
 
-    kind: ClassVar[str] = "suite-report"
+    type_name: ClassVar[str] = "suite-report"
     version: ClassVar[int] = 2  # 1: it also had all tasks together, and missing runs
     origin: ClassVar[str] = "the report.json of `stkzoo suite report`"
 

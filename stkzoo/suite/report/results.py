@@ -152,7 +152,7 @@ class SuiteRun(Document):
         versions: versions of the software that trained, by name.
     """
 
-    kind: ClassVar[str] = "suite-run"
+    type_name: ClassVar[str] = "suite-run"
     origin: ClassVar[str] = "a file that `python -m benchmarks.suite_reference` wrote"
 
     suite: str
@@ -203,7 +203,7 @@ class SuiteRun(Document):
 
     def to_json(self) -> str:
         """Returns the result as JSON text with one field per line."""
-        values = {"type": self.kind, "schema_version": self.version, **self.to_dict()}
+        values = {"type": self.type_name, "schema_version": self.version, **self.to_dict()}
         lines = (f"{json.dumps(name)}: {_compact(value)}" for name, value in values.items())
         return "{\n" + ",\n".join(lines) + "\n}"
 

@@ -147,7 +147,7 @@ def test_plans_on_the_racing_line_refuse_observations_without_it():
 def mirrored_race(around):
     finite = np.isfinite(around.karts)
     karts = np.where(finite, around.karts, 0) * SIDE
-    own, road = around.own.copy(), around.road * np.array([-1, 1, 1, 1], np.float32)
+    own, road = around.ego.copy(), around.road * np.array([-1, 1, 1, 1], np.float32)
     own[:, 0] *= -1
     return Surroundings(
         own, road, np.where(finite, karts, np.inf), around.items * SIDE, around.item_types

@@ -72,7 +72,7 @@ def scene_arguments(
     spots, velocity, headings = plan_viewer.moment_of(moments[:, 0])
     spots[:, : min(num_karts, 3)] = np.where(np.isfinite(karts), karts, 1e3)[:, :3, ::2]
     spots += chance.normal(size=spots.shape)
-    velocity[:] = around.own[:, [0, 2]]
+    velocity[:] = around.ego[:, [0, 2]]
     headings[:] = plan_viewer.headings_of(winding_road(chance, count))
     out = (
         np.empty((3, count, 4), np.float32),
