@@ -21,7 +21,7 @@ apt_install = { apt-get install -y -q $(1) >/dev/null 2>&1 || \
 # Text for readers, checked for typos and for words to avoid.
 PROSE := README.md CHANGELOG.md CONTRIBUTING.md docs stkzoo wrappers agents examples benchmarks
 
-.PHONY: browser compiler engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures wheel clean
+.PHONY: browser compiler data engine graphics sandbox help race test test-fast test-all sanitize check bench docs pictures wheel clean
 
 help:
 	@echo "make race    set everything up; a learned driver races the hardest bots"
@@ -42,18 +42,15 @@ race: $(VENV)/.core engine
 	$(BIN)/stkzoo race --demo
 
 # Per commit: one case of each kind. pyproject.toml describes the markers.
-test: $(VENV)/.dev engine graphics browser sandbox
-	$(BIN)/stkzoo assets install
+test: data $(VENV)/.dev graphics browser sandbox
 	$(PYTEST) -m "not matrix" $(ARGS)
 
 # Tests every package with the real engine, in two minutes on two cores.
-test-fast: $(VENV)/.dev engine
-	$(BIN)/stkzoo assets install
+test-fast: data $(VENV)/.dev
 	$(PYTEST) -m "not slow and not matrix" $(ARGS)
 
 # Every night: all cases.
-test-all: $(VENV)/.dev engine graphics browser sandbox
-	$(BIN)/stkzoo assets install
+test-all: data $(VENV)/.dev graphics browser sandbox
 	$(PYTEST) $(ARGS)
 
 # Builds the C extensions with checks of addresses, alignment and undefined behavior, in a copy of this
@@ -127,6 +124,10 @@ compiler:
 			"(Fedora: sudo dnf install gcc python3-devel)"; \
 		exit 1; \
 	fi
+
+# Fetches the game's data while pip installs torch.
+data: engine
+	@$(BIN)/stkzoo assets install & fetching=$$!; $(MAKE) $(VENV)/.torch && wait $$fetching
 
 # The engine needs glib 2 (libglib-2.0.so.0), which minimal systems do not have.
 engine: $(VENV)/.core
@@ -214,9 +215,12 @@ $(VENV)/.core: $(VENV)/.made pyproject.toml $(C_SOURCES) | compiler
 	$(PIP) install --quiet --editable .
 	@touch $@
 
-# Installs torch first and separately, so that pip's settings determine its build.
-$(VENV)/.dev: $(VENV)/.core pyproject.toml
-	$(PIP) install torch==2.13.0
+# Installed first and separately, so that pip's settings determine its build.
+$(VENV)/.torch: $(VENV)/.core
+	$(PIP) install --quiet torch==2.13.0
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.core $(VENV)/.torch pyproject.toml
 	$(PIP) install --quiet --editable '.[dev,sb3]'
 	@touch $@
 

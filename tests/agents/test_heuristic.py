@@ -34,7 +34,7 @@ def test_finishes_alone(track, reverse):
     assert run_race(["heuristic"], track=track, reverse=reverse, seed=5).is_finished
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_is_on_average_faster_than_the_median_bot():
     results = races()
     assert statistics.mean(times(results, "heuristic")) < statistics.median(times(results, "ai"))

@@ -47,7 +47,7 @@ def env():
         yield env
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_drives_farther_than_its_base_policy(env):
     driver, choose = base_policy("pretrained:ace")
     _, base = drive(env, lambda observation: driver.drive(observation, choose), 120)

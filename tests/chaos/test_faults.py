@@ -52,7 +52,7 @@ def inside(outside):  # the other trials have their folder elsewhere
         ("ParallelEnv", "save", "race", "SIGSEGV"),
         ("Gymnasium id", "reset", "program", "SIGINT"),
         ("RaceVectorEnv", "step", "race", "SIGKILL"),
-        ("drawn by the game", "render", "drawing", "SIGKILL"),
+        pytest.param("drawn by the game", "render", "drawing", "SIGKILL", marks=pytest.mark.matrix),
         ("run_race", "race", "agent", "SIGKILL"),
     ],
 )
@@ -94,7 +94,7 @@ def test_a_game_killed_during_steps_raises_an_error(inside, target):
         ("stkzoo race", "program", "SIGINT"),
         ("stkzoo race", "program", "SIGKILL"),
         ("stkzoo race", "agent", "SIGSEGV"),
-        ("stkzoo tournament", "program", "SIGKILL"),
+        pytest.param("stkzoo tournament", "program", "SIGKILL", marks=pytest.mark.matrix),
         ("a video", "encoder", "SIGKILL"),
     ],
 )

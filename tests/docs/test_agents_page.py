@@ -28,12 +28,6 @@ def test_the_agent_of_the_page_finishes(tmp_path):
     assert "Beginner" in {row.driver for row in result.agents}
 
 
-def test_the_team_of_the_page_talks(tmp_path):
-    team = write("my_team", tmp_path)
-    result = run_race([team, team], track="lighthouse", seed=1, max_steps=10)
-    assert [row.num_errors for row in result.agents] == [0, 0]
-
-
 def test_the_pages_python_example_runs(tmp_path, monkeypatch, capsys):
     write("my_agent", tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -8,10 +8,9 @@ import pytest
 from gymnasium.wrappers import RescaleAction
 
 from stkzoo import ActionError, AgentSpec, RaceVectorEnv, Start
-from stkzoo.env.race import Race
 from stkzoo.views import VIEWS
 from tests.env.test_vec import pids, same
-from tests.support.views import MECHANISMS, marked
+from tests.support.views import MECHANISMS, agent_by_agent, marked
 
 #: The first kart finishes after a few steps. The second is truncated later, so slot 0 idles.
 STARTS = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
@@ -22,16 +21,10 @@ FIXED = [name for name in VIEWS if name not in ("full", "ground")]
 SIZES = {"state_items": 3, "state_karts": 1, "state_paths": 7, "add_mask": True}
 VARIED = [
     ("simple", SIZES),
-    ("simple", {"karts_motion": True}),
-    ("flattened", SIZES),
-    ("box_discrete", SIZES | {"steer_steps": 3}),
+    pytest.param(("simple", {"karts_motion": True}), marks=pytest.mark.matrix),
+    pytest.param(("flattened", SIZES), marks=pytest.mark.matrix),
+    pytest.param(("box_discrete", SIZES | {"steer_steps": 3}), marks=pytest.mark.matrix),
 ]
-
-
-def agent_by_agent(monkeypatch):
-    """Makes new environments collect values agent by agent, as for wrappers in Python."""
-    never = property(lambda race: False, lambda race, value: None)  # noqa: ARG005
-    monkeypatch.setattr(Race, "has_rows", never, raising=False)
 
 
 @pytest.fixture(params=[True, False], ids=["rows", "agents"])
@@ -70,7 +63,7 @@ def both(monkeypatch, **options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("view", [*marked(FIXED, MECHANISMS), *marked(VARIED, VARIED[:1])], ids=str)
+@pytest.mark.parametrize("view", [*marked(FIXED, MECHANISMS), *VARIED], ids=str)
 def test_rows_equal_the_values_of_single_agents(view, monkeypatch):
     trace = both(monkeypatch, view=view)
     active = np.array([step[4]["active"] for step in trace[1:]])

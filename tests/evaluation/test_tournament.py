@@ -277,7 +277,7 @@ def get_actor(module_dir, observation_space, action_space):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_two_slow_agents_void_no_race_and_lose_it(tmp_path):
     """They take turns, so that the absence of one of them does not let the race finish."""
     for turn, name in enumerate("ab"):

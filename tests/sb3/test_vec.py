@@ -16,9 +16,8 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
 from stkzoo import AgentSpec, ConfigError, RaceVectorEnv, Start
-from stkzoo.env.race import Race
 from stkzoo.sb3 import ActiveDictRolloutBuffer, RaceVecEnv
-from tests.support.views import marked
+from tests.support.views import agent_by_agent, marked
 
 OPTIONS = {"num_kart": 3, "agents": 2, "track": "olivermath", "max_cycles": 30}
 LEARNING = {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "device": "cpu", "seed": 1}
@@ -269,9 +268,9 @@ def test_it_returns_what_single_agents_get(view, flat, monkeypatch):
     starts = {"kart_0": Start(share=0.998, speed=20.0), "kart_1": Start(distance=50.0)}
     options = {"track": "lighthouse", "max_cycles": 9, "start": starts, "view": view}
     with_rows = play_both(make(**options, flat_observations=flat), 22)
-    monkeypatch.setattr(Race, "has_rows", False)
-    agent_by_agent = play_both(make(**options, flat_observations=flat), 22)
-    assert identical(with_rows, agent_by_agent)
+    agent_by_agent(monkeypatch)
+    single = play_both(make(**options, flat_observations=flat), 22)
+    assert identical(with_rows, single)
     active = [info["active"] for step in with_rows[1:] for info in step[3]]
     assert 0 < sum(active) < len(active)
 

@@ -3,6 +3,7 @@
 import pytest
 from gymnasium.wrappers import TransformObservation
 
+from stkzoo.env.race import Race
 from stkzoo.views import VIEWS
 
 #: A view with lists, one with a dict, one with flat vectors, and the view of the learned drivers.
@@ -13,6 +14,12 @@ def walked(env):
     """A view with a wrapper that does not compile, so it runs agent by agent."""
     env = VIEWS["flattened_discrete"](env)
     return TransformObservation(env, dict, env.observation_space)
+
+
+def agent_by_agent(monkeypatch):
+    """Makes new environments collect values agent by agent, as for wrappers in Python."""
+    never = property(lambda race: False, lambda race, value: None)  # noqa: ARG005
+    monkeypatch.setattr(Race, "has_rows", never, raising=False)
 
 
 def marked(values, kept):

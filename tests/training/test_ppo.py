@@ -198,7 +198,7 @@ def test_distance_is_rewarded_and_returns_go_on_after_the_finish():
     assert not rollout["next_values"][:end].any()
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_past_selves_join_a_run_as_opponents(tmp_path):
     changes = {"races": ("2x2",), "opponents": "prioritized", "max_cycles": 10, "keep_every": 20}
     assert learn(tmp_path, 400, **changes) == 0

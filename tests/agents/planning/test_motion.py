@@ -136,7 +136,7 @@ def test_a_drift_that_starts_too_soon_goes_to_the_wrong_side(fast_kart, apart):
     assert (again > 0) == (apart >= DRIFT_APART)
 
 
-@pytest.mark.slow
+@pytest.mark.matrix
 def test_forecasts_of_a_step_are_close_on_an_unseen_track():
     ((inputs, outputs),) = drive(["minigolf"], 1, DriverParameters(learned_motion=True), seed=3)
     errors = np.median(np.abs(errors_of(learned_motion(), inputs, outputs)), axis=0)
