@@ -119,9 +119,11 @@ class Contender:
 def answer_of(function: Callable[..., Any], *arguments: Any) -> Any:
     """Calls a function of a module in a new interpreter; arguments and result are JSON."""
     code = (
-        "import json, sys\n"
+        "import json, os, sys\n"
+        "answer = os.fdopen(os.dup(1), 'w')\n"
+        "os.dup2(2, 1)\n"  # the game prints to stdout
         f"from {function.__module__} import {function.__name__} as function\n"
-        "print(json.dumps(function(*json.loads(sys.argv[1]))))"
+        "print(json.dumps(function(*json.loads(sys.argv[1]))), file=answer)"
     )
     answer = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", code, json.dumps(arguments)],
@@ -133,7 +135,7 @@ def answer_of(function: Callable[..., Any], *arguments: Any) -> Any:
     )
     if answer.returncode:
         raise SystemExit(f"{function.__name__}{arguments} failed:\n{answer.stderr[-3000:]}")
-    return json.loads(answer.stdout.splitlines()[-1])
+    return json.loads(answer.stdout)
 
 
 def engine_variables() -> dict[str, str]:
