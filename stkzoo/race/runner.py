@@ -214,7 +214,8 @@ class _RaceRun:
         cores = {agent: own_cores(number, len(files)) for number, agent in enumerate(files)}
         self._protections: tuple[str, ...] = ()
         if self._sandbox is not None and not settings.inline:
-            self._protections = (*protections(self._sandbox), *["cores"] * any(cores.values()))
+            cores_apart = ("cores",) if any(cores.values()) else ()
+            self._protections = (*protections(self._sandbox), *cores_apart)
         self.members = {
             agent: RacingDriver(
                 driver,

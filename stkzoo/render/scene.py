@@ -93,13 +93,9 @@ class Ghost:
             ConfigError: it has another one.
         """
         if (track, reverse) != (self.track, self.reverse):
-            ways = [
-                name + " in reverse" * way
-                for name, way in ((self.track, self.reverse), (track, reverse))
-            ]
             raise ConfigError(
-                f"the ghost drives on {ways[0]} and this race is on {ways[1]}; "
-                "use a replay of the same track and direction"
+                f"the ghost drives on {self.track} (reverse={self.reverse}) and this race is on "
+                f"{track} (reverse={reverse}); use a replay of the same track and direction"
             )
 
     def place_at(self, time: float) -> npt.NDArray[np.float64] | None:
