@@ -68,7 +68,7 @@ def test_the_map_shows_a_ring_where_the_ghost_is(race):
 
 def test_a_ghost_of_another_track_is_refused(race, tmp_path):
     video = RaceVideo(tmp_path / "map.mp4", ghost=ghost_of(load_replay(race[0])))
-    with pytest.raises(ConfigError, match="drives on lighthouse .* and this race is on zengarden"):
+    with pytest.raises(ConfigError, match=r"drives on lighthouse .* and this race is on zengarden"):
         run_race(["heuristic"], track="zengarden", max_steps=5, listeners=[video])
     assert not (tmp_path / "map.mp4").exists()
 
