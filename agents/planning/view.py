@@ -10,6 +10,7 @@ follow from the worth of the plans. An action is a choice among the plans; see :
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -21,7 +22,7 @@ from gymnasium.vector.utils import batch_space
 
 from stkzoo import Phase, RaceVectorEnv
 from stkzoo.errors import ConfigError
-from stkzoo.mdp import action_of
+from stkzoo.mdp import action_of, as_actions
 from stkzoo.views import View
 from stkzoo.wrappers import CompiledWrapper
 from stkzoo.wrappers.racing import (
@@ -35,7 +36,6 @@ from stkzoo.wrappers.racing import (
 from . import BoolArray, FloatArray, IntArray
 from .driver import (
     ALL_LOOKS,
-    BUTTONS,
     CHOICES,
     INPUT_SIZE,
     PlanDriver,
@@ -125,8 +125,8 @@ class PlanView:
 class PlanSurroundings(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     """Observes what the plans need: own state, road, karts and items as arrays of fixed sizes.
 
-    Up to 24 karts and 64 items are observed; positions of missing karts are not finite, and missing
-    items have the type -1.
+    The nearest 24 karts and 64 items are observed; positions of missing karts are not finite, and
+    missing items have the type -1.
 
     Args:
         env: an environment in the view ``full`` or ``ground``. In ``ground``, the observation
@@ -166,35 +166,45 @@ class _SurroundingsObserver:
     def observe_into(self, source: Any, karts: IntArray, rows: IntArray, batch: Any) -> None:
         """See :class:`~stkzoo.views.plan.RowObserver`."""
         snapshot = source.snapshot
-        shapes = ((key, batch[key].shape[1:], batch[key].dtype) for key in _AROUND)
-        seen = {key: np.empty((len(karts), *shape), dtype) for key, shape, dtype in shapes}
-        observer = road_observer(source.track_map)
-        observer.look_into(snapshot, karts, ALL_LOOKS, tuple(seen.values()))
-        seen["phase"] = np.full(len(karts), snapshot.phase)
+        around = road_observer(source.track_map).surroundings(snapshot, karts, ALL_LOOKS)
         if self._sees_line:
             ahead = source.ground_ahead(karts)
-            seen["line"] = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
-        for key, array in seen.items():
+            line = np.concatenate([ahead["ground_line"], ahead["ground_room"]], axis=-1)
+            around = replace(around, line=line)
+        for key, array in _row(around, np.full(len(karts), snapshot.phase)).items():
             batch[key][rows] = array
 
 
 def _row(around: Surroundings, phase: Any) -> dict[str, Any]:
     """Returns observations of A karts with arrays of the sizes in their space."""
+    karts, items = _nearest(around.karts, _KARTS), _nearest(around.items, _ITEMS)
     seen = {
         "own": around.ego,
         "phase": np.reshape(phase, len(around.ego)),
         "road": around.road,
-        "karts": _fitted(around.karts, _KARTS, np.inf),
-        "items": _fitted(around.items, _ITEMS, 0.0),
-        "item_types": _fitted(around.item_types, _ITEMS, ABSENT),
+        "karts": _fitted(around.karts, karts, _KARTS, np.inf),
+        "items": _fitted(around.items, items, _ITEMS, 0.0),
+        "item_types": _fitted(around.item_types, items, _ITEMS, ABSENT),
     }
     return seen if around.line is None else {**seen, "line": around.line}
 
 
-def _fitted(array: npt.NDArray[Any], size: int, blank: float) -> npt.NDArray[Any]:
-    """Returns the first ``size`` entries of an array ``(A, N, ...)``, padded if there are fewer."""
+def _nearest(points: FloatArray, most: int) -> IntArray | None:
+    """Returns the indices of the nearest points in order, ``(A, most)``; ``None`` for all."""
+    if points.shape[1] <= most:
+        return None
+    distances = (points**2).sum(axis=2)
+    return np.sort(np.argpartition(distances, most, axis=1)[:, :most], axis=1)
+
+
+def _fitted(
+    array: npt.NDArray[Any], chosen: IntArray | None, size: int, blank: float
+) -> npt.NDArray[Any]:
+    """Returns the chosen entries of an array ``(A, N, ...)``, or all, padded to ``size``."""
+    if chosen is not None:
+        return array[np.arange(len(array))[:, None], chosen]
     fitted = np.full((len(array), size, *array.shape[2:]), blank, array.dtype)
-    fitted[:, : array.shape[1]] = array[:, :size]
+    fitted[:, : array.shape[1]] = array
     return fitted
 
 
@@ -350,7 +360,7 @@ class PlanVectorEnv(VectorWrapper):
 
     def send_controls(self, controls: FloatArray) -> None:
         """Starts a step with controls ``(num_envs, 7)`` that do not come from choices."""
-        self.races.step_async(actions_of(controls))
+        self.races.step_async(as_actions(controls))
         self._applies = np.zeros(self.num_envs, np.bool_)
 
     def step_wait(self) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -380,12 +390,3 @@ class PlanVectorEnv(VectorWrapper):
 
     def _begin(self, slots: IntArray) -> None:
         self.view.begin(slots, self._random.random(len(slots)) < self._mirror_share)
-
-
-def actions_of(controls: FloatArray) -> dict[str, npt.NDArray[Any]]:
-    """Returns actions of the view ``full`` for controls ``(A, 7)``, one row per kart."""
-    columns = np.ascontiguousarray(controls.T)
-    buttons = {
-        key: column.astype(np.int64) for key, column in zip(BUTTONS, columns[2:], strict=True)
-    }
-    return {"acceleration": columns[0][:, None], "steer": columns[1][:, None], **buttons}

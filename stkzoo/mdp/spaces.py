@@ -45,7 +45,10 @@ def kart_action_space() -> spaces.Dict:
 
 def as_actions(controls: npt.NDArray[np.float32]) -> dict[str, npt.NDArray[Any]]:
     """Converts controls ``(..., 7)`` to actions: floats ``(..., 1)`` and buttons ``(...)``."""
-    buttons = {name: controls[..., CONTROLS.index(name)].astype(np.int64) for name in CONTROLS[2:]}
+    buttons = {
+        name: controls[..., place].astype(np.int64)
+        for place, name in enumerate(CONTROLS[2:], start=2)
+    }
     return {"acceleration": controls[..., 0:1], "steer": controls[..., 1:2], **buttons}
 
 

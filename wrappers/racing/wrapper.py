@@ -163,27 +163,9 @@ class RoadObserver:
             np.empty((count, len(snapshot.items), 3), np.float32),
             np.empty((count, len(snapshot.items)), np.int64),
         )
-        self.look_into(snapshot, karts, looks, arrays)
-        return Surroundings(*arrays)
-
-    def look_into(
-        self,
-        snapshot: Snapshot,
-        karts: IntArray,
-        looks: FloatArray,
-        out: tuple[npt.NDArray[Any], ...],
-    ) -> None:
-        """Writes the surroundings of some karts into arrays.
-
-        Args:
-            snapshot: see :meth:`surroundings`.
-            karts: see :meth:`surroundings`.
-            looks: see :meth:`surroundings`.
-            out: the first five arrays of :class:`Surroundings`, C-contiguous. They may have room
-                for more karts and items than the race has; those beyond are left out.
-        """
         looks = np.ascontiguousarray(looks, np.float32)
-        self._observer.look(snapshot.data, karts, looks, out)
+        self._observer.look(snapshot.data, karts, looks, arrays)
+        return Surroundings(*arrays)
 
 
 @functools.cache

@@ -5,10 +5,10 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from stkzoo import RaceVectorEnv
+from stkzoo import RaceVectorEnv, race_v0
 from stkzoo.agents.planning.driver import likeliest, mirrored_inputs
 from stkzoo.agents.planning.parameters import DriverParameters
-from stkzoo.agents.planning.view import PlanChoices, PlanVectorEnv
+from stkzoo.agents.planning.view import PlanChoices, PlanVectorEnv, surroundings_view
 from stkzoo.errors import ConfigError
 
 RACES = {"num_kart": 3, "agents": 2, "track": "olivermath", "num_starts": 1, "start_seed": 1}
@@ -74,3 +74,15 @@ def _racing(env):
     from stkzoo.views import find_view
 
     return find_view("racing")(env)
+
+
+@pytest.mark.slow
+def test_the_nearest_items_are_observed_on_a_track_with_more():
+    race = {"num_kart": 2, "agents": 1, "track": "black_forest"}
+    with closing(race_v0.parallel_env(view="full", **race)) as env:
+        seen = env.reset(seed=1)[0]["kart_0"]
+    distances = np.sort(np.linalg.norm(seen["items_position"], axis=1))
+    assert len(distances) > 64
+    with closing(race_v0.parallel_env(view=surroundings_view(sees_line=False), **race)) as env:
+        seen = env.reset(seed=1)[0]["kart_0"]
+    assert np.sort(np.linalg.norm(seen["items"], axis=1)) == pytest.approx(distances[:64])
