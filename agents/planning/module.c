@@ -124,7 +124,7 @@ static int set_line(Survey *s, PyObject *line)
        directions of the road, (36,) [rad]. None to ignore other karts.
    out: arrays to write: (3, A, 4), see Best; (A, 3) angle to the road [rad], offset from its middle
        and distance beyond its nearer edge [m]; (A, 15) logits of the rules; and (A, F) a policy's
-       inputs, of which 39 columns are written from `first` on, or none if F is 0. */
+       inputs. The function writes 39 columns of them, beginning at `first`; none if F is 0. */
 PyObject *plan_karts(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *plans, *around, *line, *moments, *out, *table, *motion;

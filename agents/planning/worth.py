@@ -85,7 +85,8 @@ def weigh(
         memory: the karts' memory; if other karts matter, its latest moment is updated.
         around: surroundings of the karts; the road at :data:`.memory.LINE_MARKS` comes last. Plans
             on the racing line need ``line``.
-        inputs: ``(A, F)`` inputs of a policy, of which 39 columns are written; ``(0, 0)`` for none.
+        inputs: ``(A, F)`` inputs of a policy. The function writes 39 columns; ``(0, 0)`` if there
+            is no policy.
         first: index of the first of these columns.
 
     Raises:

@@ -171,9 +171,9 @@ def pytorch(karts: int, races: int, number: int, track: str, iterations: int) ->
     class Races(stkzoo.RaceVectorEnv):
         """Records the times and counts at the start of each rollout."""
 
-        def __init__(self, _: int, **given: Any) -> None:
-            own = {"num_kart": karts, "track": track, "max_cycles": _MAX_CYCLES, "num_starts": 32}
-            super().__init__(races, **given | own)
+        def __init__(self, _: int, **options: Any) -> None:
+            race = {"num_kart": karts, "track": track, "max_cycles": _MAX_CYCLES, "num_starts": 32}
+            super().__init__(races, **options | race)
             self.timed_step = meter.timed("observing", super().step)
             self.count = self.kart_steps = 0
 
@@ -189,15 +189,15 @@ def pytorch(karts: int, races: int, number: int, track: str, iterations: int) ->
             now = time.perf_counter(), time.process_time(), engine_time(())
             marks.append((*now, self.kart_steps, dict(meter.seconds)))
 
-        def close(self, **given: Any) -> None:
+        def close(self, **options: Any) -> None:
             self.mark()
-            super().close(**given)
+            super().close(**options)
 
     stkzoo.RaceVectorEnv = Races  # type: ignore[misc] # for the program of the page
     page = Path(__file__).parents[2] / "docs" / "how-to" / "pytorch.md"
-    found = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    block = re.search(r"```python\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     size = f"STEPS, UPDATES = {_STEPS}, {_WARM_UP + iterations}"
-    code, changed = re.subn(r"^STEPS, UPDATES = .*", size, found[1] if found else "", flags=re.M)
+    code, changed = re.subn(r"^STEPS, UPDATES = .*", size, block[1] if block else "", flags=re.M)
     if not changed:
         raise LookupError(f"{page.name} has no program with STEPS, UPDATES = ...")
     with tempfile.TemporaryDirectory() as folder:
