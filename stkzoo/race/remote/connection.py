@@ -134,6 +134,7 @@ class Connection:
         try:
             self._socket.send(encode(message), self._zmq.NOBLOCK)
         except (self._zmq.ZMQError, ProtocolError) as error:
+            self._look()  # a server that has refused the connection is a better reason
             self._fail(f"{self._address} does not accept messages: {error}")
 
     def _look(self) -> None:

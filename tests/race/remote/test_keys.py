@@ -2,6 +2,7 @@
 
 import os
 import stat
+import time
 
 import pytest
 
@@ -12,6 +13,7 @@ from stkzoo.race.remote import (
     RaceServer,
     RemoteDriverGroup,
     ServerKeys,
+    connection,
     new_key_files,
     new_keys,
     read_public,
@@ -44,6 +46,17 @@ def test_peers_without_the_right_keys_cannot_connect(closed_server, stranger):
         )
     with RemoteDriverGroup([address], keys=client, server_keys=[server_key]) as group:
         assert len(group.drivers) == 1
+
+
+def test_a_connection_refused_before_its_first_message_names_the_keys(closed_server, monkeypatch):
+    def wait_for_refusal(_):
+        time.sleep(0.05)
+        return "1"
+
+    monkeypatch.setattr(connection, "version", wait_for_refusal)
+    address, server_key, _ = closed_server
+    with pytest.raises(RemoteError, match="refuses the connection"):
+        RemoteDriverGroup([address], keys=new_keys(), server_keys=[server_key])
 
 
 @pytest.mark.slow
