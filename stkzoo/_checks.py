@@ -11,7 +11,7 @@ import operator
 from collections.abc import Hashable, Iterable
 from typing import Any, TypeVar
 
-from stkzoo.errors import MAX_LINE, ConfigError
+from stkzoo.errors import MAX_LINE, ArgumentNameError, ConfigError
 
 Kind = TypeVar("Kind", bound=type)
 
@@ -101,18 +101,33 @@ def unknown_name(noun: str, name: object, known: Iterable[str]) -> ConfigError:
         name: the unknown name.
         known: the valid names.
     """
+    return ConfigError(_with_names(f"unknown {noun} {shortened(name)}", name, known))
+
+
+def unknown_argument(name: str, known: Iterable[str]) -> ArgumentNameError:
+    """Returns the error for an unknown keyword argument, in Python's words and with a suggestion.
+
+    Args:
+        name: the unknown name.
+        known: the valid names.
+    """
+    return ArgumentNameError(_with_names(f"unexpected keyword argument {name!r}", name, known))
+
+
+def _with_names(cause: str, name: object, known: Iterable[str]) -> str:
+    """Returns the text of an error with the nearest valid name, all names, or both."""
     known = sorted(known)
     near = difflib.get_close_matches(str(name), known, n=1)
     hint = f" Did you mean {near[0]!r}?" if near else ""
-    text = f"unknown {noun} {shortened(name)}.{hint}"
+    text = f"{cause}.{hint}"
     names = f"Known: {', '.join(known)}."
     if len(text) + len(names) < MAX_LINE:
-        return ConfigError(f"{text} {names}")
-    return ConfigError(text if hint else f"{text} Choose a name from the list:\n{names}")
+        return f"{text} {names}"
+    return text if hint else f"{text} Choose a name from the list:\n{names}"
 
 
 def check_arguments(checked_class: Kind) -> Kind:
-    """Class decorator that raises a ``ConfigError`` with a suggestion for an unknown keyword.
+    """Class decorator whose error for an unknown keyword suggests the nearest valid one.
 
     If the class has an argument ``num_kart``, its constructor also accepts ``num_karts``.
 
@@ -130,7 +145,7 @@ def check_arguments(checked_class: Kind) -> Kind:
             keywords["num_kart"] = keywords.pop("num_karts")
         for name in keywords:
             if name not in known:
-                raise unknown_name("argument", name, known)
+                raise unknown_argument(name, known)
         make(self, *values, **keywords)
 
     checked_class.__init__ = checked  # type: ignore[misc]

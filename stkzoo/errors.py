@@ -4,6 +4,7 @@
 
     StkzooError
     ├── ConfigError (also a ValueError)   an argument or option is invalid
+    │   └── ArgumentNameError (also a TypeError)   a keyword argument is unknown
     ├── AssetError                        the game's data is missing or broken
     ├── ApiOrderError                     a method was called too early or too late
     ├── ActionError (also a ValueError)   an action is invalid; the race did not advance
@@ -28,6 +29,7 @@ __all__ = [
     "AgentException",
     "AgentTimeout",
     "ApiOrderError",
+    "ArgumentNameError",
     "AssetError",
     "ConfigError",
     "EngineCrashed",
@@ -48,6 +50,10 @@ class StkzooError(Exception):
 
 class ConfigError(StkzooError, ValueError):
     """An argument or option is invalid."""
+
+
+class ArgumentNameError(ConfigError, TypeError):
+    """A keyword argument is unknown. Libraries that try arguments out expect a ``TypeError``."""
 
 
 class AssetError(StkzooError):

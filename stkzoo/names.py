@@ -1,4 +1,4 @@
-"""Enumerations of the numeric codes in observations; most codes are the engine's own.
+"""Enumerations of the numeric codes in observations and infos; most are the engine's own.
 
 Importing this module does not load the engine. When the engine starts, :mod:`stkzoo.engine.race`
 compares the numbers of powerups, attachments and items with those of the engine.
@@ -8,7 +8,15 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-__all__ = ["AttachmentType", "CameraMode", "GroundKind", "ItemType", "Phase", "PowerupType"]
+__all__ = [
+    "AttachmentType",
+    "CameraMode",
+    "EndReason",
+    "GroundKind",
+    "ItemType",
+    "Phase",
+    "PowerupType",
+]
 
 
 class Phase(IntEnum):
@@ -80,3 +88,15 @@ class GroundKind(IntEnum):
     SLOWED = 2  # reduces the top speed
     ZIPPER = 3  # accelerates karts
     WALL = 4
+
+
+class EndReason(IntEnum):
+    """Why an agent's episode ended, in the entry ``ended_by`` of infos."""
+
+    NONE = 0  # it has not ended
+    FINISH = 1
+    OFF_ROAD = 2
+    WRONG_WAY = 3
+    STUCK = 4
+    FIRST_FINISH = 5  # of another kart
+    MAX_CYCLES = 6

@@ -198,7 +198,7 @@ CALLS = [
     (lambda: make(num_kart=0), "num_kart is 0, expected a whole number from 1 to 256"),
     (lambda: make(num_kart="3"), "num_kart is '3', expected a whole number"),
     (lambda: make(num_kart=2, num_karts=2), "give one of them"),
-    (lambda: make(num_agents=2), "unknown argument 'num_agents'"),
+    (lambda: make(num_agents=2), "unexpected keyword argument 'num_agents'"),
     (lambda: make(track=3), "track is 3, expected a name, names or None"),
     (lambda: make(view="simpel"), "Did you mean 'simple'?"),
     (lambda: make(view=("simple", {"state_itms": 3})), "Did you mean 'state_items'?"),

@@ -24,6 +24,7 @@ from stkzoo.mdp.events import EVENTS, STREAKS, RaceEvents
 from stkzoo.mdp.rewards import KernelTerm, Reward, RewardOver, as_reward
 from stkzoo.mdp.state import race_state
 from stkzoo.mdp.transition import Transition
+from stkzoo.names import EndReason
 from stkzoo.views.plan import Seats
 from stkzoo.wrappers.racing import ground_observer
 
@@ -33,8 +34,11 @@ IntArray = npt.NDArray[np.intp]
 #: Rewards, terminations and truncations, each an array with one number per slot.
 EndArrays = tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
 
-#: Keys of infos whose values are whole numbers, in the order of their rows in a table.
+#: Keys of infos whose values are whole numbers, in the order of their rows in the kernel's table.
 WHOLE_INFOS = ("position", "lap", "episode/length")
+_ENDED_BY = "ended_by"
+#: The reason for an end that each state of karts causes.
+_REASONS = tuple(EndReason[name.upper()] for name in STREAKS)
 
 
 class InfoTable:
@@ -45,20 +49,24 @@ class InfoTable:
         count: number of slots, S.
 
     Attributes:
-        columns: ``(S,)`` values of each key: int64 for ranks, laps and lengths, else float64.
+        columns: ``(S,)`` values of each key: int64 for ranks, laps, lengths and reasons, else
+            float64.
         has: ``(S,)`` bool, slots with an info.
-        wholes: ``(3, S)`` int64, all whole numbers.
+        wholes: ``(3, S)`` int64, all whole numbers that the kernel writes.
         numbers: ``(K, S)`` float64, all other values.
     """
 
     def __init__(self, keys: Sequence[str], count: int) -> None:
         self.wholes = np.zeros((len(WHOLE_INFOS), count), np.int64)
-        self.numbers = np.zeros((len(keys) - len(WHOLE_INFOS), count))
+        other_keys = [key for key in keys if key not in (*WHOLE_INFOS, _ENDED_BY)]
+        self.numbers = np.zeros((len(other_keys), count))
         self.has = np.zeros(count, np.bool_)
-        wholes, numbers = iter(self.wholes), iter(self.numbers)
-        self.columns: dict[str, npt.NDArray[Any]] = {
-            key: next(wholes if key in WHOLE_INFOS else numbers) for key in keys
+        rows = {
+            **dict(zip(WHOLE_INFOS, self.wholes, strict=True)),
+            **dict(zip(other_keys, self.numbers, strict=True)),
+            _ENDED_BY: np.zeros(count, np.int64),
         }
+        self.columns: dict[str, npt.NDArray[Any]] = {key: rows[key] for key in keys}
 
 
 def rewards_of_agents(choice: object, agents: Sequence[str]) -> dict[str, Reward]:
@@ -221,7 +229,7 @@ class Episode:
         """Sets all counters to zero."""
         self._rewards = rewards
         race_length = self.track_map.length * self.race.laps
-        endings = endings_of(options)
+        endings = endings_of(options, len(rewards))
         events = None
         if options.events or endings is not None:
             events = RaceEvents(self.track_map, self.setup.step_size, len(self.setup.karts))
@@ -286,6 +294,7 @@ class EpisodeRecord:
             *columns,
             *(f"episode/{column}" for column in columns),
             *("episode/return", "episode/length"),
+            *(() if endings is None else (_ENDED_BY,)),
         )
         terminations, truncations = np.zeros((2, len(of_agent)), np.bool_)
         self.ends: EndArrays = np.zeros(len(of_agent)), terminations, truncations
@@ -313,7 +322,7 @@ class EpisodeRecord:
         self._prepare(before, after)
         self._scorer.score_into(before.data, after.data, is_over, seats.numbers, slots, *ends)
         if self._endings is not None and self._events is not None:
-            self._endings.end(ends, slots, seats.agents, after, self._events.seconds[seats.karts])
+            self._endings.end(ends, slots, seats.numbers, after, self._events.seconds[seats.karts])
 
     def infos(self, snapshot: Snapshot, seats: Seats, length: int) -> dict[str, dict[str, Any]]:
         """Returns new infos of some agents: plain numbers under the same keys in every step.
@@ -323,8 +332,8 @@ class EpisodeRecord:
         ``reward/<term>`` is the weighted term of this step and ``episode/reward/<term>`` its sum;
         ``episode/return`` is the return and ``episode/length`` the number of steps. With events,
         ``event/<name>`` and ``episode/event/<name>`` count the events of
-        :data:`stkzoo.mdp.events.EVENTS`. With optional ends, ended agents also have ``ended_by``
-        (:class:`Endings`).
+        :data:`stkzoo.mdp.events.EVENTS`. With optional ends, ``ended_by`` is an
+        :class:`~stkzoo.names.EndReason`.
 
         Args:
             snapshot: current snapshot.
@@ -333,9 +342,6 @@ class EpisodeRecord:
         """
         self.infos_into(snapshot, seats, length, seats.order, self._table)
         infos: dict[str, dict[str, Any]] = split_batch(self._table.columns, seats.agents)
-        if self._endings is not None:
-            for agent in self._endings.reasons.keys() & infos.keys():
-                infos[agent]["ended_by"] = self._endings.reasons[agent]
         return infos
 
     def infos_into(
@@ -352,6 +358,8 @@ class EpisodeRecord:
         """
         tables = table.wholes, table.numbers
         self._scorer.infos_into(snapshot.data, length, seats.numbers, slots, *tables)
+        if self._endings is not None:
+            table.columns[_ENDED_BY][slots] = self._endings.reasons[seats.numbers]
 
     @property
     def _shown_events(self) -> FloatArray | None:
@@ -402,23 +410,23 @@ class Endings:
 
     Args:
         options: options of the episode.
+        count: number of agents, A.
 
     Attributes:
-        reasons: why each ended agent's episode ended: ``"finish"``, ``"off_road"``,
-            ``"wrong_way"``, ``"stuck"``, ``"first_finish"`` or ``"max_cycles"``.
+        reasons: ``(A,)`` int64, an :class:`~stkzoo.names.EndReason` for each agent.
     """
 
-    def __init__(self, options: RaceOptions) -> None:
+    def __init__(self, options: RaceOptions, count: int) -> None:
         limits = options.end_off_road, options.end_when_wrong_way, options.end_when_stuck
         self._limits = [np.inf if limit is None else limit for limit in limits]
         self._steps_left = options.end_when_first_finishes
-        self.reasons: dict[str, str] = {}
+        self.reasons = np.zeros(count, np.int64)
 
     def end(
         self,
         ends: EndArrays,
         slots: npt.NDArray[np.intp],
-        agents: Sequence[str],
+        agents: IntArray,
         after: Snapshot,
         seconds: npt.NDArray[np.float64],
     ) -> None:
@@ -427,7 +435,7 @@ class Endings:
         Args:
             ends: rewards, terminations and truncations of the step; changed in place.
             slots: ``(A,)`` slot of each agent.
-            agents: the A agents that were still racing.
+            agents: ``(A,)`` numbers of the agents that were still racing.
             after: snapshot after the step.
             seconds: ``(A, 3)`` float64, how long each agent's kart has been in each state of
                 :data:`stkzoo.mdp.events.STREAKS` [s].
@@ -435,16 +443,16 @@ class Endings:
         _, terminations, truncations = ends
         is_cut = self._is_cut(after)
         fails = seconds > np.array(self._limits) - 1e-6  # float sums are inexact
-        for slot, agent, failed in zip(slots.tolist(), agents, fails.tolist(), strict=True):
+        for slot, agent, failed in zip(slots, agents, fails.tolist(), strict=True):
             if terminations[slot]:
-                self.reasons[agent] = "finish"
+                self.reasons[agent] = EndReason.FINISH
             elif any(failed):
-                self.reasons[agent] = STREAKS[failed.index(True)]
+                self.reasons[agent] = _REASONS[failed.index(True)]
                 terminations[slot], truncations[slot] = True, False
             elif is_cut:
-                self.reasons[agent], truncations[slot] = "first_finish", True
+                self.reasons[agent], truncations[slot] = EndReason.FIRST_FINISH, True
             elif truncations[slot]:
-                self.reasons[agent] = "max_cycles"
+                self.reasons[agent] = EndReason.MAX_CYCLES
 
     def _is_cut(self, after: Snapshot) -> bool:
         """Whether the chosen number of steps has passed since the first finish."""
@@ -454,13 +462,13 @@ class Endings:
         return self._steps_left < 0
 
 
-def endings_of(options: RaceOptions) -> Endings | None:
-    """Returns the ends that the options request; ``None`` if there are none."""
+def endings_of(options: RaceOptions, count: int) -> Endings | None:
+    """Returns the ends that the options request for some agents; ``None`` if there are none."""
     chosen = (
         *(options.end_off_road, options.end_when_wrong_way, options.end_when_stuck),
         options.end_when_first_finishes,
     )
-    return None if chosen == (None,) * 4 else Endings(options)
+    return None if chosen == (None,) * 4 else Endings(options, count)
 
 
 def _is_agent(name: object, agents: Sequence[str]) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
-from stkzoo._checks import unknown_name
+from stkzoo._checks import unknown_argument
 from stkzoo.agent_names import require_actions
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
@@ -241,7 +241,7 @@ def split_keywords(
     race = {*inspect.signature(RaceParallelEnv).parameters, "num_karts", *others} - {"agents"}
     for name in keywords:
         if name not in race.union(names):
-            raise unknown_name("argument", name, race.union(names))
+            raise unknown_argument(name, race.union(names))
     options = {
         name: keywords[name]
         for name in names

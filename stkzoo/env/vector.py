@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import AsyncVectorEnv
 
-from stkzoo._checks import check_whole, unknown_name
+from stkzoo._checks import check_whole, unknown_argument
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.vec.env import RaceVectorEnv
@@ -86,7 +86,7 @@ def make_stkrace_vec(
     known = [*known[:-1], *inspect.signature(AsyncVectorEnv).parameters]
     for name in vec_kwargs:
         if name not in known:
-            raise unknown_name("argument", name, known)
+            raise unknown_argument(name, known)
     make = partial(_make, env_id, dict(env_kwargs or {}))
     if shared_memory is None:
         with make() as env:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stkzoo import ConfigError, Start, race_v0
+from stkzoo import ConfigError, EndReason, Start, race_v0
 from stkzoo.env.options import RaceOptions
 
 REST = {"steer": np.zeros(1, "f4")} | dict.fromkeys(
@@ -17,7 +17,7 @@ def drive(acceleration, **others):
 
 def race_to_the_end(env, actions, **reset):
     """Returns the number, flags and info of each agent's last step."""
-    env.reset(seed=1, **reset)
+    _, first = env.reset(seed=1, **reset)
     ends, number = {}, 0
     while env.agents:
         number += 1
@@ -26,7 +26,9 @@ def race_to_the_end(env, actions, **reset):
             if parts[2][agent] or parts[3][agent]:
                 ends[agent] = number, parts[2][agent], parts[3][agent], info
             else:
-                assert "ended_by" not in info
+                assert info.get("ended_by", 0) == EndReason.NONE
+            assert info.keys() == first[agent].keys()
+            assert all(isinstance(value, (int, float)) for value in info.values())
     return ends
 
 
@@ -36,12 +38,12 @@ def test_a_standing_agent_is_stuck_and_a_driving_one_is_not():
     ) as env:
         ends = race_to_the_end(env, {"kart_0": drive(0.0), "kart_1": drive(0.6)})
         stood, terminated, truncated, info = ends["kart_0"]
-        assert (terminated, truncated, info["ended_by"]) == (True, False, "stuck")
+        assert (terminated, truncated, info["ended_by"]) == (True, False, EndReason.STUCK)
         # Two seconds after GO, which comes after 19 steps.
         assert 38 <= stood <= 41
         assert ends["kart_1"][1:3] == (False, True)
-        assert ends["kart_1"][3]["ended_by"] == "max_cycles"
-        assert env.infos(["kart_0"])["kart_0"]["ended_by"] == "stuck"
+        assert ends["kart_1"][3]["ended_by"] == EndReason.MAX_CYCLES
+        assert env.infos(["kart_0"])["kart_0"]["ended_by"] == EndReason.STUCK
 
 
 def test_agents_that_turn_around_or_leave_the_road_are_terminated():
@@ -59,8 +61,8 @@ def test_agents_that_turn_around_or_leave_the_road_are_terminated():
     ) as env:
         ends = race_to_the_end(env, {"kart_0": drive(0.5), "kart_1": drive(0.5)})
     (back, *back_ends), (off, *off_ends) = ends["kart_0"], ends["kart_1"]
-    assert (back_ends[:2], back_ends[2]["ended_by"]) == ([True, False], "wrong_way")
-    assert (off_ends[:2], off_ends[2]["ended_by"]) == ([True, False], "off_road")
+    assert (back_ends[:2], back_ends[2]["ended_by"]) == ([True, False], EndReason.WRONG_WAY)
+    assert (off_ends[:2], off_ends[2]["ended_by"]) == ([True, False], EndReason.OFF_ROAD)
     assert back < off < 60
 
 
@@ -73,8 +75,8 @@ def test_a_race_is_truncated_some_steps_after_the_first_finish():
             now = {**options, "end_when_first_finishes": steps}
             ends = race_to_the_end(env, actions, options=now)
             first, last = ends["kart_0"], ends["kart_1"]
-            assert (first[1:3], first[3]["ended_by"]) == ((True, False), "finish")
-            assert (last[1:3], last[3]["ended_by"]) == ((False, True), "first_finish")
+            assert (first[1:3], first[3]["ended_by"]) == ((True, False), EndReason.FINISH)
+            assert (last[1:3], last[3]["ended_by"]) == ((False, True), EndReason.FIRST_FINISH)
             assert last[0] - first[0] == steps
 
 

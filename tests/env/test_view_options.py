@@ -81,11 +81,15 @@ def test_a_keyword_of_both_the_race_and_its_view_reaches_both():
 @pytest.mark.parametrize(
     ("env_id", "keywords", "message"),
     [
-        ("simple-v0", {"state_itmes": 3}, "unknown argument 'state_itmes'.*'state_items'"),
-        ("simple-v0", {"steer_steps": 3}, "unknown argument 'steer_steps'"),
-        ("simple-v0", {"agents": 2}, "unknown argument 'agents'. Did you mean 'agent'"),
+        (
+            "simple-v0",
+            {"state_itmes": 3},
+            "unexpected keyword argument 'state_itmes'.*'state_items'",
+        ),
+        ("simple-v0", {"steer_steps": 3}, "unexpected keyword argument 'steer_steps'"),
+        ("simple-v0", {"agents": 2}, "unexpected keyword argument 'agents'. Did you mean 'agent'"),
         ("simple-v0", {"state_items": "5"}, "state_items is '5', expected a whole number"),
-        ("multi-full-v0", {"state_items": 5}, "unknown argument 'state_items'"),
+        ("multi-full-v0", {"state_items": 5}, "unexpected keyword argument 'state_items'"),
     ],
 )
 def test_an_error_for_an_unknown_option_suggests_the_right_one(make, env_id, keywords, message):
