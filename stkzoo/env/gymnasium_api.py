@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 
 from stkzoo._checks import unknown_argument
@@ -20,7 +21,9 @@ from stkzoo.engine.fork_client import can_fork, start_fork_server
 from stkzoo.env.front import RaceFront
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.env.parallel import RaceParallelEnv
+from stkzoo.env.race import Started
 from stkzoo.env.rendering import RENDER_MODES
+from stkzoo.env.time_limit import RaceSpec, follow_max_cycles
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.mdp.rewards import RewardOver
@@ -76,11 +79,13 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
     max_paths = _RaceOption("max_paths")
     step_size = _RaceOption("step_size")
     track = RaceFront.track_map
+    _spec: RaceSpec | None = None
 
     def __init__(
         self, agents: Sequence[AgentSpec | Mapping[str, object]] | int | None, **options: Any
     ) -> None:
         # The TimeLimit of the registered ids truncates long races.
+        self._has_max_cycles = "max_cycles" in options
         options.setdefault("max_cycles", None)
         options["reward"] = RewardOver("reference", options.get("reward"))
         self.core = RaceParallelEnv(agents=agents, **options)
@@ -115,6 +120,15 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         return list(assets.tracks)
 
     @property
+    def spec(self) -> EnvSpec | None:
+        """The arguments of ``gym.make``; its ``max_episode_steps`` follows ``max_cycles``."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = None if spec is None else RaceSpec.of(spec)
+
+    @property
     def _np_random(self) -> np.random.Generator:  # type: ignore[override]
         return self.np_random  # under Gymnasium's private name, which its checker reads
 
@@ -146,6 +160,20 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         if self.snapshot is None or self.race is None:
             raise ApiOrderError("there is no race before reset(); call reset() first")
         return WorldView(self.snapshot, self.race.kart_types)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns the arguments, the options of the next race and the spec."""
+        return {**super().__getstate__(), "spec": self.spec}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        self.spec = state["spec"]
+
+    def _reset_core(self, seed: int | None, options: Mapping[str, Any] | None) -> Started:
+        result = self.core.reset(seed, options)
+        has_max_cycles = self._has_max_cycles or self.max_cycles is not None
+        follow_max_cycles(self, has_max_cycles, options or {})
+        return result
 
     def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
         if self.snapshot is not None and not self.core.agents:
@@ -208,7 +236,7 @@ class STKRaceEnv(GymnasiumRaceEnv):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
-        observations, infos = self.core.reset(seed, options)
+        observations, infos = self._reset_core(seed, options)
         return observations[self._name], infos[self._name]
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -302,7 +330,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Starts a new race; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.reset`."""
         with self.core.live_race.turn.of("reset"):
-            observations, infos = self.core.reset(seed, options)
+            observations, infos = self._reset_core(seed, options)
             return self._completed(observations), self._info(infos, {}, {})
 
     def step(

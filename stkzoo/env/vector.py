@@ -13,6 +13,7 @@ from gymnasium.vector import AsyncVectorEnv
 from stkzoo._checks import check_whole, unknown_argument
 from stkzoo.config import AgentSpec
 from stkzoo.env.gymnasium_api import split_keywords
+from stkzoo.env.ids import MAX_EPISODE_STEPS
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.env.vec.rows import is_of_fixed_size
 from stkzoo.mdp.rewards import RewardOver
@@ -24,7 +25,6 @@ def single_kart_races(
     view: Any = "full",
     agent: AgentSpec | Mapping[str, object] | None = None,
     max_episode_steps: int | None = None,
-    max_cycles: int | None = None,
     **options: Any,
 ) -> RaceVectorEnv:
     """Vector entry point of the Gymnasium ids, used by ``gym.make_vec``.
@@ -36,9 +36,8 @@ def single_kart_races(
         num_envs: number of races.
         view: the id's view; its spaces must have a fixed size.
         agent: options of the agent in every race.
-        max_episode_steps: number of steps after which an episode is truncated, as by the id's
-            ``TimeLimit``.
-        max_cycles: also truncates; the smaller limit applies.
+        max_episode_steps: number of steps after which an episode is truncated, as in ``gym.make``:
+            ``max_cycles`` replaces the limit of the id, and -1 disables it.
         **options: keyword arguments of the id, options of its view, and ``prefetch``.
 
     Raises:
@@ -46,15 +45,16 @@ def single_kart_races(
     """
     view, race = split_keywords(view, options, ("agent", "prefetch"))
     race["reward"] = RewardOver("reference", race.get("reward"))
-    asked = {"max_episode_steps": max_episode_steps, "max_cycles": max_cycles}
-    limits = [
-        check_whole(name, limit, 1) for name, limit in asked.items() if limit not in (None, -1)
-    ]
+    limit = MAX_EPISODE_STEPS if max_episode_steps is None else max_episode_steps
+    max_cycles = race.setdefault("max_cycles", None if limit == -1 else limit)
+    if limit not in (-1, MAX_EPISODE_STEPS):
+        limit = check_whole("max_episode_steps", limit, 1)
+        is_shorter = max_cycles is None or limit < check_whole("max_cycles", max_cycles, 1)
+        race["max_cycles"] = limit if is_shorter else max_cycles
     return RaceVectorEnv(
         num_envs,
         view=view,
         agents=[AgentSpec() if agent is None else AgentSpec.of(agent)],
-        max_cycles=min(limits) if limits else None,
         **race,
     )
 
