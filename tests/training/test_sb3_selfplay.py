@@ -154,6 +154,21 @@ def test_past_selves_add_no_training_data(monkeypatch, tmp_path, policy):
         assert {*matchmaker.reported} <= {0.0, 0.25, 0.5, 0.75, 1.0}
 
 
+def test_later_races_of_a_round_copy_its_starts(monkeypatch, tmp_path):
+    monkeypatch.setattr(sb3_races, "SHORT_RACE", 2)
+    races, curriculum = Lineup(2, 0), Curriculum(["olivermath", "lighthouse"], stage=2)
+    options = {"grid_share": 0.0, "num_starts": 2}
+    with closing(SelfPlayVecEnv(races, curriculum, Matchmaker(), tmp_path, **options)) as envs:
+        envs.seed(3)
+        starts = [envs.reset()]
+        for step in range(18):
+            observations = envs.step(np.zeros((2, 5), int))[0]
+            if step % 2:
+                starts.append(observations)
+        assert len(np.unique(starts, axis=0)) == 2
+        assert not (envs.reset() == starts[0]).all()
+
+
 @pytest.mark.slow
 def test_a_finish_is_a_truncation_for_the_learner(monkeypatch, tmp_path):
     """The learner also gets the final observation and all rewards."""

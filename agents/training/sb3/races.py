@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from stkzoo import RandomStart, Reward
+from stkzoo import RaceState, RandomStart, Reward
 from stkzoo.agents.pretrained.action_filter import INPUT_SIZE, ActionFilter
 from stkzoo.agents.pretrained.mlp import MlpDriver, load_driver
 from stkzoo.mdp import rewards
@@ -46,6 +47,45 @@ _RECENT = 100
 REWARD = Reward({"meters": rewards.advance, "places": rewards.overtaking}, {"places": 0.3})
 
 
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """The start of a race.
+
+    Attributes:
+        track: name of the track.
+        reverse: whether it is driven in reverse.
+        difficulty: difficulty of the game's AI, 0 to 3.
+        is_from_grid: whether the karts start on the grid, not anywhere on the track.
+        state: its moment, to copy.
+    """
+
+    track: str
+    reverse: bool
+    difficulty: int
+    is_from_grid: bool
+    state: RaceState | None = None
+
+    @property
+    def ai_time(self) -> float:
+        """The AI's median time in such a race [s]."""
+        return ai_time(self.track, self.reverse, self.difficulty)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """Options of a race with this start."""
+        patience = math.ceil((PATIENCE * self.ai_time + COUNTDOWN) / STEP)
+        max_cycles = patience if self.is_from_grid else min(patience, SHORT_RACE)
+        if self.state is not None:
+            return {"state": self.state, "max_cycles": max_cycles}
+        return {
+            "track": self.track,
+            "reverse": self.reverse,
+            "difficulty": self.difficulty,
+            "start": None if self.is_from_grid else RandomStart(),
+            "max_cycles": max_cycles,
+        }
+
+
 class SelfPlayVecEnv(VecEnvWrapper):
     """Self-play races; each race is drawn from the curriculum and by the matchmaker.
 
@@ -54,8 +94,9 @@ class SelfPlayVecEnv(VecEnvWrapper):
         curriculum: determines tracks, directions and difficulties; updated with the results.
         matchmaker: determines the opponents; updated with the results.
         past: folder of the past selves.
-        grid_share: fraction of races that start on the grid; the others start anywhere on the
-            track.
+        grid_share: fraction of starts on the grid; the others are anywhere on the track.
+        num_starts: number of different starts after each :meth:`reset`; later races copy one of
+            them, which takes a tenth of the time.
         hold: minimum steps of a drift, for all drivers.
 
     Attributes:
@@ -75,6 +116,7 @@ class SelfPlayVecEnv(VecEnvWrapper):
         past: Path,
         *,
         grid_share: float = 0.3,
+        num_starts: int = 20,
         hold: int = 0,
     ) -> None:
         venv = RaceVecEnv(
@@ -84,11 +126,11 @@ class SelfPlayVecEnv(VecEnvWrapper):
             track=curriculum.tracks[0],
             view="racing",
             reward=REWARD,
-            prefetch=False,  # the next race depends on the results
+            prefetch=True,  # a core is idle while the learner learns
         )
         super().__init__(venv, spaces.Box(-np.inf, np.inf, (INPUT_SIZE,), np.float32))
         self._curriculum, self._matchmaker, self._past = curriculum, matchmaker, past
-        self._grid_share = grid_share
+        self._grid_share, self._num_starts = grid_share, num_starts
         self._count = venv.races.num_agents
         self._seats = RivalSeats(venv.races.num_races, self._count)
         self._action_filter = ActionFilter(venv.num_envs, hold)
@@ -97,7 +139,8 @@ class SelfPlayVecEnv(VecEnvWrapper):
         self.kart_steps, self.rewarded = 0, 0.0
         self.recent: deque[dict[str, float]] = deque(maxlen=_RECENT)
         races = venv.races.num_races
-        self._plans: list[dict[str, Any]] = [{} for _ in range(races)]  # of the next races
+        self._starts: list[_Start] = []  # to copy
+        self._next: list[_Start] = []  # of the next races
         self._ai_speeds, self._delays = np.ones(races), np.zeros(races)
         self._begin_at = np.zeros(venv.num_envs)
 
@@ -108,10 +151,12 @@ class SelfPlayVecEnv(VecEnvWrapper):
 
     def reset(self) -> npt.NDArray[np.float32]:
         """Starts new races; returns the observations of all slots."""
-        for race in range(len(self._plans)):
-            self._plan(race)
+        self._forget_starts()
+        races = range(self.venv.races.num_races)
+        self._next = [self._draw_start() for _ in races]
+        self._set_options()
         views = self.venv.reset()
-        for race in range(len(self._plans)):
+        for race in races:
             self._begin(race)
         self._observations = self._action_filter.see(views)
         return self._observations
@@ -150,6 +195,11 @@ class SelfPlayVecEnv(VecEnvWrapper):
         self._observations = self._action_filter.see(views)
         return self._observations, rewards, dones, infos
 
+    def close(self) -> None:
+        """Ends all races and the starts to copy."""
+        self._forget_starts()
+        super().close()
+
     def figures(self) -> dict[str, float]:
         """Returns the means of the latest results; empty without results."""
         names = self.recent[-1] if self.recent else {}
@@ -166,34 +216,39 @@ class SelfPlayVecEnv(VecEnvWrapper):
         for slot in ended:
             infos[slot]["terminal_observation"] = seen[slot]
 
-    def _plan(self, race: int) -> None:
-        """Draws the options of the next race, which starts automatically."""
+    def _draw_start(self) -> _Start:
+        """Draws the start of a race from those to copy, or a new one if these are too few."""
+        if self._starts and len(self._starts) >= self._num_starts:
+            return self._starts[int(self._random.integers(len(self._starts)))]
         track, reverse = self._curriculum.draw(self._random)
         difficulty = int(self._random.choice(self._curriculum.difficulties))
-        is_from_grid = bool(self._random.random() < self._grid_share)
-        steps = math.ceil((PATIENCE * ai_time(track, reverse, difficulty) + COUNTDOWN) / STEP)
-        self._plans[race] = {
-            "track": track,
-            "reverse": reverse,
-            "difficulty": difficulty,
-            "start": None if is_from_grid else RandomStart(),
-            "max_cycles": steps if is_from_grid else min(steps, SHORT_RACE),
-        }
-        self.venv.races.set_options(self._plans)
+        return _Start(track, reverse, difficulty, bool(self._random.random() < self._grid_share))
+
+    def _set_options(self) -> None:
+        """Sets the options of the next races, which start automatically."""
+        self.venv.races.set_options([start.options for start in self._next])
 
     def _begin(self, race: int) -> None:
-        """Takes the facts of a race that has begun, draws its drivers, and plans the next one."""
-        plan, track = self._plans[race], self.venv.races.races[race].track_map
-        assert track is not None  # noqa: S101 - after a reset
-        median = ai_time(plan["track"], plan["reverse"], plan["difficulty"])
-        self._ai_speeds[race] = track.length / median
-        self._delays[race] = 0.0 if plan["start"] else COUNTDOWN
+        """Takes the facts of a race that has begun, and draws its drivers and the next start."""
+        start, env = self._next[race], self.venv.races.races[race]
+        if start.state is None and len(self._starts) < self._num_starts:
+            self._starts.append(replace(start, state=env.save_state()))
+        assert env.track_map is not None  # noqa: S101 - after a reset
+        self._ai_speeds[race] = env.track_map.length / start.ai_time
+        self._delays[race] = COUNTDOWN if start.is_from_grid else 0.0
         slots = slice(race * self._count, (race + 1) * self._count)
         self._begin_at[slots] = [info["distance"] for info in self.venv.reset_infos[slots]]
         self._action_filter.forget(slots)
         rival = draw_opponent(self._matchmaker.odds(), self._random)
         self._seats.seat(race, rival, self._random)
-        self._plan(race)
+        self._next[race] = self._draw_start()
+        self._set_options()
+
+    def _forget_starts(self) -> None:
+        for start in self._starts:
+            if start.state:
+                start.state.close()
+        self._starts.clear()
 
     def _end(self, slot: int, info: Mapping[str, Any]) -> None:
         """Records the end of a kart's race, and of the race if it was the last kart."""

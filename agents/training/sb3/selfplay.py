@@ -88,7 +88,10 @@ class SB3Arguments(PPOArguments):
         tracks: tracks from easy to hard, or a split, such as train_only.
         pass_at: pace, relative to the AI's in such races, at which the next stage begins.
         snapshot_share: fraction of races in which a past self drives half of the agents' karts.
-        grid_share: fraction of races that start on the grid; the others start anywhere.
+        grid_share: fraction of starts on the grid; the others are anywhere on the track.
+        num_starts: number of different starts in a round; its later races copy one of them, which
+            takes a tenth of the time. 0 makes a new start for each race, as is necessary on other
+            systems than Linux.
         pool_size: number of past selves to keep as opponents.
         init: weights to start from; empty starts from scratch.
         n_steps: steps of each race between two updates.
@@ -107,10 +110,11 @@ class SB3Arguments(PPOArguments):
     pass_at: float = 0.7
     snapshot_share: Share = 0.5
     grid_share: Share = 0.3
+    num_starts: Natural = 20
     pool_size: int = 12
     init: str = ""
     n_steps: int = 128
-    updates: int = 16
+    updates: int = 32
     hold: Natural = 11
     warm_up: Natural = 0
     decay_timesteps: Natural = 1_000_000
@@ -175,6 +179,7 @@ class SB3Run:
                 self._matchmaker,
                 self.folder,
                 grid_share=arguments.grid_share,
+                num_starts=arguments.num_starts,
                 hold=arguments.hold,
             )
             resources.callback(self._envs.close)
