@@ -2,7 +2,9 @@
 
 After you import this module, ``import pystk2_gymnasium``, its submodules and its environment ids
 resolve to stkzoo, even if the original package is installed. Import this module before the
-original package. ``docs/reference/differences.md`` lists the intended differences.
+original package. All environments of the program then clip actions to their spaces and ignore
+unknown keys, as the original package does, and log this once per race.
+``docs/reference/differences.md`` lists the intended differences.
 
 >>> import stkzoo.compat
 >>> from pystk2_gymnasium.envs import AgentSpec, STKRaceEnv
@@ -14,6 +16,7 @@ import sys
 
 from stkzoo._pystk2_gymnasium import modules
 from stkzoo.env.ids import register_gymnasium_ids
+from stkzoo.views.agent_chain import AgentChain
 
 __all__ = ["install"]
 
@@ -39,6 +42,7 @@ def install(*, replace: bool = True) -> bool:
             del sys.modules[name]
     sys.modules.update(ours)
     register_gymnasium_ids()
+    AgentChain.is_strict = False
     return True
 
 

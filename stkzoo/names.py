@@ -7,6 +7,7 @@ compares the numbers of powerups, attachments and items with those of the engine
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Any
 
 __all__ = [
     "AttachmentType",
@@ -26,6 +27,16 @@ class Phase(IntEnum):
     SET_PHASE = 1
     GO_PHASE = 2
     RACE_PHASE = 3
+
+    @classmethod
+    def from_stk(cls, source: Any) -> Phase:
+        """Returns the phase for one of this class or of ``pystk2.WorldState.Phase``.
+
+        Args:
+            source: the phase; ``None`` is READY_PHASE, and phases without a name here RACE_PHASE.
+        """
+        name = "READY_PHASE" if source is None else source.name
+        return cls.__members__.get(name, cls.RACE_PHASE)
 
 
 class PowerupType(IntEnum):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -13,13 +13,16 @@ from pettingzoo import ParallelEnv
 from pettingzoo.utils import BaseParallelWrapper
 
 from stkzoo._checks import check_arguments
+from stkzoo._left_out import LeftOutNames
 from stkzoo.agent_names import of_agent, require_actions
 from stkzoo.errors import ConfigError
 from stkzoo.views.walker import ChainWalker, Factories, StepParts
 
 
 @check_arguments
-class MonoAgentWrapperAdapter(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+class MonoAgentWrapperAdapter(
+    gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs, LeftOutNames
+):
     """Gives each agent of an environment its own wrappers.
 
     Around a Gymnasium environment with ``Dict`` spaces by agent (``supertuxkart/multi-full-v0``),
@@ -47,6 +50,11 @@ class MonoAgentWrapperAdapter(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordC
             unknown or rejects its environment or options.
         AgentException: a factory or, later, a wrapper failed; ``key`` names the agent.
     """
+
+    left_out: ClassVar = {
+        **dict.fromkeys(("action", "observation"), "use step"),
+        **dict.fromkeys(("keys", "mono_envs", "wrappers"), "use action_space and its spaces"),
+    }
 
     def __new__(cls, env: Any = None, *arguments: Any, **options: Any) -> Any:
         """Returns a :class:`ParallelAgentAdapter` around a ``ParallelEnv``."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from stkzoo._checks import check_flag
+from stkzoo._left_out import LeftOutNames
 from stkzoo.errors import ConfigError
 from stkzoo.views.bases import ActionFormWrapper, CompiledWrapper, dict_space
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from stkzoo.views.plan import ViewPlan
 
 
-class SpaceFlattener:
+class SpaceFlattener(LeftOutNames):
     """Flattens the entries of a ``Dict`` space, in the order of their keys.
 
     ``Box`` entries go to ``"continuous"``, ``Discrete`` and ``MultiDiscrete`` entries to
@@ -42,6 +43,11 @@ class SpaceFlattener:
     Raises:
         ConfigError: an entry has another kind of space, or there is no entry.
     """
+
+    left_out: ClassVar = {
+        **dict.fromkeys(("passthrough_keys", "passthrough_spaces"), "texts are dropped"),
+        **dict.fromkeys(("indices", "shapes"), "use unflatten"),
+    }
 
     def __init__(self, space: spaces.Dict) -> None:
         boxes: dict[str, spaces.Space[Any]] = {}
@@ -127,7 +133,7 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
                 dict_space(env.observation_space, "observations", "FlattenerWrapper")
             )
             self.observation_space = self.observation_flattener.space
-            if self._has_action:
+            if self.has_action:
                 parts = {"action": copy.deepcopy(self.action_space)}
                 self.observation_space = spaces.Dict(parts | self.observation_flattener.vectors)
 
@@ -152,7 +158,7 @@ class FlattenerWrapper(ActionFormWrapper, CompiledWrapper):
         """Returns the observation as vectors, ``(n,)`` and ``(m,)``."""
         if not self.flatten_observations:
             return super().observation(dict(observation))
-        if not self._has_action:
+        if not self.has_action:
             return self.observation_flattener.flatten(observation)
         action = self.observed_action(observation["action"])
         return {"action": action, **self.observation_flattener.flatten_parts(observation)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -52,6 +52,8 @@ class ConstantSizedObservations(gym.ObservationWrapper[Any, Any, Any], CompiledW
     Raises:
         ConfigError: a number is below 1, or the environment does not have these lists.
     """
+
+    left_out: ClassVar = {"make_tensor": "use observation"}
 
     def __init__(
         self,
@@ -146,6 +148,8 @@ class PolarObservations(gym.ObservationWrapper[Any, Any, Any], CompiledWrapper):
     Raises:
         ConfigError: the environment has none of these keys, or they are polar already.
     """
+
+    left_out: ClassVar = dict.fromkeys(("KEYS", "SIMPLE_KEYS"), "its documentation lists the keys")
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypedDict
 
+from stkzoo._left_out import without_names
 from stkzoo._pystk2_gymnasium.utils import max_enum_value as max_enum_value
 from stkzoo._pystk2_gymnasium.utils import rotate as rotate
 from stkzoo._pystk2_gymnasium.utils import rotate_batch as rotate_batch
@@ -32,3 +33,15 @@ class STKAction(TypedDict):
 
 class STKDiscreteAction(STKAction):
     """An action of :class:`~stkzoo.wrappers.DiscreteActionsWrapper`, for annotations."""
+
+
+_LEFT_OUT = {
+    **dict.fromkeys(
+        ("DirectSTKInterface", "PySTKProcess", "STKInterface"), "environments start the game"
+    ),
+    **dict.fromkeys(
+        ("PathCache", "get_path_cache"), "use env.unwrapped.track.nodes_ahead(numpy.array([node]))"
+    ),
+    "get_action": "step takes the action as it is",
+}
+__getattr__ = without_names("pystk2_gymnasium.envs", _LEFT_OUT)

@@ -104,7 +104,7 @@ class Decision:
         action: an element of the request's action space; the runner checks it.
         seconds: time from the observation to the reply [s]. The race measures it, so an agent
             cannot falsify it.
-        is_clipped: whether a number was outside its ``Box`` and was clipped.
+        is_clipped: whether a number was outside its space and was clipped, or a key was unknown.
     """
 
     action: Any

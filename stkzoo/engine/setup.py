@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from msgspec import Meta
 
+from stkzoo._left_out import LeftOutNames
 from stkzoo._schema import Share, matching, one_of
 from stkzoo.config import NORMAL, RACE_MODES, Start
 from stkzoo.names import CameraMode
@@ -19,7 +20,7 @@ _FOLDER = matching(r"[^/\\\0]*")
 
 
 @dataclass(frozen=True, slots=True)
-class KartSetup:
+class KartSetup(LeftOutNames):
     """The engine's options for one kart.
 
     Attributes:
@@ -31,6 +32,11 @@ class KartSetup:
         camera_mode: number of :class:`stkzoo.names.CameraMode`.
     """
 
+    left_out: ClassVar = {
+        **dict.fromkeys(("Controller", "controller"), "use is_bot"),
+        "CameraMode": "use stkzoo.CameraMode",
+        "team": "races have no teams",
+    }
     is_bot: bool = True
     reports_control: bool = False
     kart: Annotated[str, _FOLDER] = ""
@@ -40,7 +46,7 @@ class KartSetup:
 
 
 @dataclass(frozen=True, slots=True)
-class RaceSetup:
+class RaceSetup(LeftOutNames):
     """The engine's options for one race.
 
     Attributes:
@@ -56,6 +62,10 @@ class RaceSetup:
         mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
     """
 
+    left_out: ClassVar = {
+        "RaceMode": "use stkzoo.config.RACE_MODES",
+        "overlay": "races have no graphics",
+    }
     track: Annotated[str, _FOLDER]
     karts: Annotated[tuple[KartSetup, ...], Meta(min_length=1, max_length=256)]
     laps: int = 1
@@ -66,6 +76,16 @@ class RaceSetup:
     num_cameras: Annotated[int, Meta(ge=0, le=MAX_CAMERAS)] = 0
     starts: tuple[Start, ...] = ()
     mode: Annotated[str, one_of(*RACE_MODES)] = NORMAL
+
+    @property
+    def players(self) -> tuple[KartSetup, ...]:
+        """The karts, under pystk2's name."""
+        return self.karts
+
+    @property
+    def num_kart(self) -> int:
+        """Number of karts."""
+        return len(self.karts)
 
     def to_json(self) -> bytes:
         """Returns the setup as UTF-8 JSON."""

@@ -7,11 +7,12 @@ import json
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from stkzoo._left_out import LeftOutNames
 from stkzoo.kernel import TrackGraph
 
 FloatArray = npt.NDArray[np.float32]
@@ -21,7 +22,7 @@ _JSON_SIZE = struct.Struct("<I")
 
 
 @dataclass(eq=False)
-class TrackMap:
+class TrackMap(LeftOutNames):
     """The graph of segments ("nodes") along a track. All arrays are read-only.
 
     Attributes:
@@ -35,6 +36,7 @@ class TrackMap:
         graph: the same graph in the kernel's form.
     """
 
+    left_out: ClassVar = {"update": "a track does not change"}
     length: float
     path_nodes: FloatArray
     path_width: FloatArray

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
+import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -13,11 +15,14 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import EzPickle
 
-from stkzoo._checks import unknown_argument
+from stkzoo._checks import check_whole, unknown_argument
+from stkzoo._left_out import LeftOutNames
 from stkzoo.agent_names import require_actions
 from stkzoo.config import AgentSpec
 from stkzoo.engine.assets import find_assets
 from stkzoo.engine.fork_client import can_fork, start_fork_server
+from stkzoo.engine.setup import RaceSetup
+from stkzoo.engine.snapshot import CONTROLS, Snapshot
 from stkzoo.env.front import RaceFront
 from stkzoo.env.keyboard import keys_to_action
 from stkzoo.env.parallel import RaceParallelEnv
@@ -27,8 +32,14 @@ from stkzoo.env.time_limit import RaceSpec, follow_max_cycles
 from stkzoo.env.world import WorldView
 from stkzoo.errors import ActionError, ApiOrderError, ConfigError
 from stkzoo.mdp.rewards import RewardOver
+from stkzoo.mdp.spaces import kart_action_space, kart_observation_space
 from stkzoo.views import find_view, options_of, views_of_agents
+from stkzoo.views.chains import RecordsObserver
+from stkzoo.views.plan import ViewPlan
 from stkzoo.views.walker import StepParts
+
+#: Observation, reward, termination, truncation and info.
+GymnasiumStep: TypeAlias = tuple[Any, float, bool, bool, dict[str, Any]]
 
 
 class _TrackNames:
@@ -36,6 +47,14 @@ class _TrackNames:
 
     def __get__(self, instance: object, owner: type | None = None) -> list[str]:
         return list(find_assets().tracks)
+
+
+class _RaceOfAnyKart(RaceParallelEnv):
+    """A race in which the game's default kart replaces unknown ones, as in pystk2-gymnasium."""
+
+    def __init__(self, **options: Any) -> None:
+        self._unknown_karts = set()
+        super().__init__(**options)
 
 
 class _RaceOption:
@@ -51,7 +70,7 @@ class _RaceOption:
         instance.options = replace(instance.options, **{self._name: value})
 
 
-class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
+class GymnasiumRaceEnv(RaceFront, LeftOutNames, gym.Env[Any, Any]):
     """Base class of Gymnasium environments on top of the parallel environment.
 
     Attributes:
@@ -66,7 +85,15 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         step_size: game time of one step [s].
         track: map of the current track; ``None`` before the first reset.
         num_kart: number of karts in the race.
+        num_cameras: number of agents with a camera.
     """
+
+    left_out: ClassVar = {
+        **dict.fromkeys(("race_step", "reset_race", "warmup_race"), "use reset and step"),
+        **dict.fromkeys(("get_state", "last_overall_distances"), "use the result of step"),
+        **dict.fromkeys(("free_positions", "kart_m_indices"), "use kart_indices"),
+        "path_cache": "use track.nodes_ahead(numpy.array([node]))",
+    }
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's convention
         "render_modes": list(RENDER_MODES),
@@ -88,9 +115,12 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         self._has_max_cycles = "max_cycles" in options
         options.setdefault("max_cycles", None)
         options["reward"] = RewardOver("reference", options.get("reward"))
-        self.core = RaceParallelEnv(agents=agents, **options)
+        self.core: RaceParallelEnv = _RaceOfAnyKart(agents=agents, **options)
         self.live_race = self.core.live_race
+        self._last_step: tuple[Snapshot | None, GymnasiumStep | None] = None, None
+        self._has_warned_of_end = False
         self.num_kart = self.options.num_kart
+        self.num_cameras = options.get("num_cameras", 0)
         self.render_mode = self.core.render_mode
         drawn = {key: self.core.metadata[key] for key in ("render_modes", "render_fps")}
         self.metadata = {**self.metadata, **drawn}
@@ -175,10 +205,67 @@ class GymnasiumRaceEnv(RaceFront, gym.Env[Any, Any]):
         follow_max_cycles(self, has_max_cycles, options or {})
         return result
 
-    def _step_core(self, actions: Mapping[str, Any]) -> StepParts:
-        if self.snapshot is not None and not self.core.agents:
+    @property
+    def config(self) -> RaceSetup | None:
+        """The engine's options for the current race; ``None`` before the first reset."""
+        return episode.setup if (episode := self.live_race.episode) else None
+
+    def get_observation(self, kart_ix: int, use_ai: bool = False) -> dict[str, Any]:
+        """Returns the current observation of any kart in the ``full`` view.
+
+        Args:
+            kart_ix: index of the kart in grid order.
+            use_ai: whether to add ``action``, which holds zeros unless the kart is an agent's and
+                the game's AI drives it.
+
+        Raises:
+            ApiOrderError: called before the first ``reset``.
+            ConfigError: there is no such kart.
+        """
+        episode = self.live_race.running("get_observation")
+        karts = np.array([check_whole("kart_ix", kart_ix, 0, self.num_kart - 1)])
+        plan = ViewPlan(kart_observation_space(use_ai), kart_action_space(), CONTROLS)
+        (observation,) = RecordsObserver(plan).observe(episode, karts)
+        return dict(observation)
+
+    def step(self, action: Any) -> GymnasiumStep:
+        """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`.
+
+        After the episode's end, it returns the last values again, with reward 0, and warns once.
+        """
+        if self._is_over:
+            return self._last_step_again()
+        result = self._step(action)
+        if self._is_over:
+            self._last_step = self.snapshot, result
+        return result
+
+    def _step(self, action: Any) -> GymnasiumStep:
+        raise NotImplementedError
+
+    @property
+    def _is_over(self) -> bool:
+        """Whether a race has begun and no agent is racing any more."""
+        return self.snapshot is not None and not self.core.agents
+
+    def _last_step_again(self) -> GymnasiumStep:
+        """Returns the result of the step that ended the race, without its reward.
+
+        Raises:
+            ApiOrderError: this environment has not made that step, but was restored after it.
+        """
+        snapshot, last_step = self._last_step
+        if snapshot is not self.snapshot or last_step is None:
             raise ApiOrderError("step() after the episode's end; call reset() first")
-        return self.core.step(actions)
+        if not self._has_warned_of_end:
+            self._has_warned_of_end = True
+            warnings.warn(
+                "step() after the episode's end returns the last values again, with reward 0; "
+                "call reset() first",
+                stacklevel=3,
+            )
+        observation, _, terminated, truncated, info = copy.deepcopy(last_step)
+        return observation, 0.0, terminated, truncated, info
 
 
 class STKRaceEnv(GymnasiumRaceEnv):
@@ -239,10 +326,9 @@ class STKRaceEnv(GymnasiumRaceEnv):
         observations, infos = self._reset_core(seed, options)
         return observations[self._name], infos[self._name]
 
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+    def _step(self, action: Any) -> GymnasiumStep:
         name = self._name
-        observations, rewards, terminations, truncations, infos = self._step_core({name: action})
+        observations, rewards, terminations, truncations, infos = self.core.step({name: action})
         return observations[name], rewards[name], terminations[name], truncations[name], infos[name]
 
 
@@ -333,10 +419,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
             observations, infos = self._reset_core(seed, options)
             return self._completed(observations), self._info(infos, {}, {})
 
-    def step(
-        self, action: Mapping[str, Any]
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Advances the race by one step; see :meth:`~stkzoo.env.parallel.RaceParallelEnv.step`."""
+    def _step(self, action: Mapping[str, Any]) -> GymnasiumStep:
         with self.core.live_race.turn.of("step"):
             observations, rewards, _, truncations, infos = self._step_by_number(action)
             return (
@@ -346,6 +429,11 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
                 any(truncations.values()),
                 self._info(infos, rewards, truncations),
             )
+
+    def _last_step_again(self) -> GymnasiumStep:
+        last_step = super()._last_step_again()
+        last_step[-1]["reward"] = dict.fromkeys(self._names, 0.0)
+        return last_step
 
     def _step_by_number(self, action: Mapping[str, Any]) -> StepParts:
         """Steps the race with actions by number; returns results by agent."""
@@ -358,7 +446,7 @@ class STKRaceMultiEnv(GymnasiumRaceEnv):
                 f"there is an action for agent {key!r}, expected {', '.join(self._names)}", key
             ) from None
         try:
-            return self._step_core(actions)
+            return self.core.step(actions)
         except ActionError as error:
             raise self._by_key(error) from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -162,13 +163,19 @@ class RaceOptions:
         return tuple(chosen)
 
 
-def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str]) -> None:
+def check_agents(
+    agents: Sequence[AgentSpec],
+    num_kart: int,
+    karts: Sequence[str],
+    unknown_karts: set[str] | None = None,
+) -> None:
     """Checks the agents' options.
 
     Args:
         agents: the agents.
         num_kart: number of karts in the race.
         karts: all kart models in the game's data.
+        unknown_karts: see :func:`known_kart`.
 
     Raises:
         ConfigError: an option is invalid.
@@ -188,8 +195,7 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
         if agent.rank_start is not None:
             check_whole(f"rank_start of agent {index}", agent.rank_start, 0, num_kart - 1)
         check_number(f"color of agent {index}", agent.color, 0.0, 1.0)
-        if not isinstance(agent.kart, str) or (agent.kart and agent.kart not in karts):
-            raise unknown_name("kart", agent.kart, karts)
+        known_kart(agent.kart, karts, unknown_karts)
         if not isinstance(agent.name, str):
             raise ConfigError(f"name of agent {index} is {agent.name!r}, expected a string")
         camera_mode(agent)
@@ -197,6 +203,30 @@ def check_agents(agents: Sequence[AgentSpec], num_kart: int, karts: Sequence[str
     for rank in taken:
         if taken.count(rank) > 1:
             raise ConfigError(f"several agents have rank_start={rank}, expected different places")
+
+
+def known_kart(kart: str | None, karts: Sequence[str], unknown_karts: set[str] | None) -> str:
+    """Returns the name of a kart model, or an empty string for the game's default.
+
+    Args:
+        kart: the name; ``None`` and an empty string select the default.
+        karts: all kart models in the game's data.
+        unknown_karts: unknown names that a warning has reported. They select the default too.
+            ``None`` makes them errors.
+
+    Raises:
+        ConfigError: the model is unknown.
+    """
+    if not kart or kart in karts:
+        return kart or ""
+    error = unknown_name("kart", kart, karts)
+    if unknown_karts is None or not isinstance(kart, str):
+        raise error
+    if kart not in unknown_karts:
+        unknown_karts.add(kart)
+        problem = str(error).partition(" Choose")[0]
+        warnings.warn(f"{problem} The game's default kart races instead.", stacklevel=2)
+    return ""
 
 
 def camera_mode(agent: AgentSpec) -> CameraMode:

@@ -95,6 +95,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         "render_fps": 10,
         "is_parallelizable": True,
     }
+    _unknown_karts: set[str] | None = None
 
     def __init__(
         self,
@@ -143,7 +144,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
         rendering = Rendering(render_mode, render_backend, render_size, graphics_config)
         assets = find_assets()
         options.tracks(assets.tracks)
-        check_agents(specs, num_kart, assets.karts)
+        check_agents(specs, num_kart, assets.karts, self._unknown_karts)
         self.possible_agents = [f"kart_{index}" for index in range(len(specs))]
         rewards = rewards_of_agents(reward, self.possible_agents)
         this = weakref.ref(self)  # cameras do not keep the environment alive
@@ -179,6 +180,7 @@ class RaceParallelEnv(RaceFront, ParallelEnv[str, Any, Any]):
             cameras=cameras,
             opponents=drivers,
             num_cameras=num_cameras,
+            unknown_karts=self._unknown_karts,
         )
 
     # ------------------------------------------------------------------ PettingZoo's API

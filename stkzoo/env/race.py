@@ -60,6 +60,7 @@ class Race:
         cameras: the agents' cameras.
         opponents: drivers of karts that are not agents, if there are any.
         num_cameras: number of agents with a camera; 0 leaves the choice to the agents.
+        unknown_karts: see :func:`~stkzoo.env.options.known_kart`.
 
     Attributes:
         options: options of the next race.
@@ -94,6 +95,7 @@ class Race:
         cameras: RaceCameras,
         opponents: RaceOpponents | None,
         num_cameras: int,
+        unknown_karts: set[str] | None = None,
     ) -> None:
         self.options, self.specs = options, specs
         self.possible_agents = [*rewards]
@@ -106,7 +108,7 @@ class Race:
         self.rendering, self.cameras, self.opponents = rendering, cameras, opponents
         self._rewards, self._assets, self._chains = rewards, assets, chains
         self.has_rows, self.is_compiled = chains.has_rows, chains.is_compiled
-        self._num_cameras = num_cameras
+        self._num_cameras, self._unknown_karts = num_cameras, unknown_karts
         self.np_random = random_stream(None)
         self._stepping: Episode | None = None  # the episode with a running step
 
@@ -138,7 +140,8 @@ class Race:
         """
         self.rendering.check()
         options = self.options.of_episode(asked, self._assets.tracks)
-        check_agents(self.specs, self.options.num_kart, self._assets.karts)
+        karts, num_kart = self._assets.karts, self.options.num_kart
+        check_agents(self.specs, num_kart, karts, self._unknown_karts)
         if self._agents_of_ai() != self.ai_agents:
             raise ConfigError(
                 "use_ai of an agent was changed after the environment was made, which would "
@@ -482,9 +485,9 @@ class Race:
     ) -> tuple[RaceSetup, tuple[int, ...]]:
         tracks = options.tracks(self._assets.tracks)
         has_window = self.rendering.mode == "human"
-        return draw_race(
-            options, self.specs, tracks, self._num_cameras, has_window, random, opponents
-        )
+        karts = self._assets.karts
+        specs = [spec if spec.kart in karts else replace(spec, kart="") for spec in self.specs]
+        return draw_race(options, specs, tracks, self._num_cameras, has_window, random, opponents)
 
     def _draw_opponents(
         self, options: RaceOptions, asked: Mapping[str, Any], random: np.random.Generator

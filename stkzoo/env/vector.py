@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,8 +13,10 @@ from gymnasium.vector import AsyncVectorEnv
 
 from stkzoo._checks import check_whole, unknown_argument
 from stkzoo.config import AgentSpec
+from stkzoo.engine.assets import find_assets
 from stkzoo.env.gymnasium_api import split_keywords
 from stkzoo.env.ids import MAX_EPISODE_STEPS
+from stkzoo.env.options import known_kart
 from stkzoo.env.vec.env import RaceVectorEnv
 from stkzoo.env.vec.rows import is_of_fixed_size
 from stkzoo.mdp.rewards import RewardOver
@@ -51,10 +54,12 @@ def single_kart_races(
         limit = check_whole("max_episode_steps", limit, 1)
         is_shorter = max_cycles is None or limit < check_whole("max_cycles", max_cycles, 1)
         race["max_cycles"] = limit if is_shorter else max_cycles
+    spec = AgentSpec() if agent is None else AgentSpec.of(agent)
+    kart = known_kart(spec.kart, find_assets().karts, set())
     return RaceVectorEnv(
         num_envs,
         view=view,
-        agents=[AgentSpec() if agent is None else AgentSpec.of(agent)],
+        agents=[replace(spec, kart=kart)],
         **race,
     )
 

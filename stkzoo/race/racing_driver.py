@@ -24,8 +24,8 @@ _MAX_NAME, _MAX_TRACE = 100, 8000
 #: Results and replays of races with 256 such agents can be read.
 _MAX_TEXTS, _MIN_MESSAGE = 16 << 10, 300
 _CLIPPED = (
-    "an action of {} ({}) at step {} has a number outside its space, which is clipped; from now "
-    "on such actions are only counted"
+    "an action of {} ({}) at step {} has a number outside its space, which is clipped, or an "
+    "unknown key, which is ignored; from now on such actions are only counted"
 )
 
 logger = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class RacingDriver:
         name: display name.
         failures: the first 20 failures; texts of later ones may be shortened.
         num_failures: number of all failures.
-        num_clipped: number of decisions with a clipped number.
+        num_clipped: number of decisions with a clipped number or an unknown key.
         seconds: duration of each successful decision [s].
         clock: total time of all decisions.
         is_retired: whether the driver is out of the race.

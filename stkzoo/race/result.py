@@ -89,7 +89,7 @@ class AgentResult:
         reward: sum of rewards over the race.
         rescues: number of rescues of the kart; ``None`` in old results.
         num_errors: number of failures.
-        num_clipped: number of actions with a clipped number.
+        num_clipped: number of actions with a clipped number or an unknown key.
         errors: the first 20 failures; texts of later ones may be shortened.
         action_time: durations of the decisions; ``None`` for the game's AI and for agents without
             a successful decision.

@@ -49,21 +49,29 @@ def read_action(space: spaces.Space[Any], action: object, agent: str, name: str 
     return value
 
 
-def clip_numbers(space: spaces.Space[Any], action: object) -> Any:
-    """Clips the finite numbers of each ``Box`` in an action to the bounds; keeps other values."""
+def fit_action(space: spaces.Space[Any], action: object) -> Any:
+    """Returns an action as pystk2-gymnasium reads it, which accepts any finite numbers.
+
+    Unknown keys are left out. Numbers are clipped to their bounds, whole ones after rounding toward
+    zero: for a button, 0.63 and -1 are 0, and 2 is 1. Values of other forms are kept.
+
+    Args:
+        space: space of the action.
+        action: the action.
+    """
     if isinstance(space, spaces.Dict) and isinstance(action, Mapping):
-        parts = space.spaces
-        return {
-            key: clip_numbers(parts[key], value) if key in parts else value
-            for key, value in action.items()
-        }
-    if not isinstance(space, spaces.Box) or _is_whole(space):
+        return {k: fit_action(part, action[k]) for k, part in space.spaces.items() if k in action}
+    if not isinstance(space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete)):
         return action
     try:
         array = np.asarray(action, np.float64)
-        return np.clip(array, space.low, space.high) if np.isfinite(array).all() else action
     except (TypeError, ValueError, OverflowError, RuntimeError):
         return action
+    low, high = _bounds(space)
+    if array.size != len(low) or not np.isfinite(array).all():
+        return action
+    numbers = np.trunc(array) if _is_whole(space) else array
+    return np.clip(numbers.reshape(-1), low, high).reshape(array.shape)
 
 
 def _value(space: spaces.Space[Any], action: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,10 +13,17 @@ import gymnasium as gym
 from gymnasium import spaces
 
 from stkzoo.errors import ActionError, AgentError, AgentException, ConfigError
-from stkzoo.views.actions import clip_numbers, read_action
+from stkzoo.views.actions import fit_action, read_action
 from stkzoo.views.bases import ActionObservationWrapper, CompiledWrapper
 from stkzoo.views.plan import ViewPlan
 from stkzoo.views.split_step import AgentStep, CompiledPart, MonoAgentEnv, SplitStep
+
+_FITTED = (
+    "clipped to its space, and unknown keys are ignored, as in pystk2-gymnasium; this is reported "
+    "once in a race"
+)
+
+logger = logging.getLogger(__name__)
 
 #: Wraps one agent's environment; ``None`` adds no wrapper.
 WrapperFactory: TypeAlias = Callable[[gym.Env[Any, Any]], gym.Env[Any, Any]] | None
@@ -110,8 +118,9 @@ class AgentChain:
         action_space: actions before all wrappers.
         base_observation_space: observations before all wrappers.
         base_action_space: actions after all wrappers.
-        num_clipped: number of actions with values outside a ``Box`` that were clipped; ``None`` if
-            such values are errors.
+        is_strict: whether finite numbers outside their space and unknown keys are errors, rather
+            than clipped and ignored. ``stkzoo.compat`` changes it for all environments.
+        num_clipped: number of actions with such numbers or keys, if they are no errors.
         is_empty: whether no wrapper runs here: there is none, or the kernel implements all.
         is_pure: whether all wrappers that run here are pure functions from this package.
 
@@ -120,12 +129,15 @@ class AgentChain:
         observation_space: observations without wrappers.
         action_space: actions without wrappers.
         factory: wraps the agent's environment.
-        is_strict: whether finite numbers outside a ``Box`` are errors.
+        is_strict: see above; by default, that of the class. The first such action of a race is then
+            logged.
 
     Raises:
         AgentException: the factory failed, or did not return a wrapper of its argument.
         ConfigError: a wrapper rejects its arguments or the wrapped environment.
     """
+
+    is_strict = True
 
     def __init__(
         self,
@@ -133,9 +145,12 @@ class AgentChain:
         observation_space: spaces.Space[Any],
         action_space: spaces.Space[Any],
         factory: WrapperFactory,
-        is_strict: bool = True,
+        is_strict: bool | None = None,
     ) -> None:
-        self.agent, self.num_clipped = agent, None if is_strict else 0
+        self.agent, self.num_clipped = agent, 0
+        self._logs_clipping = is_strict is None
+        if is_strict is not None:
+            self.is_strict = is_strict
         self.base_observation_space = observation_space
         self.base_action_space = action_space
         self._mono = MonoAgentEnv(observation_space, action_space)
@@ -247,12 +262,14 @@ class AgentChain:
     def _checked(self, space: spaces.Space[Any], action: object, name: str) -> Any:
         try:
             return read_action(space, action, self.agent, name)
-        except ActionError:
-            if self.num_clipped is None:
+        except ActionError as error:
+            if self.is_strict:
                 raise
-            clipped = read_action(space, clip_numbers(space, action), self.agent, name)
+            fitting = read_action(space, fit_action(space, action), self.agent, name)
             self.num_clipped += 1
-            return clipped
+            if self.num_clipped == 1 and self._logs_clipping:
+                logger.warning("%s It is %s", error, _FITTED)
+            return fitting
 
     def finish_step(self, result: AgentStep) -> AgentStep:
         """Runs the part after the race's step; returns the wrapped result."""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, SupportsFloat
 import gymnasium as gym
 from gymnasium import spaces
 
+from stkzoo._left_out import LeftOutNames
 from stkzoo.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -46,13 +47,17 @@ class ActionObservationWrapper(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class ActionFormWrapper(ActionObservationWrapper):
-    """Base class of wrappers that change actions, including the AI's ``action`` in observations."""
+    """Base class of wrappers that change actions, including the AI's ``action`` in observations.
+
+    Attributes:
+        has_action: whether observations have the AI's ``action``.
+    """
 
     def _change_action_space(self, space: spaces.Space[Any]) -> None:
         self.action_space = space
         seen = self.env.observation_space
-        self._has_action = isinstance(seen, spaces.Dict) and "action" in seen.spaces
-        if isinstance(seen, spaces.Dict) and self._has_action:
+        self.has_action = isinstance(seen, spaces.Dict) and "action" in seen.spaces
+        if isinstance(seen, spaces.Dict) and self.has_action:
             parts = {**copy.deepcopy(seen.spaces), "action": copy.deepcopy(space)}
             self.observation_space = spaces.Dict(parts)
 
@@ -62,7 +67,7 @@ class ActionFormWrapper(ActionObservationWrapper):
 
     def observation(self, observation: Any) -> Any:
         """Returns the observation with the AI's ``action``, if it has one, converted."""
-        if not self._has_action:
+        if not self.has_action:
             return observation
         return {**observation, "action": self.observed_action(observation["action"])}
 
@@ -83,7 +88,7 @@ class RecordedWrapper(gym.utils.RecordConstructorArgs):
         return made
 
 
-class CompiledWrapper(RecordedWrapper):
+class CompiledWrapper(RecordedWrapper, LeftOutNames):
     """Marks a wrapper that has a compiled form in the kernel.
 
     The wrapper's own methods run around environments of other libraries, and around wrappers that

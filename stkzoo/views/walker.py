@@ -98,6 +98,7 @@ class ChainWalker:
             AgentException: a wrapper failed.
         """
         for number, (agent, chain) in enumerate(self.chains.items()):
+            chain.num_clipped = 0
             if agent in agents:
                 with _kept(agent, failed):
                     observations[agent], infos[agent] = chain.reset(

@@ -276,6 +276,92 @@ def test_each_agent_can_have_its_own_wrappers(on_stkzoo):
     ]
 
 
+def test_any_numbers_and_keys_are_read_as_in_the_reference_and_logged_once_per_race(on_stkzoo):
+    code = """
+    import logging, sys
+    from pystk2_gymnasium import AgentSpec, MonoAgentWrapperAdapter
+    from pystk2_gymnasium.stk_wrappers import DiscreteActionsWrapper
+    from stkzoo import ActionError
+
+    def controls(env, action):
+        race = env.unwrapped.live_race
+        return race.convert(race.check(action))[0].tolist()
+
+    logging.basicConfig(stream=sys.stdout, format="logged %(levelname)s")
+    race = dict(num_kart=1, track="lighthouse")
+    env = gym.make("supertuxkart/full-v0", **race)
+    for seed in range(2):
+        env.reset(seed=seed)
+        odd = action(2.0) | {"brake": np.array([0.63]), "drift": -1.0, "fire": 2, "nitro": 1.9,
+                             "rescue": True, "jump": 1, 7: 0, "steer": [5]}
+        print(controls(env, {"kart_0": odd}))
+        for _ in range(2):
+            env.step(odd)
+    for bad in (float("nan"), float("inf"), None, "x", [0, 1]):
+        try:
+            env.step(action() | {"brake": bad})
+        except ActionError:
+            print("refused")
+    env.close()
+
+    env = gym.make("supertuxkart/flattened-v0", **race)
+    env.reset(seed=1)
+    numbers = {"continuous": np.array([1.5, -3.0]), "discrete": [0.6, 1.2, -1, 2, 0]}
+    print(controls(env, {"kart_0": numbers}))
+    env.close()
+
+    env = gym.make("supertuxkart/multi-full-v0", agents=[AgentSpec()], **race)
+    env = MonoAgentWrapperAdapter(env, wrapper_factories={"0": DiscreteActionsWrapper})
+    env.reset(seed=1)
+    env.step({"0": {**env.action_space["0"].sample(), "brake": 0.9, "acceleration": 7.5, "k": 1}})
+    env.close()
+    """
+    assert on_stkzoo(code).splitlines() == [
+        *["logged WARNING", "[1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0]"] * 2,
+        *["refused"] * 5,
+        "logged WARNING",
+        "[1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0]",
+        "logged WARNING",
+    ]
+
+
+def test_the_world_has_what_adapters_of_the_reference_read(on_stkzoo):
+    code = """
+    import pystk2
+    from pystk2_gymnasium.envs import Phase
+
+    agent = pystk2_gymnasium.AgentSpec(kart="sara_the_racer")
+    env = gym.make("supertuxkart/simple-v0", agent=agent, num_kart=2, track="lighthouse")
+    env.reset(seed=1)
+    base = env.unwrapped
+    kart, other = base.world.karts[base.kart_ix], base.world.karts[1 - base.kart_ix]
+    print(kart.name, other.name, kart.player_id == kart.id, kart.lives)
+    print([player.kart.id for player in base.world.players], base.world.players[0].camera)
+    item = base.world.items[0]
+    print(item.type == pystk2.Item.Type(item.type.value), item.type == item.Type[item.type.name])
+    print(Phase.from_stk(base.world.phase).name, Phase.from_stk(None).name,
+          Phase.from_stk(pystk2.WorldState.Phase.FINISH_PHASE).name)
+    config = base.config
+    print(config.num_kart, config.track, config.laps, config.players[base.kart_ix].kart)
+    seen = base.get_observation(base.kart_ix, False), base.get_observation(1 - base.kart_ix, True)
+    print(seen[0]["kart_type"], seen[1]["kart_type"], sorted(seen[1]["action"])[0])
+    full = gym.make("supertuxkart/full-v0", num_kart=2, track="lighthouse")
+    observation, _ = full.reset(seed=1)
+    print(str(full.unwrapped.get_observation(full.unwrapped.kart_ix, False)) == str(observation))
+    full.close()
+    env.close()
+    """
+    assert on_stkzoo(code).splitlines() == [
+        "Pepper Tux True 0",
+        "[0, 1] None",
+        "True True",
+        "READY_PHASE READY_PHASE RACE_PHASE",
+        "2 lighthouse 1 sara_the_racer",
+        "sara_the_racer tux acceleration",
+        "True",
+    ]
+
+
 def test_vector_environments_can_be_made(on_stkzoo):
     code = """
     from pystk2_gymnasium import make_stkrace_vec

@@ -5,6 +5,7 @@ import importlib
 
 import pytest
 
+from stkzoo.views.agent_chain import AgentChain
 from tests.support.paths import ROOT
 
 
@@ -21,6 +22,7 @@ def modules():
 @pytest.mark.parametrize("name", list(modules()))
 def test_the_examples_of_a_module_run(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(AgentChain, "is_strict", True)  # stkzoo.compat changes it
     outcome = doctest.testmod(importlib.import_module(name))
     assert outcome.attempted > 0
     assert outcome.failed == 0

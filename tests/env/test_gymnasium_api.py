@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import nullcontext
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +14,15 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import stkzoo
-from stkzoo import ActionError, AgentSpec, CameraMode, ConfigError, make_stkrace_vec, race_v0
+from stkzoo import (
+    ActionError,
+    AgentSpec,
+    ApiOrderError,
+    CameraMode,
+    ConfigError,
+    make_stkrace_vec,
+    race_v0,
+)
 from stkzoo.env.gymnasium_api import STKRaceEnv
 from tests.support.playing import fingerprint
 from tests.support.views import EACH_ID
@@ -140,6 +149,44 @@ def test_options_of_later_races_can_be_set_as_attributes(name, value, read):
 def test_the_dict_of_agents_refuses_wrappers_that_finished_agents_would_not_have():
     with pytest.raises(ConfigError, match="Put them into MonoAgentWrapperAdapter"):
         stkzoo.STKRaceMultiEnv(**OPTIONS, view={0: gym.Wrapper})
+
+
+@pytest.mark.parametrize("env_id", ["supertuxkart/full-v0", "supertuxkart/multi-full-v0"])
+def test_a_step_after_the_end_returns_the_last_values_without_reward_and_warns_once(env_id):
+    agents = {"agents": 2} if "multi" in env_id else {}
+    with gym.make(env_id, max_cycles=2, **agents, **OPTIONS) as env:
+        for seed in range(2):
+            env.reset(seed=seed)
+            action = env.action_space.sample()
+            env.step(action)
+            last, _, *ends, info = env.step(action)
+            assert ends == [False, True]
+            with pytest.warns(UserWarning, match="call reset") if seed == 0 else nullcontext():
+                again, reward, *ends_again, info_again = env.step(action)
+            assert (reward, ends_again) == (0.0, ends)
+            if "reward" in info:
+                info["reward"] = dict.fromkeys(info["reward"], 0.0)
+            assert fingerprint([again, info_again]) == fingerprint([last, info])
+            assert again is not last
+        with pytest.raises(ApiOrderError, match=r"call reset\(\) first"):
+            env.unwrapped.clone().step(action)
+
+
+def test_the_default_kart_replaces_an_unknown_one_with_one_warning_for_each_name():
+    agents = [AgentSpec(kart="Team 1/\N{LATIN SMALL LETTER E WITH ACUTE}"), {"kart": None}]
+    with pytest.warns(UserWarning, match="unknown kart 'Team 1/.'.* default kart races"):
+        env = gym.make("supertuxkart/multi-full-v0", agents=agents, **OPTIONS)
+    env.reset(seed=1)
+    agents[0].kart = "gnu"
+    env.reset(seed=1)
+    assert sorted(env.unwrapped.race.kart_types) == ["gnu", "tux", "tux"]
+    agents[0].kart = "gnuu"
+    with pytest.warns(UserWarning, match="Did you mean 'gnu'"):
+        env.reset(seed=1)
+    assert set(env.unwrapped.race.kart_types) == {"tux"}
+    env.close()
+    with pytest.warns(UserWarning, match="unknown kart 'Team'"):
+        gym.make_vec(DISCRETE, num_envs=1, agent=AgentSpec(kart="Team"), **OPTIONS).close()
 
 
 def test_an_agent_can_be_a_mapping_as_in_yaml():

@@ -254,7 +254,7 @@ def test_action_times_are_reported(result):
 
 
 @pytest.mark.slow
-def test_numbers_outside_a_box_are_clipped_and_counted_but_nan_fails(tmp_path, caplog):
+def test_numbers_outside_a_space_are_clipped_and_counted_but_nan_fails(tmp_path, caplog):
     backwards = write_agent(
         tmp_path, "backwards", "return {**action_space.sample(), 'acceleration': [-1.0]}"
     )
@@ -263,13 +263,21 @@ def test_numbers_outside_a_box_are_clipped_and_counted_but_nan_fails(tmp_path, c
     )
 
     eager = Driver.of_actor("eager", lambda _, space, __: lambda _: space.sample() | {"steer": 2.0})
-    drivers = [backwards, undefined, eager]
+    odd = write_agent(
+        tmp_path, "odd", "return {**action_space.sample(), 'fire': np.array([0.63]), 'jump': 1}"
+    )
+    drivers = [backwards, undefined, eager, odd]
     result = run_race(drivers, track="lighthouse", seed=1, max_steps=5)
     rows = {row.agent: row for row in result.agents}
-    assert [rows[f"kart_{n}"].num_clipped for n in range(3)] == [5, 0, 5]
-    assert [rows[f"kart_{n}"].status for n in range(3)] == ["racing", "retired", "racing"]
+    assert [rows[f"kart_{n}"].num_clipped for n in range(4)] == [5, 0, 5, 5]
+    status = [rows[f"kart_{n}"].status for n in range(4)]
+    assert status == ["racing", "retired", "racing", "racing"]
     assert "nan" in rows["kart_1"].errors[0].message
     warned = [record.getMessage() for record in caplog.records]
-    assert [text.split()[3] for text in warned if "clipped" in text] == ["backwards", "eager"]
+    assert [text.split()[3] for text in warned if "clipped" in text] == [
+        "backwards",
+        "eager",
+        "odd",
+    ]
     assert RaceResult.from_json(result.to_json()) == result
     jsonschema.validate(json.loads(result.to_json()), json.loads(SCHEMA.read_text()))

@@ -134,7 +134,7 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
         speed, max_angle = self._speed, self._max_angle
         self._speed = np.float64(observation["velocity"][2])
         self._max_angle = np.float64(observation["max_steer_angle"][0])
-        if not self._has_action:
+        if not self.has_action:
             return observation
         done = observation["action"]
         controls = np.array([float(np.reshape(done[key], -1)[0]) for key in _PEDALS])
