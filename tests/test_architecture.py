@@ -31,6 +31,7 @@ LAYERS = [
             "stkzoo._checks",
             "stkzoo._imports",
             "stkzoo._installation",
+            "stkzoo._left_out",
             "stkzoo._locks",
             "stkzoo._logs",
             "stkzoo._os",
