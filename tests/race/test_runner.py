@@ -264,7 +264,7 @@ def test_numbers_outside_a_space_are_clipped_and_counted_but_nan_fails(tmp_path,
 
     eager = Driver.of_actor("eager", lambda _, space, __: lambda _: space.sample() | {"steer": 2.0})
     odd = write_agent(
-        tmp_path, "odd", "return {**action_space.sample(), 'fire': np.array([0.63]), 'jump': 1}"
+        tmp_path, "odd", "return {**action_space.sample(), 'fire': [0.63], 'jump': 1}"
     )
     drivers = [backwards, undefined, eager, odd]
     result = run_race(drivers, track="lighthouse", seed=1, max_steps=5)
