@@ -51,10 +51,9 @@ class MonoAgentWrapperAdapter(
         AgentException: a factory or, later, a wrapper failed; ``key`` names the agent.
     """
 
-    left_out: ClassVar = {
-        **dict.fromkeys(("action", "observation"), "use step"),
-        **dict.fromkeys(("keys", "mono_envs", "wrappers"), "use action_space and its spaces"),
-    }
+    left_out: ClassVar = dict.fromkeys(
+        ("action", "observation", "keys", "mono_envs", "wrappers"), "use step and action_space"
+    )
 
     def __new__(cls, env: Any = None, *arguments: Any, **options: Any) -> Any:
         """Returns a :class:`ParallelAgentAdapter` around a ``ParallelEnv``."""

@@ -44,10 +44,9 @@ class SpaceFlattener(LeftOutNames):
         ConfigError: an entry has another kind of space, or there is no entry.
     """
 
-    left_out: ClassVar = {
-        **dict.fromkeys(("passthrough_keys", "passthrough_spaces"), "texts are dropped"),
-        **dict.fromkeys(("indices", "shapes"), "use unflatten"),
-    }
+    left_out: ClassVar = dict.fromkeys(
+        ("indices", "shapes", "passthrough_keys", "passthrough_spaces"), "use parts and unflatten"
+    )
 
     def __init__(self, space: spaces.Dict) -> None:
         boxes: dict[str, spaces.Space[Any]] = {}

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from types import ModuleType
 
-from gymnasium.envs.registration import WrapperSpec, register
-
 from stkzoo._pystk2_gymnasium import definitions, envs, stk_wrappers, utils, vecenv, wrappers
 
 __version__ = "0.10.0"
@@ -20,17 +18,7 @@ _NAMES = {
 }
 globals().update(_NAMES)
 
-__all__ = [
-    "WrapperSpec",
-    "definitions",
-    "envs",
-    "register",
-    "stk_wrappers",
-    "utils",
-    "vecenv",
-    "wrappers",
-    *_NAMES,
-]
+__all__ = ["definitions", "envs", "stk_wrappers", "utils", "vecenv", "wrappers", *_NAMES]
 
 
 def modules() -> dict[str, ModuleType]:

@@ -36,12 +36,8 @@ class STKDiscreteAction(STKAction):
 
 
 _LEFT_OUT = {
-    **dict.fromkeys(
-        ("DirectSTKInterface", "PySTKProcess", "STKInterface"), "environments start the game"
-    ),
-    **dict.fromkeys(
-        ("PathCache", "get_path_cache"), "use env.unwrapped.track.nodes_ahead(numpy.array([node]))"
-    ),
+    **dict.fromkeys(("DirectSTKInterface", "PySTKProcess", "STKInterface"), "use an environment"),
+    **dict.fromkeys(("PathCache", "get_path_cache"), "use track.nodes_ahead(numpy.array([node]))"),
     "get_action": "step takes the action as it is",
 }
 __getattr__ = without_names("pystk2_gymnasium.envs", _LEFT_OUT)

@@ -33,9 +33,8 @@ class KartSetup(LeftOutNames):
     """
 
     left_out: ClassVar = {
-        **dict.fromkeys(("Controller", "controller"), "use is_bot"),
+        **dict.fromkeys(("Controller", "controller", "team"), "use is_bot"),
         "CameraMode": "use stkzoo.CameraMode",
-        "team": "races have no teams",
     }
     is_bot: bool = True
     reports_control: bool = False
@@ -62,10 +61,7 @@ class RaceSetup(LeftOutNames):
         mode: mode of the race, one of :data:`stkzoo.config.RACE_MODES`.
     """
 
-    left_out: ClassVar = {
-        "RaceMode": "use stkzoo.config.RACE_MODES",
-        "overlay": "races have no graphics",
-    }
+    left_out: ClassVar = dict.fromkeys(("RaceMode", "overlay"), "use mode and a render_mode")
     track: Annotated[str, _FOLDER]
     karts: Annotated[tuple[KartSetup, ...], Meta(min_length=1, max_length=256)]
     laps: int = 1

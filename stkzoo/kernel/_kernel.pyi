@@ -285,8 +285,6 @@ class ActionReader:
 class CarController:
     """Converts a speed or acceleration and a steering angle or steering speed to controls.
 
-    The compiled form of :meth:`stkzoo.wrappers.control.CarAction.act`.
-
     Args:
         kinds: whether the longitudinal number is a speed, whether the steering number is an angle,
             and whether both are scaled to [-1, 1].

@@ -1,8 +1,7 @@
 /* Converts a speed or an acceleration, and a steering angle or steering speed, to throttle,
    steering and brake.
 
-   This is the compiled form of CarAction.act in stkzoo.wrappers.control, which has the formulas and
-   also runs around other environments. tests/kernel checks that both have the same bits. */
+   CarAction.controls in stkzoo.wrappers.control calls it too. tests/oracle has the same formulas. */
 
 #include "kernel.h"
 

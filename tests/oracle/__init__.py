@@ -5,6 +5,7 @@ Those of the planner (``plan_*``) are not imported here, because the planner is 
 """
 
 from tests.oracle.action_reader import ActionReader
+from tests.oracle.car_controller import CarController
 from tests.oracle.event_counter import EventCounter
 from tests.oracle.kart_observer import KartObserver
 from tests.oracle.mlp import Mlp
@@ -17,6 +18,7 @@ from tests.oracle.track_graph import TrackGraph
 
 __all__ = [
     "ActionReader",
+    "CarController",
     "EventCounter",
     "KartObserver",
     "Mlp",

@@ -21,14 +21,16 @@ from stkzoo.wrappers.control import (
     CarAction,
     CarParameters,
     ControlWrapper,
+    LongitudinalAction,
     LongitudinalActionEnum,
-    Pedals,
     SpeedAction,
+    SteerAction,
     SteerActionEnum,
     SteeringAngleAction,
     SteeringSpeedAction,
     from_single_to_multi_action_space,
 )
+from stkzoo.wrappers.control.kart import acceleration_of
 from tests.support.generic_env import kart_env, number_env
 
 KINDS = [
@@ -47,15 +49,14 @@ def test_the_order_of_the_names_does_not_matter(kinds):
     one, other = CarAction(kinds), CarAction(kinds[::-1])
     assert one.type == other.type == kinds[::-1]
     assert one.space == other.space
-    angle, pace = one.act(np.array([0.1, 4.0]), 3.0, 0.3, one.memory())
-    same_angle, same_pace = other.act(np.array([0.1, 4.0]), 3.0, 0.3, other.memory())
-    assert np.array_equal(angle, same_angle)
-    assert np.array_equal(pace, same_pace)
+    for method, state in (("controls", (3.0, 0.3, one.memory())), ("act", ([0, 0, 0.2, 3.0],))):
+        results = [getattr(each, method)([0.1, 4.0], *state) for each in (one, other)]
+        assert all(map(np.array_equal, *results))
 
 
 def test_the_first_number_steers_and_the_second_drives():
     action = CarAction(["speed", "steering_angle"])
-    controls, _ = action.act(np.array([0.1, 25.0]), 5.0, 0.2, action.memory())
+    controls, _ = action.controls([0.1, 25.0], 5.0, 0.2, action.memory())
     assert controls.tolist() == [1.0, 0.5, 0.0]
 
 
@@ -123,7 +124,7 @@ def test_lagging_wheels_reach_63_percent_after_the_time_constant():
     action = CarAction(params={"T_steer": 0.4, "sv_max": 100.0})
     memory = action.memory()
     for _ in range(4):
-        controls, memory = action.act(np.array([0.2, 5.0]), 5.0, 0.425, memory)
+        controls, memory = action.controls([0.2, 5.0], 5.0, 0.425, memory)
     assert memory[0] == pytest.approx(0.2 * (1 - np.exp(-1)), rel=1e-6)
     assert controls[1] == pytest.approx(memory[0] / 0.425)
     asked = action.read(controls, 5.0, 0.425, memory[0] / (1 - np.exp(-1)) * (1 - np.exp(-0.75)))
@@ -136,8 +137,6 @@ def test_spaces_are_in_physical_units_or_normalized():
     assert space.high.tolist() == pytest.approx([1.9, 17.5])
     normal = CarAction(["speed", "steering_angle"], normalize=True)
     assert normal.space == spaces.Box(-1.0, 1.0, (2,), np.float32)
-    assert normal.physical([0.0, 0.0]) == pytest.approx([0.0, 10.0])
-    assert normal.physical([-1.0, 1.0]) == pytest.approx([-0.425, 25.0])
 
 
 def test_action_spaces_of_several_agents_can_be_joined():
@@ -176,12 +175,87 @@ def test_the_engine_agrees_with_the_measured_kart_parameters():
             assert row["max_steer_angle"] == pytest.approx(parameters.s_max, abs=2e-3)
 
 
+# ------------------------------------------------------------------ F1TENTH gymkhana's names
+
+#: Limits as gymkhana's programs give them.
+LIMITS = {"a_max": 9.5, "v_min": -5.0, "v_max": 20.0, "s_min": -0.41, "s_max": 0.41} | {
+    "sv_min": -3.2,
+    "sv_max": 3.2,
+}
+#: x, y, wheel angle [rad], speed [m/s], and more.
+STATE = np.array([0.0, 0.0, 0.1, 8.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+@pytest.mark.parametrize("mode", [[*kinds] for kinds in KINDS])
+def test_the_action_has_the_signature_of_gymkhana(mode, normalize):
+    action = CarAction(control_mode=mode, params=LIMITS, normalize=normalize, timestep=0.05)
+    same = CarAction(mode, LIMITS, normalize, 0.05)
+    assert action.type == same.type == (mode[1], mode[0])
+    assert action.space == same.space
+    assert (action.normalize, action.timestep) == (same.normalize, same.timestep)
+    assert (action.normalize, action.timestep) == (normalize, 0.05)
+    bounds = [action.steer_bounds, action.throttle_bounds]
+    assert pytest.approx(np.stack([action.space.low, action.space.high])) == np.array(bounds).T
+    steering, longitudinal = SteerActionEnum, LongitudinalActionEnum
+    parts = [steering.from_string(mode[1]), longitudinal.from_string(mode[0])]
+    parts = [part(LIMITS, normalize, 0.05) for part in parts]
+    assert [(part.lower_limit, part.upper_limit) for part in parts] == bounds
+    numbers = [0.5, -0.25]
+    accl, turning = action.act(numbers, state=STATE, params=LIMITS)
+    by_part = [part.act(x, STATE, LIMITS) for part, x in zip(parts, numbers, strict=True)]
+    assert (turning, accl) == tuple(by_part)
+    karts = np.tile(STATE, (4, 3, 1))
+    accls, turnings = action.act(np.tile(numbers, (4, 3, 1)), karts)
+    assert accls == pytest.approx(np.full((4, 3), accl))
+    assert turnings == pytest.approx(np.full((4, 3), turning))
+
+
+@pytest.mark.parametrize(
+    ("kind", "base", "name", "factor", "expected"),
+    [
+        (AcclAction, LongitudinalAction, "accl", 9.5, [0.5, 0.5 * 9.5]),
+        (SpeedAction, LongitudinalAction, "speed", 12.5, [-7.5 * 8, (13.75 - 8) * 8]),
+        (SteeringAngleAction, SteerAction, "steering_angle", 0.41, [3.2, 1.05]),
+        (SteeringSpeedAction, SteerAction, "steering_speed", 3.2, [0.5, 1.6]),
+    ],
+)
+def test_each_number_has_the_names_of_gymkhana(kind, base, name, factor, expected):
+    plain, normal = kind(LIMITS, False), kind(params=LIMITS, normalize=True)
+    assert isinstance(plain, base)
+    assert plain.type == normal.type == name
+    assert (plain.normalize, normal.normalize) == (False, True)
+    assert (plain.scale_factor, normal.scale_factor) == (1.0, pytest.approx(factor))
+    assert (normal.lower_limit, normal.upper_limit) == (-1.0, 1.0)
+    assert plain.upper_limit - plain.lower_limit == pytest.approx(2 * factor)
+    assert normal.space.contains(normal.space.sample())
+    asked = [each.act(0.5, state=STATE, params=LIMITS) for each in (plain, normal)]
+    assert asked == pytest.approx(expected)
+
+
+def test_enumerations_have_the_members_of_gymkhana():
+    assert LongitudinalActionEnum.Accl is LongitudinalActionEnum.ACCL
+    assert LongitudinalActionEnum.Speed is LongitudinalActionEnum.SPEED
+    assert SteerActionEnum.Steering_Angle is SteerActionEnum.STEERING_ANGLE
+    assert SteerActionEnum.Steering_Speed is SteerActionEnum.STEERING_SPEED
+    joined = from_single_to_multi_action_space(
+        single_agent_action_space=CarAction().space, num_agents=2
+    )
+    assert joined.shape == (2, 2)
+
+
+@pytest.mark.parametrize("limits", [{"s_min": -0.3}, {"sv_min": 1.9}, {"s_min": 0.4, "s_max": 0.4}])
+def test_limits_of_steering_are_symmetric(limits):
+    with pytest.raises(ConfigError, match=r"s\w?_min is .*, expected -s\w?_max"):
+        CarAction(params=limits)
+
+
 # ------------------------------------------------------------------ pure functions
 
 
 def test_wheels_do_not_exceed_their_steering_speed():
     action = CarAction(["speed", "steering_angle"])
-    controls, memory = action.act(np.array([0.4, 0.0]), 0.0, 0.4, action.memory(), 0.1)
+    controls, memory = action.controls([0.4, 0.0], 0.0, 0.4, action.memory(), 0.1)
     assert memory[0] == pytest.approx(0.19)
     assert controls[1] == pytest.approx(0.19 / 0.4)
 
@@ -190,18 +264,18 @@ def test_steering_speed_stops_at_the_limit_and_reverses_immediately():
     action = CarAction(["speed", "steering_speed"])
     memory = action.memory()
     for _ in range(20):
-        controls, memory = action.act(np.array([1.0, 0.0]), 10.0, 0.12, memory)
+        controls, memory = action.controls([1.0, 0.0], 10.0, 0.12, memory)
     assert controls[1] == 1.0
-    controls, memory = action.act(np.array([-1.0, 0.0]), 10.0, 0.12, memory)
+    controls, memory = action.controls([-1.0, 0.0], 10.0, 0.12, memory)
     assert memory[0] == pytest.approx(0.02)
 
 
 def test_braking_reaches_the_requested_mean_acceleration():
-    action, pedals = CarAction(["accl", "steering_angle"]), Pedals()
+    action = CarAction(["accl", "steering_angle"])
     memory, speed = action.memory(), 20.0
     for _ in range(15):
-        controls, memory = action.act(np.array([0.0, -6.0]), speed, 0.1, memory)
-        speed += 0.1 * float(pedals.effect(controls[0], controls[2] > 0, np.float64(speed), 0.1))
+        controls, memory = action.controls([0.0, -6.0], speed, 0.1, memory)
+        speed += 0.1 * float(acceleration_of(controls[0], controls[2] > 0, np.float64(speed), 0.1))
     assert speed == pytest.approx(20.0 - 9.0, abs=1.0)
 
 
@@ -218,7 +292,7 @@ def test_actions_can_be_recovered_from_controls():
             done = np.array([rng.uniform(0.3, 0.7), rng.uniform(-0.5, 0.5), 0.0])
             read = action.read(done, speed, most, angle)
             memory = np.array([angle, 0.0])
-            again, _ = action.act(read.astype(np.float64), speed, most, memory)
+            again, _ = action.controls(read, speed, most, memory)
             np.testing.assert_allclose(again, done, atol=1e-4)
 
 

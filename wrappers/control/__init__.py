@@ -1,22 +1,23 @@
 """Actions in physical units: speed or acceleration, and steering angle or steering speed.
 
 :class:`LongitudinalAction` and :class:`SteerAction` convert the requested values to an acceleration
-and a wheel angle; :class:`Pedals` and :class:`CarAction` convert these to the game's controls. All
-are pure functions over arrays with any leading axes. :class:`ControlWrapper` applies them to one
-agent.
+and a turning speed of the wheels; :class:`CarAction` converts both to the game's controls. All are
+pure functions over arrays with any leading axes. :class:`ControlWrapper` applies them to one agent.
 """
 
 from stkzoo.wrappers.control.car_action import (
     AcclAction,
     CarAction,
+    LongitudinalAction,
     LongitudinalActionEnum,
     SpeedAction,
+    SteerAction,
     SteerActionEnum,
     SteeringAngleAction,
     SteeringSpeedAction,
     from_single_to_multi_action_space,
 )
-from stkzoo.wrappers.control.kart import CarParameters, Pedals
+from stkzoo.wrappers.control.kart import CarParameters
 from stkzoo.wrappers.control.wrapper import ControlWrapper
 
 __all__ = [
@@ -24,9 +25,10 @@ __all__ = [
     "CarAction",
     "CarParameters",
     "ControlWrapper",
+    "LongitudinalAction",
     "LongitudinalActionEnum",
-    "Pedals",
     "SpeedAction",
+    "SteerAction",
     "SteerActionEnum",
     "SteeringAngleAction",
     "SteeringSpeedAction",

@@ -122,7 +122,8 @@ class CarParameters:
         """Converts a mapping of some fields to parameters; ``None`` selects the defaults.
 
         Args:
-            value: the parameters.
+            value: the parameters. A mapping may also have ``s_min`` and ``sv_min``, as in F1TENTH
+                gymkhana, which must be ``-s_max`` and ``-sv_max``.
             kart: kart model that provides the other fields, such as ``"gnu"``; empty for the game's
                 default.
 
@@ -140,56 +141,36 @@ class CarParameters:
         if kart not in KARTS:
             raise unknown_name("kart", kart, KARTS)
         wheel_base, s_max = KARTS[kart]
-        return cls(**{"wheel_base": wheel_base, "s_max": s_max, **(value or {})})
+        values = {"wheel_base": wheel_base, "s_max": s_max, **(value or {})}
+        lowest = {name: values.pop(name) for name in ("s_min", "sv_min") if name in values}
+        parameters = cls(**values)
+        for name, low in lowest.items():
+            highest = name.replace("min", "max")
+            if low != -getattr(parameters, highest):
+                raise ConfigError(f"{name} is {low!r}, expected -{highest}: karts are symmetric")
+        return parameters
 
     def steering_angle(self, radius: float) -> float:
         """Returns the steering angle [rad] for a circle of a radius [m], positive to the right."""
         return math.atan(self.wheel_base / radius)
 
 
-class Pedals:
-    """Chooses throttle and brake, and predicts their effect."""
+def acceleration_of(
+    throttle: FloatArray, brake: BoolArray, speed: FloatArray, step_size: float
+) -> FloatArray:
+    """Returns the acceleration [m/s^2] due to throttle and brake, ``(...)``.
 
-    def press(
-        self, accl: FloatArray, speed: FloatArray, step_size: float
-    ) -> tuple[FloatArray, BoolArray]:
-        """Returns the throttle in [0, 1] and whether to brake, for an acceleration.
-
-        The brake is a button: it is pressed for a whole step or not at all, whichever comes closer
-        to the requested acceleration.
-
-        Args:
-            accl: ``(...)`` requested acceleration [m/s^2].
-            speed: ``(...)`` forward speed [m/s].
-            step_size: duration of a step [s].
-
-        Returns:
-            Throttle ``(...)`` and brake ``(...)`` bool.
-        """
-        force = accl + _drag(speed)
-        throttle = np.clip(force / _thrust(speed), 0.0, 1.0)
-        # Stopping is closer to the request than rolling on or reversing.
-        stops = (np.abs(speed) < _STOP_SPEED) & (np.abs(speed + accl * step_size) < 0.5)
-        stops &= np.abs(speed + accl * step_size) <= 0.55 * np.abs(speed) + 0.02
-        brake = (force < -_brake(speed) / 2) & ~stops
-        rolls = (np.abs(speed) < _SELF_STOP_SPEED + 0.5) & ~stops
-        throttle = np.where(rolls, np.maximum(throttle, _ROLLING), throttle)
-        return np.where(stops | brake, 0.0, throttle), brake
-
-    def effect(
-        self, throttle: FloatArray, brake: BoolArray, speed: FloatArray, step_size: float
-    ) -> FloatArray:
-        """Returns the acceleration [m/s^2] due to throttle and brake, ``(...)``."""
-        stops = (throttle <= 0) & ~brake & (np.abs(speed) < _SELF_STOP_SPEED)
-        driven = throttle * _thrust(speed) - _drag(speed)
-        braked = -_brake(speed) - _drag(speed)
-        stopped = -np.sign(speed) * np.minimum(np.abs(speed) / step_size, 30.0)
-        return np.where(brake, braked, np.where(stops, stopped, driven))
-
-    def reach(self, accl: FloatArray, speed: FloatArray) -> FloatArray:
-        """Returns the feasible acceleration nearest to ``accl`` [m/s^2], ``(...)``."""
-        least, most = -_brake(speed) - _drag(speed), _thrust(speed) - _drag(speed)
-        return np.clip(accl, least, most)
+    Args:
+        throttle: ``(...)`` in [0, 1].
+        brake: ``(...)`` bool.
+        speed: ``(...)`` forward speed [m/s].
+        step_size: duration of a step [s].
+    """
+    stops = (throttle <= 0) & ~brake & (np.abs(speed) < _SELF_STOP_SPEED)
+    driven = throttle * _thrust(speed) - _drag(speed)
+    braked = -_brake(speed) - _drag(speed)
+    stopped = -np.sign(speed) * np.minimum(np.abs(speed) / step_size, 30.0)
+    return np.where(brake, braked, np.where(stops, stopped, driven))
 
 
 def _thrust(speed: FloatArray) -> FloatArray:

@@ -112,19 +112,18 @@ class ControlWrapper(ActionFormWrapper, CompiledWrapper):
 
     def action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Returns the game's action."""
-        controls, self._memory = self.car_action.act(
+        controls, self._memory = self.car_action.controls(
             np.asarray(action["control"]),
             self._speed,
             self._max_angle,
             self._memory,
             self._step_size,
         )
-        numbers = controls.astype(np.float32)
         return {
             **dict.fromkeys(BUTTONS, 0),
-            "acceleration": numbers[:1],
-            "steer": numbers[1:2],
-            "brake": int(numbers[2]),
+            "acceleration": controls[:1],
+            "steer": controls[1:2],
+            "brake": int(controls[2]),
             **{button: int(action[button]) for button in self.buttons},
         }
 
